@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_bag"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="MCAP recording of ROS 2 topics: pure writer and reader, recorder node.",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["recorder = koop_bag.node:main"]},
+)

@@ -1,0 +1,23 @@
+from glob import glob
+
+from setuptools import setup
+
+PACKAGE = "koop_bringup"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=[],
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+        ("share/" + PACKAGE + "/launch", glob("launch/*.launch.py")),
+        ("share/" + PACKAGE + "/config", glob("config/*.yaml")),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="Launch files, YAML configurations and viewer layouts of the loop.",
+    license="Apache-2.0",
+)

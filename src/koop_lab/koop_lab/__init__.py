@@ -1,0 +1,1 @@
+"""Offline closed loop, training, experiments, plots and the koop command line."""

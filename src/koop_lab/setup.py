@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_lab"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="Offline closed loop, training, experiments, plots and the koop command line.",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["koop = koop_lab.cli:main"]},
+)

@@ -1,0 +1,1 @@
+"""Koopman lifting: observables, EDMD, mode selection, model file, cost; and a thin node."""

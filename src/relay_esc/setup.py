@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "relay_esc"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="Relay extremum-seeking control: pure kernel and a thin node.",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["esc = relay_esc.node:main"]},
+)
