@@ -1,1 +1,1 @@
-"""The little ROS glue that the nodes share: parameters from a config class, QoS, spinning, shutdown."""
+"""The little ROS glue that the nodes share, and the configuration classes it reads."""

@@ -1,1 +1,1 @@
-"""Koopman lifting: observables, EDMD, mode selection, model file, cost; and a thin node."""
+"""Koopman lifting: observables, EDMD, mode selection, model file, cost; and the lifter node."""

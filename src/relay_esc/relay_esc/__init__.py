@@ -1,1 +1,1 @@
-"""Relay extremum-seeking control: pure kernel and a thin node."""
+"""Relay extremum-seeking control: pure kernel and node."""

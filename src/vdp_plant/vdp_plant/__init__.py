@@ -1,1 +1,1 @@
-"""The paper's Van der Pol plant with its interference: pure model and a thin node."""
+"""The paper's forced Van der Pol oscillator with measurement interference: model and node."""

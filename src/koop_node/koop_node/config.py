@@ -1,0 +1,128 @@
+"""Self-validating configuration classes. Pure: imports nothing of ROS.
+
+A configuration is a frozen dataclass whose fields are made by :func:`parameter`. The metadata of a
+field is the one place where its unit, range and meaning are written; validation, ROS parameter
+descriptors (``koop_node.parameters``) and the documentation all read it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import Field, dataclass, field, fields
+from typing import Any
+
+
+class ConfigError(ValueError):
+    """A configuration value that cannot be used; the message says which, why and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What a parameter means and which values it may take.
+
+    Attributes
+    ----------
+    description : str
+        What the parameter does.
+    unit : str
+        Physical unit; empty for a dimensionless one.
+    low, high : float
+        Inclusive range of a number, or of every element of a list.
+    choices : tuple of str
+        Allowed values of a string; empty for any.
+    read_only : bool
+        True if the value cannot change while the node runs.
+    """
+
+    description: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+    @property
+    def constraint(self) -> str:
+        """The allowed values in words; empty if there is no constraint."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        unit = f" {self.unit}" if self.unit else ""
+        if math.isfinite(self.low) and math.isfinite(self.high):
+            return f"{self.low:g} to {self.high:g}{unit}"
+        if math.isfinite(self.low):
+            return f"at least {self.low:g}{unit}"
+        if math.isfinite(self.high):
+            return f"at most {self.high:g}{unit}"
+        return ""
+
+
+def parameter(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+) -> Any:
+    """Declare one field of a configuration dataclass; the arguments are those of :class:`Spec`."""
+    spec = Spec(description, unit, low, high, choices, read_only)
+    return field(default=default, metadata={"spec": spec})
+
+
+def spec_of(config_field: Field[Any]) -> Spec:
+    """Return the :class:`Spec` of a field made by :func:`parameter`."""
+    spec = config_field.metadata["spec"]
+    assert isinstance(spec, Spec)
+    return spec
+
+
+def validate(config: Any) -> None:
+    """Check every field of a configuration against its type and :class:`Spec`.
+
+    An integer is accepted where a float is declared and a list where a tuple is (YAML and ROS
+    write them so); the field is then converted.
+
+    Raises
+    ------
+    ConfigError
+        On the first field with a wrong type, a non-finite number or a value out of range.
+    """
+    for item in fields(config):
+        value = getattr(config, item.name)
+        try:
+            converted = _converted(value, item.default)
+        except TypeError as error:
+            raise ConfigError(f"{item.name}: {error}") from None
+        if converted is not value:
+            object.__setattr__(config, item.name, converted)
+        _check(item.name, converted, spec_of(item))
+
+
+def _converted(value: Any, default: Any) -> Any:
+    if isinstance(default, tuple):
+        if isinstance(value, str) or not hasattr(value, "__iter__"):
+            raise TypeError(f"expected a list of numbers, got {value!r}")
+        if type(value) is tuple and all(type(element) is float for element in value):
+            return value
+        return tuple(_converted(element, 0.0) for element in value)
+    wanted = type(default)
+    if wanted is float and type(value) is int:
+        return float(value)
+    if type(value) is not wanted:
+        raise TypeError(f"expected {wanted.__name__}, got {value!r} ({type(value).__name__})")
+    return value
+
+
+def _check(name: str, value: Any, spec: Spec) -> None:
+    elements = value if isinstance(value, tuple) else (value,)
+    for element in elements:
+        if isinstance(element, str):
+            if spec.choices and element not in spec.choices:
+                raise ConfigError(f"{name} = {element!r}: must be {spec.constraint}")
+        elif not isinstance(element, bool):
+            if not math.isfinite(element):
+                raise ConfigError(f"{name} = {element}: must be a finite number")
+            if not spec.low <= element <= spec.high:
+                raise ConfigError(f"{name} = {element:g}: must be {spec.constraint}")

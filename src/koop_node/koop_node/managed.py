@@ -1,0 +1,213 @@
+"""A managed (lifecycle) node that configures and activates itself and reports on /diagnostics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from koop_node.config import parameter, validate
+from koop_node.parameters import Parameters
+
+# Deep enough that a burst of scheduling noise (0.5 s at 200 Hz) drops nothing.
+QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """Parameters of every node of the loop."""
+
+    autostart: bool = parameter(
+        True, "configure and activate without being told to", read_only=True
+    )
+    recorders: int = parameter(
+        0,
+        "recorders that must listen to every topic before the loop starts",
+        low=0,
+        high=10,
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+class ManagedNode(LifecycleNode):
+    """Base of the nodes: lifecycle, parameters, diagnostics, end of the run.
+
+    A subclass implements :meth:`configure`, :meth:`activate`, :meth:`deactivate` and
+    :meth:`cleanup`, which raise ValueError or OSError with a message for the user if they cannot,
+    and :meth:`diagnose`. Timers run on the steady clock: simulated time may stand still.
+    """
+
+    def __init__(self, name: str, *config_classes: type) -> None:
+        super().__init__(name)
+        self.exit_code: int | None = None
+        self.active = False  # whether the lifecycle state is 'active'; read for every message
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._linking: Any = None
+        self._counted = (time.monotonic(), 0)
+        self.parameters = Parameters(
+            self, (NodeConfig, *config_classes), self.check_parameters, self.parameters_changed
+        )
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.steady_timer(1.0, self._publish_diagnostics)
+
+    # -- for the subclass ---------------------------------------------------------------------
+
+    def configure(self) -> None:
+        """Load, allocate, compile, create publishers."""
+
+    def activate(self) -> None:
+        """Start working."""
+
+    def deactivate(self) -> None:
+        """Stop working; the opposite of :meth:`activate`."""
+
+    def cleanup(self) -> None:
+        """Release what :meth:`configure` made."""
+
+    def check_parameters(self, configs: dict[type, Any]) -> None:
+        """Raise ValueError to refuse changed configurations."""
+
+    def parameters_changed(self, names: set[str]) -> None:
+        """Take changed configurations into use."""
+
+    def diagnose(self) -> tuple[bytes, str, Mapping[str, object]]:
+        """Return level, message and values for /diagnostics."""
+        return OK, "", {}
+
+    def samples(self) -> int:
+        """Return how many samples were processed, for the rate on /diagnostics."""
+        return 0
+
+    # -- services of the base class -----------------------------------------------------------
+
+    @property
+    def lifecycle_state(self) -> str:
+        """Label of the lifecycle state, for example ``active``."""
+        return str(self._state_machine.current_state[1])
+
+    def steady_timer(self, period: float, callback: Callable[[], None]) -> Any:
+        """Create a timer [s] that runs whatever simulated time does."""
+        return self.create_timer(period, callback, clock=self._steady)
+
+    def autostart(self) -> None:
+        """Configure and activate if the parameter ``autostart`` says so."""
+        if not self.parameters[NodeConfig].autostart:
+            return
+        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            if self.trigger_activate() == TransitionCallbackReturn.SUCCESS:
+                return
+        self.finish(1)
+
+    def close(self) -> None:
+        """Stop working before the process ends; called once, also after a signal."""
+        if self.active:
+            self.trigger_deactivate()
+
+    def finish(self, exit_code: int = 0) -> None:
+        """End the process after the current callback."""
+        self.exit_code = exit_code
+
+    def when_matched(self, needed: Mapping[Publisher, int], then: Callable[[], None]) -> None:
+        """Call ``then`` once every publisher has its number of matched subscriptions.
+
+        A reliable writer delivers everything that it wrote after it matched a reader; a node that
+        creates its subscription only then tells those upstream that all downstream is ready, and
+        no first sample is lost.
+        """
+        waited = 0
+
+        def look() -> None:
+            nonlocal waited
+            missing = {
+                publisher.topic_name: count - publisher.get_subscription_count()
+                for publisher, count in needed.items()
+                if publisher.get_subscription_count() < count
+            }
+            if not missing:
+                self.stop_waiting()
+                then()
+            elif waited % 100 == 20:
+                topics = ", ".join(f"{count} on {topic}" for topic, count in missing.items())
+                self.get_logger().info(f"waiting for subscribers: {topics}")
+            waited += 1
+
+        self.stop_waiting()
+        self._linking = self.steady_timer(0.05, look)
+
+    def stop_waiting(self) -> None:
+        """End a wait started by :meth:`when_matched`."""
+        if self._linking is not None:
+            self.destroy_timer(self._linking)
+            self._linking = None
+
+    # -- lifecycle transitions ----------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._transition(self.configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        result = self._transition(self.activate)
+        self.active = result == TransitionCallbackReturn.SUCCESS
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.stop_waiting()
+        self.active = False
+        return self._transition(self.deactivate)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        return self._transition(self.cleanup)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        if state.label == "active":
+            self.on_deactivate(state)
+        self.finish(0)
+        return TransitionCallbackReturn.SUCCESS
+
+    def _transition(self, action: Callable[[], None]) -> TransitionCallbackReturn:
+        try:
+            action()
+        except (ValueError, OSError) as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    # -- diagnostics --------------------------------------------------------------------------
+
+    def _publish_diagnostics(self) -> None:
+        level, message, values = self.diagnose()
+        now, count = time.monotonic(), self.samples()
+        before, counted = self._counted
+        self._counted = (now, count)
+        values = {
+            "lifecycle_state": self.lifecycle_state,
+            "rate_hz": f"{(count - counted) / (now - before):.1f}",
+            **values,
+        }
+        status = DiagnosticStatus(
+            level=level,
+            name=self.get_fully_qualified_name(),
+            message=message,
+            hardware_id="",
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)

@@ -1,0 +1,136 @@
+"""ROS parameters from configuration classes: declared, described, changed whole or not at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, fields
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from koop_node.config import ConfigError, Spec, spec_of
+
+Config = TypeVar("Config")
+
+
+class Parameters:
+    """The configurations of a node, each an immutable object that is swapped when it changes.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Node on which the parameters are declared.
+    config_classes : iterable of type
+        Dataclasses made with ``koop_node.config.parameter``. A field name that several of them
+        share is one ROS parameter.
+    check : callable
+        ``check(changed)`` is called with a new value of every configuration, by class, before it
+        is taken; it raises ValueError to refuse it.
+    changed : callable
+        ``changed(names)`` is called after new values were taken.
+
+    Raises
+    ------
+    ConfigError
+        If a value given at the start is unknown, out of range or of the wrong type.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        config_classes: Iterable[type],
+        check: Callable[[dict[type, Any]], None],
+        changed: Callable[[set[str]], None],
+    ) -> None:
+        self._classes = tuple(config_classes)
+        self._check = check
+        self._changed = changed
+        # rclpy has no public way to ask for all overrides, also those of undeclared parameters
+        overrides = {name: p.value for name, p in node._parameter_overrides.items()}
+        known = {item.name: item for cls in self._classes for item in fields(cls)}
+        _refuse_unknown(overrides, set(known) | {name for name in node._parameters})
+        given = {name: value for name, value in overrides.items() if name in known}
+        self._configs = self._build({item.name: item.default for item in known.values()} | given)
+        self._pending: dict[type, Any] | None = None
+        values = self._values(self._configs)
+        for item in known.values():
+            node.declare_parameter(
+                item.name,
+                _ros_value(values[item.name]),
+                descriptor(spec_of(item), item.default),
+                ignore_override=True,
+            )
+        node.add_on_set_parameters_callback(self._on_set)
+        node.add_post_set_parameters_callback(self._on_taken)
+
+    def __getitem__(self, config_class: type[Config]) -> Config:
+        """Return the current configuration of a class."""
+        config: Config = self._configs[config_class]
+        return config
+
+    def _build(self, values: dict[str, Any]) -> dict[type, Any]:
+        return {
+            cls: cls(**{item.name: values[item.name] for item in fields(cls)})
+            for cls in self._classes
+        }
+
+    @staticmethod
+    def _values(configs: dict[type, Any]) -> dict[str, Any]:
+        return {name: value for config in configs.values() for name, value in asdict(config).items()}
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            values = self._values(self._configs) | {p.name: p.value for p in parameters}
+            pending = self._build(values)
+            self._check(pending)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._pending = pending
+        return SetParametersResult(successful=True)
+
+    def _on_taken(self, parameters: list[Parameter]) -> None:
+        if self._pending is not None:
+            self._configs, self._pending = self._pending, None
+            self._changed({p.name for p in parameters})
+
+
+def descriptor(spec: Spec, default: Any) -> ParameterDescriptor:
+    """Return the ROS descriptor of a parameter with its description, unit and range."""
+    unit = f" [{spec.unit}]" if spec.unit else ""
+    result = ParameterDescriptor(
+        description=spec.description + unit,
+        additional_constraints=spec.constraint,
+        read_only=spec.read_only,
+        # a float may be written '5' and a list '[]', of which ROS would infer another type
+        dynamic_typing=isinstance(default, float | tuple),
+    )
+    if math.isfinite(spec.low) and math.isfinite(spec.high):
+        if type(default) is float:
+            result.floating_point_range = [
+                FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high))
+            ]
+        elif type(default) is int:
+            result.integer_range = [
+                IntegerRange(from_value=int(spec.low), to_value=int(spec.high))
+            ]
+    return result
+
+
+def _refuse_unknown(overrides: dict[str, Any], known: set[str]) -> None:
+    unknown = sorted(name for name in overrides if name not in known and "qos_overrides" not in name)
+    if unknown:
+        raise ConfigError(
+            f"unknown parameter {', '.join(unknown)}; this node has: {', '.join(sorted(known))}"
+        )
+
+
+def _ros_value(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,52 @@
+"""Configuration of the lifter: which cost, from which model, seen through which detector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from koop_node.config import parameter, validate
+
+from koopman_lifter.cost import LIFTED, RAW, DetectorParams, detector_params
+
+SOURCES = {"raw": RAW, "lifted": LIFTED}
+
+
+@dataclass(frozen=True)
+class LifterConfig:
+    """Cost and amplitude detector (paper section 3.4).
+
+    The paper gives no value of the detector's corner frequencies; these are the defaults of this
+    project (docs/theory.md says how they were found).
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a value has the wrong type or is out of range.
+    """
+
+    cost: str = parameter(
+        "lifted", "which energy the cost is made of (the block diagram's switch)",
+        choices=tuple(SOURCES),
+    )
+    omega_h: float = parameter(
+        20.0, "corner frequency of the detector's high-pass filter", unit="rad/s",
+        low=1e-6, high=1e6,
+    )
+    omega_l: float = parameter(
+        0.3, "corner frequency of the detector's low-pass filter", unit="rad/s", low=1e-6, high=1e6
+    )
+    dt: float = parameter(
+        0.005, "sampling time of the state", unit="s", low=1e-6, high=1.0, read_only=True
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+    @property
+    def source(self) -> int:
+        """RAW or LIFTED, as in koop_msgs/Cost."""
+        return SOURCES[self.cost]
+
+    def detector_params(self) -> DetectorParams:
+        """Return the values that ``koopman_lifter.cost.detect`` takes."""
+        return detector_params(self.omega_h, self.omega_l, self.dt)

@@ -1,0 +1,150 @@
+"""Extended dynamic mode decomposition from one-pass Gram matrices.
+
+    K = argmin_K ||Psi_Y - K Psi_X||_F^2 = Psi_Y Psi_X^+   (paper section 3.2; Williams et al. 2015)
+
+The data enter only through G = Psi_X Psi_X^T and A = Psi_Y Psi_X^T: O(p^2) memory however long the
+recording is, and sums over files or machines are sums of matrices. Monomials of a state of size 10
+span eight decades, so G is scaled to unit diagonal before the solve (van der Sluis 1969); without
+it a cut-off on singular values would drop whole observables.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from koopman_lifter.observables import Monomials
+
+BLOCK = 65536  # snapshots lifted at a time: bounds memory, long enough for BLAS
+
+
+@dataclass
+class Gram:
+    """Sums over snapshot pairs from which K and the mode energies follow.
+
+    Attributes
+    ----------
+    observables : Monomials
+        The lifting g with p observables.
+    xx : ndarray, shape (p, p)
+        G = sum_k g(x_k) g(x_k)^T.
+    yx : ndarray, shape (p, p)
+        A = sum_k g(x_{k+1}) g(x_k)^T.
+    pairs : int
+        Number of snapshot pairs M.
+    """
+
+    observables: Monomials
+    xx: NDArray[np.float64]
+    yx: NDArray[np.float64]
+    pairs: int = 0
+
+    @classmethod
+    def empty(cls, observables: Monomials) -> Gram:
+        """Return the sums over no data."""
+        p = observables.p
+        return cls(observables, np.zeros((p, p)), np.zeros((p, p)))
+
+    def add_trajectory(self, states: ArrayLike) -> None:
+        """Add the consecutive pairs of one trajectory.
+
+        Parameters
+        ----------
+        states : array_like, shape (n, M + 1)
+            States at a uniform step, one a column. A gap needs two calls: the pair across it is no
+            pair of consecutive states.
+
+        Raises
+        ------
+        ValueError
+            If the shape does not fit or a value is not finite; the sums are then unchanged.
+        """
+        array = np.asarray(states, dtype=np.float64)
+        if array.ndim != 2 or array.shape[0] != self.observables.n:
+            raise ValueError(
+                f"a trajectory must have shape ({self.observables.n}, M), got {array.shape}"
+            )
+        if not np.isfinite(array).all():
+            raise ValueError("the trajectory holds a value that is not finite")
+        for start in range(0, array.shape[1] - 1, BLOCK):
+            lifted = self.observables.lift(array[:, start : start + BLOCK + 1])
+            now, after = lifted[:, :-1], lifted[:, 1:]
+            self.xx += now @ now.T
+            self.yx += after @ now.T
+            self.pairs += now.shape[1]
+
+    def __add__(self, other: Gram) -> Gram:
+        if self.observables != other.observables:
+            raise ValueError(f"cannot add Gram sums of {self.observables} and {other.observables}")
+        return Gram(
+            self.observables, self.xx + other.xx, self.yx + other.yx, self.pairs + other.pairs
+        )
+
+    @property
+    def scale(self) -> NDArray[np.float64]:
+        """Root mean square of every observable over the data, shape (p,)."""
+        return np.sqrt(np.diag(self.xx) / self.pairs)
+
+
+@dataclass(frozen=True)
+class Koopman:
+    """A finite-dimensional Koopman operator estimate.
+
+    Attributes
+    ----------
+    matrix : ndarray, shape (p, p)
+        K with z_{k+1} = K z_k.
+    scaled : ndarray, shape (p, p)
+        The same operator on observables of unit root mean square; the better conditioned one.
+    scale : ndarray, shape (p,)
+        Root mean square of every observable: ``matrix = diag(scale) scaled diag(1 / scale)``.
+    condition : float
+        Condition number of the equilibrated Psi_X.
+    """
+
+    matrix: NDArray[np.float64]
+    scaled: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    condition: float
+
+
+def edmd(gram: Gram) -> Koopman:
+    """Solve the least-squares problem for K.
+
+    Parameters
+    ----------
+    gram : Gram
+        Sums over at least p snapshot pairs.
+
+    Returns
+    -------
+    Koopman
+        The operator.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer pairs than observables, or if the data do not excite every observable
+        (equilibrated Psi_X rank deficient to double precision).
+    """
+    p = gram.observables.p
+    if gram.pairs < p:
+        raise ValueError(
+            f"{gram.pairs} snapshot pairs cannot determine {p} observables: record for longer"
+        )
+    scale = gram.scale
+    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+        raise ValueError("an observable is zero or overflows on all of the data: check the units")
+    correlation = gram.xx / gram.pairs / np.outer(scale, scale)
+    eigenvalues = np.linalg.eigvalsh(correlation)
+    if eigenvalues[0] <= p * np.finfo(float).eps * eigenvalues[-1]:
+        raise ValueError(
+            "the data do not excite every observable (rank deficient): "
+            "record more varied trajectories or lower the degree"
+        )
+    cross = gram.yx / gram.pairs / np.outer(scale, scale)
+    scaled = np.linalg.solve(correlation, cross.T).T
+    matrix = scale[:, None] * scaled / scale[None, :]
+    return Koopman(matrix, scaled, scale, float(np.sqrt(eigenvalues[-1] / eigenvalues[0])))

@@ -1,0 +1,275 @@
+"""The Koopman model file: what was learned, from what, and nothing that can run code.
+
+A model is a NumPy ``.npz`` archive (zip of ``.npy`` arrays, no pickle) plus one JSON text in the
+entry ``meta``. The SHA-256 over the arrays and that text identifies the model: a damaged file is
+refused, and ``model_id`` in every recorded cost names the model that made it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lifter.cost import Lifting
+from koopman_lifter.edmd import Gram, edmd
+from koopman_lifter.modes import decompose, projector, select_by_energy
+from koopman_lifter.observables import Monomials
+
+FORMAT = "koopman-model"
+VERSION = 1
+MAX_BYTES = 64 * 2**20  # p = 1000 observables need 40 MB; anything larger is no model
+
+_ARRAYS = {  # entry: (dtype, shape in terms of p observables and N kept modes)
+    "K": (np.float64, ("p", "p")),
+    "eigenvalues": (np.complex128, ("p",)),
+    "energies": (np.float64, ("p",)),
+    "kept": (np.bool_, ("p",)),
+    "V_dom": (np.complex128, ("p", "N")),
+    "projector": (np.float64, ("N", "p")),
+}
+
+class ModelError(ValueError):
+    """A model file that cannot be used; the message says why and what to do."""
+
+@dataclass(frozen=True)
+class KoopmanModel:
+    """A learned Koopman model with its dominant modes.
+
+    Attributes
+    ----------
+    observables : Monomials
+        g with p observables of an n-dimensional state.
+    dt : float
+        Time between consecutive states [s].
+    state_names : tuple of str, length n
+        Names of the measured states, in order.
+    K : ndarray, shape (p, p)
+        z_{k+1} = K z_k.
+    eigenvalues : ndarray of complex, shape (p,)
+        Of K, largest modulus first.
+    energies : ndarray, shape (p,)
+        E_j, mean |c_j|^2 on the training data.
+    kept : ndarray of bool, shape (p,)
+        The dominant modes.
+    V_dom : ndarray of complex, shape (p, N)
+        Right eigenvectors of the kept modes, unit 2-norm.
+    projector : ndarray, shape (N, p)
+        Real W with ||W z|| = ||V_dom^+ z||. Stored, not recomputed on loading, so that the cost is
+        the same to the last bit on machines whose linear algebra rounds differently.
+    provenance : dict
+        Where the training data came from, in JSON terms.
+    """
+
+    observables: Monomials
+    dt: float
+    state_names: tuple[str, ...]
+    K: NDArray[np.float64]
+    eigenvalues: NDArray[np.complex128]
+    energies: NDArray[np.float64]
+    kept: NDArray[np.bool_]
+    V_dom: NDArray[np.complex128]
+    projector: NDArray[np.float64]
+    provenance: dict[str, Any]
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """The part of the model that is not arrays."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "observables": {
+                "kind": "monomials",
+                "n": self.observables.n,
+                "degree": self.observables.degree,
+                "names": self.observables.names(self.state_names),
+            },
+            "dt": self.dt,
+            "state_names": list(self.state_names),
+            "provenance": self.provenance,
+        }
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the whole content, hexadecimal."""
+        return _digest({name: getattr(self, name) for name in _ARRAYS}, _json(self.meta))
+
+    @property
+    def model_id(self) -> str:
+        """First 12 digits of the hash: the name under which recordings refer to the model."""
+        return self.sha256[:12]
+
+    def lifting(self) -> Lifting:
+        """Return the arrays that ``koopman_lifter.cost`` takes."""
+        return Lifting(self.observables.parent, self.observables.factor, self.projector)
+
+    def save(self, path: str | Path) -> None:
+        """Write the model file; the same model gives the same bytes."""
+        text = _json(self.meta)
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        with open(path, "wb") as file:
+            np.savez(
+                file,
+                meta=np.frombuffer(text.encode(), dtype=np.uint8),
+                sha256=np.frombuffer(_digest(arrays, text).encode(), dtype=np.uint8),
+                **arrays,
+            )
+
+def build(
+    gram: Gram,
+    dt: float,
+    state_names: tuple[str, ...],
+    count: int,
+    provenance: dict[str, Any],
+) -> KoopmanModel:
+    """Learn a model from summed training data.
+
+    Parameters
+    ----------
+    gram : Gram
+        Sums over all snapshot pairs.
+    dt : float
+        Time between consecutive states [s].
+    state_names : tuple of str
+        Names of the n states.
+    count : int
+        N, modes to keep; one more is kept where N would split a complex pair.
+    provenance : dict
+        Source of the data; the numbers of pairs and modes are added here.
+
+    Raises
+    ------
+    ValueError
+        If the data cannot determine K, or ``count`` is out of range.
+    """
+    koopman = edmd(gram)
+    modes = decompose(koopman, gram)
+    kept = select_by_energy(modes, count)
+    v_dom = modes.vectors[:, kept]
+    return KoopmanModel(
+        gram.observables,
+        float(dt),
+        tuple(state_names),
+        koopman.matrix,
+        modes.eigenvalues,
+        modes.energies,
+        kept,
+        v_dom,
+        projector(v_dom, modes.eigenvalues[kept]),
+        {
+            **provenance,
+            "pairs": gram.pairs,
+            "condition": round(koopman.condition, 3),
+            "modes_asked": count,
+            "modes_kept": int(kept.sum()),
+        },
+    )
+
+def load(path: str | Path) -> KoopmanModel:
+    """Read and check a model file.
+
+    Raises
+    ------
+    ModelError
+        If the file is missing, damaged, not a model, of another version, inconsistent in shape, or
+        holds values that are not finite.
+    """
+    try:
+        if Path(path).stat().st_size > MAX_BYTES:
+            raise ModelError(f"{path}: larger than {MAX_BYTES >> 20} MiB, this is no model file")
+        raw = Path(path).read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        return _parse(_entries(raw))
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}; make a new one with 'koop train'") from None
+
+def _entries(raw: bytes) -> dict[str, NDArray[Any]]:
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            if sum(info.file_size for info in archive.infolist()) > MAX_BYTES:
+                raise ModelError("unpacks to more than a model can hold")
+        with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except ModelError:
+        raise
+    except ValueError as error:
+        if "allow_pickle" in str(error):
+            raise ModelError("holds pickled objects, which could run code") from None
+        raise ModelError(f"damaged ({error})") from None
+    except Exception as error:  # zipfile and npy headers fail in many ways on arbitrary bytes
+        raise ModelError(f"truncated, damaged or no model file ({error})") from None
+
+def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
+    text = _text(entries, "meta")
+    try:
+        meta = json.loads(text)
+    except (ValueError, RecursionError):
+        raise ModelError("its meta entry is no JSON text") from None
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        raise ModelError("is no Koopman model file")
+    if meta.get("version") != VERSION:
+        raise ModelError(f"has format version {meta.get('version')}, this program reads {VERSION}")
+    for name in _ARRAYS:
+        if name not in entries:
+            raise ModelError(f"has no entry '{name}'")
+    observables, dt, state_names, provenance = _described(meta)
+    sizes = {"p": observables.p, "N": int(np.sum(entries["kept"] == 1))}
+    if sizes["N"] == 0:
+        raise ModelError("keeps no mode")
+    for name, (dtype, axes) in _ARRAYS.items():
+        array, shape = entries[name], tuple(sizes[axis] for axis in axes)
+        if array.dtype != dtype or array.shape != shape:
+            raise ModelError(
+                f"'{name}' is {array.dtype}{list(array.shape)}, "
+                f"expected {np.dtype(dtype)}{list(shape)}"
+            )
+        if not np.isfinite(array).all():
+            raise ModelError(f"'{name}' holds values that are not finite")
+    arrays = {name: np.ascontiguousarray(entries[name]) for name in _ARRAYS}
+    if _digest(arrays, text) != _text(entries, "sha256"):
+        raise ModelError("content and hash disagree: the file was damaged or edited")
+    return KoopmanModel(observables, dt, state_names, provenance=provenance, **arrays)
+
+def _described(meta: dict[str, Any]) -> tuple[Monomials, float, tuple[str, ...], dict[str, Any]]:
+    try:
+        described = meta["observables"]
+        if described["kind"] != "monomials":
+            raise ModelError(f"has unknown observables {described['kind']!r}")
+        n, degree, dt = int(described["n"]), int(described["degree"]), float(meta["dt"])
+        state_names = tuple(str(name) for name in meta["state_names"])
+        provenance = dict(meta["provenance"])
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise ModelError("its meta entry is incomplete") from None
+    if not (1 <= n <= 64 and 1 <= degree <= 16 and len(state_names) == n and 0.0 < dt < 1e6):
+        raise ModelError("its meta entry is inconsistent")
+    if math.comb(n + degree, n) > 4096:
+        raise ModelError("has too many observables")
+    return Monomials(n, degree), dt, state_names, provenance
+
+def _text(entries: dict[str, NDArray[Any]], name: str) -> str:
+    if name not in entries or entries[name].dtype != np.uint8:
+        raise ModelError(f"has no entry '{name}', it is no Koopman model file")
+    try:
+        return entries[name].tobytes().decode()
+    except UnicodeDecodeError:
+        raise ModelError(f"its entry '{name}' is no text") from None
+
+def _json(meta: dict[str, Any]) -> str:
+    return json.dumps(meta, sort_keys=True, indent=1)
+
+def _digest(arrays: dict[str, NDArray[Any]], text: str) -> str:
+    digest = hashlib.sha256(text.encode())
+    for name in _ARRAYS:
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,122 @@
+"""Koopman modes: eigenvalues, energies and the choice of the dominant ones (paper section 3.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koopman_lifter.edmd import Gram, Koopman
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Eigen-decomposition K V = V diag(lambda), largest |lambda| first.
+
+    Attributes
+    ----------
+    eigenvalues : ndarray of complex, shape (p,)
+        lambda_j; a complex pair stands together.
+    vectors : ndarray of complex, shape (p, p)
+        V, right eigenvectors as columns of unit 2-norm.
+    energies : ndarray, shape (p,)
+        E_j = mean over the training data of |c_j|^2, c = V^+ g(x'); equal within a complex pair.
+    """
+
+    eigenvalues: NDArray[np.complex128]
+    vectors: NDArray[np.complex128]
+    energies: NDArray[np.float64]
+
+
+def decompose(koopman: Koopman, gram: Gram) -> Modes:
+    """Return the modes of ``koopman`` with their energies on the data summed in ``gram``.
+
+    The eigenvectors are found on the equilibrated operator and scaled back. The energies need no
+    second pass over the data: mean |c_j|^2 is the j-th diagonal element of V^-1 (G / M) V^-H.
+    """
+    eigenvalues, scaled_vectors = np.linalg.eig(koopman.scaled)
+    order = np.lexsort((-eigenvalues.imag, -eigenvalues.real, -np.round(np.abs(eigenvalues), 12)))
+    eigenvalues = eigenvalues[order].astype(np.complex128)
+    vectors = koopman.scale[:, None] * scaled_vectors[:, order].astype(np.complex128)
+    norms = np.linalg.norm(vectors, axis=0)
+    vectors = vectors / norms
+    correlation = gram.xx / gram.pairs / np.outer(koopman.scale, koopman.scale)
+    # c = V^-1 z and V = diag(scale) W, so c = W^-1 (z / scale) with W of good condition
+    inverse = np.linalg.inv(vectors / koopman.scale[:, None])
+    energies = np.einsum("ij,jk,ik->i", inverse, correlation, inverse.conj()).real
+    return Modes(eigenvalues, vectors, _averaged_over_pairs(eigenvalues, energies))
+
+
+def partner(eigenvalues: NDArray[np.complex128], j: int) -> int:
+    """Return the index of the complex conjugate of mode ``j``; ``j`` itself if it is real."""
+    if eigenvalues[j].imag == 0.0:
+        return j
+    return int(np.argmin(np.abs(eigenvalues - eigenvalues[j].conj())))
+
+
+def select_by_energy(modes: Modes, count: int) -> NDArray[np.bool_]:
+    """Choose the ``count`` modes of largest energy and never split a complex pair.
+
+    If the cut falls inside a pair, the pair is kept whole and one mode more than asked for is
+    returned: half of a pair is no real-valued quantity.
+
+    Returns
+    -------
+    ndarray of bool, shape (p,)
+        True for a mode that is kept.
+
+    Raises
+    ------
+    ValueError
+        If ``count`` is not within 1..p.
+    """
+    p = modes.energies.size
+    if not 1 <= count <= p:
+        raise ValueError(f"cannot keep {count} of {p} modes: choose 1 to {p}")
+    kept = np.zeros(p, dtype=np.bool_)
+    for j in np.argsort(-modes.energies, kind="stable"):
+        if kept.sum() >= count:
+            break
+        kept[[j, partner(modes.eigenvalues, int(j))]] = True
+    return kept
+
+
+def projector(v_dom: NDArray[np.complex128], eigenvalues: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Return the real matrix W with ||W z||_2 = ||V_dom^+ z||_2 for every real z.
+
+    Parameters
+    ----------
+    v_dom : ndarray of complex, shape (p, N)
+        Kept right eigenvectors, closed under conjugation.
+    eigenvalues : ndarray of complex, shape (N,)
+        Their eigenvalues.
+
+    Returns
+    -------
+    ndarray, shape (N, p)
+        A real mode contributes its row of V_dom^+; a complex pair, whose rows are conjugate,
+        contributes sqrt(2) times the real and the imaginary part of one of them.
+    """
+    rows = _scaled_pinv(v_dom)
+    real_rows = []
+    for j, eigenvalue in enumerate(eigenvalues):
+        if eigenvalue.imag == 0.0:
+            real_rows.append(rows[j].real)
+        elif eigenvalue.imag > 0.0:
+            real_rows += [np.sqrt(2.0) * rows[j].real, np.sqrt(2.0) * rows[j].imag]
+    return np.array(real_rows)
+
+
+def _scaled_pinv(v_dom: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Pseudo-inverse with no direction cut: the kept eigenvectors are linearly independent."""
+    q, r = np.linalg.qr(v_dom)
+    return np.asarray(np.linalg.solve(r, q.conj().T))
+
+
+def _averaged_over_pairs(
+    eigenvalues: NDArray[np.complex128], energies: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Give both of a pair the same energy to the last bit, so that sorting keeps them together."""
+    mates = np.array([partner(eigenvalues, j) for j in range(eigenvalues.size)])
+    return 0.5 * (energies + energies[mates])

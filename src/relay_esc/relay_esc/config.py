@@ -1,0 +1,74 @@
+"""Configuration of the relay extremum-seeking controller; defaults are table 1 of the paper."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from koop_node.config import ConfigError, parameter, validate
+
+from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
+
+
+@dataclass(frozen=True)
+class EscConfig:
+    """Relay, filter and saturation of the controller (paper section 2.2, table 1).
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a value has the wrong type or is out of range, or the limits cross.
+    """
+
+    step_size: float = parameter(
+        0.005 / 15.0, "relay step k, the change of theta per sample", low=0.0, high=10.0
+    )
+    dwell: float = parameter(
+        15.0, "least time between two flips of the relay", unit="s", low=0.0, high=1e4
+    )
+    tau_f: float = parameter(
+        10.0, "time constant of the high-pass filter on the cost", unit="s", low=1e-3, high=1e4
+    )
+    theta_min: float = parameter(-5.0, "lower saturation limit of theta", low=-1e6, high=1e6)
+    theta_max: float = parameter(5.0, "upper saturation limit of theta", low=-1e6, high=1e6)
+    objective: str = parameter(
+        "minimise", "what the controller does with the cost", choices=("minimise", "maximise")
+    )
+    theta_initial: float = parameter(
+        2.0, "theta before the first flip", low=-1e6, high=1e6, read_only=True
+    )
+    epsilon_initial: int = parameter(
+        1, "first relay sign: 1 moves theta down, -1 up", low=-1, high=1, read_only=True
+    )
+    dt: float = parameter(
+        0.005, "sampling time of the cost", unit="s", low=1e-6, high=1.0, read_only=True
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if self.theta_min >= self.theta_max:
+            raise ConfigError(
+                f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"
+            )
+        if not self.theta_min <= self.theta_initial <= self.theta_max:
+            raise ConfigError(
+                f"theta_initial = {self.theta_initial:g} must lie within "
+                f"[theta_min, theta_max] = [{self.theta_min:g}, {self.theta_max:g}]"
+            )
+        if self.epsilon_initial == 0:
+            raise ConfigError("epsilon_initial = 0: must be 1 or -1")
+
+    def params(self) -> RelayParams:
+        """Return the values that ``relay_esc.relay.step`` takes."""
+        return RelayParams(
+            math.exp(-self.dt / self.tau_f),
+            self.step_size,
+            dwell_samples(self.dwell, self.dt),
+            self.theta_min,
+            self.theta_max,
+            1.0 if self.objective == "minimise" else -1.0,
+        )
+
+    def initial(self) -> RelayState:
+        """Return the relay's state before the first sample."""
+        return initial(self.theta_initial, self.epsilon_initial)

@@ -1,0 +1,106 @@
+"""Configuration of the Van der Pol plant; defaults are table 1 of the paper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from koop_node.config import ConfigError, parameter, validate
+
+from vdp_plant.dynamics import EULER, RK4, PlantParams
+
+INTEGRATORS = {"rk4": RK4, "euler": EULER}
+
+
+@dataclass(frozen=True)
+class PlantConfig:
+    """Plant, forcing, interference and discretisation (paper section 3, table 1).
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a value has the wrong type or is out of range.
+    """
+
+    epsilon0: float = parameter(1.0, "base damping coefficient", low=0.0, high=100.0)
+    epsilon0_drift: float = parameter(
+        1.0, "amplitude of the slow drift of the damping coefficient", low=0.0, high=100.0
+    )
+    drift_frequency: float = parameter(
+        0.005, "frequency of the drift of the damping coefficient", unit="rad/s", low=0.0, high=100.0
+    )
+    forcing_amplitude: float = parameter(
+        2.2, "amplitude of the external forcing", unit="1/s^2", low=0.0, high=1000.0
+    )
+    forcing_frequency: float = parameter(
+        4.5, "frequency of the external forcing", unit="rad/s", low=0.0, high=600.0
+    )
+    mu: float = parameter(
+        1.0, "nominal frequency of the limit cycle", unit="rad/s", low=0.0, high=100.0
+    )
+    x_offset: float = parameter(6.0, "offset x0 of the oscillation", low=-1e3, high=1e3)
+    theta_star: float = parameter(
+        -3.0, "optimal control input; unknown to the controller", low=-100.0, high=100.0
+    )
+    interference_amplitude_1: float = parameter(
+        10.5, "amplitude A1 of the measurement interference", low=0.0, high=1e3
+    )
+    interference_frequency_1: float = parameter(
+        3.2, "first frequency of the measurement interference", unit="rad/s", low=0.0, high=600.0
+    )
+    interference_phase_1: float = parameter(
+        0.0, "phase of the first interference component", unit="rad", low=-7.0, high=7.0
+    )
+    interference_amplitude_2: float = parameter(
+        11.1, "amplitude A2 of the measurement interference", low=0.0, high=1e3
+    )
+    interference_frequency_2: float = parameter(
+        7.8, "second frequency of the measurement interference", unit="rad/s", low=0.0, high=600.0
+    )
+    interference_phase_2: float = parameter(
+        0.0, "phase of the second interference component", unit="rad", low=-7.0, high=7.0
+    )
+    dt: float = parameter(
+        0.005, "integration and control step", unit="s", low=1e-6, high=1.0, read_only=True
+    )
+    integrator: str = parameter(
+        "rk4", "one step of the plant", choices=tuple(INTEGRATORS), read_only=True
+    )
+    theta_initial: float = parameter(
+        2.0, "theta before the controller's first answer", low=-100.0, high=100.0, read_only=True
+    )
+    initial_state: tuple[float, ...] = parameter(
+        (),
+        "initial [x, y]; empty: uniform in [-3, 3] from the seed",
+        low=-1e3,
+        high=1e3,
+        read_only=True,
+    )
+    seed: int = parameter(0, "seed of the initial state", low=0, high=2**31 - 1, read_only=True)
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if len(self.initial_state) not in (0, 2):
+            raise ConfigError(
+                f"initial_state has {len(self.initial_state)} values: must be [x, y] or empty"
+            )
+
+    def params(self) -> PlantParams:
+        """Return the values that the kernels of ``vdp_plant.dynamics`` take."""
+        return PlantParams(
+            self.epsilon0,
+            self.epsilon0_drift,
+            self.drift_frequency,
+            self.forcing_amplitude,
+            self.forcing_frequency,
+            self.mu,
+            self.x_offset,
+            self.theta_star,
+            self.interference_amplitude_1,
+            self.interference_frequency_1,
+            self.interference_phase_1,
+            self.interference_amplitude_2,
+            self.interference_frequency_2,
+            self.interference_phase_2,
+            self.dt,
+            INTEGRATORS[self.integrator],
+        )

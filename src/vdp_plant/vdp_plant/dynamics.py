@@ -1,0 +1,137 @@
+"""Forced, time-varying Van der Pol oscillator and its measurement (paper section 3).
+
+    x' = y
+    y' = -epsilon0(t) [(x - x0)^2 - 1 - (theta - theta*)^2] y - mu^2 (x - x0) + f(t)
+
+    epsilon0(t) = epsilon0 + drift sin(omega_d t),   f(t) = A_f sin(omega_f t)
+    x'(t) = x(t) + i(t),  i(t) = A1 sin(omega_1 t + phi_1) + A2 sin(omega_2 t + phi_2)
+
+The same functions serve the node, one call a step, and the offline loop, which inlines them: a run
+over DDS and an offline run agree bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+RK4 = 0
+EULER = 1
+
+
+class PlantParams(NamedTuple):
+    """Scalars of the kernels; names, units and defaults as in :class:`vdp_plant.config.PlantConfig`."""
+
+    epsilon0: float
+    epsilon0_drift: float
+    drift_frequency: float
+    forcing_amplitude: float
+    forcing_frequency: float
+    mu: float
+    x_offset: float
+    theta_star: float
+    interference_amplitude_1: float
+    interference_frequency_1: float
+    interference_phase_1: float
+    interference_amplitude_2: float
+    interference_frequency_2: float
+    interference_phase_2: float
+    dt: float
+    integrator: int
+
+
+@njit(cache=True)
+def damping(p: PlantParams, t: float) -> float:
+    """Return epsilon0(t) [-] at time ``t`` [s]."""
+    return p.epsilon0 + p.epsilon0_drift * math.sin(p.drift_frequency * t)
+
+
+@njit(cache=True)
+def forcing(p: PlantParams, t: float) -> float:
+    """Return f(t) [1/s^2] at time ``t`` [s]."""
+    return p.forcing_amplitude * math.sin(p.forcing_frequency * t)
+
+
+@njit(cache=True)
+def acceleration(
+    p: PlantParams, eps: float, force: float, x: float, y: float, theta: float
+) -> float:
+    """Return dy/dt [1/s^2] for damping ``eps`` and forcing ``force`` of that instant."""
+    offset = x - p.x_offset
+    detuning = theta - p.theta_star
+    return (
+        -eps * (offset * offset - 1.0 - detuning * detuning) * y - p.mu * p.mu * offset + force
+    )
+
+
+@njit(cache=True)
+def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[float, float]:
+    """Advance the true state by one step, theta held: x(t_{k+1}) = Phi(x(t_k), theta).
+
+    Parameters
+    ----------
+    p : PlantParams
+        Plant parameters; ``p.integrator`` is ``RK4`` (classical) or ``EULER`` (explicit).
+    k : int
+        Step index; t_k = k dt.
+    x, y : float
+        True state at t_k.
+    theta : float
+        Control input over [t_k, t_{k+1}).
+
+    Returns
+    -------
+    x, y : float
+        True state at t_{k+1}; not finite if the integration diverges.
+    """
+    h = p.dt
+    t = k * h
+    eps0 = damping(p, t)
+    force0 = forcing(p, t)
+    k1x = y
+    k1y = acceleration(p, eps0, force0, x, y, theta)
+    if p.integrator == EULER:
+        return x + h * k1x, y + h * k1y
+    half = 0.5 * h
+    eps1 = damping(p, t + half)
+    force1 = forcing(p, t + half)
+    k2x = y + half * k1y
+    k2y = acceleration(p, eps1, force1, x + half * k1x, k2x, theta)
+    k3x = y + half * k2y
+    k3y = acceleration(p, eps1, force1, x + half * k2x, k3x, theta)
+    eps2 = damping(p, t + h)
+    force2 = forcing(p, t + h)
+    k4x = y + h * k3y
+    k4y = acceleration(p, eps2, force2, x + h * k3x, k4x, theta)
+    sixth = h / 6.0
+    return (
+        x + sixth * (k1x + 2.0 * k2x + 2.0 * k3x + k4x),
+        y + sixth * (k1y + 2.0 * k2y + 2.0 * k3y + k4y),
+    )
+
+
+@njit(cache=True)
+def interference(p: PlantParams, k: int) -> float:
+    """Return i(t_k), which the sensor adds to every component of the state."""
+    t = k * p.dt
+    return p.interference_amplitude_1 * math.sin(
+        p.interference_frequency_1 * t + p.interference_phase_1
+    ) + p.interference_amplitude_2 * math.sin(
+        p.interference_frequency_2 * t + p.interference_phase_2
+    )
+
+
+@njit(cache=True)
+def measure(p: PlantParams, k: int, x: float, y: float) -> tuple[float, float]:
+    """Return the measured state x'(t_k) = x(t_k) + i(t_k), both components corrupted."""
+    disturbance = interference(p, k)
+    return x + disturbance, y + disturbance
+
+
+def initial_state(seed: int) -> NDArray[np.float64]:
+    """Draw [x(0), y(0)], shape (2,), uniform in [-3, 3] from a seed (the paper's training range)."""
+    return np.random.default_rng(seed).uniform(-3.0, 3.0, size=2)

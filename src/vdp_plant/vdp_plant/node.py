@@ -1,0 +1,272 @@
+"""ROS node of the plant: ``theta`` in, ``state`` and ``truth`` out, at one of three paces."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from koop_msgs.msg import ControlInput, Cost, MeasuredState, PlantTruth
+from koop_node.config import parameter, validate
+from koop_node.main import run
+from koop_node.managed import ERROR, OK, QOS, WARN, ManagedNode, NodeConfig
+from rclpy.duration import Duration
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Header
+
+from vdp_plant import dynamics
+from vdp_plant.config import PlantConfig
+
+RESENDS = 3  # times that lockstep asks again before it gives up
+
+
+@dataclass(frozen=True)
+class PaceConfig:
+    """How the plant's time runs."""
+
+    pace: str = parameter(
+        "realtime",
+        "realtime and scaled: timer, latest theta held; lockstep: every step waits for its theta",
+        choices=("realtime", "lockstep", "scaled"),
+        read_only=True,
+    )
+    time_scale: float = parameter(
+        1.0, "simulated per real time at the pace 'scaled'", low=1e-3, high=1e3, read_only=True
+    )
+    duration: float = parameter(
+        0.0, "simulated time after which the node ends; 0: never", unit="s", low=0.0, high=1e9,
+        read_only=True,
+    )
+    publish_clock: bool = parameter(False, "publish simulated time on /clock", read_only=True)
+    theta_timeout: float = parameter(
+        2.0,
+        "lockstep: time without theta after which the state is sent again; after "
+        f"{RESENDS} times the node gives up",
+        unit="s",
+        low=0.05,
+        high=600.0,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+class PlantNode(ManagedNode):
+    """Simulates the plant step by step and publishes its corrupted state."""
+
+    def __init__(self) -> None:
+        self._k = 0
+        self._late = 0
+        self._theta_age_step: int | None = None
+        super().__init__("vdp_plant", PlantConfig, PaceConfig)
+
+    # -- lifecycle ----------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        config, pace = self.parameters[PlantConfig], self.parameters[PaceConfig]
+        self._params = config.params()
+        self._k = 0
+        self._steps = round(pace.duration / config.dt) if pace.duration > 0.0 else math.inf
+        self._theta = self._theta_applied = config.theta_initial
+        x, y = config.initial_state or dynamics.initial_state(config.seed)
+        self._x, self._y = float(x), float(y)
+        self._lockstep = pace.pace == "lockstep"
+        self._simulated_stamp = pace.pace != "realtime"
+        self._period = config.dt / (pace.time_scale if pace.pace == "scaled" else 1.0)
+        self._timer: Any = None
+        self._asked_again = 0
+        self._cost_seen: int | None = None
+        self._cost_probe: Any = None
+        self._started = False
+        self._compile()
+        self._state_message, self._truth_message = MeasuredState(), PlantTruth()
+        self._state_publisher = self.create_publisher(MeasuredState, "state", QOS)
+        self._truth_publisher = self.create_publisher(PlantTruth, "truth", QOS)
+        self._clock_publisher = (
+            self.create_publisher(Clock, "/clock", QOS) if pace.publish_clock else None
+        )
+        callback = self._on_theta_lockstep if self._lockstep else self._on_theta
+        self._subscription = self.create_subscription(ControlInput, "theta", callback, QOS)
+
+    def activate(self) -> None:
+        recorders = self.parameters[NodeConfig].recorders
+        needed = {self._state_publisher: 1 + recorders, self._truth_publisher: recorders}
+        self.when_matched(needed, self._start)
+
+    def deactivate(self) -> None:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+
+    def cleanup(self) -> None:
+        self._end_probe()
+        self.destroy_subscription(self._subscription)
+        for publisher in (self._state_publisher, self._truth_publisher, self._clock_publisher):
+            if publisher is not None:
+                self.destroy_publisher(publisher)
+
+    def parameters_changed(self, names: set[str]) -> None:
+        self._params = self.parameters[PlantConfig].params()
+
+    def samples(self) -> int:
+        return self._k
+
+    def diagnose(self) -> tuple[bytes, str, Mapping[str, object]]:
+        if not (self.active and self._started):
+            return OK, "waiting for the loop to connect" if self.active else "", {}
+        values = {"step": self._k, "theta": self._theta, "late_ticks": self._late}
+        if self._asked_again:
+            return ERROR, self._silent_node(), values
+        return (WARN, "late ticks", values) if self._late else (OK, "running", values)
+
+    # -- both kinds of pace -------------------------------------------------------------------
+
+    def _start(self) -> None:
+        if self._lockstep:
+            self._timer = self.steady_timer(
+                self.parameters[PaceConfig].theta_timeout / 4.0, self._check_answer
+            )
+            self._answered = time.monotonic()
+            if self._started:  # activated again: ask for the theta that is still missing
+                self._state_publisher.publish(self._state_message)
+            else:
+                self._publish()
+        else:
+            self._due = time.monotonic() + self._period
+            self._timer = self.steady_timer(self._period, self._tick)
+        self._started = True
+
+    def _publish(self) -> None:
+        """Publish x'(t_k) first, for the loop waits for it, then what is only looked at."""
+        k, params = self._k, self._params
+        x, y = self._x, self._y
+        if not (math.isfinite(x) and math.isfinite(y)):
+            self.get_logger().error(
+                f"the plant diverged at step {k}: use the rk4 integrator or a smaller dt"
+            )
+            self.finish(1)
+            return
+        header = Header(stamp=self._stamp(k))
+        state = self._state_message
+        state.header = header
+        state.step = k
+        state.x = array("d", dynamics.measure(params, k, x, y))
+        self._state_publisher.publish(state)
+        truth = self._truth_message
+        truth.header = header
+        truth.step = k
+        truth.x = array("d", (x, y))
+        truth.theta_applied = self._theta_applied
+        truth.epsilon0 = dynamics.damping(params, k * params.dt)
+        self._truth_publisher.publish(truth)
+        if self._clock_publisher is not None:
+            self._clock_publisher.publish(Clock(clock=_nanoseconds(k * params.dt)))
+
+    def _advance(self, theta: float) -> None:
+        self._x, self._y = dynamics.step(self._params, self._k, self._x, self._y, theta)
+        self._theta_applied = theta
+        self._k += 1
+        if self._k >= self._steps:
+            self._end_of_run()
+
+    def _stamp(self, k: int) -> Time:
+        if self._simulated_stamp:
+            return _nanoseconds(k * self._params.dt)
+        return self.get_clock().now().to_msg()
+
+    def _end_of_run(self) -> None:
+        self.deactivate()
+        for publisher in (self._state_publisher, self._truth_publisher):
+            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        self.get_logger().info(f"done: {self._k} steps, {self._late} late ticks")
+        self.finish(0)
+
+    # -- realtime and scaled ------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        # rclpy drops periods that are past; a tick this late has taken the place of several
+        late = int((now - self._due) / self._period)
+        if late > 0:
+            self._late += late
+            self._due += late * self._period
+        self._due += self._period
+        self._publish()
+        self._advance(self._theta)
+
+    def _on_theta(self, message: ControlInput) -> None:
+        if math.isfinite(message.theta):
+            self._theta = message.theta
+
+    # -- lockstep -----------------------------------------------------------------------------
+
+    def _on_theta_lockstep(self, message: ControlInput) -> None:
+        if message.step != self._k or not self.active or not self._started:
+            return
+        theta = message.theta
+        if not math.isfinite(theta):
+            return
+        self._theta = theta
+        self._answered = time.monotonic()
+        if self._asked_again:
+            self._asked_again = 0
+            self._end_probe()
+            self.get_logger().info(f"theta for step {self._k} came after all")
+        self._advance(theta)
+        if self.exit_code is None:
+            self._publish()
+
+    def _check_answer(self) -> None:
+        timeout = self.parameters[PaceConfig].theta_timeout
+        if time.monotonic() - self._answered < timeout:
+            return
+        if self._asked_again == RESENDS:
+            self.get_logger().error(f"no theta for step {self._k}: {self._silent_node()}")
+            self.finish(1)
+            return
+        self._answered = time.monotonic()
+        self._asked_again += 1
+        if self._cost_probe is None:
+            self._cost_probe = self.create_subscription(Cost, "cost", self._on_cost_probe, QOS)
+        self.get_logger().warning(
+            f"no theta for step {self._k} in {timeout:g} s: sending the state again "
+            f"({self._asked_again} of {RESENDS})"
+        )
+        self._state_publisher.publish(self._state_message)
+
+    def _on_cost_probe(self, cost: Cost) -> None:
+        self._cost_seen = cost.step
+
+    def _end_probe(self) -> None:
+        if self._cost_probe is not None:
+            self.destroy_subscription(self._cost_probe)
+            self._cost_probe = None
+
+    def _silent_node(self) -> str:
+        """Say which node of the loop does not answer; known after the state was sent again."""
+        if self._cost_seen == self._k:
+            return "the lifter answers, the controller (relay_esc) is silent on 'theta'"
+        if self._state_publisher.get_subscription_count() == 0:
+            return "nobody listens to 'state': the lifter (koopman_lifter) is gone"
+        return "the lifter (koopman_lifter) is silent on 'cost'"
+
+    def _compile(self) -> None:
+        """Compile the kernels before the first step."""
+        x, y = dynamics.step(self._params, 0, self._x, self._y, self._theta)
+        dynamics.measure(self._params, 0, x, y)
+        dynamics.damping(self._params, 0.0)
+
+
+def _nanoseconds(t: float) -> Time:
+    sec, nanosec = divmod(round(t * 1e9), 1_000_000_000)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def main() -> None:
+    """Entry point of ``ros2 run vdp_plant plant``."""
+    sys.exit(run(PlantNode))
