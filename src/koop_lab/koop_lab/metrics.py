@@ -1,0 +1,104 @@
+"""The paper's performance metrics of a closed loop (section 3.6, table 4)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+LOGGING_START = 100.0  # [s] the paper logs from here on, to leave out the initial transient
+TOLERANCE = 0.1  # |theta - theta*| that counts as reached; the paper gives no value
+CONVERGED = 0.6  # mean |theta - theta*| over the tail of a converged run, twice the relay's own cycle
+TAIL = 0.3  # share of the run that counts as steady state
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """Metrics of one run.
+
+    Attributes
+    ----------
+    iae_theta : float
+        Integral of |theta - theta*| [s].
+    ise_theta : float
+        Integral of (theta - theta*)^2 [s].
+    t_theta : float or None
+        First time with |theta - theta*| < 0.1 [s]; None if never.
+    e_r_ss : float or None
+        |mean r over the last 30 % - r*| / (max r - min r) [-]; None without an r* or a range.
+    tail_error : float
+        Mean |theta - theta*| over the last 30 %.
+    """
+
+    iae_theta: float
+    ise_theta: float
+    t_theta: float | None
+    e_r_ss: float | None
+    tail_error: float
+
+    @property
+    def converged(self) -> bool:
+        """True if theta stayed near theta* on average over the last 30 %."""
+        return self.tail_error <= CONVERGED
+
+    def as_dict(self) -> dict[str, float | bool | None]:
+        """Return the metrics in JSON terms."""
+        return {**asdict(self), "converged": self.converged}
+
+
+PAPER = {  # table 4
+    "raw": Metrics(5125.73, 14720.91, 1977.0, 0.08816, float("nan")),
+    "lifted": Metrics(1445.30, 3166.17, 258.0, 0.02486, float("nan")),
+}
+
+
+def evaluate(
+    t: NDArray[np.float64],
+    theta: NDArray[np.float64],
+    r: NDArray[np.float64],
+    theta_star: float,
+    r_star: float | None = None,
+    start: float = LOGGING_START,
+) -> Metrics:
+    """Compute the metrics of a run from ``start`` on.
+
+    Parameters
+    ----------
+    t : ndarray, shape (M,)
+        Uniformly spaced time [s].
+    theta, r : ndarray, shape (M,)
+        Control input and cost.
+    theta_star : float
+        Optimal control input.
+    r_star : float, optional
+        Optimal cost from the static map.
+    start : float
+        Time before which the run is left out [s]; a run that is shorter counts from its begin.
+
+    Raises
+    ------
+    ValueError
+        If the arrays differ in length or hold fewer than two samples.
+    """
+    if not t.size == theta.size == r.size or t.size < 2:
+        raise ValueError("t, theta and r must have the same length of at least 2")
+    if t[-1] <= start:
+        start = float(t[0])
+    logged = t >= start
+    error = np.abs(theta[logged] - theta_star)
+    dt = float(t[-1] - t[0]) / (t.size - 1)
+    reached = np.flatnonzero(error < TOLERANCE)
+    tail = slice(-max(1, round(TAIL * error.size)), None)
+    logged_r = r[logged][np.isfinite(r[logged])]
+    span = float(np.ptp(logged_r)) if logged_r.size else 0.0
+    e_r_ss = None
+    if r_star is not None and span > 0.0:
+        e_r_ss = abs(float(np.nanmean(r[logged][tail])) - r_star) / span
+    return Metrics(
+        float(error.sum() * dt),
+        float((error**2).sum() * dt),
+        float(t[logged][reached[0]]) if reached.size else None,
+        e_r_ss,
+        float(error[tail].mean()),
+    )
