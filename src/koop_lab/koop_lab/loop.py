@@ -9,13 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
 from koopman_lifter.model import KoopmanModel
 from koopman_lifter.observables import Monomials
-from numba import njit
-from numpy.typing import NDArray
 from relay_esc import relay
 from relay_esc.config import EscConfig
 from relay_esc.relay import RelayParams, RelayState
@@ -60,7 +61,7 @@ class LoopResult:
     @property
     def t(self) -> NDArray[np.float64]:
         """Time [s], shape (M,)."""
-        return self.step * self.dt
+        return np.asarray(self.step * self.dt, dtype=np.float64)
 
 
 @njit(cache=True)
@@ -87,9 +88,7 @@ def run_kernel(
     state = np.empty(2)
     for k in range(theta.shape[0]):
         state[0], state[1] = dynamics.measure(plant, k, x, y)
-        r[k], y_out, detector_state = cost.step(
-            source, lifting, detector, detector_state, state, z
-        )
+        r[k], y_out, detector_state = cost.step(source, lifting, detector, detector_state, state, z)
         if not np.isfinite(y_out):
             return k
         relay_state = relay.step(esc, relay_state, r[k])
@@ -99,7 +98,7 @@ def run_kernel(
         truth[k, 1] = y
         theta[k] = relay_state.theta
         x, y = dynamics.step(plant, k, x, y, relay_state.theta)
-    return theta.shape[0]
+    return len(theta)
 
 
 def no_lifting() -> Lifting:

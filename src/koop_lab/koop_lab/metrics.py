@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 LOGGING_START = 100.0  # [s] the paper logs from here on, to leave out the initial transient
 TOLERANCE = 0.1  # |theta - theta*| that counts as reached; the paper gives no value
-CONVERGED = 0.6  # mean |theta - theta*| over the tail of a converged run, twice the relay's own cycle
+CONVERGED = 0.6  # mean |theta - theta*| of a converged tail: twice that of the relay's own cycle
 TAIL = 0.3  # share of the run that counts as steady state
 
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
 from koop_node.config import parameter, validate
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
-from numba import njit
-from numpy.typing import NDArray
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantParams

@@ -13,7 +13,7 @@ from typing import Any
 
 
 class ConfigError(ValueError):
-    """A configuration value that cannot be used; the message says which, why and what is allowed."""
+    """A configuration value that cannot be used; says which, why and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -126,3 +126,22 @@ def _check(name: str, value: Any, spec: Spec) -> None:
                 raise ConfigError(f"{name} = {element}: must be a finite number")
             if not spec.low <= element <= spec.high:
                 raise ConfigError(f"{name} = {element:g}: must be {spec.constraint}")
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """Parameters of every node of the loop."""
+
+    autostart: bool = parameter(
+        True, "configure and activate without being told to", read_only=True
+    )
+    recorders: int = parameter(
+        0,
+        "recorders that must listen to every topic before the loop starts",
+        low=0,
+        high=10,
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)

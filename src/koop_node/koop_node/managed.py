@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,7 +12,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from koop_node.config import parameter, validate
+from koop_node.config import NodeConfig
 from koop_node.parameters import Parameters
 
 # Deep enough that a burst of scheduling noise (0.5 s at 200 Hz) drops nothing.
@@ -25,25 +24,6 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.ERROR,
     DiagnosticStatus.STALE,
 )
-
-
-@dataclass(frozen=True)
-class NodeConfig:
-    """Parameters of every node of the loop."""
-
-    autostart: bool = parameter(
-        True, "configure and activate without being told to", read_only=True
-    )
-    recorders: int = parameter(
-        0,
-        "recorders that must listen to every topic before the loop starts",
-        low=0,
-        high=10,
-        read_only=True,
-    )
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 class ManagedNode(LifecycleNode):
@@ -110,10 +90,10 @@ class ManagedNode(LifecycleNode):
         """Configure and activate if the parameter ``autostart`` says so."""
         if not self.parameters[NodeConfig].autostart:
             return
-        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-            if self.trigger_activate() == TransitionCallbackReturn.SUCCESS:
+        for transition in (self.trigger_configure, self.trigger_activate):
+            if transition() != TransitionCallbackReturn.SUCCESS:
+                self.finish(1)
                 return
-        self.finish(1)
 
     def close(self) -> None:
         """Stop working before the process ends; called once, also after a signal."""

@@ -84,7 +84,9 @@ class Parameters:
 
     @staticmethod
     def _values(configs: dict[type, Any]) -> dict[str, Any]:
-        return {name: value for config in configs.values() for name, value in asdict(config).items()}
+        return {
+            name: value for config in configs.values() for name, value in asdict(config).items()
+        }
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -118,14 +120,14 @@ def descriptor(spec: Spec, default: Any) -> ParameterDescriptor:
                 FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high))
             ]
         elif type(default) is int:
-            result.integer_range = [
-                IntegerRange(from_value=int(spec.low), to_value=int(spec.high))
-            ]
+            result.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high))]
     return result
 
 
 def _refuse_unknown(overrides: dict[str, Any], known: set[str]) -> None:
-    unknown = sorted(name for name in overrides if name not in known and "qos_overrides" not in name)
+    unknown = sorted(
+        name for name in overrides if name not in known and "qos_overrides" not in name
+    )
     if unknown:
         raise ConfigError(
             f"unknown parameter {', '.join(unknown)}; this node has: {', '.join(sorted(known))}"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 
 from koop_node.config import parameter, validate
-
 from koopman_lifter.cost import LIFTED, RAW, DetectorParams, detector_params
 
 SOURCES = {"raw": RAW, "lifted": LIFTED}
@@ -25,12 +26,16 @@ class LifterConfig:
     """
 
     cost: str = parameter(
-        "lifted", "which energy the cost is made of (the block diagram's switch)",
+        "lifted",
+        "which energy the cost is made of (the block diagram's switch)",
         choices=tuple(SOURCES),
     )
     omega_h: float = parameter(
-        20.0, "corner frequency of the detector's high-pass filter", unit="rad/s",
-        low=1e-6, high=1e6,
+        20.0,
+        "corner frequency of the detector's high-pass filter",
+        unit="rad/s",
+        low=1e-6,
+        high=1e6,
     )
     omega_l: float = parameter(
         0.3, "corner frequency of the detector's low-pass filter", unit="rad/s", low=1e-6, high=1e6
@@ -50,3 +55,23 @@ class LifterConfig:
     def detector_params(self) -> DetectorParams:
         """Return the values that ``koopman_lifter.cost.detect`` takes."""
         return detector_params(self.omega_h, self.omega_l, self.dt)
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Which model file the node uses."""
+
+    model: str = parameter("", "path of the model file; empty: the one shipped for the plant")
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+    @property
+    def path(self) -> Path:
+        """The model file."""
+        return Path(self.model).expanduser() if self.model else shipped_model()
+
+
+def shipped_model() -> Path:
+    """Return the model that comes with the package: the paper's plant, degree 3, N = 8, seed 0."""
+    return Path(str(files("koopman_lifter") / "models" / "vdp.npz"))

@@ -85,7 +85,7 @@ class Gram:
     @property
     def scale(self) -> NDArray[np.float64]:
         """Root mean square of every observable over the data, shape (p,)."""
-        return np.sqrt(np.diag(self.xx) / self.pairs)
+        return np.asarray(np.sqrt(np.diag(self.xx) / self.pairs), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -145,6 +145,6 @@ def edmd(gram: Gram) -> Koopman:
             "record more varied trajectories or lower the degree"
         )
     cross = gram.yx / gram.pairs / np.outer(scale, scale)
-    scaled = np.linalg.solve(correlation, cross.T).T
-    matrix = scale[:, None] * scaled / scale[None, :]
+    scaled = np.asarray(np.linalg.solve(correlation, cross.T).T, dtype=np.float64)
+    matrix = np.asarray(scale[:, None] * scaled / scale[None, :], dtype=np.float64)
     return Koopman(matrix, scaled, scale, float(np.sqrt(eigenvalues[-1] / eigenvalues[0])))

@@ -37,8 +37,10 @@ _ARRAYS = {  # entry: (dtype, shape in terms of p observables and N kept modes)
     "projector": (np.float64, ("N", "p")),
 }
 
+
 class ModelError(ValueError):
     """A model file that cannot be used; the message says why and what to do."""
+
 
 @dataclass(frozen=True)
 class KoopmanModel:
@@ -123,6 +125,7 @@ class KoopmanModel:
                 **arrays,
             )
 
+
 def build(
     gram: Gram,
     dt: float,
@@ -173,6 +176,7 @@ def build(
         },
     )
 
+
 def load(path: str | Path) -> KoopmanModel:
     """Read and check a model file.
 
@@ -193,6 +197,7 @@ def load(path: str | Path) -> KoopmanModel:
     except ModelError as error:
         raise ModelError(f"{path}: {error}; make a new one with 'koop train'") from None
 
+
 def _entries(raw: bytes) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
@@ -208,6 +213,7 @@ def _entries(raw: bytes) -> dict[str, NDArray[Any]]:
         raise ModelError(f"damaged ({error})") from None
     except Exception as error:  # zipfile and npy headers fail in many ways on arbitrary bytes
         raise ModelError(f"truncated, damaged or no model file ({error})") from None
+
 
 def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
     text = _text(entries, "meta")
@@ -240,6 +246,7 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
         raise ModelError("content and hash disagree: the file was damaged or edited")
     return KoopmanModel(observables, dt, state_names, provenance=provenance, **arrays)
 
+
 def _described(meta: dict[str, Any]) -> tuple[Monomials, float, tuple[str, ...], dict[str, Any]]:
     try:
         described = meta["observables"]
@@ -256,6 +263,7 @@ def _described(meta: dict[str, Any]) -> tuple[Monomials, float, tuple[str, ...],
         raise ModelError("has too many observables")
     return Monomials(n, degree), dt, state_names, provenance
 
+
 def _text(entries: dict[str, NDArray[Any]], name: str) -> str:
     if name not in entries or entries[name].dtype != np.uint8:
         raise ModelError(f"has no entry '{name}', it is no Koopman model file")
@@ -264,8 +272,10 @@ def _text(entries: dict[str, NDArray[Any]], name: str) -> str:
     except UnicodeDecodeError:
         raise ModelError(f"its entry '{name}' is no text") from None
 
+
 def _json(meta: dict[str, Any]) -> str:
     return json.dumps(meta, sort_keys=True, indent=1)
+
 
 def _digest(arrays: dict[str, NDArray[Any]], text: str) -> str:
     digest = hashlib.sha256(text.encode())

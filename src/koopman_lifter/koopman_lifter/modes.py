@@ -82,7 +82,9 @@ def select_by_energy(modes: Modes, count: int) -> NDArray[np.bool_]:
     return kept
 
 
-def projector(v_dom: NDArray[np.complex128], eigenvalues: NDArray[np.complex128]) -> NDArray[np.float64]:
+def projector(
+    v_dom: NDArray[np.complex128], eigenvalues: NDArray[np.complex128]
+) -> NDArray[np.float64]:
     """Return the real matrix W with ||W z||_2 = ||V_dom^+ z||_2 for every real z.
 
     Parameters
@@ -105,7 +107,7 @@ def projector(v_dom: NDArray[np.complex128], eigenvalues: NDArray[np.complex128]
             real_rows.append(rows[j].real)
         elif eigenvalue.imag > 0.0:
             real_rows += [np.sqrt(2.0) * rows[j].real, np.sqrt(2.0) * rows[j].imag]
-    return np.array(real_rows)
+    return np.array(real_rows, dtype=np.float64)
 
 
 def _scaled_pinv(v_dom: NDArray[np.complex128]) -> NDArray[np.complex128]:

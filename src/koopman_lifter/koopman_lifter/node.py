@@ -5,39 +5,18 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ament_index_python.packages import get_package_share_directory
 from koop_msgs.msg import Cost, MeasuredState
-from koop_node.config import parameter, validate
+
+from koop_node.config import NodeConfig
 from koop_node.main import run
-from koop_node.managed import ERROR, OK, QOS, WARN, ManagedNode, NodeConfig
-
+from koop_node.managed import ERROR, OK, QOS, WARN, ManagedNode
 from koopman_lifter import cost
-from koopman_lifter.config import LifterConfig
+from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, ModelError, load
-
-SHIPPED = "vdp.npz"
-
-
-@dataclass(frozen=True)
-class ModelConfig:
-    """Which model file the node uses."""
-
-    model: str = parameter("", "path of the model file; empty: the one shipped for the plant")
-
-    def __post_init__(self) -> None:
-        validate(self)
-
-    @property
-    def path(self) -> Path:
-        """The model file."""
-        if self.model:
-            return Path(self.model).expanduser()
-        return Path(get_package_share_directory("koopman_lifter")) / "models" / SHIPPED
 
 
 class LifterNode(ManagedNode):

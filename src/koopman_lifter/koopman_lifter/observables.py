@@ -59,7 +59,9 @@ class Monomials:
     @cached_property
     def factor(self) -> NDArray[np.int64]:
         """Index of the variable that each monomial's parent is multiplied by, shape (p,)."""
-        return np.array([product[-1] if product else 0 for product in self._products], dtype=np.int64)
+        return np.array(
+            [product[-1] if product else 0 for product in self._products], dtype=np.int64
+        )
 
     @property
     def exponents(self) -> NDArray[np.int64]:
@@ -101,7 +103,9 @@ class Monomials:
         """
         array = np.asarray(states, dtype=np.float64)
         if array.ndim not in (1, 2) or array.shape[0] != self.n:
-            raise ValueError(f"states must have shape ({self.n},) or ({self.n}, M), got {array.shape}")
+            raise ValueError(
+                f"states must have shape ({self.n},) or ({self.n}, M), got {array.shape}"
+            )
         lifted = np.empty((self.p, *array.shape[1:]))
         lifted[0] = 1.0
         for i in range(1, self.p):

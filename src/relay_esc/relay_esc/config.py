@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 from koop_node.config import ConfigError, parameter, validate
-
 from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
 
 

@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from koop_msgs.msg import ControlInput, Cost
-from koop_node.main import run
-from koop_node.managed import OK, QOS, WARN, ManagedNode, NodeConfig
 from std_srvs.srv import SetBool, Trigger
 
+from koop_node.config import NodeConfig
+from koop_node.main import run
+from koop_node.managed import OK, QOS, WARN, ManagedNode
 from relay_esc import relay
 from relay_esc.config import EscConfig
 

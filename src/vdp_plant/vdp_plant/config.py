@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from koop_node.config import ConfigError, parameter, validate
-
 from vdp_plant.dynamics import EULER, RK4, PlantParams
 
 INTEGRATORS = {"rk4": RK4, "euler": EULER}
+RESENDS = 3  # times that lockstep sends a state again before it gives up
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,11 @@ class PlantConfig:
         1.0, "amplitude of the slow drift of the damping coefficient", low=0.0, high=100.0
     )
     drift_frequency: float = parameter(
-        0.005, "frequency of the drift of the damping coefficient", unit="rad/s", low=0.0, high=100.0
+        0.005,
+        "frequency of the drift of the damping coefficient",
+        unit="rad/s",
+        low=0.0,
+        high=100.0,
     )
     forcing_amplitude: float = parameter(
         2.2, "amplitude of the external forcing", unit="1/s^2", low=0.0, high=1000.0
@@ -104,3 +108,38 @@ class PlantConfig:
             self.dt,
             INTEGRATORS[self.integrator],
         )
+
+
+@dataclass(frozen=True)
+class PaceConfig:
+    """How the plant's time runs."""
+
+    pace: str = parameter(
+        "realtime",
+        "realtime and scaled: timer, latest theta held; lockstep: every step waits for its theta",
+        choices=("realtime", "lockstep", "scaled"),
+        read_only=True,
+    )
+    time_scale: float = parameter(
+        1.0, "simulated per real time at the pace 'scaled'", low=1e-3, high=1e3, read_only=True
+    )
+    duration: float = parameter(
+        0.0,
+        "simulated time after which the node ends; 0: never",
+        unit="s",
+        low=0.0,
+        high=1e9,
+        read_only=True,
+    )
+    publish_clock: bool = parameter(False, "publish simulated time on /clock", read_only=True)
+    theta_timeout: float = parameter(
+        2.0,
+        "lockstep: time without theta after which the state is sent again; after "
+        f"{RESENDS} times the node gives up",
+        unit="s",
+        low=0.05,
+        high=600.0,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)

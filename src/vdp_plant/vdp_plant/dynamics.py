@@ -24,7 +24,7 @@ EULER = 1
 
 
 class PlantParams(NamedTuple):
-    """Scalars of the kernels; names, units and defaults as in :class:`vdp_plant.config.PlantConfig`."""
+    """Scalars of the kernels; units and defaults as in ``vdp_plant.config.PlantConfig``."""
 
     epsilon0: float
     epsilon0_drift: float
@@ -63,9 +63,7 @@ def acceleration(
     """Return dy/dt [1/s^2] for damping ``eps`` and forcing ``force`` of that instant."""
     offset = x - p.x_offset
     detuning = theta - p.theta_star
-    return (
-        -eps * (offset * offset - 1.0 - detuning * detuning) * y - p.mu * p.mu * offset + force
-    )
+    return -eps * (offset * offset - 1.0 - detuning * detuning) * y - p.mu * p.mu * offset + force
 
 
 @njit(cache=True)

@@ -7,53 +7,19 @@ import sys
 import time
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from koop_msgs.msg import ControlInput, Cost, MeasuredState, PlantTruth
-from koop_node.config import parameter, validate
-from koop_node.main import run
-from koop_node.managed import ERROR, OK, QOS, WARN, ManagedNode, NodeConfig
 from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
+from koop_node.config import NodeConfig
+from koop_node.main import run
+from koop_node.managed import ERROR, OK, QOS, WARN, ManagedNode
 from vdp_plant import dynamics
-from vdp_plant.config import PlantConfig
-
-RESENDS = 3  # times that lockstep asks again before it gives up
-
-
-@dataclass(frozen=True)
-class PaceConfig:
-    """How the plant's time runs."""
-
-    pace: str = parameter(
-        "realtime",
-        "realtime and scaled: timer, latest theta held; lockstep: every step waits for its theta",
-        choices=("realtime", "lockstep", "scaled"),
-        read_only=True,
-    )
-    time_scale: float = parameter(
-        1.0, "simulated per real time at the pace 'scaled'", low=1e-3, high=1e3, read_only=True
-    )
-    duration: float = parameter(
-        0.0, "simulated time after which the node ends; 0: never", unit="s", low=0.0, high=1e9,
-        read_only=True,
-    )
-    publish_clock: bool = parameter(False, "publish simulated time on /clock", read_only=True)
-    theta_timeout: float = parameter(
-        2.0,
-        "lockstep: time without theta after which the state is sent again; after "
-        f"{RESENDS} times the node gives up",
-        unit="s",
-        low=0.05,
-        high=600.0,
-    )
-
-    def __post_init__(self) -> None:
-        validate(self)
+from vdp_plant.config import RESENDS, PaceConfig, PlantConfig
 
 
 class PlantNode(ManagedNode):

@@ -1,0 +1,39 @@
+"""The ``koop`` command line."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib import import_module
+
+# A command is a module with register(subparsers); it sets ``func``, which returns the exit code.
+COMMANDS = (
+    "koop_lab.demo",
+    "koop_lab.simulate_command",
+    "koop_lab.train_command",
+    "koop_lab.bench",
+)
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    result = argparse.ArgumentParser(
+        prog="koop", description="Oscillation damping by extremum seeking in a Koopman-lifted space"
+    )
+    commands = result.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for module in COMMANDS:
+        import_module(module).register(commands)
+    return result
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a command; bad input ends in one line on stderr and exit code 2."""
+    args = parser().parse_args(argv)
+    try:
+        return int(args.func(args))
+    except (ValueError, OSError, ArithmeticError) as error:
+        print(f"koop {args.command}: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130

@@ -1,0 +1,108 @@
+"""A recorded run as arrays: what the bag of one loop says, aligned by step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from koop_bag.columns import read_columns
+from koop_bag.losses import count_losses
+from koop_bag.reader import BagReader
+from numpy.typing import NDArray
+
+from koop_lab.parameters import LoopParameters, make, read
+
+FIELDS = {
+    "state": ["step", "x"],
+    "cost": ["step", "r"],
+    "theta": ["step", "theta"],
+    "truth": ["step", "x"],
+}
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """Signals of a recorded loop, one row a step that all topics have.
+
+    Attributes
+    ----------
+    step : ndarray of int64, shape (M,)
+        Step index.
+    measured, truth : ndarray, shape (M, n)
+        x' and, if it was recorded, x; else of shape (M, 0).
+    r, theta : ndarray, shape (M,)
+        Cost and control input.
+    lost : dict
+        Missing steps by topic.
+    counts : dict
+        Messages by topic.
+    duration : float
+        Wall-clock time from the first to the last state [s].
+    state_time : ndarray, shape (K,)
+        Receive time of every state [s], from the first.
+    """
+
+    step: NDArray[np.int64]
+    measured: NDArray[np.float64]
+    truth: NDArray[np.float64]
+    r: NDArray[np.float64]
+    theta: NDArray[np.float64]
+    lost: dict[str, int]
+    counts: dict[str, int]
+    duration: float
+    state_time: NDArray[np.float64]
+
+
+def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
+    """Read the loop's four topics from a bag.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If the bag cannot be read.
+    ValueError
+        If it holds no closed loop.
+    """
+    with BagReader(bag) as reader:
+        present = {topic.name for topic in reader.topics}
+        columns: dict[str, dict[str, Any]] = {}
+        for name, wanted in FIELDS.items():
+            topic = f"{namespace.rstrip('/')}/{name}"
+            if topic in present:
+                columns[name] = read_columns(reader, topic, [*wanted, "log_time"])
+    for name in ("state", "cost", "theta"):
+        if name not in columns or columns[name]["step"].size == 0:
+            raise ValueError(
+                f"{bag}: no messages on '{name}', this is no recording of a closed loop"
+            )
+    steps = {name: column["step"].astype(np.int64) for name, column in columns.items()}
+    common = np.unique(steps["state"])
+    for values in steps.values():
+        common = np.intersect1d(common, values)
+
+    def at(name: str, field: str) -> NDArray[np.float64]:
+        # the first message of a step counts: a repeated one is the same answer again
+        unique, first = np.unique(steps[name], return_index=True)
+        chosen: NDArray[np.float64] = columns[name][field][first[np.searchsorted(unique, common)]]
+        return chosen
+
+    stamps = columns["state"]["log_time"].astype(np.int64)
+    seconds = (stamps - stamps[0]) * 1e-9
+    return RecordedRun(
+        common,
+        at("state", "x"),
+        at("truth", "x") if "truth" in columns else np.empty((common.size, 0)),
+        at("cost", "r"),
+        at("theta", "theta"),
+        {name: count_losses(values).lost for name, values in steps.items()},
+        {name: values.size for name, values in steps.items()},
+        float(seconds[-1]),
+        seconds,
+    )
+
+
+def recorded_parameters(folder: Path) -> LoopParameters:
+    """Return the parameters of the nodes as the recorder found them."""
+    return make(read(folder / "parameters.yaml"))
