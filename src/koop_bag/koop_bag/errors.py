@@ -1,0 +1,13 @@
+"""What can go wrong with a bag. Each message says what happened and what to do about it."""
+
+
+class BagError(Exception):
+    """A bag that is absent, foreign or damaged, or a request that it cannot answer."""
+
+
+class BagWriteError(BagError):
+    """A bag could not be written on; what was written before stays readable."""
+
+
+class DiskFullError(BagWriteError):
+    """No space, quota or file size left."""

@@ -1,0 +1,77 @@
+"""Lost messages, counted from the step index that every message of the loop carries."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What the steps of one topic say, in the order in which they were received.
+
+    Attributes
+    ----------
+    count : int
+        Messages received.
+    lost : int
+        Steps jumped over: a step k followed by k + 1 + n counts n.
+    duplicates : int
+        Messages with the step of the one before: a state sent again is no loss.
+    backward : int
+        Messages with a smaller step than the one before: a restart of the publisher, or messages out of order.
+    first, last : int
+        First and last step received, -1 if there is none. A run starts at 0; `first` > 0 is a late recorder.
+    """
+
+    count: int = 0
+    lost: int = 0
+    duplicates: int = 0
+    backward: int = 0
+    first: int = -1
+    last: int = -1
+
+
+def count_losses(steps: ArrayLike) -> StepReport:
+    """Report on a column of steps, shape (n,)."""
+    k = np.asarray(steps).astype(np.int64)
+    if k.size == 0:
+        return StepReport()
+    jump = np.diff(k)
+    return StepReport(
+        count=int(k.size),
+        lost=int((jump[jump > 1] - 1).sum()),
+        duplicates=int((jump == 0).sum()),
+        backward=int((jump < 0).sum()),
+        first=int(k[0]),
+        last=int(k[-1]),
+    )
+
+
+class StepCounter:
+    """`count_losses`, one message at a time."""
+
+    __slots__ = ("backward", "count", "duplicates", "first", "last", "lost")
+
+    def __init__(self) -> None:
+        self.count = self.lost = self.duplicates = self.backward = 0
+        self.first = self.last = -1
+
+    def add(self, step: int) -> None:
+        """Count one message."""
+        jump = step - self.last
+        if self.count == 0:
+            self.first = step
+        elif jump != 1:
+            if jump > 1:
+                self.lost += jump - 1
+            elif jump == 0:
+                self.duplicates += 1
+            else:
+                self.backward += 1
+        self.last = step
+        self.count += 1
+
+    def report(self) -> StepReport:
+        """The report up to now."""
+        return StepReport(self.count, self.lost, self.duplicates, self.backward, self.first, self.last)

@@ -1,0 +1,124 @@
+"""The bag's own description: `metadata.yaml`, the same text inside the file, and the offered QoS."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True)
+class OfferedQos:
+    """QoS of one publisher, in rosbag2's words. Durations are (seconds, nanoseconds); None is 'no limit'."""
+
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    history: str = "keep_last"
+    depth: int = 10
+    liveliness: str = "automatic"
+    deadline: tuple[int, int] | None = None
+    lifespan: tuple[int, int] | None = None
+    liveliness_lease_duration: tuple[int, int] | None = None
+
+    def as_map(self) -> dict[str, Any]:
+        """All keys that rosbag2 demands, in its order."""
+
+        def span(value: tuple[int, int] | None) -> dict[str, int]:
+            return dict(_FOREVER) if value is None else {"sec": value[0], "nsec": value[1]}
+
+        return {
+            "history": self.history,
+            "depth": self.depth,
+            "reliability": self.reliability,
+            "durability": self.durability,
+            "deadline": span(self.deadline),
+            "lifespan": span(self.lifespan),
+            "liveliness": self.liveliness,
+            "liveliness_lease_duration": span(self.liveliness_lease_duration),
+            "avoid_ros_namespace_conventions": False,
+        }
+
+
+@dataclass
+class TopicRecord:
+    """One recorded topic. `count` grows while recording."""
+
+    name: str
+    type_name: str
+    type_hash: str
+    qos: tuple[OfferedQos, ...] = (OfferedQos(),)
+    count: int = 0
+
+    def qos_text(self) -> str:
+        """The YAML string that an MCAP channel carries."""
+        return dump([item.as_map() for item in self.qos])
+
+
+@dataclass
+class FileRecord:
+    """One file of a bag; times in nanoseconds since the epoch, `start` > `end` while it is empty."""
+
+    path: str
+    start: int = 2**63 - 1
+    end: int = 0
+    count: int = 0
+
+    def cover(self, start: int, end: int, count: int) -> None:
+        """Take in `count` messages between two times."""
+        self.start = min(self.start, start)
+        self.end = max(self.end, end)
+        self.count += count
+
+    def as_map(self) -> dict[str, Any]:
+        """The entry under `files`."""
+        return {
+            "path": self.path,
+            "starting_time": {"nanoseconds_since_epoch": self.start},
+            "duration": {"nanoseconds": max(0, self.end - self.start)},
+            "message_count": self.count,
+        }
+
+
+def bag_map(topics: Sequence[TopicRecord], files: Sequence[FileRecord], custom: Mapping[str, str]) -> dict[str, Any]:
+    """The inner map of `metadata.yaml` (version 9, ROS 2 Jazzy)."""
+    filled = [item for item in files if item.count]
+    start = min((item.start for item in filled), default=2**63 - 1)
+    end = max((item.end for item in filled), default=0)
+    return {
+        "version": 9,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": max(0, end - start)},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(item.count for item in files),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type_name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [item.as_map() for item in topic.qos],
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": topic.count,
+            }
+            for topic in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [item.path for item in files],
+        "files": [item.as_map() for item in files],
+        "custom_data": dict(custom),
+        "ros_distro": "jazzy",
+    }
+
+
+def dump(value: Any) -> str:
+    """YAML in key order, without aliases: rosbag2's parser is not asked to resolve any."""
+
+    class Plain(yaml.SafeDumper):
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
+    return str(yaml.dump(value, Dumper=Plain, sort_keys=False, allow_unicode=True, width=1000))

@@ -1,0 +1,127 @@
+"""Message definitions and type hashes, read from the installed packages' share folders.
+
+A bag must explain itself on a machine where the packages are not installed: it carries the text of every message
+definition it needs. The texts and hashes are those that the interface generators installed, never built by hand.
+"""
+
+import json
+import os
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from koop_bag.errors import BagError
+
+SEPARATOR = "=" * 80
+
+_BUILTIN = frozenset(
+    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 string wstring".split()
+)
+_FIELD_TYPE = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
+
+
+@dataclass(frozen=True)
+class MessageSchema:
+    """A message type as a bag holds it.
+
+    Attributes
+    ----------
+    name : str
+        Full type name, `pkg/msg/Type`.
+    text : str
+        Root definition, then each dependency once after a separator line.
+    type_hash : str
+        `RIHS01_...`, or empty where the package has no type description (readers accept that, but not a wrong one).
+    """
+
+    name: str
+    text: str
+    type_hash: str
+
+
+def load_schema(type_name: str, prefixes: Sequence[str | Path] | None = None) -> MessageSchema:
+    """Find the definition of a message type.
+
+    Parameters
+    ----------
+    type_name : str
+        `pkg/msg/Type`, or `pkg/Type` for short.
+    prefixes : sequence of path, optional
+        Install prefixes to search in order. Default: `AMENT_PREFIX_PATH`, then the Python environment's own.
+
+    Raises
+    ------
+    BagError
+        If the type or one it depends on is not installed.
+    """
+    package, name = _split(type_name)
+    places = _prefixes() if prefixes is None else [Path(prefix) for prefix in prefixes]
+    root = _find(places, package, name)
+    parts = [_text(root)]
+    seen = {(package, name)}
+
+    def append_dependencies(text: str, inside: str) -> None:
+        for dependency in _dependencies(text, inside):
+            if dependency in seen:
+                continue
+            seen.add(dependency)
+            dependency_text = _text(_find(places, *dependency))
+            parts.append(f"{SEPARATOR}\nMSG: {'/'.join(dependency)}\n{dependency_text}")
+            append_dependencies(dependency_text, dependency[0])
+
+    append_dependencies(parts[0], package)
+    full_name = f"{package}/msg/{name}"
+    return MessageSchema(full_name, "\n".join(parts), _type_hash(root.with_suffix(".json"), full_name))
+
+
+def _split(type_name: str) -> tuple[str, str]:
+    parts = type_name.split("/")
+    if len(parts) == 3 and parts[1] == "msg":
+        return parts[0], parts[2]
+    if len(parts) == 2:
+        return parts[0], parts[1]
+    raise BagError(f"'{type_name}' is not a message type: write it as pkg/msg/Type")
+
+
+def _prefixes() -> list[Path]:
+    listed = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    return [*listed, Path(sys.prefix)]
+
+
+def _find(prefixes: Sequence[Path], package: str, name: str) -> Path:
+    for prefix in prefixes:
+        path = prefix / "share" / package / "msg" / f"{name}.msg"
+        if path.is_file():
+            return path
+    raise BagError(
+        f"no definition of message {package}/msg/{name} under any prefix of AMENT_PREFIX_PATH: "
+        f"build or install the package '{package}' and source the workspace"
+    )
+
+
+def _text(path: Path) -> str:
+    text = path.read_text(encoding="utf-8")
+    return text if text.endswith("\n") else text + "\n"
+
+
+def _dependencies(text: str, inside: str) -> Iterator[tuple[str, str]]:
+    for line in text.splitlines():
+        match = _FIELD_TYPE.match(line.partition("#")[0])
+        if match is None or match[1] in _BUILTIN:
+            continue
+        parts = match[1].split("/")
+        if match[1] == "Header":  # the one type that ROS lets stand without its package
+            yield "std_msgs", "Header"
+        else:
+            yield (parts[0] if len(parts) > 1 else inside), parts[-1]
+
+
+def _type_hash(path: Path, full_name: str) -> str:
+    if not path.is_file():
+        return ""
+    for entry in json.loads(path.read_text(encoding="utf-8")).get("type_hashes", []):
+        if entry["type_name"] == full_name:
+            return str(entry["hash_string"])
+    return ""
