@@ -8,8 +8,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, Header, McapRecord, Metadata, MetadataIndex, Schema, Statistics
-from mcap.records import SummaryOffset
+from mcap.records import (
+    Channel,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 
 from koop_bag.chunk import ChunkBuffer, encode

@@ -22,6 +22,24 @@ class OfferedQos:
     lifespan: tuple[int, int] | None = None
     liveliness_lease_duration: tuple[int, int] | None = None
 
+    @classmethod
+    def from_map(cls, values: Mapping[str, Any]) -> "OfferedQos":
+        """The inverse of `as_map`; what is absent takes its default."""
+
+        def span(name: str) -> tuple[int, int] | None:
+            value = values.get(name) or _FOREVER
+            return None if value["sec"] >= _FOREVER["sec"] else (value["sec"], value["nsec"])
+
+        words = ("reliability", "durability", "history", "liveliness")
+        given = {name: values[name] for name in words if name in values}
+        return cls(
+            depth=int(values.get("depth", 0)),
+            deadline=span("deadline"),
+            lifespan=span("lifespan"),
+            liveliness_lease_duration=span("liveliness_lease_duration"),
+            **given,
+        )
+
     def as_map(self) -> dict[str, Any]:
         """All keys that rosbag2 demands, in its order."""
 

@@ -113,8 +113,10 @@ class BagWriter:
         self._sequences[channel.id] = 0
         return channel.id
 
-    def write(self, channel: int, log_time: int, publish_time: int, data: bytes) -> None:
-        """Write one serialized message; times in nanoseconds since the epoch."""
+    def write(self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int | None = None) -> None:
+        """Write one serialized message; times in nanoseconds since the epoch. Sequence numbers count on from 1."""
+        if sequence is not None:
+            self._sequences[channel] = sequence - 1
         self.write_many(((log_time, channel, publish_time, data),))
 
     def write_many(self, rows: Iterable[Row]) -> None:

@@ -1,0 +1,145 @@
+"""The records of an MCAP file in the order in which they lie there, as far as they are whole.
+
+Reading in file order needs neither the summary nor memory for it, keeps the order in which messages were received
+(equal times included), and ends at the last complete record of a torn file.
+"""
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Footer, McapRecord, Metadata, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
+
+from koop_bag.errors import BagError
+
+RECORD_HEAD = struct.Struct("<BQ")
+_FOOTER_SIZE = RECORD_HEAD.size + 20 + len(MCAP0_MAGIC)
+_Parsed = TypeVar("_Parsed", Schema, Channel, Statistics, Metadata, Chunk, Footer)
+
+
+class Place(NamedTuple):
+    """Where the content of a record lies in its file."""
+
+    opcode: int
+    start: int
+    length: int
+
+
+class McapFile:
+    """A file opened for reading.
+
+    Attributes
+    ----------
+    summary_start : int
+        Offset of the summary, 0 if there is none.
+    complete : bool
+        Whether the file was closed by its recorder.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._file = open(path, "rb")
+            self.size = path.stat().st_size
+        except OSError as error:
+            raise BagError(f"cannot open {path}: {error.strerror}") from error
+        self._check_magic()
+        self.complete, self.summary_start = self._read_footer()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def places(self, start: int = len(MCAP0_MAGIC)) -> Iterator[Place]:
+        """Every complete record from `start` on, up to the footer or the torn end."""
+        while start + RECORD_HEAD.size <= self.size:
+            self._file.seek(start)
+            opcode, length = RECORD_HEAD.unpack(self._file.read(RECORD_HEAD.size))
+            content = start + RECORD_HEAD.size
+            if opcode == 0 or content + length > self.size:
+                return
+            yield Place(opcode, content, length)
+            if opcode == Opcode.FOOTER:
+                return
+            start = content + length
+
+    def content(self, place: Place) -> bytes:
+        """The bytes of a record."""
+        self._file.seek(place.start)
+        return self._file.read(place.length)
+
+    def parse(self, kind: type[_Parsed], place: Place) -> _Parsed:
+        """A record as the `mcap` library sees it."""
+        return self.parse_bytes(kind, self.content(place), place.start)
+
+    def parse_bytes(self, kind: type[_Parsed], data: bytes, where: int) -> _Parsed:
+        """Parse the content of a record; `where` is for the error."""
+        try:
+            record: McapRecord = kind.read(ReadDataStream(io.BytesIO(data)))
+        except (McapError, ValueError, struct.error) as error:
+            raise BagError(self._damaged(f"the {kind.__name__} record at byte {where} does not parse")) from error
+        assert isinstance(record, kind)
+        return record
+
+    def chunk_records(self, place: Place) -> bytes:
+        """The records inside of a chunk, decompressed and checked against the chunk's checksum."""
+        chunk = self.parse(Chunk, place)
+        try:
+            if chunk.compression == "zstd":
+                data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+            elif chunk.compression == "lz4":
+                data = lz4.frame.decompress(chunk.data)
+            elif chunk.compression == "":
+                data = chunk.data
+            else:
+                raise BagError(f"{self.path} is compressed with '{chunk.compression}'; known are zstd and lz4")
+        except (zstandard.ZstdError, RuntimeError) as error:
+            raise BagError(self._damaged(f"the chunk at byte {place.start} does not decompress")) from error
+        if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+            raise BagError(self._damaged(f"the chunk at byte {place.start} does not match its checksum"))
+        return data
+
+    def _damaged(self, what: str) -> str:
+        return f"{self.path} is damaged: {what}; `koop bag recover` saves the rest"
+
+    def _check_magic(self) -> None:
+        magic = self._file.read(len(MCAP0_MAGIC))
+        if magic == MCAP0_MAGIC:
+            return
+        if self.size == 0:
+            raise BagError(f"{self.path} is empty: its recorder was stopped before it wrote anything")
+        if magic.startswith(b"SQLite"):
+            raise BagError(f"{self.path} is an SQLite bag: make it an MCAP one with `ros2 bag convert`")
+        raise BagError(f"{self.path} is not an MCAP file")
+
+    def _read_footer(self) -> tuple[bool, int]:
+        start = self.size - _FOOTER_SIZE
+        if start < len(MCAP0_MAGIC):
+            return False, 0
+        self._file.seek(start)
+        tail = self._file.read(_FOOTER_SIZE)
+        if not tail.endswith(MCAP0_MAGIC) or RECORD_HEAD.unpack_from(tail) != (Opcode.FOOTER, 20):
+            return False, 0
+        footer = self.parse_bytes(Footer, tail[RECORD_HEAD.size : -len(MCAP0_MAGIC)], start)
+        return True, footer.summary_start if footer.summary_start < start else 0
+
+
+def inner_places(records: bytes) -> Iterator[Place]:
+    """The records inside of a chunk."""
+    position, end, unpack = 0, len(records), RECORD_HEAD.unpack_from
+    while position + RECORD_HEAD.size <= end:
+        opcode, length = unpack(records, position)
+        position += RECORD_HEAD.size
+        if position + length > end:
+            return
+        yield Place(opcode, position, length)
+        position += length

@@ -1,0 +1,130 @@
+"""Message types, parsed from the definition text that a bag carries."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from koop_bag.errors import BagError
+
+_PRIMITIVES = {
+    "bool": "?",
+    "byte": "u1",
+    "char": "u1",  # ROS 2's char is an unsigned byte
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "<i2",
+    "uint16": "<u2",
+    "int32": "<i4",
+    "uint32": "<u4",
+    "int64": "<i8",
+    "uint64": "<u8",
+    "float32": "<f4",
+    "float64": "<f8",
+}
+_FIELD = re.compile(
+    r"^\s*(?P<type>[A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
+)
+_STAMPS = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """A number or bool of fixed size."""
+
+    dtype: "np.dtype[np.generic]"
+
+
+@dataclass(frozen=True)
+class Text:
+    """A string."""
+
+    wide: bool = False
+
+
+@dataclass(frozen=True)
+class Array:
+    """Elements in a row: `count` of them, or as many as a length word says (None)."""
+
+    element: "MessageType"
+    count: int | None
+
+
+@dataclass(frozen=True)
+class Struct:
+    """A message. `fields` in the order in which they are serialized."""
+
+    name: str
+    fields: tuple[tuple[str, "MessageType"], ...]
+
+    @property
+    def is_stamp(self) -> bool:
+        """Whether it is a time or duration, which reads as one number of nanoseconds."""
+        return self.name in _STAMPS
+
+
+MessageType = Primitive | Text | Array | Struct
+
+
+def parse_definition(type_name: str, text: str) -> Struct:
+    """The type of a topic.
+
+    Parameters
+    ----------
+    type_name : str
+        `pkg/msg/Type`.
+    text : str
+        The root definition, then its dependencies after lines of `=`, each opened by `MSG: pkg/Type`.
+    """
+    package, _, name = type_name.replace("/msg/", "/").partition("/")
+    root, *others = re.split(r"^={80}$\n", text, flags=re.MULTILINE)
+    definitions = {f"{package}/{name}": root}
+    for part in others:
+        head, _, body = part.partition("\n")
+        definitions[head.removeprefix("MSG:").strip().replace("/msg/", "/")] = body
+    return _struct(f"{package}/{name}", definitions)
+
+
+def _struct(name: str, definitions: dict[str, str]) -> Struct:
+    if name not in definitions:
+        raise BagError(f"the bag's message definition lacks {name}")
+    fields = tuple(_fields(name.partition("/")[0], definitions[name], definitions))
+    # A message without fields is serialized as one byte: DDS knows no empty structures.
+    return Struct(name, fields or (("structure_needs_at_least_one_member", Primitive(np.dtype("u1"))),))
+
+
+def _fields(package: str, text: str, definitions: dict[str, str]) -> Iterator[tuple[str, MessageType]]:
+    for line in text.splitlines():
+        match = _FIELD.match(line)
+        if match is None or match["rest"].startswith("="):  # comment, blank line or constant
+            continue
+        yield match["name"], _array(_element(package, match["type"], definitions), match["array"])
+
+
+def _element(package: str, name: str, definitions: dict[str, str]) -> MessageType:
+    if name in _PRIMITIVES:
+        return Primitive(np.dtype(_PRIMITIVES[name]))
+    if name in ("string", "wstring"):
+        return Text(wide=name == "wstring")
+    if name == "Header":
+        return _struct("std_msgs/Header", definitions)
+    full = name.replace("/msg/", "/")
+    return _struct(full if "/" in full else f"{package}/{full}", definitions)
+
+
+def _array(element: MessageType, brackets: str | None) -> MessageType:
+    if not brackets:
+        return element
+    size = brackets.strip("[]")
+    return Array(element, int(size) if size.isdigit() else None)
+
+
+def leaf_fields(kind: MessageType, prefix: str = "") -> list[str]:
+    """Names of the fields that read as columns, in order: numbers, strings, times, and arrays of numbers."""
+    if isinstance(kind, Struct) and not (kind.is_stamp and prefix):
+        inner = [leaf_fields(field, f"{prefix}.{name}" if prefix else name) for name, field in kind.fields]
+        return [name for names in inner for name in names]
+    if isinstance(kind, Array) and not isinstance(kind.element, Primitive):
+        return []  # one column per element: `status[0].level`
+    return [] if isinstance(kind, Text) and kind.wide else [prefix]
