@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import Field, dataclass, field, fields
+from numbers import Integral, Real
 from typing import Any
 
 
@@ -108,11 +109,13 @@ def _converted(value: Any, default: Any) -> Any:
             return value
         return tuple(_converted(element, 0.0) for element in value)
     wanted = type(default)
-    if wanted is float and type(value) is int:
+    if type(value) is wanted:
+        return value
+    if wanted is float and isinstance(value, Real) and not isinstance(value, bool):
         return float(value)
-    if type(value) is not wanted:
-        raise TypeError(f"expected {wanted.__name__}, got {value!r} ({type(value).__name__})")
-    return value
+    if wanted is int and isinstance(value, Integral) and not isinstance(value, bool):
+        return int(value)
+    raise TypeError(f"expected {wanted.__name__}, got {value!r} ({type(value).__name__})")
 
 
 def _check(name: str, value: Any, spec: Spec) -> None:

@@ -117,13 +117,14 @@ class KoopmanModel:
         """Write the model file; the same model gives the same bytes."""
         text = _json(self.meta)
         arrays = {name: getattr(self, name) for name in _ARRAYS}
-        with open(path, "wb") as file:
-            np.savez(
-                file,
-                meta=np.frombuffer(text.encode(), dtype=np.uint8),
-                sha256=np.frombuffer(_digest(arrays, text).encode(), dtype=np.uint8),
-                **arrays,
-            )
+        texts = {"meta": text, "sha256": _digest(arrays, text)}
+        entries = {k: np.frombuffer(v.encode(), dtype=np.uint8) for k, v in texts.items()} | arrays
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, array in entries.items():
+                # np.savez would write the time of day into the archive
+                info = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+                with archive.open(info, "w") as file:
+                    np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
 
 
 def build(

@@ -109,7 +109,7 @@ class Monomials:
         lifted = np.empty((self.p, *array.shape[1:]))
         lifted[0] = 1.0
         for i in range(1, self.p):
-            np.multiply(lifted[self.parent[i]], array[self.factor[i]], out=lifted[i])
+            lifted[i] = lifted[self.parent[i]] * array[self.factor[i]]
         return lifted
 
 

@@ -1,0 +1,65 @@
+"""The cost and its detector against SciPy's filters and the paper's formulas."""
+
+import math
+
+import numpy as np
+import pytest
+from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig, shipped_model
+from koopman_lifter.model import load
+from scipy.signal import lfilter
+
+
+def detector(config, samples):
+    state, out = cost.initial(), []
+    for y in samples:
+        r, state = cost.detect(config.detector_params(), state, y)
+        out.append(r)
+    return np.array(out)
+
+
+def test_the_detector_is_two_scipy_filters_and_a_square():
+    config = LifterConfig()
+    y = np.random.default_rng(0).normal(size=2000).cumsum()
+    a_hp, a_lp = math.exp(-config.omega_h * config.dt), math.exp(-config.omega_l * config.dt)
+    high = lfilter([1 - a_hp, -(1 - a_hp)], [1, -a_hp], y - y[0])
+    expected = lfilter([1 - a_lp], [1, -a_lp], high**2)
+    np.testing.assert_allclose(detector(config, y), expected, rtol=1e-9, atol=1e-15)
+
+
+def test_a_constant_energy_costs_nothing_from_the_first_sample_on():
+    assert (detector(LifterConfig(), np.full(100, 1e9)) == 0.0).all()
+
+
+def test_a_sine_settles_at_the_mean_square_of_the_high_passed_sine():
+    config = LifterConfig(omega_h=20.0, omega_l=0.1)
+    amplitude, omega, dt = 3.0, 10.0, config.dt
+    t = np.arange(round(200.0 / dt)) * dt
+    r = detector(config, amplitude * np.sin(omega * t))
+    z = np.exp(1j * omega * dt)
+    a = math.exp(-config.omega_h * dt)
+    gain = abs((1 - a) * (1 - 1 / z) / (1 - a / z))
+    # ripple at 2 omega passes the low-pass by omega_l / (2 omega) = 0.5 %
+    assert r[-1] == pytest.approx((amplitude * gain) ** 2 / 2, rel=0.01)
+
+
+def test_raw_and_lifted_energy_are_the_paper_s_formulas():
+    model = load(shipped_model())
+    z = np.empty(model.observables.p)
+    for x in np.random.default_rng(1).normal(size=(10, 2)) * 15:
+        raw = cost.energy(cost.RAW, model.lifting(), x, z)
+        assert raw == pytest.approx(np.linalg.norm(x) / np.sqrt(2), rel=1e-14)
+        modal = np.linalg.pinv(model.V_dom) @ model.observables.lift(x)
+        lifted = cost.energy(cost.LIFTED, model.lifting(), x, z)
+        assert lifted == pytest.approx(np.linalg.norm(modal) ** 2, rel=1e-6)
+
+
+def test_an_unusable_state_costs_nan_and_leaves_the_detector_alone():
+    model, config = load(shipped_model()), LifterConfig()
+    z = np.empty(model.observables.p)
+    arguments = (cost.LIFTED, model.lifting(), config.detector_params())
+    before = cost.step(*arguments, cost.initial(), np.array([1.0, 2.0]), z)[2]
+    for bad in ([np.nan, 0.0], [np.inf, 0.0], [1e200, 0.0]):
+        r, _, after = cost.step(*arguments, before, np.array(bad), z)
+        assert math.isnan(r)
+        assert after == before

@@ -1,0 +1,111 @@
+"""The relay against sequences that can be worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from koop_node.config import ConfigError
+from relay_esc import relay
+from relay_esc.config import EscConfig
+from scipy.signal import lfilter
+
+
+def run(config: EscConfig, costs, state=None):
+    state = state or config.initial()
+    states = []
+    for r in costs:
+        state = relay.step(config.params(), state, float(r))
+        states.append(state)
+    return states
+
+
+def test_a_hand_computed_sequence():
+    """dt = 1, tau_f = 1 / ln 2 (alpha = 1/2), k = 1, dwell 2 s, theta from 0, epsilon from +1.
+
+    r       hp                                  since flip   epsilon  theta
+    4       0 (primes)                          0            +1       0
+    6       (6-4)/2 = 1 > 0, dwell 1 < 2        1            +1       -1
+    6       1/2 + 0 = 0.5 > 0, dwell 2: flip    2 -> 0       -1       0
+    4       0.25 + (4-6)/2 = -0.75              1            -1       1
+    4       -0.375                              2            -1       2
+    8       -0.1875 + 2 = 1.8125, dwell 3: flip 3 -> 0       +1       1
+    8       0.90625, dwell 1 < 2                1            +1       0
+    8       0.453125, dwell 2: flip             2 -> 0       -1       1
+    """
+    config = EscConfig(
+        dt=1.0, tau_f=1.0 / math.log(2.0), step_size=1.0, dwell=2.0, theta_initial=0.0
+    )
+    states = run(config, [4, 6, 6, 4, 4, 8, 8, 8])
+    assert [s.theta for s in states] == [0, -1, 0, 1, 2, 1, 0, 1]
+    assert [s.epsilon for s in states] == [1, 1, -1, -1, -1, 1, 1, -1]
+    np.testing.assert_allclose(
+        [s.hp for s in states], [0, 1, 0.5, -0.75, -0.375, 1.8125, 0.90625, 0.453125], atol=1e-15
+    )
+
+
+def test_the_filter_is_scipy_s():
+    config = EscConfig()
+    r = np.random.default_rng(1).normal(size=500).cumsum()
+    alpha = config.params().alpha
+    expected = lfilter([1 - alpha, -(1 - alpha)], [1, -alpha], r - r[0])
+    np.testing.assert_allclose([s.hp for s in run(config, r)], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_the_paper_s_ramp_crosses_five_units_in_75_seconds_when_the_cost_falls():
+    config = EscConfig()
+    states = run(config, np.linspace(1.0, 0.0, 15_001))
+    assert states[-1].theta == pytest.approx(2.0 - 5.0, abs=1e-9)
+    assert all(s.epsilon == 1 for s in states)
+
+
+def test_the_relay_keeps_its_direction_until_the_dwell_time_has_passed():
+    config = EscConfig()
+    states = run(config, np.arange(4000.0))  # always rising: it would flip at every sample
+    flips = np.flatnonzero(np.diff([s.epsilon for s in states])) + 1
+    assert flips.tolist() == [3000]  # 15 s / 5 ms samples after the first
+    assert relay.dwell_samples(15.0, 0.005) == 3000
+
+
+def test_theta_stops_at_its_limits():
+    config = EscConfig(theta_initial=-4.999)
+    states = run(config, np.linspace(1.0, 0.0, 100))
+    assert states[-1].theta == -5.0
+    assert relay.saturated(config.params(), states[-1].theta)
+    assert not relay.saturated(config.params(), states[0].theta)
+
+
+def test_maximising_is_minimising_the_negated_cost():
+    costs = np.random.default_rng(2).normal(size=9000).cumsum()
+    low = run(EscConfig(objective="minimise"), costs)
+    high = run(EscConfig(objective="maximise"), -costs)
+    assert [s.theta for s in low] == [s.theta for s in high]
+    assert len({s.epsilon for s in low}) == 2
+
+
+def test_a_jump_of_the_cost_during_a_hold_causes_no_flip():
+    config = EscConfig(dwell=0.0)
+    held = relay.hold(run(config, np.linspace(1.0, 0.9, 50))[-1])
+    after = run(config, [1e6, 1e6 - 1.0, 1e6 - 2.0], held)
+    assert [s.epsilon for s in after] == [1, 1, 1]
+    assert after[0].theta == held.theta
+
+
+def test_the_compiled_kernel_is_the_python_function():
+    config = EscConfig()
+    state = relay.step(config.params(), config.initial(), 3.0)
+    assert relay.step(config.params(), state, 4.0) == relay.step.py_func(config.params(), state, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"theta_min": 5.0, "theta_max": -5.0}, "theta_min = 5 must be below theta_max = -5"),
+        ({"theta_initial": 9.0}, "theta_initial = 9 must lie within"),
+        ({"epsilon_initial": 0}, "epsilon_initial = 0: must be 1 or -1"),
+        ({"tau_f": 0.0}, "tau_f = 0: must be 0.001 to 10000 s"),
+        ({"objective": "minimize"}, "must be one of minimise, maximise"),
+    ],
+)
+def test_a_bad_value_is_refused_with_the_reason(values, message):
+    with pytest.raises(ConfigError, match=message):
+        EscConfig(**values)
