@@ -17,19 +17,26 @@ from koop_bag.reader import MESSAGE_HEAD, BagReader
 
 Columns = dict[str, NDArray[Any]]
 
-LOG_TIME, PUBLISH_TIME, SEQUENCE = "@log_time", "@publish_time", "@sequence"
-"""Columns that every topic has: when received and sent [ns since the epoch], and the number in the recording."""
+LOG_TIME, PUBLISH_TIME, SEQUENCE = "log_time", "publish_time", "sequence"
+"""Columns that every topic has: when received and sent [ns since the epoch], and the number in the
+recording. A field of a message that has such a name is written with a dot before it."""
 
 BATCH_BYTES = 8 << 20
-"""How much of a bag is held at once [B]: enough that the cost per batch vanishes, whatever the bag's size."""
+"""How much of a bag is held at once [B]: enough that the cost per batch vanishes, whatever the
+bag's size.
+"""
 
 _RECORD = struct.Struct("<BQH")  # opcode, length, and the channel if it is a message
-_STORED: dict[str, tuple[int, str]] = {SEQUENCE: (2, "<u4"), LOG_TIME: (6, "<u8"), PUBLISH_TIME: (14, "<u8")}
+_STORED: dict[str, tuple[int, str]] = {
+    SEQUENCE: (2, "<u4"),
+    LOG_TIME: (6, "<u8"),
+    PUBLISH_TIME: (14, "<u8"),
+}
 
 
 def list_fields(bag: BagReader, topic: str) -> list[str]:
     """The fields of a topic that can be read as columns."""
-    return leaf_fields(_definition(bag, topic))
+    return _names(_definition(bag, topic))
 
 
 def read_columns(bag: BagReader, topic: str, fields: Sequence[str] | None = None) -> Columns:
@@ -42,14 +49,16 @@ def read_columns(bag: BagReader, topic: str, fields: Sequence[str] | None = None
     topic : str
         Its full name.
     fields : sequence of str, optional
-        Numeric fields (`step`), nested ones (`header.stamp.sec`), times (`header.stamp`, as int64 nanoseconds), arrays
-        (`x`, shape (n, length); the length must be the same in all messages), elements (`position[0]`), strings (as
-        an object array), and `@log_time`, `@publish_time`, `@sequence`. Default: all that can be read.
+        Numeric fields (`step`), nested ones (`header.stamp.sec`), times (`header.stamp`, as int64
+        nanoseconds), arrays (`x`, shape (n, length); the length must be the same in all messages),
+        elements (`position[0]`), strings (as an object array), and `log_time`, `publish_time`,
+        `sequence`. Default: all that can be read.
 
     Returns
     -------
     dict of str to ndarray
-        By field, each with n rows in the order of recording. An element beyond the end of its array is NaN.
+        By field, each with n rows in the order of recording. An element beyond the end of its array
+        is NaN.
 
     Raises
     ------
@@ -69,7 +78,9 @@ def read_tables(
     joined: dict[str, Columns] = {}
     for topic, fields in tables.items():
         batches = parts.pop(topic) or [_Table(bag, topic, fields).empty()]
-        joined[topic] = {name: _join(name, [batch.pop(name) for batch in batches]) for name in list(batches[0])}
+        joined[topic] = {
+            name: _join(name, [batch.pop(name) for batch in batches]) for name in list(batches[0])
+        }
     return joined
 
 
@@ -90,7 +101,9 @@ def iter_tables(
     names: dict[int, str] = {}
     size = 0
     for records, channels in bag.blocks(tables):
-        if pending and (size >= batch_bytes or channels != names):  # another file may number its channels otherwise
+        if pending and (
+            size >= batch_bytes or channels != names
+        ):  # another file may number its channels otherwise
             yield from _decode_batch(b"".join(pending), names, decoders)
             pending, size = [], 0
         names = channels
@@ -105,8 +118,10 @@ class _Table:
 
     def __init__(self, bag: BagReader, topic: str, fields: Sequence[str] | None) -> None:
         root = _definition(bag, topic)
-        self.fields = tuple(leaf_fields(root) if fields is None else fields)
-        self._finder = LayoutFinder(root, tuple(name for name in self.fields if name not in _STORED))
+        self.fields = tuple(_names(root) if fields is None else fields)
+        self._finder = LayoutFinder(
+            root, tuple(name for name in self.fields if name not in _STORED)
+        )
         self._topic = topic
 
     def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
@@ -126,7 +141,9 @@ class _Table:
         return {name: np.empty(0) for name in self.fields}
 
 
-def _decode_batch(records: bytes, names: dict[int, str], tables: dict[str, _Table]) -> Iterator[tuple[str, Columns]]:
+def _decode_batch(
+    records: bytes, names: dict[int, str], tables: dict[str, _Table]
+) -> Iterator[tuple[str, Columns]]:
     places: dict[int, list[int]] = {number: [] for number in names}
     # The one loop over messages: opcode, length and channel in one step, no call but the unpacking.
     unpack, head, message = _RECORD.unpack_from, RECORD_HEAD.size, int(Opcode.MESSAGE)
@@ -148,12 +165,22 @@ def _join(name: str, arrays: list[NDArray[Any]]) -> NDArray[Any]:
     shapes = sorted({array.shape[1:] for array in arrays})
     if len(shapes) > 1:
         lengths = " and ".join(str(shape[0]) for shape in shapes)
-        raise BagError(f"'{name}' has {lengths} elements in different messages: choose elements, such as {name}[0]")
+        raise BagError(
+            f"'{name}' has {lengths} elements in different messages: "
+            f"choose elements, such as {name}[0]"
+        )
     return np.concatenate(arrays)
+
+
+def _names(root: Struct) -> list[str]:
+    return [f".{name}" if name in _STORED else name for name in leaf_fields(root)]
 
 
 def _definition(bag: BagReader, topic: str) -> Struct:
     info = bag.topic(topic)
     if info.encoding != "cdr" or not info.definition:
-        raise BagError(f"topic {topic} is encoded as '{info.encoding}' with no ROS 2 definition: columns need CDR")
+        raise BagError(
+            f"topic {topic} ('{info.encoding}') has no ROS 2 message definition: "
+            "only its raw messages can be read"
+        )
     return parse_definition(info.type_name, info.definition)

@@ -10,19 +10,26 @@ from koop_bag.layout import Layout, LayoutFinder, Span
 
 _LITTLE_ENDIAN_CDR = 0x0100  # bytes 00 01
 _MAX_GROUPS = 64
-"""After so many layouts in a batch, looking for messages of equal layout costs more than it saves."""
+"""After so many layouts in a batch, looking for messages of equal layout costs more than it saves.
+"""
 
 Bytes = NDArray[np.uint8]
 Offsets = NDArray[np.int64]
 
 
 def at_every_byte(buffer: Bytes, dtype: "np.dtype[Any]") -> NDArray[Any]:
-    """The buffer seen as one value per byte offset, so that values at any, unaligned, offsets are plain indexing."""
-    values: NDArray[Any] = np.ndarray((max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,))
+    """The buffer seen as one value per byte offset, so that values at any, unaligned, offsets are
+    plain indexing.
+    """
+    values: NDArray[Any] = np.ndarray(
+        (max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,)
+    )
     return values
 
 
-def decode(buffer: Bytes, starts: Offsets, sizes: Offsets, finder: LayoutFinder) -> dict[str, NDArray[Any]]:
+def decode(
+    buffer: Bytes, starts: Offsets, sizes: Offsets, finder: LayoutFinder
+) -> dict[str, NDArray[Any]]:
     """Columns of messages that lie in a buffer.
 
     Parameters
@@ -98,7 +105,10 @@ class _Columns:
             column = self.arrays[name] = np.empty((self._n, *values.shape[1:]), values.dtype)
         if column.shape[1:] != values.shape[1:]:
             lengths = f"{column.shape[1]} and {values.shape[1]}"
-            raise BagError(f"'{name}' has {lengths} elements in different messages: choose elements, such as {name}[0]")
+            raise BagError(
+                f"'{name}' has {lengths} elements in different messages: "
+                f"choose elements, such as {name}[0]"
+            )
         if column.dtype != values.dtype:  # NaN for some, numbers or strings for others
             column = self.arrays[name] = column.astype(np.result_type(column.dtype, values.dtype))
         column[rows] = values

@@ -1,8 +1,8 @@
 """Where the wanted fields of a serialized message lie.
 
-In CDR the place of a field depends on nothing but the length words (of strings and sequences) before it. So one
-message is walked; every other message with the same length words at the same places has the same layout, and its
-fields can be taken out without a walk.
+In CDR the place of a field depends on nothing but the length words (of strings and sequences)
+before it. So one message is walked; every other message with the same length words at the same
+places has the same layout, and its fields can be taken out without a walk.
 """
 
 import re
@@ -26,7 +26,8 @@ _Key = str | int
 class Span:
     """Where a field lies: `offset` from the message's first byte, `count` elements of `dtype`.
 
-    `count` is None for a single number; for a string (dtype `S`) it is the number of bytes; a stamp has dtype `V8`.
+    `count` is None for a single number; for a string (dtype `S`) it is the number of bytes; a stamp
+    has dtype `V8`.
     """
 
     offset: int
@@ -93,7 +94,7 @@ class _Walk:
         self.spans: dict[str, Span | None] = {}
 
     def visit(self, kind: MessageType, wanted: _Wanted | None, missing: int) -> None:
-        """Walk over one value; stops early, leaving the position undefined, once nothing is missing any more."""
+        """Walk over one value, or until nothing is missing any more: then the position is wrong."""
         if isinstance(kind, Primitive):
             self._align(kind.dtype.itemsize)
             self._found(wanted, Span(self._at, kind.dtype))
@@ -101,8 +102,11 @@ class _Walk:
         elif isinstance(kind, Text):
             length = self._length_word()
             if kind.wide:
-                raise BagError("wide strings are not supported: choose fields that come before them")
-            self._found(wanted, Span(self._at, np.dtype("S"), max(0, length - 1)))  # without the closing zero
+                raise BagError(
+                    "wide strings are not supported: choose fields that come before them"
+                )
+            without_zero = max(0, length - 1)
+            self._found(wanted, Span(self._at, np.dtype("S"), without_zero))
             self._skip(length)
         elif isinstance(kind, Array):
             self._visit_array(kind, wanted, missing)
@@ -167,7 +171,10 @@ def _keys(name: str) -> list[_Key]:
     while at < len(name):
         match = _PATH.match(name, at)
         if match is None:
-            raise BagError(f"'{name}' is not a field: write it like header.stamp, x, position[0] or status[0].level")
+            raise BagError(
+                f"'{name}' is not a field: write it like header.stamp, x, position[0] "
+                "or status[0].level"
+            )
         if match[1]:
             keys.append(match[1])
         elif match[2]:
@@ -190,4 +197,6 @@ def _check(root: Struct, name: str, shown: str) -> None:
         inner = ", ".join(f"{shown}.{item}" for item in leaf_fields(kind))
         raise BagError(f"'{shown}' is a message of its own; choose one of its fields: {inner}")
     if isinstance(kind, Array) and not isinstance(kind.element, Primitive):
-        raise BagError(f"'{shown}' is an array of messages or strings; choose an element, such as '{shown}[0]'")
+        raise BagError(
+            f"'{shown}' is an array of messages or strings; choose an element, such as '{shown}[0]'"
+        )

@@ -19,9 +19,11 @@ class StepReport:
     duplicates : int
         Messages with the step of the one before: a state sent again is no loss.
     backward : int
-        Messages with a smaller step than the one before: a restart of the publisher, or messages out of order.
+        Messages with a smaller step than the one before: a restart of the publisher, or messages
+        out of order.
     first, last : int
-        First and last step received, -1 if there is none. A run starts at 0; `first` > 0 is a late recorder.
+        First and last step received, -1 if there is none. A run starts at 0; `first` > 0 is a late
+        recorder.
     """
 
     count: int = 0
@@ -74,4 +76,6 @@ class StepCounter:
 
     def report(self) -> StepReport:
         """The report up to now."""
-        return StepReport(self.count, self.lost, self.duplicates, self.backward, self.first, self.last)
+        return StepReport(
+            self.count, self.lost, self.duplicates, self.backward, self.first, self.last
+        )

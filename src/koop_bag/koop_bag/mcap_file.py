@@ -31,8 +31,8 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 class McapFileWriter:
     """Appends whole records to a file; whatever it accepted survives the death of the process.
 
-    Each chunk goes out in one unbuffered write, so a killed process loses only the chunk in progress. A write that
-    fails halfway is taken back: the file always ends with a complete record.
+    Each chunk goes out in one unbuffered write, so a killed process loses only the chunk in
+    progress. A write that fails halfway is taken back: the file always ends with a complete record.
     """
 
     def __init__(self, path: Path) -> None:
@@ -47,13 +47,15 @@ class McapFileWriter:
         self.last_start = self.last_end = 0
         """Log times that the last chunk covers [ns]."""
         try:
-            self._file = open(path, "xb", buffering=0)
+            self._file = open(path, "xb", buffering=0)  # noqa: SIM115 - open as long as the bag
         except OSError as error:
             raise BagWriteError(f"cannot create {path}: {error.strerror}") from error
         self._append(MCAP0_MAGIC + encode(Header(profile="ros2", library=LIBRARY_IDENTIFIER)))
 
     def add_channel(self, schema: Schema, channel: Channel) -> None:
-        """Announce a topic. Outside of any chunk, so that even an empty or torn file names its topics."""
+        """Announce a topic. Outside of any chunk, so that even an empty or torn file names its
+        topics.
+        """
         new_schema = all(known.id != schema.id for known in self._schemas)
         self._append((encode(schema) if new_schema else b"") + encode(channel))
         if new_schema:
@@ -81,7 +83,7 @@ class McapFileWriter:
         self._metadata.append(encode(MetadataIndex(offset=offset, length=len(data), name=name)))
 
     def finish(self) -> None:
-        """Write the summary and close. The file stays readable without it, but not by every reader."""
+        """Write the summary and close. Not every reader takes a file without one."""
         try:
             self._append(self._closing_records())
         finally:
@@ -105,7 +107,9 @@ class McapFileWriter:
             if records:
                 data = b"".join(records)
                 start = summary_start + len(summary)
-                offsets.append(SummaryOffset(group_opcode=opcode, group_start=start, group_length=len(data)))
+                offsets.append(
+                    SummaryOffset(group_opcode=opcode, group_start=start, group_length=len(data))
+                )
                 summary.extend(data)
 
         group(Opcode.SCHEMA, [encode(item) for item in self._schemas])
@@ -119,7 +123,9 @@ class McapFileWriter:
         head = struct.pack("<BQQQ", int(Opcode.FOOTER), 20, summary_start, offset_start)
         crc = zlib.crc32(head, zlib.crc32(summary))
         out += summary
-        out += encode(Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc))
+        out += encode(
+            Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=crc)
+        )
         return bytes(out + MCAP0_MAGIC)
 
     def _statistics(self) -> Statistics:

@@ -1,7 +1,7 @@
 """The records of an MCAP file in the order in which they lie there, as far as they are whole.
 
-Reading in file order needs neither the summary nor memory for it, keeps the order in which messages were received
-(equal times included), and ends at the last complete record of a torn file.
+Reading in file order needs neither the summary nor memory for it, keeps the order in which messages
+were received (equal times included), and ends at the last complete record of a torn file.
 """
 
 import io
@@ -48,7 +48,7 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file = open(path, "rb")
+            self._file = open(path, "rb")  # noqa: SIM115 - open as long as the bag
             self.size = path.stat().st_size
         except OSError as error:
             raise BagError(f"cannot open {path}: {error.strerror}") from error
@@ -86,7 +86,9 @@ class McapFile:
         try:
             record: McapRecord = kind.read(ReadDataStream(io.BytesIO(data)))
         except (McapError, ValueError, struct.error) as error:
-            raise BagError(self._damaged(f"the {kind.__name__} record at byte {where} does not parse")) from error
+            raise BagError(
+                self._damaged(f"the {kind.__name__} record at byte {where} does not parse")
+            ) from error
         assert isinstance(record, kind)
         return record
 
@@ -101,11 +103,17 @@ class McapFile:
             elif chunk.compression == "":
                 data = chunk.data
             else:
-                raise BagError(f"{self.path} is compressed with '{chunk.compression}'; known are zstd and lz4")
+                raise BagError(
+                    f"{self.path} is compressed with '{chunk.compression}'; known are zstd and lz4"
+                )
         except (zstandard.ZstdError, RuntimeError) as error:
-            raise BagError(self._damaged(f"the chunk at byte {place.start} does not decompress")) from error
+            raise BagError(
+                self._damaged(f"the chunk at byte {place.start} does not decompress")
+            ) from error
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-            raise BagError(self._damaged(f"the chunk at byte {place.start} does not match its checksum"))
+            raise BagError(
+                self._damaged(f"the chunk at byte {place.start} does not match its checksum")
+            )
         return data
 
     def _damaged(self, what: str) -> str:
@@ -116,9 +124,13 @@ class McapFile:
         if magic == MCAP0_MAGIC:
             return
         if self.size == 0:
-            raise BagError(f"{self.path} is empty: its recorder was stopped before it wrote anything")
+            raise BagError(
+                f"{self.path} is empty: its recorder was stopped before it wrote anything"
+            )
         if magic.startswith(b"SQLite"):
-            raise BagError(f"{self.path} is an SQLite bag: make it an MCAP one with `ros2 bag convert`")
+            raise BagError(
+                f"{self.path} is an SQLite bag: make it an MCAP one with `ros2 bag convert`"
+            )
         raise BagError(f"{self.path} is not an MCAP file")
 
     def _read_footer(self) -> tuple[bool, int]:

@@ -1,4 +1,4 @@
-"""The bag's own description: `metadata.yaml`, the same text inside the file, and the offered QoS."""
+"""The bag's own description: `metadata.yaml`, its copy inside the file, and the offered QoS."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,9 @@ _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 @dataclass(frozen=True)
 class OfferedQos:
-    """QoS of one publisher, in rosbag2's words. Durations are (seconds, nanoseconds); None is 'no limit'."""
+    """QoS of one publisher, in rosbag2's words. Durations are (seconds, nanoseconds); None is 'no
+    limit'.
+    """
 
     reliability: str = "reliable"
     durability: str = "volatile"
@@ -76,7 +78,7 @@ class TopicRecord:
 
 @dataclass
 class FileRecord:
-    """One file of a bag; times in nanoseconds since the epoch, `start` > `end` while it is empty."""
+    """One file of a bag; times in ns since the epoch, `start` > `end` while it is empty."""
 
     path: str
     start: int = 2**63 - 1
@@ -99,7 +101,9 @@ class FileRecord:
         }
 
 
-def bag_map(topics: Sequence[TopicRecord], files: Sequence[FileRecord], custom: Mapping[str, str]) -> dict[str, Any]:
+def bag_map(
+    topics: Sequence[TopicRecord], files: Sequence[FileRecord], custom: Mapping[str, str]
+) -> dict[str, Any]:
     """The inner map of `metadata.yaml` (version 9, ROS 2 Jazzy)."""
     filled = [item for item in files if item.count]
     start = min((item.start for item in filled), default=2**63 - 1)

@@ -75,7 +75,8 @@ def parse_definition(type_name: str, text: str) -> Struct:
     type_name : str
         `pkg/msg/Type`.
     text : str
-        The root definition, then its dependencies after lines of `=`, each opened by `MSG: pkg/Type`.
+        The root definition, then its dependencies after lines of `=`, each opened by `MSG:
+        pkg/Type`.
     """
     package, _, name = type_name.replace("/msg/", "/").partition("/")
     root, *others = re.split(r"^={80}$\n", text, flags=re.MULTILINE)
@@ -91,10 +92,14 @@ def _struct(name: str, definitions: dict[str, str]) -> Struct:
         raise BagError(f"the bag's message definition lacks {name}")
     fields = tuple(_fields(name.partition("/")[0], definitions[name], definitions))
     # A message without fields is serialized as one byte: DDS knows no empty structures.
-    return Struct(name, fields or (("structure_needs_at_least_one_member", Primitive(np.dtype("u1"))),))
+    return Struct(
+        name, fields or (("structure_needs_at_least_one_member", Primitive(np.dtype("u1"))),)
+    )
 
 
-def _fields(package: str, text: str, definitions: dict[str, str]) -> Iterator[tuple[str, MessageType]]:
+def _fields(
+    package: str, text: str, definitions: dict[str, str]
+) -> Iterator[tuple[str, MessageType]]:
     for line in text.splitlines():
         match = _FIELD.match(line)
         if match is None or match["rest"].startswith("="):  # comment, blank line or constant
@@ -121,9 +126,14 @@ def _array(element: MessageType, brackets: str | None) -> MessageType:
 
 
 def leaf_fields(kind: MessageType, prefix: str = "") -> list[str]:
-    """Names of the fields that read as columns, in order: numbers, strings, times, and arrays of numbers."""
+    """Names of the fields that read as columns, in order: numbers, strings, times, and arrays of
+    numbers.
+    """
     if isinstance(kind, Struct) and not (kind.is_stamp and prefix):
-        inner = [leaf_fields(field, f"{prefix}.{name}" if prefix else name) for name, field in kind.fields]
+        inner = [
+            leaf_fields(field, f"{prefix}.{name}" if prefix else name)
+            for name, field in kind.fields
+        ]
         return [name for names in inner for name in names]
     if isinstance(kind, Array) and not isinstance(kind.element, Primitive):
         return []  # one column per element: `status[0].level`

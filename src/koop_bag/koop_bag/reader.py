@@ -66,8 +66,8 @@ class BagReader:
 
     Attributes
     ----------
-    topics : dict of str to Topic
-        By name, in the order of their first announcement.
+    topics : tuple of Topic
+        In the order of their first announcement.
     message_count : int
         Messages that can be read.
     start_time, end_time : int
@@ -86,7 +86,7 @@ class BagReader:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.files = find_files(self.path)
-        self.topics: dict[str, Topic] = {}
+        self._topics: dict[str, Topic] = {}
         self.message_count = 0
         self.notes: dict[str, dict[str, str]] = {}
         self._contents = [survey(McapFile(file)) for file in self.files]
@@ -94,6 +94,7 @@ class BagReader:
         for item in self._contents:
             self._take_in(item)
         filled = [item for item in self._contents if any(item.counts.values())]
+        self.topics = tuple(self._topics.values())
         self.start_time = min((item.start for item in filled), default=0)
         self.end_time = max((item.end for item in filled), default=0)
 
@@ -119,12 +120,16 @@ class BagReader:
 
     def topic(self, name: str) -> Topic:
         """One topic, or an error that names those that are there."""
-        if name not in self.topics:
-            raise BagError(f"{self.path} has no topic {name}; it has {', '.join(self.topics) or 'none'}")
-        return self.topics[name]
+        if name not in self._topics:
+            known = ", ".join(self._topics) or "none"
+            raise BagError(f"{self.path} has no topic {name}; it has {known}")
+        return self._topics[name]
 
     def messages(
-        self, topics: Collection[str] | None = None, start: int | None = None, end: int | None = None
+        self,
+        topics: Collection[str] | None = None,
+        start: int | None = None,
+        end: int | None = None,
     ) -> Iterator[RawMessage]:
         """Messages in the order in which they were recorded.
 
@@ -146,11 +151,17 @@ class BagReader:
                 channel, sequence, log_time, publish_time = unpack(records, at)
                 if channel in names and begin <= log_time < stop:
                     yield RawMessage(
-                        names[channel], log_time, publish_time, sequence, records[at + fixed : at + length]
+                        names[channel],
+                        log_time,
+                        publish_time,
+                        sequence,
+                        records[at + fixed : at + length],
                     )
 
-    def blocks(self, topics: Collection[str] | None = None) -> Iterator[tuple[bytes, dict[int, str]]]:
-        """Runs of MCAP records holding messages, with the wanted channels' topics. One chunk in memory at a time."""
+    def blocks(
+        self, topics: Collection[str] | None = None
+    ) -> Iterator[tuple[bytes, dict[int, str]]]:
+        """MCAP records chunk by chunk, each with the wanted channels' topics."""
         for item in self._contents:
             wanted = {
                 number: channel.topic
@@ -171,7 +182,10 @@ class BagReader:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -179,14 +193,20 @@ class BagReader:
         self.notes.update(item.notes)
         for number, channel in item.channels.items():
             schema = item.schemas.get(channel.schema_id)
-            type_name, text = (schema.name, schema.data.decode("utf-8", "replace")) if schema else ("", "")
-            topic = self.topics.get(channel.topic)
+            type_name, text = (
+                (schema.name, schema.data.decode("utf-8", "replace")) if schema else ("", "")
+            )
+            topic = self._topics.get(channel.topic)
             if topic is None:
-                topic = Topic(channel.topic, type_name, text, channel.message_encoding, dict(channel.metadata))
-                self.topics[channel.topic] = topic
+                topic = Topic(
+                    channel.topic, type_name, text, channel.message_encoding, dict(channel.metadata)
+                )
+                self._topics[channel.topic] = topic
             elif topic.type_name != type_name:
                 types = f"{topic.type_name} and {type_name}"
-                raise BagError(f"{self.path}: topic {topic.name} has messages of two types, {types}")
+                raise BagError(
+                    f"{self.path}: topic {topic.name} has messages of two types, {types}"
+                )
             count = item.counts.get(number, 0)
             topic.count += count
             self.message_count += count
@@ -203,7 +223,9 @@ def find_files(path: Path) -> list[Path]:
         if files:
             return files
         if any(folder.glob("*.db3")):
-            raise BagError(f"{folder} is an SQLite bag: make it an MCAP one with `ros2 bag convert`")
+            raise BagError(
+                f"{folder} is an SQLite bag: make it an MCAP one with `ros2 bag convert`"
+            )
     raise BagError(f"{path} is no bag: it holds no .mcap file")
 
 
@@ -237,13 +259,20 @@ def _read_summary(contents: FileContents) -> bool:
         if place.opcode == Opcode.STATISTICS:
             statistics = file.parse(Statistics, place)
             contents.counts.update(statistics.channel_message_counts)
-            contents.start, contents.end = statistics.message_start_time, statistics.message_end_time
+            contents.start, contents.end = (
+                statistics.message_start_time,
+                statistics.message_end_time,
+            )
             counted = True
         elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             _note(contents, place, file.content(place))
         elif place.opcode == Opcode.METADATA_INDEX:
             offset, length = struct.unpack_from("<QQ", file.content(place))
-            _note(contents, Place(Opcode.METADATA, offset, length), file.content(Place(0, offset + 9, length - 9)))
+            _note(
+                contents,
+                Place(Opcode.METADATA, offset, length),
+                file.content(Place(0, offset + 9, length - 9)),
+            )
     return counted and all(number in contents.channels for number in contents.counts)
 
 

@@ -35,7 +35,9 @@ class Recovery:
     torn_bytes: int = 0
 
 
-def recover(source: str | Path, target: str | Path, options: WriterOptions | None = None) -> Recovery:
+def recover(
+    source: str | Path, target: str | Path, options: WriterOptions | None = None
+) -> Recovery:
     """Copy everything readable of `source` into a new bag `target`; the source is not touched.
 
     Times, sequence numbers, topics, QoS and notes are kept, so that gaps still show as gaps.
@@ -56,7 +58,9 @@ def recover(source: str | Path, target: str | Path, options: WriterOptions | Non
     return report
 
 
-def _copy_file(file: McapFile, writer: BagWriter, channels: dict[str, int], report: Recovery) -> None:
+def _copy_file(
+    file: McapFile, writer: BagWriter, channels: dict[str, int], report: Recovery
+) -> None:
     schemas: dict[int, Schema] = {}
     numbers: dict[int, int] = {}  # this file's channel -> the new bag's
     end = 0
@@ -78,7 +82,9 @@ def _copy_file(file: McapFile, writer: BagWriter, channels: dict[str, int], repo
                 elif opcode == Opcode.CHANNEL:
                     channel = file.parse_bytes(Channel, data, place.start)
                     if channel.topic not in channels:
-                        channels[channel.topic] = _add_topic(writer, channel, schemas[channel.schema_id])
+                        channels[channel.topic] = _add_topic(
+                            writer, channel, schemas[channel.schema_id]
+                        )
                     numbers[channel.id] = channels[channel.topic]
                 elif opcode == Opcode.METADATA:
                     _keep_note(writer, file.parse_bytes(Metadata, data, place.start))
@@ -105,9 +111,13 @@ def _records(file: McapFile, place: Place) -> Iterator[tuple[int, bytes]]:
 
 
 def _add_topic(writer: BagWriter, channel: Channel, schema: Schema) -> int:
-    definition = MessageSchema(schema.name, schema.data.decode(), channel.metadata.get("topic_type_hash", ""))
+    definition = MessageSchema(
+        schema.name, schema.data.decode(), channel.metadata.get("topic_type_hash", "")
+    )
     listed = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []
-    return writer.add_topic(channel.topic, definition, [OfferedQos.from_map(item) for item in listed])
+    return writer.add_topic(
+        channel.topic, definition, [OfferedQos.from_map(item) for item in listed]
+    )
 
 
 def _keep_note(writer: BagWriter, note: Metadata) -> None:

@@ -1,7 +1,8 @@
 """Message definitions and type hashes, read from the installed packages' share folders.
 
-A bag must explain itself on a machine where the packages are not installed: it carries the text of every message
-definition it needs. The texts and hashes are those that the interface generators installed, never built by hand.
+A bag must explain itself on a machine where the packages are not installed: it carries the text of
+every message definition it needs. The texts and hashes are those that the interface generators
+installed, never built by hand.
 """
 
 import json
@@ -16,9 +17,7 @@ from koop_bag.errors import BagError
 
 SEPARATOR = "=" * 80
 
-_BUILTIN = frozenset(
-    "bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 string wstring".split()
-)
+_BUILTIN = re.compile(r"(bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string)$")
 _FIELD_TYPE = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
 
 
@@ -33,7 +32,8 @@ class MessageSchema:
     text : str
         Root definition, then each dependency once after a separator line.
     type_hash : str
-        `RIHS01_...`, or empty where the package has no type description (readers accept that, but not a wrong one).
+        `RIHS01_...`, or empty where the package has no type description (readers accept that, but
+        not a wrong one).
     """
 
     name: str
@@ -49,7 +49,8 @@ def load_schema(type_name: str, prefixes: Sequence[str | Path] | None = None) ->
     type_name : str
         `pkg/msg/Type`, or `pkg/Type` for short.
     prefixes : sequence of path, optional
-        Install prefixes to search in order. Default: `AMENT_PREFIX_PATH`, then the Python environment's own.
+        Install prefixes to search in order. Default: `AMENT_PREFIX_PATH`, then the Python
+        environment's own.
 
     Raises
     ------
@@ -73,7 +74,9 @@ def load_schema(type_name: str, prefixes: Sequence[str | Path] | None = None) ->
 
     append_dependencies(parts[0], package)
     full_name = f"{package}/msg/{name}"
-    return MessageSchema(full_name, "\n".join(parts), _type_hash(root.with_suffix(".json"), full_name))
+    return MessageSchema(
+        full_name, "\n".join(parts), _type_hash(root.with_suffix(".json"), full_name)
+    )
 
 
 def _split(type_name: str) -> tuple[str, str]:
@@ -109,7 +112,7 @@ def _text(path: Path) -> str:
 def _dependencies(text: str, inside: str) -> Iterator[tuple[str, str]]:
     for line in text.splitlines():
         match = _FIELD_TYPE.match(line.partition("#")[0])
-        if match is None or match[1] in _BUILTIN:
+        if match is None or _BUILTIN.match(match[1]):
             continue
         parts = match[1].split("/")
         if match[1] == "Header":  # the one type that ROS lets stand without its package

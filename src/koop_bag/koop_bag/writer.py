@@ -1,4 +1,4 @@
-"""Writes a rosbag2 bag (ROS 2 Jazzy, MCAP): a folder with `<name>_0.mcap`, ... and `metadata.yaml`."""
+"""Writes a rosbag2 bag (ROS 2 Jazzy, MCAP): a folder of `<name>_N.mcap` and `metadata.yaml`."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -40,7 +40,10 @@ class WriterOptions:
     def __post_init__(self) -> None:
         if self.compression not in ("none", "zstd"):
             raise BagError(f"compression '{self.compression}' is not offered: none or zstd")
-        if self.chunk_bytes < 1024 or min(self.chunk_seconds, self.split_bytes, self.split_seconds) < 0:
+        if (
+            self.chunk_bytes < 1024
+            or min(self.chunk_seconds, self.split_bytes, self.split_seconds) < 0
+        ):
             raise BagError("chunk_bytes must be at least 1024, and no size or duration negative")
 
 
@@ -56,8 +59,8 @@ class BagWriter:
 
     Notes
     -----
-    After a `BagWriteError` the bag is closed: everything up to the last complete chunk is on the disk, with a summary
-    if there was room for it.
+    After a `BagWriteError` the bag is closed: everything up to the last complete chunk is on the
+    disk, with a summary if there was room for it.
     """
 
     def __init__(self, folder: str | Path, options: WriterOptions | None = None) -> None:
@@ -75,9 +78,13 @@ class BagWriter:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise BagWriteError(f"cannot create the folder {self.folder}: {error.strerror}") from error
+            raise BagWriteError(
+                f"cannot create the folder {self.folder}: {error.strerror}"
+            ) from error
         if any(self.folder.glob("*.mcap")):
-            raise BagWriteError(f"{self.folder} already holds a bag: choose another folder, nothing is overwritten")
+            raise BagWriteError(
+                f"{self.folder} already holds a bag: choose another folder, nothing is overwritten"
+            )
         self._chunk = _chunk_buffer(self.options)
         self._file = self._open_file()
 
@@ -91,7 +98,9 @@ class BagWriter:
         """The file being written."""
         return self._file.path
 
-    def add_topic(self, name: str, schema: MessageSchema, qos: Sequence[OfferedQos] = (OfferedQos(),)) -> int:
+    def add_topic(
+        self, name: str, schema: MessageSchema, qos: Sequence[OfferedQos] = (OfferedQos(),)
+    ) -> int:
         """Announce a topic; returns the channel that its messages are written to."""
         self._check_open()
         if any(topic.name == name for topic in self.topics):
@@ -99,28 +108,43 @@ class BagWriter:
         topic = TopicRecord(name, schema.name, schema.type_hash, tuple(qos))
         known = next((s for s, _ in self._channels if s.name == schema.name), None)
         number = len({s.id for s, _ in self._channels}) + 1
-        entry = known or Schema(id=number, data=schema.text.encode(), encoding="ros2msg", name=schema.name)
+        entry = known or Schema(
+            id=number, data=schema.text.encode(), encoding="ros2msg", name=schema.name
+        )
         channel = Channel(
             id=len(self._channels) + 1,
             topic=name,
             message_encoding="cdr",
-            metadata={"offered_qos_profiles": topic.qos_text(), "topic_type_hash": schema.type_hash},
+            metadata={
+                "offered_qos_profiles": topic.qos_text(),
+                "topic_type_hash": schema.type_hash,
+            },
             schema_id=entry.id,
         )
         self._guarded(lambda: self._file.add_channel(entry, channel))
         self.topics.append(topic)
         self._channels.append((entry, channel))
         self._sequences[channel.id] = 0
-        return channel.id
+        return len(self._channels)
 
-    def write(self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int | None = None) -> None:
-        """Write one serialized message; times in nanoseconds since the epoch. Sequence numbers count on from 1."""
+    def write(
+        self,
+        channel: int,
+        log_time: int,
+        publish_time: int,
+        data: bytes,
+        sequence: int | None = None,
+    ) -> None:
+        """Write one serialized message; times in nanoseconds since the epoch.
+
+        Without a `sequence` the numbers of a channel count on, beginning at 1.
+        """
         if sequence is not None:
             self._sequences[channel] = sequence - 1
         self.write_many(((log_time, channel, publish_time, data),))
 
     def write_many(self, rows: Iterable[Row]) -> None:
-        """Write messages (log time, channel, publish time, data) in the order in which they were received."""
+        """Write messages in the order in which they were received."""
         self._check_open()
         source = iter(rows)
         while self._chunk.add(source, self._sequences):
@@ -132,7 +156,7 @@ class BagWriter:
             self._write_chunk()
 
     def flush_due(self, now: int) -> None:
-        """Put the chunk in progress on the disk if its time is up; `now` in nanoseconds since the epoch."""
+        """Put the chunk in progress on the disk if its time is up; `now` in ns since the epoch."""
         if self._chunk.is_due(now):
             self.flush()
 
@@ -159,7 +183,10 @@ class BagWriter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -183,7 +210,9 @@ class BagWriter:
         chunk.clear()
         options = self.options
         too_large = options.split_bytes and file.size >= options.split_bytes
-        too_long = options.split_seconds and record.end - record.start >= options.split_seconds * 1e9
+        too_long = (
+            options.split_seconds and record.end - record.start >= options.split_seconds * 1e9
+        )
         if too_large or too_long:
             self._guarded(self._next_file)
 
@@ -206,10 +235,12 @@ class BagWriter:
             path.write_text(text, encoding="utf-8")
         except OSError as error:
             path.unlink(missing_ok=True)
-            raise BagWriteError(f"cannot write {path}: {error.strerror}; `koop bag recover` makes it again") from error
+            raise BagWriteError(
+                f"cannot write {path}: {error.strerror}; `koop bag recover` makes it again"
+            ) from error
 
     def _guarded(self, action: Callable[[], None]) -> None:
-        """Do a write; if it fails, close what is there as well as the disk allows before passing the error on."""
+        """Do a write; if it fails, close the bag as well as the disk allows before raising."""
         try:
             action()
         except BagWriteError:
@@ -218,7 +249,8 @@ class BagWriter:
             try:
                 self._finish_file()
                 self._write_description()
-            except (BagWriteError, ValueError):  # no room for the summary either, or the file is closed already
+            except (BagWriteError, ValueError):
+                # no room for the summary either, or the file is closed already
                 self._file.abandon()
             raise
 

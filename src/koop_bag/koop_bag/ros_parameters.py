@@ -1,0 +1,95 @@
+"""Collects the parameters of the nodes around the recorder."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any
+
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+
+
+class ParameterCollector:
+    """Asks every node of a namespace once for all its parameters.
+
+    Later changes need no asking: they are recorded from /parameter_events.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The asking node; its own parameters are included.
+    namespace : str
+        Nodes below it are asked.
+    """
+
+    def __init__(self, node: Node, namespace: str) -> None:
+        self._node = node
+        self._prefix = namespace.rstrip("/") + "/"
+        self._asked: dict[str, _Request] = {}
+        self.values: dict[str, dict[str, Any]] = {}
+        """Parameters by full node name."""
+        self._own = node.get_fully_qualified_name()
+
+    def look(self) -> bool:
+        """Ask nodes that are new, take answers in; return whether any has come."""
+        nodes = {
+            f"{namespace.rstrip('/')}/{name}"
+            for name, namespace in self._node.get_node_names_and_namespaces()
+            if not name.startswith("_")
+        }
+        before = len(self.values)
+        if self._own not in self.values:
+            own = self._node.get_parameters_by_prefix("").items()
+            self.values[self._own] = {name: _plain(item.value) for name, item in own}
+        for name in nodes:
+            if name.startswith(self._prefix) and name not in self.values | self._asked:
+                self._asked[name] = _Request(self._node, name)
+        for name, request in list(self._asked.items()):
+            request.advance()
+            if request.values is not None:
+                self.values[name] = request.values
+            if request.values is not None or name not in nodes:
+                request.close()
+                del self._asked[name]
+        return len(self.values) > before
+
+    def close(self) -> None:
+        """Give up what is still asked for."""
+        for request in self._asked.values():
+            request.close()
+        self._asked.clear()
+
+
+class _Request:
+    """Two calls to one node: which parameters are there, then their values."""
+
+    def __init__(self, node: Node, name: str) -> None:
+        self._node = node
+        self._list = node.create_client(ListParameters, f"{name}/list_parameters")
+        self._get = node.create_client(GetParameters, f"{name}/get_parameters")
+        self._future: Any = None
+        self._names: list[str] | None = None
+        self.values: dict[str, Any] | None = None
+
+    def advance(self) -> None:
+        if self._future is None:
+            if self._list.service_is_ready() and self._get.service_is_ready():
+                self._future = self._list.call_async(ListParameters.Request())
+        elif self._future.done():
+            answer = self._future.result()
+            if self._names is None:
+                self._names = list(answer.result.names)
+                self._future = self._get.call_async(GetParameters.Request(names=self._names))
+            else:
+                values = [_plain(parameter_value_to_python(value)) for value in answer.values]
+                self.values = dict(zip(self._names, values, strict=False))
+
+    def close(self) -> None:
+        self._node.destroy_client(self._list)
+        self._node.destroy_client(self._get)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value that YAML can hold: a list for any array."""
+    return list(value) if isinstance(value, array | tuple) else value
