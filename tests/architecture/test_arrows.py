@@ -1,0 +1,65 @@
+"""The arrows between the packages point one way, and only nodes know ROS."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+SRC = Path(__file__).parents[2] / "src"
+PACKAGES = {"koop_node", "vdp_plant", "koopman_lifter", "relay_esc", "koop_bag", "koop_lab"}
+MAY_IMPORT = {
+    "koop_node": set(),
+    "vdp_plant": {"koop_node"},
+    "koopman_lifter": {"koop_node"},
+    "relay_esc": {"koop_node"},
+    "koop_bag": {"koop_node"},
+    "koop_lab": PACKAGES,
+}
+ROS = {"rclpy", "koop_msgs", "std_msgs", "std_srvs", "rosgraph_msgs", "builtin_interfaces",
+       "diagnostic_msgs", "lifecycle_msgs", "rcl_interfaces", "ament_index_python"}  # fmt: skip
+
+
+def modules(package):
+    return sorted((SRC / package / package).rglob("*.py"))
+
+
+def imports(path, top_level_only=False):
+    """Return the names of the modules that a file imports."""
+    tree = ast.parse(path.read_text())
+    nodes = tree.body if top_level_only else ast.walk(tree)
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+
+
+@pytest.mark.parametrize("package", sorted(PACKAGES))
+def test_a_package_imports_only_what_lies_below_it(package):
+    assert modules(package)
+    for path in modules(package):
+        imported = {name.split(".")[0] for name in imports(path)} & PACKAGES
+        assert imported <= MAY_IMPORT[package] | {package}, path
+
+
+@pytest.mark.parametrize("package", ["vdp_plant", "koopman_lifter", "relay_esc"])
+def test_only_the_node_of_an_algorithm_imports_ros(package):
+    for path in modules(package):
+        known = {name.split(".")[0] for name in imports(path)} & ROS
+        glue = {name for name in imports(path) if name.startswith("koop_node")}
+        if path.name != "node.py":
+            assert not known, path
+            assert glue <= {"koop_node.config"}, path
+
+
+def test_the_node_modules_stay_thin():
+    for package in ("vdp_plant", "koopman_lifter", "relay_esc"):
+        lines = (SRC / package / package / "node.py").read_text().splitlines()
+        assert len(lines) <= 300, package
+
+
+def test_the_offline_commands_import_no_ros():
+    for path in modules("koop_lab"):
+        if path.name not in ("bare_chain.py",):
+            top = {name.split(".")[0] for name in imports(path, top_level_only=True)}
+            assert not top & ROS, path

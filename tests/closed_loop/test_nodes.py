@@ -1,0 +1,357 @@
+"""Each node alone, as a process, against a probe: parameters, lifecycle, services, bad input."""
+
+import math
+import signal
+import time
+
+import numpy as np
+import pytest
+from koop_lab.parameters import make
+from koop_lab.train import TrainingConfig, train
+from koop_msgs.msg import ControlInput, Cost, MeasuredState, PlantTruth
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
+from std_srvs.srv import SetBool, Trigger
+from vdp_plant.config import PlantConfig
+
+NODES = ("vdp_plant", "koopman_lifter", "relay_esc", "recorder")
+
+
+def ended(process, timeout=20.0):
+    return process.process.wait(timeout)
+
+
+def value_of(value):
+    if isinstance(value, bool):
+        return ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=value)
+    if isinstance(value, int):
+        return ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=value)
+    if isinstance(value, float):
+        return ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+    return ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=str(value))
+
+
+def set_parameters(probe, node, **values):
+    request = SetParametersAtomically.Request(
+        parameters=[Parameter(name=name, value=value_of(v)) for name, v in values.items()]
+    )
+    return probe.call(SetParametersAtomically, f"/{node}/set_parameters_atomically", request).result
+
+
+def get_parameter(probe, node, name):
+    answer = probe.call(
+        GetParameters, f"/{node}/get_parameters", GetParameters.Request(names=[name])
+    ).values[0]
+    return {
+        ParameterType.PARAMETER_DOUBLE: answer.double_value,
+        ParameterType.PARAMETER_INTEGER: answer.integer_value,
+        ParameterType.PARAMETER_STRING: answer.string_value,
+    }[answer.type]
+
+
+def change_state(probe, node, transition):
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return probe.call(ChangeState, f"/{node}/change_state", request).success
+
+
+def state_of(probe, node):
+    return probe.call(GetState, f"/{node}/get_state", GetState.Request()).current_state.label
+
+
+class Ask:
+    """Send one message and wait for the answer of the same step."""
+
+    def __init__(self, probe, in_type, in_topic, out_type, out_topic):
+        self.answers = probe.collect(out_type, out_topic)
+        self.publisher = probe.publisher(in_type, in_topic)
+        self.in_type, self.probe = in_type, probe
+
+    def __call__(self, step, **fields):
+        before = len(self.answers)
+        self.publisher.publish(self.in_type(step=step, **fields))
+        self.probe.spin_until(lambda: len(self.answers) > before, f"the answer to step {step}")
+        assert self.answers[-1].step == step
+        return self.answers[-1]
+
+
+@pytest.fixture
+def lifter(start, probe):
+    start("koopman_lifter")
+    return Ask(probe, MeasuredState, "state", Cost, "cost")
+
+
+@pytest.fixture
+def esc(start, probe):
+    start("relay_esc", dwell=0.0, step_size=0.01)
+    return Ask(probe, Cost, "cost", ControlInput, "theta")
+
+
+# -- start and end ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_node_with_exit_code_0(start, probe, tmp_path, node, number):
+    given = {"output": tmp_path / "run"} if node == "recorder" else {}
+    process = start(node, **given)
+    probe.spin_until(lambda: state_of(probe, node) == "active", f"{node} to be active")
+    asked = time.monotonic()
+    process.process.send_signal(number)
+    assert ended(process) == 0
+    print(f"{node} ended {time.monotonic() - asked:.2f} s after the signal")
+
+
+@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize(
+    ("parameter", "value", "message"),
+    [
+        ("dampening", "1.0", "error: unknown parameter dampening; this node has: autostart, "),
+        ("recorders", "-1", "error: recorders = -1: must be 0 to 10"),
+        ("autostart", "7", "error: autostart: expected bool, got 7"),
+    ],
+)
+def test_a_bad_parameter_stops_the_node_with_one_line(start, node, parameter, value, message):
+    process = start(node, **{parameter: value})
+    assert ended(process) == 2
+    text = process.log.read_text().strip()
+    assert text.startswith(message)
+    assert "\n" not in text
+
+
+def test_an_unreadable_parameter_file_is_named(start, tmp_path):
+    file = tmp_path / "params.yaml"
+    file.write_text("/**: {ros__parameters: [")
+    process = start("relay_esc", "--params-file", str(file))
+    assert ended(process) == 2
+    assert str(file) in process.log.read_text()
+    assert "Traceback" not in process.log.read_text()
+
+
+def test_a_model_that_does_not_fit_stops_the_lifter(start, tmp_path):
+    process = start("koopman_lifter", dt=0.01)
+    assert ended(process) == 1
+    assert "trained at dt = 0.005 s, this node runs at dt = 0.01 s" in process.log.read_text()
+
+
+def test_without_autostart_the_node_waits_to_be_configured(start, probe):
+    start("relay_esc", autostart="false")
+    assert state_of(probe, "relay_esc") == "unconfigured"
+    assert change_state(probe, "relay_esc", Transition.TRANSITION_CONFIGURE)
+    assert state_of(probe, "relay_esc") == "inactive"
+    assert change_state(probe, "relay_esc", Transition.TRANSITION_ACTIVATE)
+    assert state_of(probe, "relay_esc") == "active"
+    assert change_state(probe, "relay_esc", Transition.TRANSITION_DEACTIVATE)
+    assert change_state(probe, "relay_esc", Transition.TRANSITION_CLEANUP)
+    assert state_of(probe, "relay_esc") == "unconfigured"
+
+
+# -- parameters at run time ---------------------------------------------------------------------
+
+
+def test_a_change_is_taken_whole_or_refused_whole_with_the_reason(start, probe):
+    start("relay_esc")
+    refused = set_parameters(probe, "relay_esc", theta_min=1.0, theta_max=0.5)
+    assert not refused.successful
+    assert refused.reason == "theta_min = 1 must be below theta_max = 0.5"
+    assert get_parameter(probe, "relay_esc", "theta_min") == -5.0
+    refused = set_parameters(probe, "relay_esc", tau_f=5.0, dwell=-1.0)
+    assert not refused.successful
+    assert "dwell" in refused.reason
+    assert get_parameter(probe, "relay_esc", "tau_f") == 10.0
+    assert set_parameters(probe, "relay_esc", tau_f=5, dwell=1.0).successful
+    assert get_parameter(probe, "relay_esc", "dwell") == 1.0
+
+
+def test_what_cannot_change_is_read_only(start, probe):
+    start("relay_esc")
+    refused = set_parameters(probe, "relay_esc", dt=0.01)
+    assert not refused.successful
+    assert "read-only" in refused.reason
+
+
+def test_descriptors_carry_range_and_unit(start, probe):
+    start("relay_esc")
+    request = DescribeParameters.Request(names=["tau_f", "objective", "dt"])
+    tau_f, objective, dt = probe.call(
+        DescribeParameters, "/relay_esc/describe_parameters", request
+    ).descriptors
+    assert tau_f.description.endswith("[s]")
+    limits = tau_f.floating_point_range[0]
+    assert (limits.from_value, limits.to_value) == (1e-3, 1e4)
+    assert objective.additional_constraints == "one of minimise, maximise"
+    assert dt.read_only
+    assert not tau_f.read_only
+
+
+# -- lifter -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "x", [[1.0], [1.0, 2.0, 3.0], [], [math.nan, 0.0], [math.inf, 0.0], [1e300, 0.0]]
+)
+def test_a_state_that_cannot_be_used_costs_nan_and_the_lifter_goes_on(lifter, x):
+    lifter(0, x=[1.0, 2.0])
+    good = lifter(1, x=[1.1, 2.1])
+    assert math.isnan(lifter(2, x=x).r)
+    after = lifter(3, x=[1.2, 2.2])
+    assert math.isfinite(after.r)
+    assert after.r > 0.0
+    assert good.source == Cost.LIFTED
+    assert len(good.model_id) == 12
+
+
+def test_a_repeated_step_gets_the_same_answer_and_moves_no_filter(lifter):
+    first = [lifter(k, x=[float(k), 1.0]) for k in range(5)]
+    again = lifter(4, x=[99.0, 99.0])
+    assert (again.r, again.y_out) == (first[4].r, first[4].y_out)
+    continued = lifter(5, x=[5.0, 1.0])
+    back = [lifter(k, x=[float(k), 1.0]) for k in range(6)]  # the plant was started again
+    assert [b.r for b in back[:5]] == [f.r for f in first]
+    assert back[5].r == continued.r
+
+
+def test_the_cost_is_switched_at_run_time(lifter, probe):
+    x = [3.0, 4.0]
+    assert lifter(0, x=x).source == Cost.LIFTED
+    assert set_parameters(probe, "koopman_lifter", cost="raw").successful
+    raw = lifter(1, x=x)
+    assert raw.source == Cost.RAW
+    assert raw.y_out == pytest.approx(5.0 / math.sqrt(2.0))
+    assert raw.r == 0.0  # the detector starts anew: the old energy was another quantity
+    assert not set_parameters(probe, "koopman_lifter", cost="both").successful
+
+
+def test_the_model_is_replaced_at_run_time_or_refused(lifter, probe, tmp_path):
+    x = [3.0, 4.0]
+    before = lifter(0, x=x)
+    other = tmp_path / "other.npz"
+    train(PlantConfig(), TrainingConfig(trajectories=5, duration=10.0, degree=2, modes=4)).save(
+        other
+    )
+    broken = tmp_path / "broken.npz"
+    broken.write_bytes(other.read_bytes()[:500])
+    refused = set_parameters(probe, "koopman_lifter", model=str(broken))
+    assert not refused.successful
+    assert "broken.npz" in refused.reason
+    assert lifter(1, x=x).model_id == before.model_id
+    assert set_parameters(probe, "koopman_lifter", model=str(other)).successful
+    after = lifter(2, x=x)
+    assert after.model_id != before.model_id
+    assert after.y_out != before.y_out
+
+
+def test_an_inactive_lifter_is_silent(lifter, probe):
+    lifter(0, x=[1.0, 1.0])
+    assert change_state(probe, "koopman_lifter", Transition.TRANSITION_DEACTIVATE)
+    lifter.publisher.publish(MeasuredState(step=1, x=[1.0, 1.0]))
+    assert change_state(probe, "koopman_lifter", Transition.TRANSITION_ACTIVATE)
+    assert lifter(2, x=[1.0, 1.0]).step == 2
+    assert [answer.step for answer in lifter.answers] == [0, 2]
+
+
+# -- controller ---------------------------------------------------------------------------------
+
+
+def test_the_controller_holds_on_a_cost_that_is_not_finite(esc):
+    moved = [esc(k, r=1.0 - 0.01 * k) for k in range(5)]
+    assert moved[4].theta < moved[3].theta
+    held = [esc(5, r=math.nan), esc(6, r=math.inf)]
+    assert [h.holding for h in held] == [True, True]
+    assert {h.theta for h in held} == {moved[4].theta}
+    primed = esc(7, r=1e9)  # a jump while blind is no reason to turn back
+    after = esc(8, r=1e9 - 1.0)
+    assert not primed.holding
+    assert after.epsilon == moved[4].epsilon
+    assert after.theta < primed.theta == moved[4].theta
+
+
+def test_hold_and_reset(esc, probe):
+    esc(0, r=1.0)
+    moved = esc(1, r=0.9)
+    assert moved.theta == pytest.approx(1.99)
+    answer = probe.call(SetBool, "/relay_esc/hold", SetBool.Request(data=True))
+    assert answer.success
+    held = esc(2, r=0.8)
+    assert (held.holding, held.theta) == (True, moved.theta)
+    probe.call(SetBool, "/relay_esc/hold", SetBool.Request(data=False))
+    esc(3, r=0.7)
+    assert esc(4, r=0.6).theta == pytest.approx(1.98)
+    assert probe.call(Trigger, "/relay_esc/reset", Trigger.Request()).success
+    assert esc(5, r=0.5).theta == 2.0
+
+
+def test_an_inactive_controller_answers_with_the_held_theta(esc, probe):
+    esc(0, r=1.0)
+    moved = esc(1, r=0.9)
+    assert change_state(probe, "relay_esc", Transition.TRANSITION_DEACTIVATE)
+    held = [esc(k, r=0.9 - 0.1 * k) for k in range(2, 5)]
+    assert {h.theta for h in held} == {moved.theta}
+    assert all(h.holding for h in held)
+    assert change_state(probe, "relay_esc", Transition.TRANSITION_ACTIVATE)
+    esc(5, r=0.4)
+    assert esc(6, r=0.3).theta < moved.theta
+
+
+def test_another_cost_is_no_change_of_the_cost(esc):
+    esc(0, r=1.0, source=Cost.RAW)
+    esc(1, r=0.9, source=Cost.RAW)
+    other = esc(2, r=1e12, source=Cost.LIFTED, model_id="0123456789ab")
+    assert other.epsilon == ControlInput.DECREASE
+    assert other.hp == 0.0
+
+
+# -- plant --------------------------------------------------------------------------------------
+
+
+def test_lockstep_waits_for_theta_sends_again_and_names_the_silent_node(start, probe):
+    states = probe.collect(MeasuredState, "state")
+    theta = probe.node.create_publisher(ControlInput, "theta", 10)
+    process = start("vdp_plant", pace="lockstep", theta_timeout=0.2)
+    probe.spin_until(lambda: states and theta.get_subscription_count(), "step 0")
+    theta.publish(ControlInput(step=0, theta=1.0))
+    probe.spin_until(lambda: states[-1].step == 1, "step 1")
+    probe.spin_until(lambda: process.poll() is not None, "the plant to give up")
+    assert process.poll() == 1
+    assert [s.step for s in states] == [0, 1, 1, 1, 1]
+    text = process.log.read_text()
+    assert "no theta for step 1: the lifter (koopman_lifter) is silent on 'cost'" in text
+
+
+def test_the_plant_ends_after_its_duration_and_publishes_the_clock(start, probe):
+    from rosgraph_msgs.msg import Clock
+
+    states, clocks = probe.collect(MeasuredState, "state"), probe.collect(Clock, "/clock")
+    truths = probe.collect(PlantTruth, "truth")
+    process = start(
+        "vdp_plant", pace="scaled", time_scale=4.0, duration=0.5, publish_clock="true", recorders=0
+    )
+    assert_ends = probe.spin_until(lambda: process.poll() is not None, "the plant to end")
+    assert assert_ends
+    assert process.poll() == 0
+    assert [s.step for s in states] == list(range(100))
+    probe.spin_until(lambda: len(truths) > 90, "the truth")
+    stamps = np.array([c.clock.sec * 10**9 + c.clock.nanosec for c in clocks])
+    assert (np.diff(stamps) >= 5_000_000).all()
+
+
+def test_a_diverging_plant_says_so(start, probe):
+    probe.collect(MeasuredState, "state")
+    process = start(
+        "vdp_plant", pace="scaled", time_scale=100.0, integrator="euler", initial_state="[3e2, 3e2]"
+    )
+    assert probe.spin_until(lambda: process.poll() is not None, "the plant to end")
+    assert process.poll() == 1
+    assert "the plant diverged at step" in process.log.read_text()
+
+
+def test_the_defaults_of_the_nodes_are_the_paper_s_file(tmp_path):
+    from ament_index_python.packages import get_package_share_path
+    from koop_lab.parameters import read
+
+    paper = make(read(get_package_share_path("koop_bringup") / "config" / "paper.yaml"))
+    default = make({})
+    assert paper.plant == default.plant
+    assert paper.lifter == default.lifter
+    assert paper.esc == default.esc
