@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -50,6 +51,26 @@ def trajectory_kernel(
     return True
 
 
+def trajectories(
+    plant: PlantConfig, config: TrainingConfig
+) -> Iterator[NDArray[np.float64] | None]:
+    """Simulate the training trajectories one after the other.
+
+    Yields
+    ------
+    ndarray, shape (2, M + 1), or None
+        x'(t_k) of one trajectory, in a buffer that the next one reuses; None if it diverged.
+    """
+    if not config.corrupted:
+        plant = replace(plant, interference_amplitude_1=0.0, interference_amplitude_2=0.0)
+    rng = np.random.default_rng(config.seed)
+    states = np.empty((2, round(config.duration / plant.dt) + 1))
+    for _ in range(config.trajectories):
+        theta = rng.uniform(config.theta_low, config.theta_high)
+        x, y = rng.uniform(-3.0, 3.0, size=2)
+        yield states if trajectory_kernel(plant.params(), x, y, theta, states) else None
+
+
 def simulated_gram(plant: PlantConfig, config: TrainingConfig) -> tuple[Gram, int]:
     """Simulate the training trajectories and sum them up.
 
@@ -60,19 +81,13 @@ def simulated_gram(plant: PlantConfig, config: TrainingConfig) -> tuple[Gram, in
     dropped : int
         Trajectories left out because they diverged.
     """
-    if not config.corrupted:
-        plant = replace(plant, interference_amplitude_1=0.0, interference_amplitude_2=0.0)
-    rng = np.random.default_rng(config.seed)
     gram = Gram.empty(Monomials(2, config.degree))
-    states = np.empty((2, round(config.duration / plant.dt) + 1))
     dropped = 0
-    for _ in range(config.trajectories):
-        theta = rng.uniform(config.theta_low, config.theta_high)
-        x, y = rng.uniform(-3.0, 3.0, size=2)
-        if trajectory_kernel(plant.params(), x, y, theta, states):
-            gram.add_trajectory(states)
-        else:
+    for states in trajectories(plant, config):
+        if states is None:
             dropped += 1
+        else:
+            gram.add_trajectory(states)
     return gram, dropped
 
 

@@ -1,0 +1,169 @@
+"""What an experiment hands to the report: tables, figures and sentences that cite the tables."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+Cell = str | float | int | None
+
+
+def shown(value: Cell, form: str = ".4g") -> str:
+    """Return a cell as the report and the sentences print it."""
+    if value is None:
+        return "–"
+    if isinstance(value, str):
+        return value
+    if not math.isfinite(value):
+        return "diverged" if math.isinf(value) else "–"
+    return format(value, form)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: ``key`` in the CSV, ``title`` in the report, number format."""
+
+    key: str
+    title: str
+    form: str = ".4g"
+
+
+@dataclass
+class Table:
+    """A table of the report and a CSV file of its own.
+
+    Attributes
+    ----------
+    name : str
+        File name without suffix, and what sentences cite.
+    title : str
+        Caption.
+    columns : tuple of Column
+        The first one names the row.
+    rows : list of tuple
+        Cells in the order of the columns.
+    detail : bool
+        True if the report folds the table away.
+    """
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: list[tuple[Cell, ...]] = field(default_factory=list)
+    detail: bool = False
+
+    def cell(self, row: Cell, column: str) -> str:
+        """Return the text of one cell; ``row`` is the content of its first column.
+
+        Raises
+        ------
+        KeyError
+            If there is no such row or column.
+        """
+        index = [item.key for item in self.columns].index(column)
+        for cells in self.rows:
+            if cells[0] == row:
+                return shown(cells[index], self.columns[index].form)
+        raise KeyError(f"table {self.name} has no row {row!r}")
+
+    def texts(self) -> list[list[str]]:
+        """Return every cell as the report shows it."""
+        forms = [column.form for column in self.columns]
+        return [[shown(c, f) for c, f in zip(row, forms, strict=True)] for row in self.rows]
+
+    def csv(self) -> str:
+        """Return the table as CSV, ten significant digits, empty where there is no value."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow([column.key for column in self.columns])
+        for row in self.rows:
+            writer.writerow([_exact(cell) for cell in row])
+        return text.getvalue()
+
+
+def _exact(cell: Cell) -> str:
+    if cell is None:
+        return ""
+    return format(cell, ".10g") if isinstance(cell, float) else str(cell)
+
+
+@dataclass(frozen=True)
+class Series:
+    """One curve: ``line``, ``points``, ``steps`` or ``band`` (between ``y`` and ``upper``)."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float | None]
+    kind: str = "line"
+    upper: Sequence[float | None] = ()
+    color: int = 0
+
+
+@dataclass(frozen=True)
+class Heat:
+    """A coloured grid of numbers; ``values[i][j]`` belongs to ``y[i]`` and ``x[j]``."""
+
+    x: Sequence[str]
+    y: Sequence[str]
+    values: Sequence[Sequence[float | None]]
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes; ``ticks`` are the names of the positions 0, 1, 2... on the x axis."""
+
+    x_label: str
+    y_label: str
+    series: tuple[Series, ...] = ()
+    title: str = ""
+    log_x: bool = False
+    log_y: bool = False
+    level: float | None = None  # a dashed horizontal line, such as theta*
+    ticks: tuple[str, ...] = ()
+    heat: Heat | None = None
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels that are read together; ``columns`` of them stand side by side if there is room."""
+
+    name: str
+    caption: str
+    panels: tuple[Panel, ...]
+    columns: int = 1
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence whose every number is a cell of the cited table.
+
+    Attributes
+    ----------
+    text : str
+        The sentence.
+    table : str
+        Name of the table that carries it.
+    summary : bool
+        True if the report's summary repeats it.
+    """
+
+    text: str
+    table: str
+    summary: bool = False
+
+
+@dataclass
+class Section:
+    """One experiment's part of the report."""
+
+    name: str
+    title: str
+    intro: str
+    tables: list[Table] = field(default_factory=list)
+    figures: list[Figure] = field(default_factory=list)
+    claims: list[Claim] = field(default_factory=list)

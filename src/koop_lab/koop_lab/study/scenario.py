@@ -1,0 +1,140 @@
+"""What a run is exposed to beyond the paper's plant: noise, lost samples, a moving optimum.
+
+A moving optimum needs no other plant: the oscillator sees only theta - theta*, so an optimum that
+is displaced by s is the same plant fed with theta - s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from koop_node.config import parameter, validate
+from numpy.typing import NDArray
+from vdp_plant.config import PlantConfig
+
+
+@dataclass(frozen=True)
+class ScenarioConfig:
+    """Disturbances of one run; the defaults are the paper's: none.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a value has the wrong type or is out of range.
+    """
+
+    noise: float = parameter(
+        0.0, "standard deviation of white noise on each measured state", low=0.0, high=1e3
+    )
+    lost: float = parameter(0.0, "share of measured states that never arrive", low=0.0, high=0.99)
+    optimum_swing: float = parameter(
+        0.0, "amplitude of a sinusoidal motion of theta*", low=0.0, high=10.0
+    )
+    optimum_period: float = parameter(
+        1000.0, "period of that motion", unit="s", low=1.0, high=1e6
+    )
+    optimum_jump: float = parameter(
+        0.0, "theta* jumps by this much and back", low=-10.0, high=10.0
+    )
+    jump_every: float = parameter(
+        800.0, "time between two jumps of theta*", unit="s", low=1.0, high=1e6
+    )
+    interference_gain_y: float = parameter(
+        1.0, "interference on the second state relative to the first", low=-10.0, high=10.0
+    )
+    interference_lag_y: float = parameter(
+        0.0, "delay of the interference on the second state", unit="s", low=0.0, high=100.0
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+class Exposure(NamedTuple):
+    """Arrays of the kernel, one row a step; an array of length 0 switches its disturbance off.
+
+    Attributes
+    ----------
+    added : ndarray, shape (M, 2) or (0, 2)
+        Added to the measured state.
+    lost : ndarray of bool, shape (M,) or (0,)
+        True where the measured state does not arrive.
+    displaced : ndarray, shape (M,) or (0,)
+        Displacement of theta* from its configured value.
+    schedule : ndarray, shape (M,) or (0,)
+        Control input that replaces the controller.
+    """
+
+    added: NDArray[np.float64]
+    lost: NDArray[np.bool_]
+    displaced: NDArray[np.float64]
+    schedule: NDArray[np.float64]
+
+
+def interference(plant: PlantConfig, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return i(t) of the paper for an array of times [s]."""
+    return plant.interference_amplitude_1 * np.sin(
+        plant.interference_frequency_1 * t + plant.interference_phase_1
+    ) + plant.interference_amplitude_2 * np.sin(
+        plant.interference_frequency_2 * t + plant.interference_phase_2
+    )
+
+
+def second_channel(
+    config: ScenarioConfig, plant: PlantConfig, t: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what makes the second state's interference differ from the first's, shape (M,)."""
+    if config.interference_gain_y == 1.0 and config.interference_lag_y == 0.0:
+        return np.empty(0)
+    lagged = interference(plant, t - config.interference_lag_y)
+    return config.interference_gain_y * lagged - interference(plant, t)
+
+
+def displacement(config: ScenarioConfig, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the displacement of theta* at the times ``t`` [s]; empty if it stands still."""
+    if config.optimum_swing == 0.0 and config.optimum_jump == 0.0:
+        return np.empty(0)
+    swing = config.optimum_swing * np.sin(2.0 * np.pi * t / config.optimum_period)
+    jumps = config.optimum_jump * (np.floor(t / config.jump_every) % 2.0)
+    return np.asarray(swing + jumps)
+
+
+def expose(
+    config: ScenarioConfig,
+    plant: PlantConfig,
+    steps: int,
+    seed: int,
+    schedule: NDArray[np.float64] | None = None,
+) -> Exposure:
+    """Draw the disturbances of one run.
+
+    Parameters
+    ----------
+    config : ScenarioConfig
+        Which disturbances.
+    plant : PlantConfig
+        Whose interference and step size count.
+    steps : int
+        Length M of the run.
+    seed : int
+        Of noise and lost samples.
+    schedule : ndarray, shape (M,), optional
+        Control input for an open-loop run.
+    """
+    rng = np.random.default_rng([seed, 1])
+    t = np.arange(steps) * plant.dt
+    added = np.empty((0, 2))
+    second = second_channel(config, plant, t)
+    if config.noise > 0.0 or second.size:
+        added = rng.normal(0.0, config.noise, (steps, 2))
+        if second.size:
+            added[:, 1] += second
+    lost = np.empty(0, dtype=np.bool_)
+    if config.lost > 0.0:
+        lost = rng.random(steps) < config.lost
+        lost[0] = False  # the loop begins with the first state that arrives
+    return Exposure(
+        added, lost, displacement(config, t), np.empty(0) if schedule is None else schedule
+    )

@@ -1,0 +1,121 @@
+"""Experiment files: YAML in, checked dataclasses out.
+
+A file names its kind in ``experiment:`` and sets fields of that kind's configuration class; a
+mapping ``quick:`` replaces some of them for ``koop study --quick``.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+import yaml
+from koop_node.config import ConfigError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """``count`` consecutive seeds from ``first`` on."""
+
+    first: int
+    count: int
+
+    def __post_init__(self) -> None:
+        if self.first < 0 or not 1 <= self.count <= 100_000:
+            raise ConfigError(f"seeds from {self.first}, {self.count} of them: need at least one")
+
+    def list(self) -> list[int]:
+        """Return the seeds."""
+        return [*range(self.first, self.first + self.count)]
+
+
+def read_file(path: Path) -> dict[str, Any]:
+    """Return the content of a YAML file that holds one mapping.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If it cannot be read or is no mapping.
+    """
+    try:
+        content = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is no YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: must hold a mapping of settings")
+    return content
+
+
+def quickened(content: Mapping[str, Any], quick: bool) -> dict[str, Any]:
+    """Return the settings with those under ``quick`` in force, or left out."""
+    changes = content.get("quick", {})
+    if not isinstance(changes, Mapping):
+        raise ConfigError("quick: must be a mapping of settings")
+    rest = {name: value for name, value in content.items() if name != "quick"}
+    return {**rest, **changes} if quick else rest
+
+
+def parse(kind: type[T], content: Any, where: str) -> T:
+    """Build a configuration dataclass from YAML content.
+
+    Parameters
+    ----------
+    kind : type
+        A frozen dataclass with annotated fields: numbers, strings, mappings, tuples of them, or
+        other dataclasses.
+    content : object
+        What YAML gave.
+    where : str
+        Begin of an error message.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a key is unknown (the nearest known one is named) or missing, or a value does not fit.
+    """
+    if not isinstance(content, Mapping):
+        raise ConfigError(f"{where}: expected a mapping, got {content!r}")
+    hints = get_type_hints(kind)
+    known = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
+    for key in content:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), list(known), n=1, cutoff=0.5)
+            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
+            raise ConfigError(f"{where}: unknown key '{key}': {hint}")
+    values = {key: convert(hints[key], content[key], f"{where}: {key}") for key in content}
+    for name, item in known.items():
+        if name not in values and item.default is MISSING and item.default_factory is MISSING:
+            raise ConfigError(f"{where}: '{name}' is missing")
+    try:
+        return kind(**values)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from None
+
+
+def convert(hint: Any, value: Any, where: str) -> Any:
+    """Return ``value`` as the annotation ``hint`` wants it; raise ConfigError if it cannot be."""
+    origin, args = get_origin(hint), get_args(hint)
+    if is_dataclass(hint):
+        return parse(hint, value, where)  # type: ignore[arg-type]
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise ConfigError(f"{where}: expected a list, got {value!r}")
+        return tuple(convert(args[0], item, f"{where}[{i}]") for i, item in enumerate(value))
+    if origin is dict:
+        if not isinstance(value, Mapping):
+            raise ConfigError(f"{where}: expected a mapping, got {value!r}")
+        return {str(key): convert(args[1], item, f"{where}.{key}") for key, item in value.items()}
+    if hint is Any:
+        return value
+    if hint is float and type(value) is int:
+        return float(value)
+    if type(value) is not hint:
+        raise ConfigError(f"{where}: expected {hint.__name__}, got {value!r}")
+    return value
