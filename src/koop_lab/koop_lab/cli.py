@@ -12,6 +12,7 @@ COMMANDS = (
     "koop_lab.simulate_command",
     "koop_lab.train_command",
     "koop_lab.bench",
+    "koop_lab.study.command",
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -104,7 +105,7 @@ def _figure(cost: str, trace: dict[str, Any]) -> Figure:
         return Panel("t [s]", label, (Series(label, trace["t"], low, "band", high, color),), level=level)
 
     return Figure(
-        f"closed_loop_{cost}",
+        f"closed_loop_{re.sub(r'[^a-z]+', '_', cost)}",
         f"Closed loop with the {cost} cost: true state, cost, θ with θ* dashed.",
         (
             panel("x", "x", 0),

@@ -31,15 +31,15 @@ class Learned:
         Sums over all snapshot pairs, as in ``koop_lab.train``.
     covariances : ndarray, shape (T, p, p)
         Covariance of the observables over the settled part of each of T trajectories.
-    mean : ndarray, shape (p,)
-        Mean of the observables over all trajectories' settled parts.
+    means : ndarray, shape (T, p)
+        Mean of the observables over the same parts.
     dropped : int
         Trajectories left out because they diverged.
     """
 
     gram: Gram
     covariances: NDArray[np.float64]
-    mean: NDArray[np.float64]
+    means: NDArray[np.float64]
     dropped: int
 
 
@@ -69,4 +69,4 @@ def _learn(plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfi
         means.append(mean)
     if not covariances:
         raise ValueError("every training trajectory diverged")
-    return Learned(gram, np.array(covariances), np.mean(means, axis=0), dropped)
+    return Learned(gram, np.array(covariances), np.array(means), dropped)

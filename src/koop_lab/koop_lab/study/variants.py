@@ -146,14 +146,14 @@ def _contrast(
     n, p = learned.gram.observables.n, learned.gram.observables.p
     order = np.argsort(amplitudes(learned), kind="stable")
     count = max(1, round(QUARTILE * order.size))
+    weak, strong = order[:count], order[-count:]
     linear = learned.covariances[:, 1 : n + 1, 1 : n + 1]
-    low, high = linear[order[:count]].mean(axis=0), linear[order[-count:]].mean(axis=0)
-    _, directions = scipy.linalg.eigh(high, low)
-    direction = directions[:, -1]
-    direction = direction / np.abs(direction).sum() * np.sign(direction[np.argmax(np.abs(direction))])
-    rows = np.zeros((int(model.kept.sum()), p))  # as many rows as a model file of N modes has
+    _, directions = scipy.linalg.eigh(linear[strong].mean(axis=0), linear[weak].mean(axis=0))
+    direction = directions[:, -1] / np.abs(directions[:, -1]).sum()
+    rows = np.zeros((int(model.kept.sum()), p))  # as many as a model file of N modes has
     rows[0, 1 : n + 1] = direction
-    rows[0, 0] = -direction @ learned.mean[1 : n + 1]
+    # the centre of the oscillation; a strong one is too slow for its mean to tell
+    rows[0, 0] = -direction @ learned.means[weak, 1 : n + 1].mean(axis=0)
     return replace(model, projector=rows)
 
 
