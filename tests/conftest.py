@@ -11,7 +11,9 @@ from typing import Any
 
 import pytest
 
-TIMEOUT = 30.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well
+TIMEOUT = (
+    30.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well
+)
 _domains = itertools.count(int(os.environ.get("ROS_DOMAIN_ID", os.getpid())))
 
 

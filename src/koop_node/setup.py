@@ -14,6 +14,6 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="The little ROS glue that the nodes share: parameters from a config class, QoS, spinning, shutdown.",
+    description="The ROS glue that the nodes share: parameters, lifecycle, QoS, shutdown.",
     license="Apache-2.0",
 )

@@ -15,7 +15,7 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="Koopman lifting: observables, EDMD, mode selection, model file, cost; and a thin node.",
+    description="Koopman lifting: observables, EDMD, modes, model file, cost; and a thin node.",
     license="Apache-2.0",
     entry_points={"console_scripts": ["lifter = koopman_lifter.node:main"]},
 )

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+
 from koop_lab.live import LiveError, LiveLoop
 from koop_lab.loop import simulate
 from koop_lab.parameters import make
@@ -105,9 +106,7 @@ def test_simulated_time_is_stamped_and_the_truth_says_which_theta_acted(tmp_path
 def test_a_node_that_fails_ends_the_run_with_its_own_words(tmp_path):
     broken = tmp_path / "broken.npz"
     broken.write_bytes(b"PK")
-    parameters = make(
-        {"vdp_plant": {"pace": "lockstep"}, "koopman_lifter": {"model": str(broken)}}
-    )
+    parameters = make({"vdp_plant": {"pace": "lockstep"}, "koopman_lifter": {"model": str(broken)}})
     with (
         LiveLoop(tmp_path / "run", parameters) as loop,
         pytest.raises(LiveError, match=r"koopman_lifter ended with exit code 1:(.|\n)*broken.npz"),

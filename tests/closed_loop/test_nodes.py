@@ -6,14 +6,15 @@ import time
 
 import numpy as np
 import pytest
-from koop_lab.parameters import make
-from koop_lab.train import TrainingConfig, train
 from koop_msgs.msg import ControlInput, Cost, MeasuredState, PlantTruth
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
 from std_srvs.srv import SetBool, Trigger
+
+from koop_lab.parameters import make
+from koop_lab.train import TrainingConfig, train
 from vdp_plant.config import PlantConfig
 
 NODES = ("vdp_plant", "koopman_lifter", "relay_esc", "recorder")
@@ -348,6 +349,7 @@ def test_a_diverging_plant_says_so(start, probe):
 
 def test_the_defaults_of_the_nodes_are_the_paper_s_file(tmp_path):
     from ament_index_python.packages import get_package_share_path
+
     from koop_lab.parameters import read
 
     paper = make(read(get_package_share_path("koop_bringup") / "config" / "paper.yaml"))

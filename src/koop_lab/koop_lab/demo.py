@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import time
 from datetime import datetime, timezone
 from pathlib import Path
@@ -22,7 +21,7 @@ from koop_lab.recorded import RecordedRun, read_run
 from koop_lab.static import optimal_cost
 from koop_lab.table import metrics_table
 
-BAR = "{desc:<10} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s  {postfix}"
+BAR = "{desc:<10} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
 
 def register(commands: Any) -> None:
@@ -105,24 +104,19 @@ def run_with_progress(folder: Path, parameters: LoopParameters) -> float:
     steps = round(parameters.pace.duration / dt)
     started = time.monotonic()
     with (
-        tqdm(total=steps * dt, unit="s", desc="connecting", bar_format=BAR) as bar,
+        tqdm(total=steps * dt, unit="s", desc="connecting", bar_format=BAR, disable=None) as bar,
         LiveLoop(folder, parameters) as loop,
     ):
-        begun: list[tuple[float, int]] = []  # time and step when the loop was first seen running
 
         def show(progress: Progress) -> None:
             if progress.step == 0:
                 bar.refresh()
                 return
-            now = time.monotonic()
-            if not begun:
-                begun.append((now, progress.step))
-                bar.set_description_str("damping")
-            since, step = begun[0]
-            factor = (progress.step - step) * dt / (now - since) if now > since else math.nan
+            bar.set_description_str("damping", refresh=False)
             bar.n = round(progress.step * dt, 1)
             bar.set_postfix_str(
-                f"θ = {progress.theta:+.2f}, r = {progress.r:.3g}, {factor:.1f}x real time"
+                f"θ = {progress.theta:+.2f}, r = {progress.r:.3g}, "
+                f"{progress.steps_per_second * dt:.1f} x real time"
             )
 
         loop.run(show)
@@ -139,7 +133,7 @@ def write_results(
     from koop_lab.plot import plot_run  # matplotlib takes half a second to import
 
     dt = parameters.plant.dt
-    t = run.step * dt
+    t = run.t(dt)
     model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
     metrics = evaluate(
         t, run.theta, run.r, parameters.plant.theta_star, optimal_cost(parameters, model)

@@ -87,6 +87,7 @@ class Progress:
     """What /diagnostics last said about the loop."""
 
     step: int = 0
+    steps_per_second: float = math.nan
     theta: float = math.nan
     r: float = math.nan
     values: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -130,6 +131,7 @@ class Monitor:
             self.progress.values[node] = values
             if node == "vdp_plant":
                 self.progress.step = int(values.get("step", self.progress.step))
+                self.progress.steps_per_second = float(values["rate_hz"])
                 self.progress.theta = float(values.get("theta", self.progress.theta))
             elif node == "koopman_lifter":
                 self.progress.r = float(values.get("r", self.progress.r))
@@ -196,9 +198,10 @@ class LiveLoop:
                 monitor.spin(0.2)
                 on_progress(monitor.progress)
                 if monitor.other_loops() > 1:
+                    domain = os.environ.get("ROS_DOMAIN_ID", "0")
                     raise LiveError(
                         "another loop runs on this ROS domain; "
-                        f"set ROS_DOMAIN_ID (now {os.environ.get('ROS_DOMAIN_ID', '0')}) to a free one"
+                        f"set ROS_DOMAIN_ID (now {domain}) to a free one"
                     )
                 for node, process in self._nodes.items():
                     if node != "vdp_plant" and process.poll() is not None:

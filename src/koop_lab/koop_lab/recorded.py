@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from koop_bag.columns import read_columns
 from koop_bag.losses import count_losses
 from koop_bag.reader import BagReader
-from numpy.typing import NDArray
-
 from koop_lab.parameters import LoopParameters, make, read
 
 FIELDS = {
@@ -53,6 +53,10 @@ class RecordedRun:
     counts: dict[str, int]
     duration: float
     state_time: NDArray[np.float64]
+
+    def t(self, dt: float) -> NDArray[np.float64]:
+        """Return t_k = k dt [s], shape (M,)."""
+        return np.asarray(self.step * dt, dtype=np.float64)
 
 
 def read_run(bag: Path, namespace: str = "/") -> RecordedRun:

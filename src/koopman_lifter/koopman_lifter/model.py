@@ -124,7 +124,7 @@ class KoopmanModel:
                 # np.savez would write the time of day into the archive
                 info = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
                 with archive.open(info, "w") as file:
-                    np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+                    np.save(file, np.ascontiguousarray(array), allow_pickle=False)
 
 
 def build(

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
+
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, shipped_model
 from koopman_lifter.model import load
-from scipy.signal import lfilter
 
 
 def detector(config, samples):

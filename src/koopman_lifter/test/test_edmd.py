@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from koopman_lifter.edmd import Gram, edmd
 from koopman_lifter.modes import Modes, decompose, projector, select_by_energy
 from koopman_lifter.observables import Monomials
@@ -96,9 +97,7 @@ def test_energies_are_the_mean_square_of_the_modal_coefficients():
     lifted = np.hstack([observables.lift(states[:, :-1]) for states in data])
     coefficients = np.linalg.pinv(modes.vectors) @ lifted
     # V's own condition enters the pseudo-inverse of this direct computation
-    np.testing.assert_allclose(
-        modes.energies, (np.abs(coefficients) ** 2).mean(axis=1), rtol=1e-4
-    )
+    np.testing.assert_allclose(modes.energies, (np.abs(coefficients) ** 2).mean(axis=1), rtol=1e-4)
     np.testing.assert_allclose(np.linalg.norm(modes.vectors, axis=0), 1.0)
 
 

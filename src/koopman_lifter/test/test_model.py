@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from koopman_lifter.config import shipped_model
 from koopman_lifter.model import ModelError, load
 
@@ -64,7 +65,7 @@ def test_a_truncated_file_is_refused(tmp_path, share):
     raw = shipped_model().read_bytes()
     path = tmp_path / "cut.npz"
     path.write_bytes(raw[: int(share * len(raw))])
-    with pytest.raises(ModelError, match="cut.npz: .*make a new one with 'koop train'"):
+    with pytest.raises(ModelError, match=r"cut\.npz: .*make a new one with 'koop train'"):
         load(path)
 
 
@@ -127,7 +128,7 @@ def test_what_does_not_fit_is_refused_with_the_reason(tmp_path, change, message)
 
 
 def test_a_missing_file_and_a_missing_entry_are_named(tmp_path):
-    with pytest.raises(ModelError, match="nowhere.npz: cannot be read: No such file"):
+    with pytest.raises(ModelError, match=r"nowhere\.npz: cannot be read: No such file"):
         load(tmp_path / "nowhere.npz")
     content = entries(shipped_model())
     del content["V_dom"]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from koopman_lifter.observables import Monomials, lift_into
 
 

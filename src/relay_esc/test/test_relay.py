@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
+
 from koop_node.config import ConfigError
 from relay_esc import relay
 from relay_esc.config import EscConfig
-from scipy.signal import lfilter
 
 
 def run(config: EscConfig, costs, state=None):
@@ -93,7 +94,9 @@ def test_a_jump_of_the_cost_during_a_hold_causes_no_flip():
 def test_the_compiled_kernel_is_the_python_function():
     config = EscConfig()
     state = relay.step(config.params(), config.initial(), 3.0)
-    assert relay.step(config.params(), state, 4.0) == relay.step.py_func(config.params(), state, 4.0)
+    assert relay.step(config.params(), state, 4.0) == relay.step.py_func(
+        config.params(), state, 4.0
+    )
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from koop_node.config import ConfigError
 from scipy.integrate import solve_ivp
+
+from koop_node.config import ConfigError
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 
@@ -47,9 +48,7 @@ def test_halving_the_step_reduces_the_error_by_the_order_of_the_integrator(integ
     exact = reference(config, THETA, START, HORIZON)
     steps = np.array([400, 800, 1600])
     errors = [
-        np.linalg.norm(
-            integrate(replace(config, dt=HORIZON / n), THETA, START, n) - exact
-        )
+        np.linalg.norm(integrate(replace(config, dt=HORIZON / n), THETA, START, n) - exact)
         for n in steps
     ]
     slopes = np.log2(np.array(errors[:-1]) / errors[1:])

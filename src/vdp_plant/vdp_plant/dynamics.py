@@ -131,5 +131,5 @@ def measure(p: PlantParams, k: int, x: float, y: float) -> tuple[float, float]:
 
 
 def initial_state(seed: int) -> NDArray[np.float64]:
-    """Draw [x(0), y(0)], shape (2,), uniform in [-3, 3] from a seed (the paper's training range)."""
+    """Draw [x(0), y(0)], shape (2,), from a seed: uniform in [-3, 3], as in the training."""
     return np.random.default_rng(seed).uniform(-3.0, 3.0, size=2)
