@@ -17,7 +17,8 @@ set_up_what_is_missing() {
     flock 9
   fi
   : >"$LOG"
-  # An other call may have done it while this one waited.
+  [[ $UNDERLAY == wheels ]] || check_underlay
+  # Another call may have done it while this one waited.
   venv_is_fresh || set_up_venv
   ws_is_fresh || set_up_workspace
   exec 9<&-
@@ -63,14 +64,13 @@ EOF
 
 # Set PYTHON and PYTHON_HAS: KOOP_PYTHON, else the first that lacks nothing, else the first that works at all.
 choose_python() {
-  local candidate found
+  local candidate found candidates=("${PYTHONS[@]}")
   PYTHON='' PYTHON_HAS=''
   if [[ -n ${KOOP_PYTHON:-} ]]; then
-    PYTHON_HAS=$(probe "$KOOP_PYTHON") || die 4 "KOOP_PYTHON=$KOOP_PYTHON is not a Python 3.10 to 3.13"
-    PYTHON=$(command -v "$KOOP_PYTHON")
-    return
+    candidates=("$KOOP_PYTHON")
+    probe "$KOOP_PYTHON" >/dev/null || die 4 "KOOP_PYTHON=$KOOP_PYTHON is not a Python 3.10 to 3.13"
   fi
-  for candidate in "${PYTHONS[@]}"; do
+  for candidate in "${candidates[@]}"; do
     found=$(probe "$candidate") || continue
     [[ $UNDERLAY == wheels ]] || "$candidate" -c 'import rclpy' 2>/dev/null || continue
     if [[ $found == *' 1 1' || -z $PYTHON ]]; then
@@ -78,6 +78,16 @@ choose_python() {
     fi
     [[ $found != *' 1 1' ]] || break
   done
+}
+
+# Fall back on the wheels where no Python can import the sourced ROS 2, and remember that.
+check_underlay() {
+  choose_python
+  [[ -z $PYTHON ]] || return 0
+  say "a ROS 2 Jazzy is sourced, but no Python here can import its rclpy: the Jazzy wheels are used"
+  printf '%s' "$UNDERLAY" >"$REFUSED"
+  UNDERLAY=wheels
+  clean_environment
 }
 
 # Print the Debian packages that are missing for PYTHON and a compiler.
@@ -121,9 +131,9 @@ ensure_system_packages() {
 
 # --- .venv ------------------------------------------------------------------------------------------------------------
 
-# An environment of the same place, underlay and interpreter is kept: pip then installs only what differs, be it after a
+# An environment of the same place, ROS 2 and interpreter is kept: pip then installs only what differs, be it after a
 # set-up that was interrupted or because of new pins.
-venv_origin() { venv_place; python_id "$PYTHON"; }
+venv_origin() { venv_place; python_id "$PYTHON"; sha256sum <"$ROOT/requirements/ros.txt"; }
 venv_is_of_same_origin() {
   [[ -f $VENV_ORIGIN && $(<"$VENV_ORIGIN") == "$(venv_origin)" ]] && "$VENV/bin/python" -m pip --version &>/dev/null
 }
@@ -136,8 +146,9 @@ set_up_venv() {
   [[ -n $PYTHON ]] || choose_python
   [[ -n $PYTHON ]] || die 4 "no Python 3.10 to 3.13 found; name one with KOOP_PYTHON=/path/to/python"
 
-  rm -f "$VENV_STAMP" "$WS_STAMP"
+  rm -f "$VENV_STAMP"
   if ! venv_is_of_same_origin; then
+    rm -f "$WS_STAMP"
     local options=(--clear)
     [[ $UNDERLAY == wheels ]] || options+=(--system-site-packages)
     step "Creating .venv with $PYTHON (${PYTHON_HAS%% *})" "$PYTHON" -m venv "${options[@]}" "$VENV"

@@ -1,0 +1,289 @@
+"""The entry script, with a stand-in for Python and colcon: nothing is installed or built."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+REPOSITORY = HERE.parent.parent
+# What koop needs of the system. No apt-get: a test must never install anything.
+TOOLS = (
+    "bash", "basename", "cat", "chmod", "comm", "cp", "dirname", "env", "find", "flock", "grep",
+    "mkdir", "mv", "readlink", "rm", "sed", "sha256sum", "sleep", "sort", "tail", "touch", "tr",
+    "uname", "xargs",
+)  # fmt: skip
+ROS_VARIABLES = ("AMENT_PREFIX_PATH", "ROS_DISTRO", "PYTHONPATH", "LD_LIBRARY_PATH")
+
+
+class Clone:
+    """A clone of the repository, cut down to the script and two small packages."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "a clone"
+        self.tools = folder / "tools"
+        self.calls_file = folder / "calls"
+        for name in ("koop", "scripts", "requirements"):
+            source, target = REPOSITORY / name, self.root / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
+        for package in ("first", "second"):
+            module = self.root / "src" / package / package / "module.py"
+            module.parent.mkdir(parents=True)
+            module.touch()
+            (module.parent.parent / "package.xml").write_text(package)
+        (self.root / "ros2_ws").mkdir()
+        (self.root / "ros2_ws/src").symlink_to("../src")
+
+        self.tools.mkdir()
+        for tool in TOOLS:
+            (self.tools / tool).symlink_to(shutil.which(tool) or f"/missing/{tool}")
+        for compiler in ("gcc", "g++"):
+            self.add_tool(compiler, "exit 0")
+        shutil.copy(HERE / "fake_python", self.tools / "python3.11")
+        shutil.copy(HERE / "fake_colcon", self.tools)
+
+    def add_tool(self, name: str, script: str) -> None:
+        path = self.tools / name
+        path.write_text(f"#!/usr/bin/env bash\n{script}\n")
+        path.chmod(0o755)
+
+    def start(self, *arguments: str, **environment: str) -> subprocess.Popen[str]:
+        environment = {"PATH": str(self.tools), "CALLS": str(self.calls_file), **environment}
+        return subprocess.Popen(
+            [self.root / "koop", *arguments],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def koop(self, *arguments: str, **environment: str) -> tuple[int, str, str]:
+        """Return exit code, standard output and standard error."""
+        process = self.start(*arguments, **environment)
+        out, err = process.communicate(timeout=60)
+        return process.returncode, out, err
+
+    def calls(self) -> list[str]:
+        """The costly calls since the last time this was asked."""
+        if not self.calls_file.exists():
+            return []
+        calls = self.calls_file.read_text().splitlines()
+        self.calls_file.unlink()
+        return calls
+
+
+@pytest.fixture
+def clone(tmp_path: Path) -> Clone:
+    return Clone(tmp_path)
+
+
+@pytest.fixture
+def ready(clone: Clone) -> Clone:
+    code, _, err = clone.koop("setup")
+    assert code == 0, err
+    clone.calls()
+    return clone
+
+
+def test_first_call_makes_the_environment_and_builds_every_package(clone: Clone) -> None:
+    assert clone.koop("setup")[0] == 0
+    venv, pip, colcon = clone.calls()
+    assert venv.startswith("-m venv")
+    assert "--no-deps" in pip
+    assert "ros.txt" in pip
+    assert "--packages-select first second " in colcon
+
+
+def test_second_call_runs_neither_pip_nor_colcon(ready: Clone) -> None:
+    assert ready.koop("shell", "-c", "echo hello") == (0, "hello\n", "")
+    assert ready.calls() == []
+
+
+def test_help_sets_nothing_up(clone: Clone) -> None:
+    code, out, _ = clone.koop("--help")
+    assert code == 0
+    assert "usage: ./koop COMMAND" in out
+    assert not (clone.root / ".venv").exists()
+
+
+def test_other_commands_go_to_koop_lab_with_their_arguments(ready: Clone) -> None:
+    assert ready.koop("demo", "--seed", "4")[1] == "python -m koop_lab demo --seed 4\n"
+
+
+def test_include_paths_of_the_build_machine_are_replaced(ready: Clone) -> None:
+    assert (ready.root / ".venv/share/export.cmake").read_text().splitlines() == [
+        '"/fake/include/python3.11;/kept"',
+        '"/fake/numpy/_core/include"',
+    ]
+
+
+def test_failed_step_shows_its_last_lines_and_the_next_call_goes_on_there(
+    clone: Clone, tmp_path: Path
+) -> None:
+    broken = tmp_path / "broken"
+    broken.touch()
+    code, _, err = clone.koop("setup", FAIL_PIP=str(broken))
+    assert code == 1
+    assert "pip's last words" in err
+    assert str(clone.root / "ros2_ws/log/koop-setup.log") in err
+    clone.calls()
+
+    broken.unlink()
+    assert clone.koop("setup", FAIL_PIP=str(broken))[0] == 0
+    assert [call.split()[1] for call in clone.calls()] == ["pip", "build"]
+
+
+def test_changed_pins_are_installed_without_a_new_environment_or_build(ready: Clone) -> None:
+    with (ready.root / "requirements/python.txt").open("a") as file:
+        file.write("# changed\n")
+    assert ready.koop("setup")[0] == 0
+    (pip,) = ready.calls()
+    assert pip.startswith("-m pip install")
+
+
+def test_changed_ros_wheels_make_a_new_environment_and_build(ready: Clone) -> None:
+    with (ready.root / "requirements/ros.txt").open("a") as file:
+        file.write("# changed\n")
+    assert ready.koop("setup")[0] == 0
+    assert [call.split()[1] for call in ready.calls()] == ["venv", "pip", "build"]
+
+
+def test_moved_clone_is_set_up_again(ready: Clone) -> None:
+    ready.root = ready.root.rename(ready.root.with_name("moved"))
+    assert ready.koop("setup")[0] == 0
+    assert [call.split()[1] for call in ready.calls()] == ["venv", "pip", "build"]
+
+
+def test_edited_module_needs_no_build(ready: Clone) -> None:
+    (ready.root / "src/first/first/module.py").write_text("changed")
+    assert ready.koop("setup")[0] == 0
+    assert ready.calls() == []
+
+
+def test_edited_package_file_builds_that_package_only(ready: Clone) -> None:
+    (ready.root / "src/second/package.xml").write_text("changed")
+    assert ready.koop("setup")[0] == 0
+    (colcon,) = ready.calls()
+    assert "--packages-select second " in colcon
+
+
+def test_removed_package_leaves_nothing_behind(ready: Clone) -> None:
+    shutil.rmtree(ready.root / "src/second")
+    assert ready.koop("setup")[0] == 0
+    assert ready.calls() == []
+    assert not (ready.root / "ros2_ws/install/second").exists()
+    assert ready.koop("run", "second", "tell")[0] == 2
+
+
+def test_concurrent_calls_set_up_once(clone: Clone) -> None:
+    processes = [clone.start("shell", "-c", "true", SLOW_PIP="1") for _ in range(3)]
+    errors = [process.communicate(timeout=60)[1] for process in processes]
+    assert [process.returncode for process in processes] == [0, 0, 0], errors
+    assert [call.split()[1] for call in clone.calls()] == ["venv", "pip", "build"]
+
+
+def test_run_passes_arguments_and_exit_code(ready: Clone) -> None:
+    code, out, _ = ready.koop("run", "first", "tell", "two words", "--ros-args", "")
+    assert (code, out) == (7, "<two words><--ros-args><>")
+
+
+@pytest.mark.parametrize("arguments", [(), ("first",), ("absent", "tell"), ("first", "absent")])
+def test_run_of_something_unknown_lists_what_there_is(
+    ready: Clone, arguments: tuple[str, ...]
+) -> None:
+    code, out, err = ready.koop("run", *arguments)
+    assert (code, out) == (2, "")
+    assert "  first tell\n" in err
+
+
+def test_tests_run_in_a_domain_of_their_own(ready: Clone) -> None:
+    shell = "echo $ROS_AUTOMATIC_DISCOVERY_RANGE"
+    assert ready.koop("shell", "-c", shell)[1] == "LOCALHOST\n"
+    assert ready.koop("shell", "-c", shell, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")[1] == "SUBNET\n"
+    (ready.root / ".venv/bin/python").write_text('#!/bin/sh\necho "$ROS_DOMAIN_ID $*"\n')
+    domain, arguments = ready.koop("test", "-k", "x", ROS_DOMAIN_ID="200")[1].split(maxsplit=1)
+    assert 1 <= int(domain) <= 101
+    assert arguments == "-m pytest -k x\n"
+
+
+@pytest.mark.parametrize(
+    ("compiler", "package"), [("g++", "g++"), ("gcc", "gcc")], ids=["c++", "c"]
+)
+def test_missing_compiler_is_named_where_it_cannot_be_installed(
+    clone: Clone, compiler: str, package: str
+) -> None:
+    (clone.tools / compiler).unlink()
+    code, _, err = clone.koop("setup")
+    assert code == 3
+    assert f"missing: {package} " in err
+
+
+def test_missing_headers_are_named_by_the_interpreters_version(clone: Clone) -> None:
+    code, _, err = clone.koop("setup", FAKE_HAS="1 0")
+    assert code == 3
+    assert "missing: python3.11-dev " in err
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="as root it is installed at once")
+def test_without_root_the_exact_command_is_printed(clone: Clone) -> None:
+    clone.add_tool("apt-get", "exit 9")
+    (clone.tools / "g++").unlink()
+    code, _, err = clone.koop("setup")
+    assert code == 3
+    assert "apt-get install -y --no-install-recommends g++\n" in err
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root")
+def test_as_root_what_is_missing_is_installed(clone: Clone) -> None:
+    clone.add_tool("apt-get", 'echo "apt-get $*" >>"$CALLS"')
+    (clone.tools / "g++").unlink()
+    assert clone.koop("setup")[0] == 0
+    assert clone.calls()[:2] == [
+        "apt-get update",
+        "apt-get install -y --no-install-recommends g++",
+    ]
+
+
+def test_unsupported_python_is_refused(clone: Clone) -> None:
+    clone.add_tool("python2", "exit 1")
+    code, _, err = clone.koop("setup", KOOP_PYTHON="python2")
+    assert code == 4
+    assert "KOOP_PYTHON=python2 is not a Python 3.10 to 3.13" in err
+
+
+def test_sourced_jazzy_takes_the_place_of_the_wheels(clone: Clone) -> None:
+    sourced = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/opt/ros/jazzy", "FAKE_RCLPY": "1"}
+    again = f'"{clone.root}/koop" setup && echo "$AMENT_PREFIX_PATH"'
+    code, out, err = clone.koop("shell", "-c", again, **sourced)
+    assert code == 0, err
+    # The inner call, from within the sourced workspace, found everything made.
+    venv, pip, _ = clone.calls()
+    assert "--system-site-packages" in venv
+    assert "ros.txt" not in pip
+    assert out.endswith(":/opt/ros/jazzy\n")
+
+
+def test_sourced_jazzy_without_a_fitting_python_gives_way_to_the_wheels(clone: Clone) -> None:
+    sourced = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/opt/ros/jazzy"}
+    code, out, err = clone.koop("shell", "-c", 'echo "$AMENT_PREFIX_PATH"', **sourced)
+    assert code == 0, err
+    assert "no Python here can import its rclpy" in err
+    assert "ros.txt" in clone.calls()[1]
+    assert "/opt/ros" not in out
+    clone.koop("setup", **sourced)
+    assert clone.calls() == []
+
+
+def test_other_distribution_is_named_and_does_not_leak_in(clone: Clone) -> None:
+    sourced = dict.fromkeys(ROS_VARIABLES, "/opt/ros/humble") | {"ROS_DISTRO": "humble"}
+    code, out, err = clone.koop("shell", "-c", "env", **sourced)
+    assert code == 0, err
+    assert "ROS 2 humble is sourced, not jazzy" in err
+    assert "/opt/ros" not in out
+    assert "ros.txt" in clone.calls()[1]
