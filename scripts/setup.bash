@@ -155,7 +155,7 @@ set_up_venv() {
     venv_origin >"$VENV_ORIGIN"
   fi
 
-  local files=(-r "$ROOT/requirements/python.txt")
+  local files=(-r "$ROOT/requirements/python.txt" -r "$ROOT/requirements/hil.txt")
   [[ $UNDERLAY != wheels ]] || files+=(-r "$ROOT/requirements/ros.txt")
   # Complete lock files: --no-deps makes sure that nothing else comes in.
   step "Installing Python packages$([[ $UNDERLAY != wheels ]] || echo ' and ROS 2 wheels')" \

@@ -24,7 +24,7 @@ class Clone:
     """A clone of the repository, cut down to the script and two small packages."""
 
     def __init__(self, folder: Path) -> None:
-        self.root = folder / "a clone"
+        self.root = folder / "clone"
         self.tools = folder / "tools"
         self.calls_file = folder / "calls"
         for name in ("koop", "scripts", "requirements"):
@@ -36,6 +36,7 @@ class Clone:
             module.parent.mkdir(parents=True)
             module.touch()
             (module.parent.parent / "package.xml").write_text(package)
+            (module.parent.parent / "config").mkdir()
         (self.root / "ros2_ws").mkdir()
         (self.root / "ros2_ws/src").symlink_to("../src")
 
@@ -173,6 +174,17 @@ def test_edited_package_file_builds_that_package_only(ready: Clone) -> None:
     assert "--packages-select second " in colcon
 
 
+def test_data_file_is_linked_once_and_then_free_to_edit(ready: Clone) -> None:
+    data = ready.root / "src/first/config/first.yaml"
+    data.touch()
+    assert ready.koop("setup")[0] == 0
+    (colcon,) = ready.calls()
+    assert "--packages-select first " in colcon
+    data.write_text("changed")
+    assert ready.koop("setup")[0] == 0
+    assert ready.calls() == []
+
+
 def test_removed_package_leaves_nothing_behind(ready: Clone) -> None:
     shutil.rmtree(ready.root / "src/second")
     assert ready.koop("setup")[0] == 0
@@ -250,6 +262,14 @@ def test_as_root_what_is_missing_is_installed(clone: Clone) -> None:
     ]
 
 
+def test_place_that_colcon_cannot_handle_is_refused(clone: Clone) -> None:
+    clone.root = clone.root.rename(clone.root.with_name("a clone"))
+    code, _, err = clone.koop("setup")
+    assert code == 4
+    assert "move the clone" in err
+    assert clone.calls() == []
+
+
 def test_unsupported_python_is_refused(clone: Clone) -> None:
     clone.add_tool("python2", "exit 1")
     code, _, err = clone.koop("setup", KOOP_PYTHON="python2")
@@ -259,7 +279,7 @@ def test_unsupported_python_is_refused(clone: Clone) -> None:
 
 def test_sourced_jazzy_takes_the_place_of_the_wheels(clone: Clone) -> None:
     sourced = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/opt/ros/jazzy", "FAKE_RCLPY": "1"}
-    again = f'"{clone.root}/koop" setup && echo "$AMENT_PREFIX_PATH"'
+    again = f'{clone.root}/koop setup && echo "$AMENT_PREFIX_PATH"'
     code, out, err = clone.koop("shell", "-c", again, **sourced)
     assert code == 0, err
     # The inner call, from within the sourced workspace, found everything made.
