@@ -1,0 +1,107 @@
+"""The commands as a user types them."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from koop_lab.cli import main, parser
+from koop_lab.parameters import make, read, write
+from koop_node.config import ConfigError
+
+
+def test_simulate_writes_signals_metrics_and_a_plot(tmp_path, capsys):
+    out, plot = tmp_path / "run.npz", tmp_path / "run.png"
+    given = ["--duration", "150", "--out", str(out), "--plot", str(plot), "--json", "--seed", "3"]
+    assert main(["simulate", *given]) == 0
+    metrics = json.loads(capsys.readouterr().out)
+    with np.load(out, allow_pickle=False) as run:
+        assert run["x"].shape == run["truth"].shape == (30_000, 2)
+        assert run["step"].tolist() == list(range(30_000))
+        logged = run["t"] >= 100.0
+        assert metrics["iae_theta"] == pytest.approx(
+            np.abs(run["theta"][logged] + 3.0).sum() * 0.005, rel=1e-9
+        )
+        assert json.loads(str(run["parameters"]))["vdp_plant"]["seed"] == 3
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys):
+    path = tmp_path / "model.npz"
+    given = ["--trajectories", "5", "--duration", "10", "--modes", "6", "--out", str(path)]
+    assert main(["train", *given]) == 0
+    printed = capsys.readouterr().out
+    assert main(["inspect", str(path)]) == 0
+    inspected = capsys.readouterr().out
+    rows = [line for line in printed.splitlines() if line.endswith(("Yes", "No"))]
+    assert len(rows) == 10
+    assert all(row in inspected for row in rows)
+    assert sum(row.endswith("Yes") for row in rows) in (6, 7)
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (["simulate", "--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
+        (["simulate", "--params", "nowhere.yaml"], "nowhere.yaml: cannot be read as YAML"),
+        (["simulate", "--theta", "9"], "relay_esc: theta_initial = 9 must lie within"),
+        (["simulate", "--duration", "-1"], "duration = -1: must be 0 to 1e+09 s"),
+        (["simulate", "--duration", "0"], "--duration must cover at least two steps"),
+        (["demo", "--time-scale", "2"], "--time-scale needs --pace scaled"),
+        (["inspect", "pyproject.toml"], "truncated, damaged or no model file"),
+        (["train", "--degree", "0"], "degree = 0: must be 1 to 8"),
+    ],
+)
+def test_bad_input_ends_in_one_line_and_exit_code_2(argv, message, capsys):
+    assert main(argv) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"koop {argv[0]}: error: ")
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_every_command_has_help():
+    for command in ("demo", "simulate", "train", "inspect", "bench"):
+        with pytest.raises(SystemExit, match="0"):
+            parser().parse_args([command, "--help"])
+
+
+def test_a_parameter_file_is_read_as_ros_reads_it(tmp_path):
+    file = tmp_path / "params.yaml"
+    content = {
+        "/**": {"ros__parameters": {"dt": 0.01, "use_sim_time": False, "omega_h": 5.0}},
+        "/fleet/one/relay_esc": {"ros__parameters": {"dwell": 3}},
+        "another_node": {"ros__parameters": {"anything": 1}},
+    }
+    file.write_text(yaml.safe_dump(content))
+    parameters = make(read(file))
+    assert (parameters.plant.dt, parameters.lifter.dt, parameters.esc.dt) == (0.01,) * 3
+    assert parameters.lifter.omega_h == 5.0
+    assert parameters.esc.dwell == 3.0
+
+
+def test_written_parameters_are_read_back(tmp_path):
+    parameters = make({"relay_esc": {"dwell": 3.0}, "vdp_plant": {"initial_state": [1, 2]}})
+    write(parameters.as_ros(), tmp_path / "p.yaml")
+    again = make(read(tmp_path / "p.yaml"))
+    assert again.as_ros() == parameters.as_ros()
+    assert again.plant.initial_state == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[1, 2]", "is no ROS 2 parameter file"),
+        ("vdp_plant: 3", "'vdp_plant' has no ros__parameters"),
+        ("vdp_plant: {ros__parameters: {mass: 1.0}}", "vdp_plant: unknown parameter mass; known:"),
+        ("vdp_plant: {ros__parameters: {mu: fast}}", "vdp_plant: mu: expected float, got 'fast'"),
+        ("a: [", "cannot be read as YAML"),
+    ],
+)
+def test_a_bad_parameter_file_is_refused_with_the_reason(tmp_path, text, message):
+    file = tmp_path / "params.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        make(read(file))
+    assert message in str(caught.value)
