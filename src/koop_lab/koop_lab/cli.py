@@ -6,6 +6,8 @@ import argparse
 import sys
 from importlib import import_module
 
+from koop_lab.live import LiveError
+
 # A command is a module with register(subparsers); it sets ``func``, which returns the exit code.
 COMMANDS = (
     "koop_lab.demo",
@@ -32,7 +34,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser().parse_args(argv)
     try:
         return int(args.func(args))
-    except (ValueError, OSError, ArithmeticError) as error:
+    except (ValueError, OSError, ArithmeticError, LiveError) as error:
         print(f"koop {args.command}: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

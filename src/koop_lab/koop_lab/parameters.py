@@ -48,10 +48,9 @@ class LoopParameters:
 
     def as_ros(self) -> dict[str, dict[str, Any]]:
         """Return the parameters by node name, in the terms of a ROS 2 parameter file."""
-        plant, lifter = asdict(self.plant) | asdict(self.pace), asdict(self.lifter)
         values = {
-            "vdp_plant": plant,
-            "koopman_lifter": lifter | {"model": str(self.model.path)},
+            "vdp_plant": asdict(self.plant) | asdict(self.pace),
+            "koopman_lifter": asdict(self.lifter) | asdict(self.model),
             "relay_esc": asdict(self.esc),
         }
         return {

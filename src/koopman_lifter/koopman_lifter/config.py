@@ -65,11 +65,13 @@ class ModelConfig:
 
     def __post_init__(self) -> None:
         validate(self)
+        if not self.model:  # so that whoever asks for the parameter learns which file is in use
+            object.__setattr__(self, "model", str(shipped_model()))
 
     @property
     def path(self) -> Path:
         """The model file."""
-        return Path(self.model).expanduser() if self.model else shipped_model()
+        return Path(self.model).expanduser()
 
 
 def shipped_model() -> Path:
