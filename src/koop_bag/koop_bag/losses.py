@@ -53,29 +53,34 @@ def count_losses(steps: ArrayLike) -> StepReport:
 class StepCounter:
     """`count_losses`, one message at a time."""
 
-    __slots__ = ("backward", "count", "duplicates", "first", "last", "lost")
+    __slots__ = ("_before", "backward", "count", "duplicates", "first", "last", "lost")
 
     def __init__(self) -> None:
         self.count = self.lost = self.duplicates = self.backward = 0
         self.first = self.last = -1
+        self._before: int | None = None
 
     def add(self, step: int) -> None:
         """Count one message."""
-        jump = step - self.last
-        if self.count == 0:
-            self.first = step
-        elif jump != 1:
+        if self._before is not None:
+            jump = step - self._before
             if jump > 1:
                 self.lost += jump - 1
             elif jump == 0:
                 self.duplicates += 1
-            else:
+            elif jump < 0:
                 self.backward += 1
-        self.last = step
+        elif self.count == 0:
+            self.first = step
+        self.last = self._before = step
         self.count += 1
 
+    def interrupt(self) -> None:
+        """Do not compare the next message with the last one: those between were not wanted."""
+        self._before = None
+
     def report(self) -> StepReport:
-        """The report up to now."""
+        """Return the report up to now."""
         return StepReport(
             self.count, self.lost, self.duplicates, self.backward, self.first, self.last
         )

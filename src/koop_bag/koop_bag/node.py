@@ -62,7 +62,7 @@ class RecorderNode(ManagedNode):
         self.get_logger().info(f"recording to {self._folder}")
 
     def activate(self) -> None:
-        fetch(self._topics.values())  # what came while it was not active is not part of the record
+        # What already waits is recorded: publishers begin as soon as the subscriptions exist.
         self._recording = True
 
     def deactivate(self) -> None:
@@ -149,8 +149,13 @@ class RecorderNode(ManagedNode):
     # -- writing ------------------------------------------------------------------------------
 
     def _poll(self) -> None:
-        if self._writer is not None and self._recording:
+        if self._writer is None:
+            return
+        if self._recording:
             self._guarded(self._write_waiting)
+        else:
+            for topic in self._topics.values():
+                topic.skip()
 
     def _write_waiting(self) -> None:
         assert self._writer is not None

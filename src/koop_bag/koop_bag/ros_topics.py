@@ -83,6 +83,13 @@ class RecordedTopic:
             received = info["received_timestamp"] or time.time_ns()
             append((received, self, info["source_timestamp"], data))
 
+    def skip(self) -> None:
+        """Forget the messages that wait; the steps skipped are no loss."""
+        skipped: list[Taken] = []
+        self.take(skipped)
+        if skipped and self.peek is not None:
+            self.peek.counter.interrupt()
+
     def open_channel(self) -> int:
         """Announce the topic in the bag."""
         self.match()

@@ -1,0 +1,45 @@
+"""Bags made of real messages."""
+
+from __future__ import annotations
+
+import random
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from koop_bag.schema import load_schema
+from koop_bag.writer import BagWriter, WriterOptions
+
+sys.path.insert(0, str(Path(__file__).parent))  # helpers of these tests; pytest adds no folder
+
+from koop_bag_messages import LOOP, PERIOD, START, Messages
+
+
+@pytest.fixture(scope="session")
+def messages() -> Messages:
+    return Messages()
+
+
+@pytest.fixture
+def write_loop(tmp_path: Path, messages: Messages) -> Callable[..., Path]:
+    """Return a function that writes a bag of the loop's four topics."""
+
+    def write(name: str = "run", n: int = 100, **options: Any) -> Path:
+        folder = tmp_path / name
+        with BagWriter(folder, WriterOptions(**options)) as writer:
+            channels = {t: writer.add_topic(t, load_schema(kind)) for t, kind in LOOP.items()}
+            for k in range(n):
+                for i, (topic, channel) in enumerate(channels.items()):
+                    now = START + k * PERIOD + 1000 * i
+                    writer.write(channel, now, now - 500, messages.loop(topic, k))
+        return folder
+
+    return write
+
+
+@pytest.fixture
+def rng() -> random.Random:
+    return random.Random(7)

@@ -1,0 +1,56 @@
+"""Real messages, serialized by `rosbags`: it shares no code with this package."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from koop_bag.schema import load_schema
+
+LOOP = {
+    "/state": "koop_msgs/msg/MeasuredState",
+    "/cost": "koop_msgs/msg/Cost",
+    "/theta": "koop_msgs/msg/ControlInput",
+    "/truth": "koop_msgs/msg/PlantTruth",
+}
+START = 1_700_000_000_000_000_000  # [ns]
+PERIOD = 5_000_000  # [ns]
+
+
+class Messages:
+    """Makes and serializes messages of any installed type."""
+
+    def __init__(self) -> None:
+        self.store = get_typestore(Stores.ROS2_JAZZY)
+        for name in LOOP.values():
+            self.store.register(get_types_from_msg(load_schema(name).text.split("=" * 80)[0], name))
+
+    def serialize(self, type_name: str, message: Any) -> bytes:
+        """Return a message as DDS would hand it over."""
+        return bytes(self.store.serialize_cdr(message, type_name))
+
+    def make(self, type_name: str, **fields: Any) -> Any:
+        """Return a message of a type."""
+        return self.store.types[type_name](**fields)
+
+    def header(self, k: int, frame_id: str = "") -> Any:
+        """Return the header of step k."""
+        sec, nanosec = divmod(k * PERIOD, 1_000_000_000)
+        stamp = self.make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)
+
+    def loop(self, topic: str, k: int, frame_id: str = "", model_id: str = "0123456789ab") -> bytes:
+        """Return message k of one of the loop's topics; every value tells k."""
+        fields: dict[str, Any] = {"header": self.header(k, frame_id), "step": k}
+        if topic == "/state":
+            fields["x"] = np.array([k + 0.25, -k - 0.5])
+        elif topic == "/cost":
+            fields |= {"r": k * 1.5, "y_out": k * 2.0, "source": k % 2, "model_id": model_id}
+        elif topic == "/theta":
+            fields |= {"theta": -k / 7, "epsilon": 1 - 2 * (k % 2), "hp": k / 3}
+            fields |= {"saturated": k % 3 == 0, "holding": k % 5 == 0}
+        else:
+            fields |= {"x": np.array([k, k * 2.0]), "theta_applied": k / 9, "epsilon0": k / 11}
+        return self.serialize(LOOP[topic], self.make(LOOP[topic], **fields))

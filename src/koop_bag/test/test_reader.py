@@ -1,0 +1,143 @@
+"""Bags that are foreign, torn or absent, and bags written by others."""
+
+import pytest
+from koop_bag_messages import LOOP, PERIOD, START
+from mcap.writer import CompressionType, Writer
+
+from koop_bag.columns import read_columns
+from koop_bag.errors import BagError
+from koop_bag.reader import BagReader
+from koop_bag.schema import load_schema
+
+
+def test_messages_come_back_as_they_were_written(write_loop, messages):
+    with BagReader(write_loop(n=200)) as reader:
+        assert reader.complete
+        assert {topic.name: topic.type_name for topic in reader.topics} == LOOP
+        assert [topic.count for topic in reader.topics] == [200] * 4
+        assert reader.message_count == 800
+        assert reader.start_time == START
+        assert reader.duration == pytest.approx(199 * 0.005 + 3e-6, abs=1e-12)
+        found = list(reader.messages())
+    assert [m.topic for m in found[:4]] == list(LOOP)
+    for index, message in enumerate(found):
+        k, i = divmod(index, 4)
+        assert message.data == messages.loop(message.topic, k)
+        assert message.log_time == START + k * PERIOD + 1000 * i
+        assert message.publish_time == message.log_time - 500
+
+
+def test_topics_and_times_can_be_chosen(write_loop):
+    with BagReader(write_loop(n=200)) as reader:
+        begin, end = START + 10 * PERIOD, START + 20 * PERIOD
+        found = list(reader.messages(["/cost", "/truth"], begin, end))
+        assert len(found) == 20
+        assert {m.topic for m in found} == {"/cost", "/truth"}
+        with pytest.raises(BagError, match=r"no topic /stat; it has /state, /cost"):
+            list(reader.messages(["/stat"]))
+
+
+def test_a_file_alone_and_the_folder_of_a_run_are_bags_too(write_loop, tmp_path):
+    folder = write_loop("bag", n=10)
+    for path in (folder, folder / "bag_0.mcap", tmp_path):
+        with BagReader(path) as reader:
+            assert reader.message_count == 40
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunked", [True, False])
+def test_files_of_the_mcap_library_are_read(tmp_path, messages, compression, chunked):
+    path = tmp_path / "foreign.mcap"
+    with open(path, "wb") as stream:
+        writer = Writer(stream, 4096, compression, use_chunking=chunked)
+        writer.start("ros2")
+        schema = load_schema(LOOP["/state"])
+        number = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
+        channel = writer.register_channel("/state", "cdr", number)
+        for k in range(300):
+            writer.add_message(channel, START + k, messages.loop("/state", k), START, k)
+        writer.finish()
+    with BagReader(path) as reader:
+        assert reader.message_count == 300
+        assert [m.sequence for m in reader.messages()] == list(range(300))
+        columns = read_columns(reader, "/state", ["step", "x"])
+    assert columns["step"].tolist() == list(range(300))
+    assert columns["x"][299].tolist() == [299.25, -299.5]
+
+
+def test_equal_times_keep_the_order_of_recording(tmp_path, messages):
+    path = tmp_path / "same.mcap"
+    with open(path, "wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = load_schema(LOOP["/state"])
+        number = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
+        a, b = (writer.register_channel(name, "cdr", number) for name in ("/b", "/a"))
+        for k in range(50):
+            writer.add_message(a if k % 2 else b, START, messages.loop("/state", k), START, k)
+        writer.finish()
+    with BagReader(path) as reader:
+        assert [m.sequence for m in reader.messages()] == list(range(50))
+
+
+def test_a_torn_bag_is_read_up_to_its_last_complete_chunk_wherever_it_is_torn(write_loop, rng):
+    folder = write_loop(n=600)
+    path = folder / "run_0.mcap"
+    whole = path.read_bytes()
+    with BagReader(folder) as reader:
+        expected = list(reader.messages())
+    (folder / "metadata.yaml").unlink()
+    counts = []
+    for size in sorted(rng.randrange(9, len(whole)) for _ in range(40)):
+        path.write_bytes(whole[:size])
+        with BagReader(folder) as reader:
+            assert not reader.complete
+            found = list(reader.messages())
+            assert found == expected[: len(found)]
+            assert reader.message_count == len(found)
+        counts.append(len(found))
+    assert counts == sorted(counts)
+    assert counts[-1] > 2000
+
+
+def test_a_damaged_chunk_is_reported_and_never_decoded(write_loop):
+    folder = write_loop(n=600, compression="none")
+    path = folder / "run_0.mcap"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with BagReader(folder) as reader, pytest.raises(BagError, match=r"damaged.*koop bag recover"):
+        list(reader.messages())
+
+
+FOREIGN = {
+    "empty": (b"", "is empty"),
+    "text": (b"stamp,x,y\n1,2,3\n", "not an MCAP file"),
+    "sqlite": (b"SQLite format 3\0" + bytes(100), "ros2 bag convert"),
+    "one byte": (b"\x89", "not an MCAP file"),
+}
+
+
+@pytest.mark.parametrize(("content", "expected"), FOREIGN.values(), ids=FOREIGN)
+def test_a_file_that_is_no_bag_says_what_it_is(tmp_path, content, expected):
+    path = tmp_path / "run_0.mcap"
+    path.write_bytes(content)
+    with pytest.raises(BagError, match=expected):
+        BagReader(path)
+
+
+def test_absent_bags_and_folders_without_one_are_named(tmp_path):
+    with pytest.raises(BagError, match="there is no bag"):
+        BagReader(tmp_path / "absent")
+    with pytest.raises(BagError, match=r"holds no \.mcap file"):
+        BagReader(tmp_path)
+    (tmp_path / "bag_0.db3").write_bytes(b"SQLite format 3")
+    with pytest.raises(BagError, match="ros2 bag convert"):
+        BagReader(tmp_path)
+
+
+def test_an_empty_bag_is_a_bag(write_loop):
+    with BagReader(write_loop(n=0)) as reader:
+        assert (reader.message_count, reader.duration) == (0, 0.0)
+        assert list(reader.messages()) == []
+        assert read_columns(reader, "/state", ["step"])["step"].size == 0

@@ -1,0 +1,82 @@
+"""Recovery of torn and damaged bags; the result is judged by `rosbags`."""
+
+import itertools
+
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+
+from koop_bag.errors import BagError
+from koop_bag.reader import BagReader
+from koop_bag.recover import recover
+from koop_bag.schema import load_schema
+from koop_bag.writer import BagWriter
+
+
+def test_a_torn_bag_becomes_a_whole_one_with_the_same_messages(write_loop, tmp_path, rng):
+    folder = write_loop(n=600)
+    with BagReader(folder) as reader:
+        expected = list(reader.messages())
+    path = folder / "run_0.mcap"
+    whole = path.read_bytes()
+    (folder / "metadata.yaml").unlink()
+    for number in range(5):
+        torn = whole[: rng.randrange(len(whole) // 4, len(whole) - 1)]
+        path.write_bytes(torn)
+        target = tmp_path / f"saved{number}"
+        report = recover(folder, target)
+        assert path.read_bytes() == torn
+        with BagReader(target) as reader:
+            assert reader.complete
+            saved = list(reader.messages())
+        assert saved == expected[: report.messages]
+        with AnyReader([target]) as reader:
+            assert sum(1 for _ in reader.messages()) == report.messages
+
+
+def test_only_the_damaged_chunk_is_given_up_and_the_gap_shows(write_loop, tmp_path):
+    folder = write_loop(n=600, compression="none")
+    path = folder / "run_0.mcap"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    report = recover(folder, tmp_path / "saved")
+    assert report.damaged_records == 1
+    with BagReader(tmp_path / "saved") as reader:
+        numbers = [m.sequence for m in reader.messages(["/state"])]
+    assert (numbers[0], numbers[-1]) == (1, 600)
+    gaps = [b - a for a, b in itertools.pairwise(numbers) if b - a > 1]
+    assert len(gaps) == 1
+    assert len(numbers) + gaps[0] - 1 == 600
+
+
+def test_a_bag_of_several_files_is_recovered_as_one(write_loop, tmp_path):
+    folder = write_loop(n=1000, split_seconds=1.0)
+    report = recover(folder, tmp_path / "saved")
+    assert (report.messages, report.torn_bytes) == (4000, 0)
+    with BagReader(tmp_path / "saved") as reader:
+        assert [m.sequence for m in reader.messages(["/theta"])] == list(range(1, 1001))
+
+
+def test_qos_notes_and_custom_data_are_kept(tmp_path, messages, write_loop):
+    folder = tmp_path / "run"
+    with BagWriter(folder) as writer:
+        writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
+        writer.add_note("koop", {"parameters": "a: 1\n"})
+        writer.custom_data["operator"] = "me"
+    recover(folder, tmp_path / "saved")
+    before, after = (
+        yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+        for path in (folder, tmp_path / "saved")
+    )
+    assert after["topics_with_message_count"] == before["topics_with_message_count"]
+    assert after["custom_data"] == {"operator": "me"}
+    with BagReader(tmp_path / "saved") as reader:
+        assert reader.notes["koop"] == {"parameters": "a: 1\n"}
+
+
+def test_nothing_to_recover_is_an_error(tmp_path):
+    (tmp_path / "run_0.mcap").write_bytes(b"")
+    with pytest.raises(BagError, match="nothing to recover"):
+        recover(tmp_path, tmp_path / "saved")
+    assert not (tmp_path / "saved").exists()

@@ -1,0 +1,62 @@
+"""Definitions and hashes against `rosbags`, which brings its own copies and its own hashing."""
+
+import pytest
+from koop_bag_messages import LOOP
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from koop_bag.errors import BagError
+from koop_bag.schema import load_schema
+
+COMMON = (
+    "sensor_msgs/msg/JointState",
+    "std_msgs/msg/Float64MultiArray",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "rcl_interfaces/msg/ParameterEvent",
+)
+
+
+@pytest.mark.parametrize("name", COMMON)
+def test_a_definition_holds_all_that_it_needs_and_its_hash_is_right(name):
+    store = get_typestore(Stores.EMPTY)
+    schema = load_schema(name)
+    for part in schema.text.split("=" * 80 + "\n"):
+        head, _, body = part.partition("\n")
+        is_root = not head.startswith("MSG: ")
+        text, full = (part, name) if is_root else (body, head[5:].replace("/", "/msg/"))
+        store.register(get_types_from_msg(text, full))
+    # EMPTY knows no type but those just registered: a missing dependency fails to hash
+    assert schema.type_hash == store.hash_rihs01(name)
+    assert schema.type_hash == get_typestore(Stores.ROS2_JAZZY).hash_rihs01(name)
+
+
+@pytest.mark.parametrize("name", LOOP.values())
+def test_the_hash_of_our_own_messages_is_that_of_an_independent_implementation(name, messages):
+    assert load_schema(name).type_hash == messages.store.hash_rihs01(name)
+
+
+def test_every_dependency_stands_once():
+    text = load_schema("diagnostic_msgs/DiagnosticArray").text
+    names = [line for line in text.splitlines() if line.startswith("MSG: ")]
+    assert sorted(names) == [
+        "MSG: builtin_interfaces/Time",
+        "MSG: diagnostic_msgs/DiagnosticStatus",
+        "MSG: diagnostic_msgs/KeyValue",
+        "MSG: std_msgs/Header",
+    ]
+
+
+def test_a_type_that_is_not_installed_is_named_with_the_remedy():
+    with pytest.raises(BagError, match=r"nowhere_msgs/msg/Thing.*source the workspace"):
+        load_schema("nowhere_msgs/msg/Thing")
+    with pytest.raises(BagError, match="pkg/msg/Type"):
+        load_schema("Thing")
+
+
+def test_a_package_without_type_descriptions_gets_an_empty_hash(tmp_path):
+    folder = tmp_path / "share" / "own_msgs" / "msg"
+    folder.mkdir(parents=True)
+    (folder / "Outer.msg").write_text("Inner inner # own_msgs/Other\nint32 A=3\nstring<=5[<=2] s")
+    (folder / "Inner.msg").write_text("float64[3] x")
+    schema = load_schema("own_msgs/Outer", [tmp_path])
+    assert schema.type_hash == ""
+    assert schema.text.endswith("MSG: own_msgs/Inner\nfloat64[3] x\n")

@@ -1,0 +1,219 @@
+"""Bags read back by readers that share no code with the writer."""
+
+import resource
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+import yaml
+from koop_bag_messages import LOOP, PERIOD, START
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from koop_bag.errors import BagError, BagWriteError
+from koop_bag.metadata import OfferedQos
+from koop_bag.reader import BagReader
+from koop_bag.schema import load_schema
+from koop_bag.writer import BagWriter, WriterOptions
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_rosbags_decodes_every_message(write_loop, compression):
+    folder = write_loop(n=700, compression=compression)
+    steps = {topic: [] for topic in LOOP}
+    with AnyReader([folder]) as reader:
+        assert {c.topic: c.msgtype for c in reader.connections} == LOOP
+        for connection, _, raw in reader.messages():
+            steps[connection.topic].append(reader.deserialize(raw, connection.msgtype).step)
+    assert all(found == list(range(700)) for found in steps.values())
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_mcap_ros2_support_decodes_every_message_with_checksums_on(write_loop, compression):
+    folder = write_loop(n=700, compression=compression)
+    with open(folder / "run_0.mcap", "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        statistics = reader.get_summary().statistics
+        assert statistics.message_count == 2800
+        assert statistics.chunk_count == len(reader.get_summary().chunk_indexes) > 4
+        seen = Counter()
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            k = seen[channel.topic]
+            assert (decoded.step, message.sequence) == (k, k + 1)
+            assert message.log_time - message.publish_time == 500
+            seen[channel.topic] += 1
+    assert seen == dict.fromkeys(LOOP, 700)
+
+
+def test_the_indexes_lead_to_the_messages_of_a_time_range(write_loop):
+    folder = write_loop(n=700)
+    begin, end = START + 300 * PERIOD, START + 310 * PERIOD
+    with open(folder / "run_0.mcap", "rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        found = reader.iter_decoded_messages("/theta", starting_at=begin, ending_before=end)
+        assert [decoded.step for *_, decoded in found] == list(range(300, 310))
+
+
+def test_the_whole_file_passes_a_sequential_reader_with_checksums_on(write_loop):
+    folder = write_loop(n=300)
+    with open(folder / "run_0.mcap", "rb") as stream:
+        kinds = Counter(type(r).__name__ for r in StreamReader(stream, validate_crcs=True).records)
+    assert kinds["Message"] == 1200
+    assert kinds["Footer"] == 1
+
+
+def test_the_description_says_what_is_in_the_bag(tmp_path, messages):
+    qos = OfferedQos(reliability="best_effort", depth=5, deadline=(1, 500))
+    folder = tmp_path / "run"
+    with BagWriter(folder) as writer:
+        channel = writer.add_topic("/state", load_schema(LOOP["/state"]), [qos])
+        writer.custom_data["operator"] = "one: line\nand another"
+        writer.write(channel, START, START - 10, messages.loop("/state", 0))
+        writer.write(channel, START + 7, START, messages.loop("/state", 1))
+    info = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert info["version"] == 9
+    assert info["message_count"] == 2
+    assert info["duration"]["nanoseconds"] == 7
+    assert info["relative_file_paths"] == ["run_0.mcap"]
+    assert info["custom_data"] == {"operator": "one: line\nand another"}
+    (topic,) = info["topics_with_message_count"]
+    assert topic["topic_metadata"]["offered_qos_profiles"] == [qos.as_map()]
+    with AnyReader([folder]) as reader:  # its own reading of the embedded and the outer QoS
+        (profile,) = reader.connections[0].ext.offered_qos_profiles
+        assert (profile.reliability.name, profile.depth) == ("BEST_EFFORT", 5)
+        assert profile.deadline.sec == 1
+    with BagReader(folder) as reader:
+        inside = yaml.safe_load(reader.notes["rosbag2"]["serialized_metadata"])
+    assert inside["custom_data"] == info["custom_data"]
+
+
+def test_a_bag_splits_by_size_and_every_file_stands_alone(write_loop):
+    folder = write_loop(n=2000, compression="none", split_bytes=200_000)
+    files = sorted(folder.glob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)
+    assert [path.name for path in files] == [f"run_{i}.mcap" for i in range(len(files))]
+    assert len(files) >= 4
+    for path in files[:-1]:  # a file ends with the chunk that made it too large
+        assert 200_000 <= path.stat().st_size < 200_000 + 2 * 65536 + 20_000
+    total = 0
+    for path in files:
+        with open(path, "rb") as stream:
+            total += make_reader(stream, validate_crcs=True).get_summary().statistics.message_count
+    assert total == 8000
+    with AnyReader([folder]) as reader:
+        assert reader.message_count == sum(1 for _ in reader.messages()) == 8000
+
+
+def test_a_bag_splits_by_duration(write_loop):
+    folder = write_loop(n=1000, split_seconds=1.0)  # 5 s
+    description = yaml.safe_load((folder / "metadata.yaml").read_text())
+    files = description["rosbag2_bagfile_information"]["files"]
+    assert len(files) == 5
+    for file in files[:-1]:  # a chunk covers at most 0.1 s
+        assert 1.0 <= file["duration"]["nanoseconds"] * 1e-9 <= 1.15
+
+
+def test_sequence_numbers_go_on_across_files(write_loop):
+    folder = write_loop(n=1000, split_seconds=1.0)
+    with BagReader(folder) as reader:
+        found = [m.sequence for m in reader.messages(["/cost"])]
+    assert found == list(range(1, 1001))
+
+
+def test_a_chunk_waits_no_longer_than_it_may(tmp_path, messages):
+    with BagWriter(tmp_path / "run", WriterOptions(chunk_seconds=0.1)) as writer:
+        channel = writer.add_topic("/state", load_schema(LOOP["/state"]))
+        empty = writer.bytes_written
+        for k in range(21):  # 0.1 s at 5 ms
+            assert writer.bytes_written == empty
+            writer.write(channel, START + k * PERIOD, START, messages.loop("/state", k))
+        written = writer.bytes_written
+        assert written > empty
+        writer.write(channel, START + PERIOD * 30, START, messages.loop("/state", 30))
+        writer.flush_due(START + PERIOD * 49)
+        assert writer.bytes_written == written
+        writer.flush_due(START + PERIOD * 50)
+        assert writer.bytes_written > written
+
+
+def test_large_messages_do_not_gather_in_memory(tmp_path):
+    with BagWriter(tmp_path / "run", WriterOptions(compression="none")) as writer:
+        channel = writer.add_topic("/blob", load_schema("std_msgs/msg/UInt8MultiArray"))
+        blob = bytes(500_000)
+        writer.write_many((START + i, channel, START, blob) for i in range(5))
+        assert writer.bytes_written > 5 * len(blob)
+
+
+def test_an_existing_bag_is_never_overwritten(write_loop):
+    folder = write_loop()
+    before = (folder / "run_0.mcap").read_bytes()
+    with pytest.raises(BagWriteError, match="already holds a bag"):
+        BagWriter(folder)
+    assert (folder / "run_0.mcap").read_bytes() == before
+
+
+def test_wrong_options_and_a_closed_bag_are_refused(write_loop, tmp_path):
+    with pytest.raises(BagError, match="none or zstd"):
+        WriterOptions(compression="lzma")
+    writer = BagWriter(tmp_path / "closed")
+    writer.close()
+    writer.close()
+    with pytest.raises(BagWriteError, match="closed"):
+        writer.write(1, 0, 0, b"")
+
+
+FILL = """
+import resource, signal, sys
+from koop_bag.errors import DiskFullError
+from koop_bag.schema import load_schema
+from koop_bag.writer import BagWriter, WriterOptions
+limit = int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+writer = BagWriter(sys.argv[1], WriterOptions(compression="none"))
+channel = writer.add_topic("/blob", load_schema("std_msgs/msg/UInt8MultiArray"))
+count = 0
+try:
+    for k in range(100_000):
+        writer.write(channel, 1_000_000_000 + k, k, k.to_bytes(4, "little") * 25)
+except DiskFullError as error:
+    print(writer.topics[0].count, error)
+    assert writer.closed
+    writer.close()
+else:
+    sys.exit("no error")
+"""
+
+
+@pytest.mark.parametrize("limit", [100_000, 300_000, 999_983])
+def test_a_full_disk_is_an_error_and_all_before_it_is_safe(tmp_path, limit):
+    folder = tmp_path / "run"
+    done = subprocess.run(
+        [sys.executable, "-c", FILL, folder, str(limit)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    count, _, message = done.stdout.partition(" ")
+    assert "no space left" in message
+    assert "bytes are safe" in message
+    with BagReader(folder) as reader:
+        numbers = [int.from_bytes(m.data[:4], "little") for m in reader.messages()]
+    assert numbers == list(range(int(count)))
+    # Lost is at most what the chunk in progress held, and the space that the summary took.
+    assert sum(path.stat().st_size for path in folder.glob("*.mcap")) > limit - 2 * 65536 - 20_000
+    assert int(count) * 131 > limit - 2 * 65536 - 20_000
+
+
+def test_the_file_size_limit_of_this_process_is_untouched():
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
+
+
+def test_a_folder_that_cannot_be_made_is_an_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BagWriteError, match="cannot create"):
+        BagWriter(Path(tmp_path / "file" / "run"))
