@@ -6,8 +6,8 @@ import sys
 
 import numpy as np
 import pytest
-from koop_bag_messages import LOOP, PERIOD, START
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_types_from_msg
@@ -17,6 +17,7 @@ from koop_bag.errors import BagError
 from koop_bag.reader import BagReader
 from koop_bag.schema import load_schema
 from koop_bag.writer import BagWriter
+from koop_bag_messages import LOOP, PERIOD, START
 
 
 @pytest.fixture
@@ -217,6 +218,26 @@ def test_several_topics_are_read_in_one_pass(write_loop):
     assert np.array_equal(tables["/theta"]["theta"], -np.arange(500) / 7)
     assert np.array_equal(tables["/cost"]["r"], np.arange(500) * 1.5)
     assert np.array_equal(tables["/cost"]["sequence"], np.arange(1, 501))
+
+
+def test_files_of_one_bag_may_number_their_channels_differently(tmp_path, messages):
+    for number, order in enumerate((["/state", "/truth"], ["/truth", "/state"])):
+        with open(tmp_path / f"bag_{number}.mcap", "wb") as stream:
+            writer = Writer(stream)
+            writer.start("ros2")
+            for topic in order:
+                schema = load_schema(LOOP[topic])
+                known = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
+                channel = writer.register_channel(topic, "cdr", known)
+                for k in range(5):
+                    now = START + 5 * number + k
+                    data = messages.loop(topic, 5 * number + k)
+                    writer.add_message(channel, now, data, now)
+            writer.finish()
+    with BagReader(tmp_path) as reader:
+        tables = read_tables(reader, {"/state": ["step", "x"], "/truth": ["step", "epsilon0"]})
+    assert tables["/state"]["x"][:, 0].tolist() == [k + 0.25 for k in range(10)]
+    assert tables["/truth"]["epsilon0"].tolist() == [k / 11 for k in range(10)]
 
 
 def test_an_element_beyond_the_end_of_an_array_is_nan(write_bag, messages):

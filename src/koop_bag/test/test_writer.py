@@ -1,15 +1,19 @@
 """Bags read back by readers that share no code with the writer."""
 
 import resource
+import struct
 import subprocess
 import sys
+import zlib
 from collections import Counter
 from pathlib import Path
 
 import pytest
 import yaml
-from koop_bag_messages import LOOP, PERIOD, START
+import zstandard
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.records import Chunk, MessageIndex
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
@@ -19,6 +23,7 @@ from koop_bag.metadata import OfferedQos
 from koop_bag.reader import BagReader
 from koop_bag.schema import load_schema
 from koop_bag.writer import BagWriter, WriterOptions
+from koop_bag_messages import LOOP, PERIOD, START
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -57,6 +62,29 @@ def test_the_indexes_lead_to_the_messages_of_a_time_range(write_loop):
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         found = reader.iter_decoded_messages("/theta", starting_at=begin, ending_before=end)
         assert [decoded.step for *_, decoded in found] == list(range(300, 310))
+
+
+def test_every_index_entry_points_at_its_message(write_loop):
+    folder = write_loop(n=300)
+    with open(folder / "run_0.mcap", "rb") as stream:
+        records = list(StreamReader(stream, emit_chunks=True).records)
+    entries = 0
+    for record in records:
+        if isinstance(record, Chunk):
+            chunk = zstandard.decompress(record.data, record.uncompressed_size)
+        elif isinstance(record, MessageIndex):
+            for log_time, offset in record.records:
+                opcode, _, channel, _, logged = struct.unpack_from("<BQHIQ", chunk, offset)
+                assert (opcode, channel, logged) == (Opcode.MESSAGE, record.channel_id, log_time)
+                entries += 1
+    assert entries == 1200
+
+
+def test_the_checksum_of_the_summary_is_right(write_loop):
+    data = (write_loop() / "run_0.mcap").read_bytes()
+    # the specification: from the start of the summary up to the checksum in the footer
+    start, _, crc = struct.unpack_from("<QQI", data, len(data) - 8 - 20)
+    assert crc == zlib.crc32(data[start : len(data) - 8 - 4])
 
 
 def test_the_whole_file_passes_a_sequential_reader_with_checksums_on(write_loop):
@@ -118,8 +146,9 @@ def test_a_bag_splits_by_duration(write_loop):
 
 
 def test_sequence_numbers_go_on_across_files(write_loop):
-    folder = write_loop(n=1000, split_seconds=1.0)
+    folder = write_loop(n=1000, split_seconds=0.3)
     with BagReader(folder) as reader:
+        assert len(reader.files) > 10  # and 10 comes after 9, not after 1
         found = [m.sequence for m in reader.messages(["/cost"])]
     assert found == list(range(1, 1001))
 
@@ -188,25 +217,36 @@ else:
 """
 
 
-@pytest.mark.parametrize("limit", [100_000, 300_000, 999_983])
-def test_a_full_disk_is_an_error_and_all_before_it_is_safe(tmp_path, limit):
-    folder = tmp_path / "run"
-    done = subprocess.run(
-        [sys.executable, "-c", FILL, folder, str(limit)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def fill(folder, limit):
+    """Write until the limit is met; return how many messages were accepted, and the error."""
+    command = [sys.executable, "-c", FILL, folder, str(limit)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     count, _, message = done.stdout.partition(" ")
+    return int(count), message
+
+
+@pytest.mark.parametrize("limit", [100_000, 200_000, 300_000, 999_983])
+def test_a_full_disk_is_an_error_and_all_before_it_is_safe(tmp_path, limit):
+    folder = tmp_path / "run"
+    count, message = fill(folder, limit)
     assert "no space left" in message
     assert "bytes are safe" in message
     with BagReader(folder) as reader:
         numbers = [int.from_bytes(m.data[:4], "little") for m in reader.messages()]
-    assert numbers == list(range(int(count)))
-    # Lost is at most what the chunk in progress held, and the space that the summary took.
-    assert sum(path.stat().st_size for path in folder.glob("*.mcap")) > limit - 2 * 65536 - 20_000
-    assert int(count) * 131 > limit - 2 * 65536 - 20_000
+    assert numbers == list(range(count))
+    # Lost is what the chunk in progress held. A message takes 131 bytes and 16 in the index.
+    assert count * 147 > limit - 65536 * 147 / 131 - 2000
+
+
+@pytest.mark.parametrize("limit", [100_000, 200_000])
+def test_a_full_disk_leaves_a_bag_for_every_reader_if_the_summary_finds_room(tmp_path, limit):
+    folder = tmp_path / "run"
+    count, _ = fill(folder, limit)
+    with AnyReader([folder]) as reader:
+        assert reader.message_count == sum(1 for _ in reader.messages()) == count
+    with open(folder / "run_0.mcap", "rb") as stream:
+        list(StreamReader(stream, validate_crcs=True).records)
 
 
 def test_the_file_size_limit_of_this_process_is_untouched():
