@@ -182,7 +182,10 @@ set_up_workspace() {
   local key package changed=() known
   key=$(ws_key)
   known=$(cat "$WS_STAMP" 2>/dev/null || true)
-  [[ -n $known ]] || rm -rf "$WS/build" "$WS/install"  # of another environment, or half-made
+  if [[ -z $known ]]; then  # what is there is of another environment, or half-made
+    # A compiler that outlived a killed build may still be writing for a moment.
+    rm -rf "$WS/build" "$WS/install" 2>/dev/null || { sleep 5 && rm -rf "$WS/build" "$WS/install"; }
+  fi
   # A line of a key is "HASH  ./PKG/FILE"; those only in one of the two belong to packages that changed.
   for package in $(LC_ALL=C comm -3 <(LC_ALL=C sort <<<"$known") <(LC_ALL=C sort <<<"$key") |
     sed -nE 's#^\t?[0-9a-f]+  \./([^/]+)/.*#\1#p' | sort -u); do
