@@ -15,8 +15,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from koop_node.config import ConfigError, parameter, validate
 from numba import njit
+
+from koop_node.config import ConfigError, parameter, validate
 from relay_esc.config import EscConfig
 from relay_esc.relay import dwell_samples
 
@@ -55,10 +56,10 @@ class AdaptiveConfig:
     hysteresis: float = parameter(
         0.0, "relative rise of the cost that causes a flip", low=0.0, high=10.0
     )
-    shrink: float = parameter(0.7, "factor on the step at a flip after a short leg", low=0.05, high=1.0)
-    step_ratio: float = parameter(
-        0.2, "smallest step relative to the relay's", low=0.001, high=1.0
+    shrink: float = parameter(
+        0.7, "factor on the step at a flip after a short leg", low=0.05, high=1.0
     )
+    step_ratio: float = parameter(0.2, "smallest step relative to the relay's", low=0.001, high=1.0)
     growth_time: float = parameter(
         20.0, "time in which the step grows e-fold on a long leg", unit="s", low=0.1, high=1e4
     )
@@ -97,9 +98,7 @@ def initial(esc: EscConfig) -> AdaptiveState:
 def step(p: AdaptiveParams, state: AdaptiveState, r: float) -> AdaptiveState:
     """Process one cost sample; ``theta`` of the returned state is the control input."""
     if not state.primed:
-        return AdaptiveState(
-            state.theta, state.epsilon, state.step, 0.0, r, state.since_flip, True
-        )
+        return AdaptiveState(state.theta, state.epsilon, state.step, 0.0, r, state.since_flip, True)
     rise = p.alpha * (state.rise + r - state.r_previous)
     epsilon = state.epsilon
     size = state.step

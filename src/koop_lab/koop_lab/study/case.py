@@ -9,11 +9,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from koop_node.config import ConfigError
-from koopman_lifter.config import LifterConfig
-from koopman_lifter.model import KoopmanModel
-from relay_esc.config import EscConfig
-from vdp_plant.config import PlantConfig
 
 from koop_lab.study.adaptive import AdaptiveConfig
 from koop_lab.study.kernel import CONTROLLERS
@@ -22,6 +17,11 @@ from koop_lab.study.perturbation import PerturbationConfig
 from koop_lab.study.scenario import ScenarioConfig
 from koop_lab.study.variants import COSTS, make
 from koop_lab.train import TrainingConfig
+from koop_node.config import ConfigError
+from koopman_lifter.config import LifterConfig
+from koopman_lifter.model import KoopmanModel
+from relay_esc.config import EscConfig
+from vdp_plant.config import PlantConfig
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from koop_node.config import ConfigError
 
 from koop_lab.study.case import Case, check_path, override
 from koop_lab.study.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_lab.study.spec import Seeds
 from koop_lab.study.stats import finite, share, spread
 from koop_lab.study.units import Unit
+from koop_node.config import ConfigError
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,8 @@ def section(config: AblationsConfig, results: list[Any]) -> Section:
     report = Section(
         "ablations",
         "Ablations",
-        f"One setting at a time, {config.seeds.count} seeds a value; lines are medians, bands reach "
-        "from the 10 to the 90 % quantile.",
+        f"One setting at a time, {config.seeds.count} seeds a value; lines are medians, bands "
+        "reach from the 10 to the 90 % quantile.",
     )
     queue = iter(results)
     for ablation in config.ablations:

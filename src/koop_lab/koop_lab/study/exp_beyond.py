@@ -12,7 +12,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from koop_node.config import ConfigError
 
 from koop_lab.study.case import Case, override
 from koop_lab.study.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
@@ -28,6 +27,7 @@ from koop_lab.study.stats import (
     win_rate,
 )
 from koop_lab.study.units import Unit
+from koop_node.config import ConfigError
 
 SOUND = 100.0  # [%] converged that a cell must have on the tuning seeds to be preferred
 

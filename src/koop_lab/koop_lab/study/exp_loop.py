@@ -102,7 +102,8 @@ def _claim(table: Table, cost: str) -> Claim:
 def _figure(cost: str, trace: dict[str, Any]) -> Figure:
     def panel(name: str, label: str, color: int, level: float | None = None) -> Panel:
         low, high = trace[name]
-        return Panel("t [s]", label, (Series(label, trace["t"], low, "band", high, color),), level=level)
+        series = Series(label, trace["t"], low, "band", high, color)
+        return Panel("t [s]", label, (series,), level=level)
 
     return Figure(
         f"closed_loop_{re.sub(r'[^a-z]+', '_', cost)}",

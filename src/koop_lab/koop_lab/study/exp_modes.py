@@ -1,4 +1,4 @@
-"""Experiment ``modes``: the table of Koopman modes beside the paper's, and its spread over seeds."""
+"""Experiment ``modes``: the Koopman modes beside the paper's, and their spread over seeds."""
 
 from __future__ import annotations
 

@@ -141,13 +141,13 @@ def _figure(config: SensitivityConfig, cost: str, found: dict[Key, list[Any]]) -
     panels = []
     for tau_f in config.tau_f:
         values = [
-            [finite(spread(found[omega_h, omega_l, tau_f], "iae").median) for omega_h in config.omega_h]
-            for omega_l in config.omega_l
+            [finite(spread(found[high, low, tau_f], "iae").median) for high in config.omega_h]
+            for low in config.omega_l
         ]
-        heat = Heat(
-            [f"{v:g}" for v in config.omega_h], [f"{v:g}" for v in config.omega_l], values, 600, 6000
-        )
-        panels.append(Panel("ω_h [rad/s]", "ω_l [rad/s]", title=f"{cost}, τ_f = {tau_f:g} s", heat=heat))
+        x, y = ([f"{v:g}" for v in axis] for axis in (config.omega_h, config.omega_l))
+        heat = Heat(x, y, values, 600, 6000)
+        title = f"{cost}, τ_f = {tau_f:g} s"
+        panels.append(Panel("ω_h [rad/s]", "ω_l [rad/s]", title=title, heat=heat))
     return Figure(
         f"sensitivity_{cost}",
         f"Median IAE of the {cost} cost; one colour scale for all costs, from 600 (the relay's own "
@@ -164,8 +164,8 @@ def _claims(table: Table) -> list[Claim]:
         cell = {column.key: table.cell(cost, column.key) for column in table.columns}
         text = (
             f"{cost}: {cell['sound']} % of the cells are sound; its best cell (ω_h = "
-            f"{cell['omega_h']}, ω_l = {cell['omega_l']} rad/s, τ_f = {cell['tau_f']} s) has median "
-            f"IAE {cell['best_iae']} with {cell['best_converged']} % converged"
+            f"{cell['omega_h']}, ω_l = {cell['omega_l']} rad/s, τ_f = {cell['tau_f']} s) has "
+            f"median IAE {cell['best_iae']} with {cell['best_converged']} % converged"
         )
         if cell["cells_won"] != "–":
             text += (

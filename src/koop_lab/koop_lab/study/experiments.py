@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from koop_node.config import ConfigError
-
 from koop_lab.study import (
     exp_ablations,
     exp_beyond,
@@ -22,6 +20,7 @@ from koop_lab.study import (
 from koop_lab.study.document import Section
 from koop_lab.study.spec import parse, quickened, read_file
 from koop_lab.study.units import Unit
+from koop_node.config import ConfigError
 
 Steps = Generator[list[Unit], list[Any], Section]
 

@@ -10,19 +10,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from koopman_lifter import cost
-from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
 from numba import njit
 from numpy.typing import NDArray
-from relay_esc import relay
-from relay_esc.relay import RelayParams, RelayState
-from vdp_plant import dynamics
-from vdp_plant.dynamics import PlantParams
 
 from koop_lab.study import adaptive, perturbation
 from koop_lab.study.adaptive import AdaptiveParams, AdaptiveState
 from koop_lab.study.perturbation import PerturbationParams, PerturbationState
 from koop_lab.study.scenario import Exposure
+from koopman_lifter import cost
+from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
+from relay_esc import relay
+from relay_esc.relay import RelayParams, RelayState
+from vdp_plant import dynamics
+from vdp_plant.dynamics import PlantParams
 
 RELAY = 0
 ADAPTIVE = 1

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from koopman_lifter.edmd import Gram
-from koopman_lifter.observables import Monomials
 from numpy.typing import NDArray
-from vdp_plant.config import PlantConfig
 
 from koop_lab.study.scenario import ScenarioConfig, second_channel
 from koop_lab.train import TrainingConfig, trajectories
+from koopman_lifter.edmd import Gram
+from koopman_lifter.observables import Monomials
+from vdp_plant.config import PlantConfig
 
 SETTLED = 0.2  # share of a trajectory that is left out of its moments as transient
 
@@ -58,7 +58,9 @@ def _learn(plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfi
             dropped += 1
             continue
         if added is None:
-            added = second_channel(scenario, plant, np.arange(states.shape[1]) * plant.dt)
+            added = second_channel(
+                scenario, plant, np.arange(states.shape[1], dtype=np.float64) * plant.dt
+            )
         if added.size and training.corrupted:
             states[1] += added
         gram.add_trajectory(states)

@@ -77,9 +77,7 @@ def ramp(case: Case, duration: float) -> tuple[NDArray[np.float64], NDArray[np.f
     return falling, trace.r[settle:]
 
 
-def binned(
-    theta: NDArray[np.float64], r: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def binned(theta: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the mean of r around every point of :func:`grid`, shape (G,)."""
     centres = grid()
     nearest = np.rint((HIGH - theta) / SPACING).astype(np.int64)

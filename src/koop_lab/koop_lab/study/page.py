@@ -87,7 +87,8 @@ def _section(section: Section) -> str:
 
 def _claims(claims: Sequence[Claim]) -> str:
     items = [
-        f'<li>{html.escape(claim.text)} <small><a href="#table-{claim.table}">table</a></small></li>'
+        f"<li>{html.escape(claim.text)} "
+        f'<small><a href="#table-{claim.table}">table</a></small></li>'
         for claim in claims
     ]
     return f"<ul>\n{''.join(items)}\n</ul>" if items else ""
@@ -125,7 +126,7 @@ def _settings(experiments: Sequence[Experiment], command: str) -> str:
         "click a name to hide it.</p>",
     ]
     for experiment in experiments:
-        text = yaml.safe_dump(experiment.content, sort_keys=False, default_flow_style=None, width=100)
+        text = yaml.safe_dump(experiment.content, sort_keys=False, default_flow_style=None)
         parts.append(
             f"<details><summary>{html.escape(experiment.path.name)}</summary>"
             f"<pre>{html.escape(text)}</pre></details>"

@@ -16,8 +16,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from koop_node.config import parameter, validate
 from numba import njit
+
+from koop_node.config import parameter, validate
 from relay_esc.config import EscConfig
 
 FLOOR = 1e-300  # keeps the logarithm of a cost of 0 finite; costs are far larger

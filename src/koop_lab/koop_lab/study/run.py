@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from koop_node.config import ConfigError
 from numpy.typing import NDArray
 
 from koop_lab.loop import check_fit, initial_state, no_lifting
@@ -15,6 +14,7 @@ from koop_lab.study import adaptive, perturbation
 from koop_lab.study.case import Case, model_of
 from koop_lab.study.kernel import CONTROLLERS, Control, Sensing, run_kernel
 from koop_lab.study.scenario import displacement, expose
+from koop_node.config import ConfigError
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,7 @@ class Trace:
         return self.done < self.t.size
 
 
-def run(
-    case: Case, schedule: NDArray[np.float64] | None = None, with_truth: bool = False
-) -> Trace:
+def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: bool = False) -> Trace:
     """Run ``case``; with ``schedule``, shape (M,), theta follows it and the controller is idle.
 
     Raises
@@ -80,10 +78,8 @@ def run(
     x, y = initial_state(case.plant)
     r, theta = np.empty(case.steps), np.empty(case.steps)
     truth = np.empty((case.steps if with_truth else 0, 2))
-    done = run_kernel(
-        case.plant.params(), sensing, control, exposure, x, y, r, theta, truth
-    )
-    return Trace(np.arange(case.steps) * case.plant.dt, r, theta, truth, done)
+    done = run_kernel(case.plant.params(), sensing, control, exposure, x, y, r, theta, truth)
+    return Trace(np.arange(case.steps, dtype=np.float64) * case.plant.dt, r, theta, truth, done)
 
 
 Row = dict[str, float | None]

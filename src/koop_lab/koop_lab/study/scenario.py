@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from koop_node.config import parameter, validate
 from numpy.typing import NDArray
+
+from koop_node.config import parameter, validate
 from vdp_plant.config import PlantConfig
 
 
@@ -32,12 +33,8 @@ class ScenarioConfig:
     optimum_swing: float = parameter(
         0.0, "amplitude of a sinusoidal motion of theta*", low=0.0, high=10.0
     )
-    optimum_period: float = parameter(
-        1000.0, "period of that motion", unit="s", low=1.0, high=1e6
-    )
-    optimum_jump: float = parameter(
-        0.0, "theta* jumps by this much and back", low=-10.0, high=10.0
-    )
+    optimum_period: float = parameter(1000.0, "period of that motion", unit="s", low=1.0, high=1e6)
+    optimum_jump: float = parameter(0.0, "theta* jumps by this much and back", low=-10.0, high=10.0)
     jump_every: float = parameter(
         800.0, "time between two jumps of theta*", unit="s", low=1.0, high=1e6
     )
@@ -124,7 +121,7 @@ def expose(
         Control input for an open-loop run.
     """
     rng = np.random.default_rng([seed, 1])
-    t = np.arange(steps) * plant.dt
+    t = np.arange(steps, dtype=np.float64) * plant.dt
     added = np.empty((0, 2))
     second = second_channel(config, plant, t)
     if config.noise > 0.0 or second.size:

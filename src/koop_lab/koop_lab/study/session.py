@@ -9,12 +9,11 @@ import sys
 import time
 from pathlib import Path
 
-from koop_node.config import ConfigError
-
 from koop_lab.study import publish
 from koop_lab.study.experiments import KINDS, read_folder
 from koop_lab.study.runner import run_all
 from koop_lab.study.units import Store
+from koop_node.config import ConfigError
 
 INTERRUPTED = 130
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import yaml
+
 from koop_node.config import ConfigError
 
 T = TypeVar("T")

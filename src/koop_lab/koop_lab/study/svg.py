@@ -20,7 +20,8 @@ def render(figure: Figure) -> str:
     rows = -(-len(figure.panels) // figure.columns)
     settings = {"svg.hashsalt": figure.name, "svg.fonttype": "none", "font.size": 9}
     with matplotlib.rc_context(settings):
-        canvas = Canvas(figsize=(4.6 * figure.columns + 2.0, 2.6 * rows + 0.4), layout="constrained")
+        size = (4.6 * figure.columns + 2.0, 2.6 * rows + 0.4)
+        canvas = Canvas(figsize=size, layout="constrained")
         axes = canvas.subplots(rows, figure.columns, squeeze=False).ravel()
         for axis, panel in zip(axes, figure.panels, strict=False):
             _draw(axis, panel)

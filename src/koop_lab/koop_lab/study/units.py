@@ -1,7 +1,7 @@
 """Units of work: what one process computes at a stretch, and their results on disk.
 
-A result's file is named by a hash of the work, its arguments and the code that does it. A study that
-was stopped goes on where it was; one whose numerical code changed starts anew.
+A result's file is named by a hash of the work, its arguments and the code that does it. A study
+that was stopped goes on where it was; one whose numerical code changed starts anew.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import koop_lab
 import koopman_lifter
 import relay_esc
 import vdp_plant
-
-import koop_lab
 
 NUMERICAL = {  # package: files whose code decides results
     vdp_plant: ("config.py", "dynamics.py"),

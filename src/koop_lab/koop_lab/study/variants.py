@@ -27,15 +27,15 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
-from koopman_lifter.edmd import Koopman, edmd
-from koopman_lifter.model import KoopmanModel, build
-from koopman_lifter.modes import Modes, decompose, partner, projector
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.stats import spearmanr
 
 from koop_lab.study.learning import Learned
 from koop_lab.train import STATE_NAMES
+from koopman_lifter.edmd import Koopman, edmd
+from koopman_lifter.model import KoopmanModel, build
+from koopman_lifter.modes import Modes, decompose, partner, projector
 
 QUARTILE = 0.25  # share of the trajectories that counts as strongly, and as weakly, oscillating
 CORRELATION_MODES = 4  # N of ``correlation``
@@ -73,17 +73,13 @@ def modal_rows(koopman: Koopman, modes: Modes) -> NDArray[np.complex128]:
     return np.asarray(inverse / koopman.scale[None, :])
 
 
-def modal_fluctuations(
-    learned: Learned, koopman: Koopman, modes: Modes
-) -> NDArray[np.float64]:
+def modal_fluctuations(learned: Learned, koopman: Koopman, modes: Modes) -> NDArray[np.float64]:
     """Return the variance of every modal coordinate over every trajectory, shape (T, p)."""
     rows = modal_rows(koopman, modes)
     return np.einsum("ij,tjk,ik->ti", rows, learned.covariances, rows.conj()).real
 
 
-def _paper(
-    model: KoopmanModel, learned: Learned, koopman: Koopman, modes: Modes
-) -> KoopmanModel:
+def _paper(model: KoopmanModel, learned: Learned, koopman: Koopman, modes: Modes) -> KoopmanModel:
     return model
 
 
@@ -157,9 +153,7 @@ def _contrast(
     return replace(model, projector=rows)
 
 
-VARIANTS: dict[
-    str, Callable[[KoopmanModel, Learned, Koopman, Modes], KoopmanModel]
-] = {
+VARIANTS: dict[str, Callable[[KoopmanModel, Learned, Koopman, Modes], KoopmanModel]] = {
     "lifted": _paper,
     "log": _paper,
     "balanced": _balanced,

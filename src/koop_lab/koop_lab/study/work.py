@@ -6,8 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from koopman_lifter.edmd import edmd
-from koopman_lifter.modes import decompose, select_by_energy
 from numpy.typing import NDArray
 
 from koop_lab.study import maps
@@ -15,6 +13,8 @@ from koop_lab.study.case import Case, override, seeded
 from koop_lab.study.learning import learn
 from koop_lab.study.run import measure, run
 from koop_lab.study.scenario import ScenarioConfig
+from koopman_lifter.edmd import edmd
+from koopman_lifter.modes import decompose, select_by_energy
 
 RAMP = 2500.0  # [s] length of the ramp whose minimum serves as r*: as long as the run
 DRAWN = 900  # points a drawn trace is thinned to
@@ -105,7 +105,7 @@ def trace(settings: dict[str, Any], seed: int | None, start: float) -> dict[str,
 def _extremes(
     values: NDArray[np.float64], count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the least and the largest of ``count`` equal stretches: thinning that hides no peak."""
+    """Return least and largest of ``count`` equal stretches: thinning that hides no peak."""
     every = max(1, values.size // count)
     blocks = values[: values.size // every * every].reshape(-1, every)
     return blocks.min(axis=1)[:count], blocks.max(axis=1)[:count]
