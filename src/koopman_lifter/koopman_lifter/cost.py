@@ -8,6 +8,9 @@
     r_k    = max(y_lp,k, 0)                     (after Wang and Krstic 2000)
 
 The detector starts from the first measurement, not from zero: the first difference is 0.
+
+Functions that take arrays are inlined before compilation: each call would count references to them,
+which costs as much as the arithmetic.
 """
 
 from __future__ import annotations
@@ -67,7 +70,7 @@ def initial() -> DetectorState:
     return DetectorState(0.0, 0.0, 0.0, False)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def raw_energy(x: NDArray[np.float64]) -> float:
     """Return ||x||_2 / sqrt(n) of a state, shape (n,)."""
     total = 0.0
@@ -76,7 +79,7 @@ def raw_energy(x: NDArray[np.float64]) -> float:
     return math.sqrt(total / x.shape[0])
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def lifted_energy(lifting: Lifting, x: NDArray[np.float64], z: NDArray[np.float64]) -> float:
     """Return ||V_dom^+ g(x)||_2^2 of a state, shape (n,); ``z``, shape (p,), receives g(x)."""
     lift_into(lifting.parent, lifting.factor, x, z)
@@ -89,7 +92,7 @@ def lifted_energy(lifting: Lifting, x: NDArray[np.float64], z: NDArray[np.float6
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def energy(source: int, lifting: Lifting, x: NDArray[np.float64], z: NDArray[np.float64]) -> float:
     """Return y_out of a state for ``source`` RAW or LIFTED."""
     if source == LIFTED:
@@ -124,7 +127,7 @@ def detect(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float
     return max(y_lp, 0.0), DetectorState(y_out, y_hp, y_lp, True)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def step(
     source: int,
     lifting: Lifting,

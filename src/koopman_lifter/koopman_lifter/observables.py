@@ -113,7 +113,7 @@ class Monomials:
         return lifted
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")  # see koopman_lifter.cost
 def lift_into(
     parent: NDArray[np.int64],
     factor: NDArray[np.int64],
