@@ -29,7 +29,7 @@ from koop_bag_messages import LOOP
 from koop_bag_ros import Recorder, Talker, publish, wait_until
 
 pytestmark = pytest.mark.ros
-domains = itertools.count(os.getpid())
+domains = itertools.count(int(os.environ.get("ROS_DOMAIN_ID", os.getpid())))
 
 
 @pytest.fixture(autouse=True)
