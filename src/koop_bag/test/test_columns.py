@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from koop_bag_messages import LOOP, PERIOD, START
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -17,7 +18,6 @@ from koop_bag.errors import BagError
 from koop_bag.reader import BagReader
 from koop_bag.schema import load_schema
 from koop_bag.writer import BagWriter
-from koop_bag_messages import LOOP, PERIOD, START
 
 
 @pytest.fixture

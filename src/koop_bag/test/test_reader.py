@@ -1,13 +1,13 @@
 """Bags that are foreign, torn or absent, and bags written by others."""
 
 import pytest
+from koop_bag_messages import LOOP, PERIOD, START
 from mcap.writer import CompressionType, Writer
 
 from koop_bag.columns import read_columns
 from koop_bag.errors import BagError
 from koop_bag.reader import BagReader
 from koop_bag.schema import load_schema
-from koop_bag_messages import LOOP, PERIOD, START
 
 
 def test_messages_come_back_as_they_were_written(write_loop, messages):

@@ -12,6 +12,8 @@ import time
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from koop_bag_messages import LOOP
+from koop_bag_ros import Recorder, Talker, publish, wait_until
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
@@ -25,8 +27,6 @@ from koop_bag.losses import count_losses
 from koop_bag.reader import BagReader
 from koop_bag.recover import recover
 from koop_bag.ros_topics import message_class
-from koop_bag_messages import LOOP
-from koop_bag_ros import Recorder, Talker, publish, wait_until
 
 pytestmark = pytest.mark.ros
 domains = itertools.count(int(os.environ.get("ROS_DOMAIN_ID", os.getpid())))

@@ -1,11 +1,11 @@
 """Definitions and hashes against `rosbags`, which brings its own copies and its own hashing."""
 
 import pytest
+from koop_bag_messages import LOOP
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from koop_bag.errors import BagError
 from koop_bag.schema import load_schema
-from koop_bag_messages import LOOP
 
 COMMON = (
     "sensor_msgs/msg/JointState",

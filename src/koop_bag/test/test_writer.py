@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 import zstandard
+from koop_bag_messages import LOOP, PERIOD, START
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Chunk, MessageIndex
@@ -23,7 +24,6 @@ from koop_bag.metadata import OfferedQos
 from koop_bag.reader import BagReader
 from koop_bag.schema import load_schema
 from koop_bag.writer import BagWriter, WriterOptions
-from koop_bag_messages import LOOP, PERIOD, START
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
