@@ -61,7 +61,8 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(tmp_path, steps, chan
 
 
 def test_every_message_is_decoded_by_readers_that_no_one_here_wrote(tmp_path):
-    from mcap_ros2.reader import read_ros2_messages
+    from mcap.reader import make_reader
+    from mcap_ros2.decoder import DecoderFactory
     from rosbags.highlevel import AnyReader
 
     _, run = lockstep(tmp_path, 200)
@@ -77,8 +78,11 @@ def test_every_message_is_decoded_by_readers_that_no_one_here_wrote(tmp_path):
     np.testing.assert_array_equal([m.x for m in decoded["/truth"]], run.truth)
     (file,) = (tmp_path / "bag").glob("*.mcap")
     others = {}
-    for item in read_ros2_messages(file):
-        others.setdefault(item.channel.topic, []).append(item.ros_msg)
+    with file.open("rb") as stream:
+        for _, channel, _, message in make_reader(
+            stream, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
+            others.setdefault(channel.topic, []).append(message)
     assert {topic: len(m) for topic, m in others.items()} == {
         topic: len(m) for topic, m in decoded.items()
     }

@@ -104,6 +104,16 @@ def test_a_signal_ends_the_node_with_exit_code_0(start, probe, tmp_path, node, n
     print(f"{node} ended {time.monotonic() - asked:.2f} s after the signal")
 
 
+def test_ctrl_c_that_comes_again_and_again_is_still_a_clean_end(start, probe):
+    """From the terminal, and once more from the launch file that the terminal interrupted."""
+    process = start("relay_esc")
+    probe.spin_until(lambda: state_of(probe, "relay_esc") == "active", "relay_esc to be active")
+    while process.poll() is None:
+        process.process.send_signal(signal.SIGINT)
+        time.sleep(0.001)
+    assert process.poll() == 0
+
+
 @pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize(
     ("parameter", "value", "message"),

@@ -51,6 +51,10 @@ def run(make_node: Callable[[], ManagedNode], args: list[str] | None = None) -> 
             executor.spin_once(timeout_sec=POLL)
         node.close()
     finally:
+        # Under a launch file Ctrl-C comes twice, and the interpreter, when it ends, puts back the
+        # default handler, which would kill the process; an ignored signal stays ignored.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
         executor.remove_node(node)
         node.destroy_node()
         executor.shutdown()

@@ -109,7 +109,7 @@ def descriptor(spec: Spec, default: Any) -> ParameterDescriptor:
     unit = f" [{spec.unit}]" if spec.unit else ""
     result = ParameterDescriptor(
         description=spec.description + unit,
-        additional_constraints=spec.constraint,
+        additional_constraints="" if math.isfinite(spec.high) else spec.constraint,
         read_only=spec.read_only,
         # a float may be written '5' and a list '[]', of which ROS would infer another type
         dynamic_typing=isinstance(default, float | tuple),
