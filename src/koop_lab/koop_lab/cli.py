@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from importlib import import_module
+from types import FrameType
 
 from koop_lab.live import LiveError
 
@@ -32,6 +34,9 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Run a command; bad input ends in one line on stderr and exit code 2."""
     args = parser().parse_args(argv)
+    # a closed terminal or a supervisor's stop must end the nodes that were started, as Ctrl-C does
+    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGHUP, _interrupt)
     try:
         return int(args.func(args))
     except (ValueError, OSError, ArithmeticError, LiveError) as error:
@@ -40,3 +45,7 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
