@@ -14,6 +14,8 @@ from koop_lab.study.stats import finite, share, spread
 from koop_lab.study.units import Unit
 from koop_node.config import ConfigError
 
+HARDLY = 1.25  # largest over least median IAE up to which a setting hardly matters
+
 
 @dataclass(frozen=True)
 class Ablation:
@@ -179,15 +181,19 @@ def _figure(ablation: Ablation, values: list[Any], rows: dict[str, list[Any]]) -
 def _claim(
     ablation: Ablation, labels: list[str], rows: dict[str, list[Any]], table: Table
 ) -> Claim:
+    medians = {cost: [spread(r, "iae").median for r in found] for cost, found in rows.items()}
     parts = []
-    for cost, found in rows.items():
-        medians = [spread(r, "iae").median for r in found]
-        best, worst = int(np.argmin(medians)), int(np.argmax(medians))
-        key = f"{cost}_iae_median"
+    for cost, values in medians.items():
+        best, worst = (labels[int(pick(values))] for pick in (np.argmin, np.argmax))
+        low, high = (table.cell(value, f"{cost}_iae_median") for value in (best, worst))
+        influence = "hardly changes" if max(values) < HARDLY * min(values) else "changes"
         parts.append(
-            f"{cost} has its lowest median IAE, {table.cell(labels[best], key)} "
-            f"({table.cell(labels[best], f'{cost}_converged')} % converged), at {labels[best]} and "
-            f"its highest, {table.cell(labels[worst], key)} "
-            f"({table.cell(labels[worst], f'{cost}_converged')} %), at {labels[worst]}"
+            f"it {influence} the {cost} cost's median IAE (least {low} at {best}, "
+            f"{table.cell(best, f'{cost}_converged')} % converged; largest {high} at {worst}, "
+            f"{table.cell(worst, f'{cost}_converged')} %)"
         )
+    if {"raw", "lifted"} <= medians.keys():
+        wins = [a < b for a, b in zip(medians["lifted"], medians["raw"], strict=True)]
+        often = "at every value" if all(wins) else "at some values only" if any(wins) else "nowhere"
+        parts.append(f"lifted is below raw {often}")
     return Claim(f"{ablation.title}: {'; '.join(parts)}.", table.name)

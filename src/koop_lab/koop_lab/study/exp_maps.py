@@ -74,7 +74,7 @@ def section(config: StaticMapsConfig, results: list[Any]) -> Section:
     figure = Figure(
         "static_maps",
         "Static maps r(θ). Left: along the ramp from 2 down to −5, as in the paper. Right: settled "
-        "at fixed θ, mean over one period of the damping drift; logarithmic.",
+        "at fixed θ, mean over one period of the damping drift. Logarithmic: r falls by decades.",
         tuple(panels),
         2,
     )
@@ -102,6 +102,7 @@ def _ramp_panel(cost: str, duration: float, found: dict[str, Any]) -> Panel:
             Series("mean in bins", maps.grid().tolist(), found["binned"], "line", color=3),
         ),
         f"{cost}, ramp of {duration:g} s",
+        log_y=True,
     )
 
 

@@ -13,9 +13,12 @@ from koop_lab.study.document import Claim, Column, Figure, Heat, Panel, Section,
 from koop_lab.study.spec import Seeds
 from koop_lab.study.stats import finite, share, spread, win_rate
 from koop_lab.study.units import Unit
+from koopman_lifter.config import LifterConfig
+from relay_esc.config import EscConfig
 
 SOUND = 90.0  # [%] of the runs that must converge in a cell that counts as sound
 Key = tuple[float, float, float]
+DEFAULT: Key = (LifterConfig.omega_h, LifterConfig.omega_l, EscConfig.tau_f)
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ def section(config: SensitivityConfig, results: list[Any]) -> Section:
             Column("cells_won", "cells won against raw [%]", ".0f"),
             Column("runs_won", "runs won against raw [%]", ".0f"),
             Column("median_of_medians", "IAE, median cell", ".0f"),
+            Column("default_iae", "IAE, default constants", ".0f"),
             Column("best_iae", "IAE, best cell", ".0f"),
             Column("best_p90", "IAE 90 %, best cell", ".0f"),
             Column("best_converged", "converged, best cell [%]", ".0f"),
@@ -93,6 +97,7 @@ def section(config: SensitivityConfig, results: list[Any]) -> Section:
                 float(np.mean([win_rate(found[cell], rivals[cell]) for cell in cells]))
                 if rivals else None,
                 float(np.median(list(medians.values()))),
+                medians.get(DEFAULT),
                 medians[top],
                 spread(found[top], "iae").high,
                 share(found[top], "converged"),
@@ -173,4 +178,16 @@ def _claims(table: Table) -> list[Claim]:
                 "of the cells"
             )
         claims.append(Claim(text + ".", "sensitivity", summary=True))
+    names = [str(row[0]) for row in table.rows]
+    if {"raw", "lifted"} <= set(names) and table.cell("lifted", "default_iae") != "–":
+        best, default = table.cell("raw", "best_iae"), table.cell("lifted", "default_iae")
+        verdict = "beats" if float(best) < float(default) else "does not beat"
+        claims.append(
+            Claim(
+                f"The raw cost at its best cell {verdict} the lifted cost at the default "
+                f"constants: median IAE {best} against {default}.",
+                "sensitivity",
+                summary=True,
+            )
+        )
     return claims

@@ -25,7 +25,7 @@ function html(name, className, parent, text) {
 function short(value) {
   if (value === null || value === undefined || !isFinite(value)) return "–";
   const size = Math.abs(value);
-  if (value !== 0 && (size >= 1e5 || size < 1e-3)) return value.toExponential(2).replace("e+", "e");
+  if (value !== 0 && (size >= 1e5 || size < 1e-3)) return String(Number(value.toPrecision(3)).toExponential()).replace("e+", "e");
   return String(Number(value.toPrecision(4)));
 }
 

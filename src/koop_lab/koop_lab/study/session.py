@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import signal
 import sys
 import time
 from pathlib import Path
@@ -44,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.experiments}: holds no experiment of the kinds asked for")
     out = args.out or Path("recordings/study-quick" if args.quick else "recordings/study")
     store = Store(out / "units")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a shell's `kill` stops it as Ctrl-C
     try:
         sections = run_all(experiments, store, args.processes)
     except KeyboardInterrupt:
