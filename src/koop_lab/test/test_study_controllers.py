@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from koop_lab.study import adaptive, perturbation
 from koop_lab.study.adaptive import AdaptiveConfig
 from koop_lab.study.perturbation import PerturbationConfig

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from koop_lab.loop import simulate
 from koop_lab.study.case import Case, model_of, override, seeded
 from koop_lab.study.run import measure, run
@@ -55,7 +56,8 @@ def test_optimum_that_jumped_is_the_plant_with_that_optimum() -> None:
 
 def test_metrics_follow_a_moving_optimum() -> None:
     case = override(
-        Case(), {"duration": 400.0, "cost": "raw", "scenario.optimum_swing": 1.5, "esc.step_size": 0.0}
+        Case(),
+        {"duration": 400.0, "cost": "raw", "scenario.optimum_swing": 1.5, "esc.step_size": 0.0},
     )
     t = np.arange(case.steps) * case.plant.dt
     perfect = -3.0 + 1.5 * np.sin(2.0 * np.pi * t / 1000.0)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
+
 from koop_lab.study import maps
 from koop_lab.study.case import Case, override
-from scipy.ndimage import uniform_filter1d
 
 THETA_STAR = -3.0
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+
 from koop_lab.study.case import Case, model_of, override
 from koop_lab.study.learning import Learned, learn
 from koop_lab.study.scenario import ScenarioConfig
@@ -14,7 +16,6 @@ from koop_lab.train import TrainingConfig
 from koopman_lifter.edmd import edmd
 from koopman_lifter.model import load
 from koopman_lifter.modes import decompose
-from numpy.typing import NDArray
 from vdp_plant.config import PlantConfig
 
 TRAINING = TrainingConfig(trajectories=30, duration=40.0)

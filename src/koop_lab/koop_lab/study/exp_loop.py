@@ -90,7 +90,7 @@ def section(config: ClosedLoopConfig, results: list[Any]) -> Section:
 def _claim(table: Table, cost: str) -> Claim:
     paper = f"paper, {cost}"
     reached = table.cell(cost, "t_theta")
-    when = "never comes within 0.1 of θ*" if reached == "–" else f"reaches θ* after {reached} s"
+    when = "never reaches θ*" if reached == "–" else f"reaches θ* after {reached} s"
     return Claim(
         f"With the {cost} cost the loop {when} with IAE {table.cell(cost, 'iae')}; the paper "
         f"reports {table.cell(paper, 't_theta')} s and {table.cell(paper, 'iae')}.",

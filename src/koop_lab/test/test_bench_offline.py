@@ -1,0 +1,38 @@
+"""The C program of the offline benchmark is the same loop."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from koop_lab.bench_offline import Loop, compile_c, time_c, time_kernel
+from koop_lab.train import TrainingConfig, train
+from koopman_lifter.config import LifterConfig
+from vdp_plant.config import PlantConfig
+
+SOURCE = Path(__file__).resolve().parents[3] / "benchmarks" / "closed_loop.c"
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler 'cc' on the PATH")
+@pytest.mark.parametrize("cost", ["raw", "lifted"])
+def test_c_and_kernel_agree_over_the_whole_run(cost: str, tmp_path: Path) -> None:
+    training = TrainingConfig(trajectories=20, duration=20.0)
+    model = None if cost == "raw" else train(PlantConfig(), training)
+    loop = Loop(LifterConfig(cost=cost), model)
+    _, theta = time_kernel(loop, 0)
+    _, theta_c = time_c(compile_c(SOURCE, tmp_path), loop, 1)
+    # not chaotic, but a flip of the relay may move by a step where sin() rounds differently
+    assert np.abs(theta - theta_c).max() < 1e-6
+    assert theta.size == theta_c.size == 500
+
+
+def test_a_source_that_does_not_compile_is_an_error(tmp_path: Path) -> None:
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler 'cc' on the PATH")
+    source = tmp_path / "x.c"
+    source.write_text("int main(void) { return oops; }\n")
+    with pytest.raises(ValueError, match="does not compile"):
+        compile_c(source, tmp_path)
