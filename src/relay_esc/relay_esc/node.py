@@ -87,23 +87,23 @@ class EscNode(ManagedNode):
         if step == self._step:  # asked again: the same answer, no second update
             self._publisher.publish(self._answer)
             return
-        state = self._state
+        anew = False
         if self._step is not None:
             if step < self._step:
                 self.get_logger().warning(f"step went back from {self._step} to {step}")
-                state = relay.hold(state)
+                anew = True
             else:
                 self._missed += step - self._step - 1
         origin = (cost.source, cost.model_id)
-        if origin != self._origin:  # another quantity: its difference to the last means nothing
-            state = relay.hold(state)
+        if origin != self._origin:
+            anew = True
             self._origin = origin
-        usable = math.isfinite(cost.r)
-        holding = self._hold_asked or not usable or not self.active
-        state = relay.hold(state) if holding else relay.step(self._params, state, cost.r)
+        state, holding = relay.respond(
+            self._params, self._state, cost.r, anew, self._hold_asked or not self.active
+        )
         self._state, self._step = state, step
         self._count += 1
-        self._unusable += not usable
+        self._unusable += not math.isfinite(cost.r)
         answer = self._answer
         answer.header = cost.header
         answer.step = step
@@ -130,8 +130,8 @@ class EscNode(ManagedNode):
 
 def _compile(config: EscConfig) -> None:
     """Compile the kernels for the types that messages bring, before the first sample."""
-    state = relay.step(config.params(), relay.hold(config.initial()), 0.0)
-    relay.saturated(config.params(), relay.step(config.params(), state, 1.0).theta)
+    state, _ = relay.respond(config.params(), config.initial(), 0.0, True, False)
+    relay.saturated(config.params(), state.theta)
 
 
 def main() -> None:

@@ -120,6 +120,39 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
 
 
 @njit(cache=True)
+def respond(
+    p: RelayParams, state: RelayState, r: float, anew: bool, hold_asked: bool
+) -> tuple[RelayState, bool]:
+    """Answer one cost, whatever it is: the node and the offline replay decide alike.
+
+    Parameters
+    ----------
+    p : RelayParams
+        Parameters.
+    state : RelayState
+        State after the previous cost.
+    r : float
+        Cost r_k; theta is held on one that is not finite.
+    anew : bool
+        Whether r_k follows on no earlier cost: the steps went back, or it is another quantity. Its
+        difference to the last one then means nothing.
+    hold_asked : bool
+        Whether theta is to be held whatever the cost.
+
+    Returns
+    -------
+    state : RelayState
+        State after this cost; ``theta`` is the control input to apply.
+    holding : bool
+        Whether theta was held.
+    """
+    holding = hold_asked or not math.isfinite(r)
+    if holding or anew:
+        state = hold(state)
+    return (state if holding else step(p, state, r)), holding
+
+
+@njit(cache=True)
 def saturated(p: RelayParams, theta: float) -> bool:
     """Return True if ``theta`` is at one of its limits."""
     return theta <= p.theta_min or theta >= p.theta_max

@@ -112,3 +112,19 @@ def test_the_compiled_kernel_is_the_python_function():
 def test_a_bad_value_is_refused_with_the_reason(values, message):
     with pytest.raises(ConfigError, match=message):
         EscConfig(**values)
+
+
+def test_an_answer_is_held_anew_or_the_next_step():
+    params, state = EscConfig(dwell=0.0).params(), EscConfig().initial()
+    for r in (3.0, 2.5, 2.2):
+        state, holding = relay.respond(params, state, r, False, False)
+        assert not holding
+    moved = relay.step(params, state, 9.0)
+    assert relay.respond(params, state, 9.0, False, False) == (moved, False)
+    assert relay.respond(params, state, 9.0, False, True) == (relay.hold(state), True)
+    assert relay.respond(params, state, math.nan, False, False) == (relay.hold(state), True)
+    anew, holding = relay.respond(params, state, 9.0, True, False)
+    assert not holding
+    assert (anew.theta, anew.epsilon, anew.hp, anew.primed) == (
+        state.theta, state.epsilon, 0.0, True,
+    )  # fmt: skip
