@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+PAPER_DURATION = 2500.0  # [s] length of the paper's runs
 LOGGING_START = 100.0  # [s] the paper logs from here on, to leave out the initial transient
 TOLERANCE = 0.1  # |theta - theta*| that counts as reached; the paper gives no value
 CONVERGED = 0.6  # mean |theta - theta*| of a converged tail: twice that of the relay's own cycle

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from koop_lab.loop import LoopResult, simulate
-from koop_lab.metrics import Metrics, evaluate
+from koop_lab.metrics import PAPER_DURATION, Metrics, evaluate
 from koop_lab.options import add_loop_options, loop_parameters
 from koop_lab.parameters import LoopParameters
 from koop_lab.static import optimal_cost
@@ -21,7 +21,7 @@ from koop_lab.table import metrics_table
 def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     parser = commands.add_parser("simulate", help="run the experiment offline, without ROS")
-    add_loop_options(parser, duration=2500.0)
+    add_loop_options(parser, duration=PAPER_DURATION)
     parser.add_argument("--out", type=Path, metavar="FILE.npz", help="write the signals")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the run (png, svg, pdf)")
     parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
