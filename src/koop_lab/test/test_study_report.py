@@ -11,7 +11,6 @@ import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from koop_lab.study.units import Store
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
 LIMIT = 180.0  # [s] that the quick study may take
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-# Two pages in one: the report in a frame as wide as a phone or a desk, and what it looks like there.
+# The report in a frame as wide as a phone or a desk, and what it looks like there.
 FRAME = """<!DOCTYPE html><body><iframe id="f" style="width:{width}px;height:900px;border:0"
 srcdoc="{page}"></iframe><script>
 document.getElementById("f").onload = () => setTimeout(() => {{
@@ -60,7 +59,7 @@ class Quick:
 
 
 @pytest.fixture(scope="module")
-def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Quick]:
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
     out = tmp_path_factory.mktemp("study")
     begin = time.monotonic()
     done = subprocess.run(
@@ -71,7 +70,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Quick]:
     seconds = time.monotonic() - begin
     assert done.returncode == 0, done.stderr
     sections = run_all(read_folder(EXPERIMENTS, True), Store(out / "units"), 1)
-    yield Quick(out, seconds, done.stdout, sections)
+    return Quick(out, seconds, done.stdout, sections)
 
 
 @pytest.mark.slow

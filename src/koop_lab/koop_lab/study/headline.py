@@ -1,8 +1,8 @@
 """The headline runs, and whether a recorded run is the same run.
 
 A headline run is a case that the nodes can run as it is: the paper's plant and relay, and a cost
-that is a model file. :func:`headlines` gives configurations and model for a run over DDS in lockstep;
-:func:`compare` holds what was recorded against the offline loop, bit for bit.
+that is a model file. :func:`headlines` gives configurations and model for a run over DDS in
+lockstep; :func:`compare` holds what was recorded against the offline loop, bit for bit.
 """
 
 from __future__ import annotations
