@@ -128,9 +128,9 @@ def _figure(rows: dict[str, list[Any]]) -> Figure:
 def _claims(table: Table) -> list[Claim]:
     claims = [
         Claim(
-            f"{cost}: median IAE {table.cell(cost, 'iae_median')}, 90th percentile "
-            f"{table.cell(cost, 'iae_p90')}; {table.cell(cost, 'reached')} % of the runs reach θ* "
-            f"and {table.cell(cost, 'converged')} % converge.",
+            f"With the {cost} cost the median IAE is {table.cell(cost, 'iae_median')} and the 90th "
+            f"percentile {table.cell(cost, 'iae_p90')}; {table.cell(cost, 'reached')} % of the "
+            f"runs reach θ* and {table.cell(cost, 'converged')} % converge.",
             "robustness",
             summary=True,
         )

@@ -108,7 +108,9 @@ def section(config: SensitivityConfig, results: list[Any]) -> Section:
         "sensitivity",
         "Sensitivity to the constants that the paper leaves open",
         "The paper gives no corner frequencies of the amplitude detector and no time constant of "
-        "the relay's filter. So every cost meets the same grid of them.",
+        "the relay's filter. So every cost meets the same grid of them. The "
+        "detector's low-pass filter and the relay's filter are in series and commute: swapping ω_l "
+        "and 1/τ_f gives nearly the same loop, which the maps show.",
         [best, _detail(rows)],
         [_figure(config, cost, found) for cost, found in rows.items()],
         _claims(best),
@@ -168,7 +170,7 @@ def _claims(table: Table) -> list[Claim]:
         cost = str(row[0])
         cell = {column.key: table.cell(cost, column.key) for column in table.columns}
         text = (
-            f"{cost}: {cell['sound']} % of the cells are sound; its best cell (ω_h = "
+            f"With the {cost} cost {cell['sound']} % of the cells are sound; the best one (ω_h = "
             f"{cell['omega_h']}, ω_l = {cell['omega_l']} rad/s, τ_f = {cell['tau_f']} s) has "
             f"median IAE {cell['best_iae']} with {cell['best_converged']} % converged"
         )

@@ -35,7 +35,6 @@ def render(sections: Sequence[Section], experiments: Sequence[Experiment], comma
     script = json.dumps(figures, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     script = script.replace("</", "<\\/")  # no string may end the script element
     links = "".join(f'<a href="#{s.name}">{html.escape(s.title)}</a>' for s in sections)
-    claims = [claim for section in sections for claim in section.claims if claim.summary]
     body = "\n".join(
         [
             f"<h1>{TITLE}</h1>",
@@ -44,7 +43,7 @@ def render(sections: Sequence[Section], experiments: Sequence[Experiment], comma
             "and taken further. Every sentence below is made from the table that it links to.</p>",
             f"<nav>{links}<a href='#settings'>Settings</a></nav>",
             "<h2>Summary</h2>",
-            _claims(claims),
+            *(_summary(section) for section in sections),
             *(_section(section) for section in sections),
             _settings(experiments, command),
         ]
@@ -83,6 +82,11 @@ def _section(section: Section) -> str:
         parts.append(text)
     parts += [_figure(figure) for figure in section.figures]
     return "\n".join(parts)
+
+
+def _summary(section: Section) -> str:
+    claims = [claim for claim in section.claims if claim.summary]
+    return f"<h3>{html.escape(section.title)}</h3>{_claims(claims)}" if claims else ""
 
 
 def _claims(claims: Sequence[Claim]) -> str:
