@@ -15,6 +15,7 @@ COMMANDS = (
     "koop_lab.demo",
     "koop_lab.simulate_command",
     "koop_lab.train_command",
+    "koop_lab.replay.command",
     "koop_lab.bench",
     "koop_lab.study.command",
 )

@@ -1,0 +1,102 @@
+"""``koop replay``: a recording through the controller again."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from koop_lab.replay.compare import Comparison, compare
+from koop_lab.replay.offline import replay_offline
+from koop_lab.replay.plan import Plan, make_plan
+from koop_lab.replay.recording import Recording, read_recording
+from koop_lab.table import table
+
+
+def register(commands: Any) -> None:
+    """Add the command to the subparsers of ``koop``."""
+    parser = commands.add_parser(
+        "replay",
+        help="recorded states through the controller again",
+        description="Feeds the recorded states through the real lifter and controller and compares "
+        "cost and theta with the recorded ones, bit by bit. Exit code 1 if they differ. With "
+        "another model or other parameters it shows what the controller would have answered to "
+        "the same states; the plant does not react to it.",
+    )
+    parser.add_argument("bag", type=Path, help="folder of a run or of a bag, or an .mcap file")
+    parser.add_argument(
+        "--offline", action="store_true", help="on the kernels, without DDS: much faster"
+    )
+    parser.add_argument("--model", metavar="FILE", help="another Koopman model")
+    parser.add_argument("--params", metavar="FILE", help="ROS 2 parameter file of other parameters")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
+        help="one other parameter, such as relay_esc.dwell=3; may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--namespace", default="/", help="namespace of the recorded loop")
+    parser.add_argument("--out", type=Path, metavar="FILE.npz", help="write both answers")
+    parser.set_defaults(func=main)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Entry point; returns the exit code: 1 if an answer differs."""
+    recording = read_recording(args.bag, args.namespace)
+    plan = make_plan(recording, args.params, args.model, args.settings)
+    started = time.perf_counter()
+    if args.offline:
+        r, theta = replay_offline(recording, plan)
+    else:
+        from koop_lab.replay.feed import replay_live  # needs ROS
+
+        r, theta = replay_live(recording, plan)
+    elapsed = time.perf_counter() - started
+    results = [
+        compare("r", recording.step, recording.r, r, recording.has_r),
+        compare("theta", recording.step, recording.theta, theta, recording.has_theta),
+    ]
+    way = "offline" if args.offline else "through the nodes over DDS"
+    print(f"{args.bag}: {recording.step.size} states {way} in {elapsed:.2f} s")
+    print("\n".join(report(recording, plan, results)))
+    if args.out is not None:
+        with open(args.out, "wb") as file:
+            np.savez(
+                file, step=recording.step, r=r, theta=theta, recorded_r=recording.r,
+                recorded_theta=recording.theta,
+            )  # fmt: skip
+    return 1 if any(result.different for result in results) else 0
+
+
+def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[str]:
+    """Return what a replay found, in lines for the terminal."""
+    lines = list(plan.notes)
+    if recording.repeated:
+        lines.append(f"{recording.repeated} states of a step asked again are left out")
+    if recording.unanswered:
+        lines.append(f"{recording.unanswered} states without a recorded cost are left out")
+    lines += [
+        f"from step {recording.step[change.index]} on, as recorded: {change.node} "
+        + ", ".join(f"{name} = {value}" for name, value in change.values.items())
+        for stretch in plan.stretches
+        for change in stretch.changed
+    ]
+    if plan.differences:
+        rows = [[name, str(before), str(now)] for name, before, now in plan.differences]
+        lines += ["what the controller would have answered with other parameters:", ""]
+        lines += [table(["parameter", "recorded", "replayed"], rows), ""]
+    lines += [str(result) for result in results]
+    if not any(result.different for result in results) or plan.differences:
+        return lines
+    lines.append("parameters and model are the recorded ones")
+    if recording.in_progress:
+        lines.append(
+            f"the recording begins in mid-run (the first cost is {recording.r[0]:.6g}, not 0): "
+            "what the filters held before it is not in the bag"
+        )
+    elif (first := results[0].first) is not None and first[1] == 0.0:
+        lines.append(
+            f"the recorded cost is 0 at step {first[0]}: the lifter was started anew there"
+        )
+    return lines

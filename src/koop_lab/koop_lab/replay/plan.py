@@ -1,0 +1,181 @@
+"""With what a recording is replayed: its own parameters and model, or the user's in their place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from koop_lab import parameters
+from koop_lab.parameters import LoopParameters
+from koop_lab.replay.recording import Recording
+from koop_lab.replay.settings import CONTROLLER, Change, Models, known_parameters
+from koop_node.config import ConfigError
+from koopman_lifter.model import load
+
+Values = dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """States `begin` to `end` (exclusive), answered with the same parameters.
+
+    Attributes
+    ----------
+    begin, end : int
+        Rows of the recording.
+    parameters : LoopParameters
+        Of the lifter and the controller; the plant's are defaults.
+    changed : tuple of Change
+        What was set before the first of these states.
+    """
+
+    begin: int
+    end: int
+    parameters: LoopParameters
+    changed: tuple[Change, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that decides on the answers, besides the states.
+
+    Attributes
+    ----------
+    stretches : tuple of Stretch
+        They follow on each other and cover the recording.
+    differences : list of tuple
+        (parameter, recorded, replayed) where the user's choice differs from the recording.
+    notes : list of str
+        What the user should know about the parameters.
+    """
+
+    stretches: tuple[Stretch, ...]
+    differences: list[tuple[str, Any, Any]]
+    notes: list[str]
+
+
+def make_plan(
+    recording: Recording, params: str | None = None, model: str | None = None,
+    settings: Iterable[str] = (),
+) -> Plan:  # fmt: skip
+    """Combine the recorded parameters with the user's.
+
+    Parameters
+    ----------
+    recording : Recording
+        The recording.
+    params : str, optional
+        ROS 2 parameter file; what it gives takes the place of the recorded values.
+    model : str, optional
+        Model file to use throughout.
+    settings : iterable of str
+        `node.parameter=value`; they come last.
+
+    Raises
+    ------
+    ValueError
+        If a parameter or a model cannot be used.
+    """
+    given = _given(params, model, settings)
+    notes, recorded = _known(recording.values)
+    first = recording.first_model
+    models = Models(recording.path, str(recorded["koopman_lifter"].get("model", "")))
+    if not recording.values:
+        notes.append(
+            "the bag holds no parameters: the defaults are assumed to be the recorded ones"
+        )
+    changes = tuple(_without(change, given[change.node]) for change in recording.changes)
+    if first and "model" not in given["koopman_lifter"]:
+        recorded["koopman_lifter"]["model"] = str(models.file(first))
+        changes = tuple(_with_model(change, recording, models) for change in changes)
+    elif first:
+        recorded["koopman_lifter"]["model"] = ""
+    used = {node: {**recorded[node], **given[node]} for node in CONTROLLER}
+    stretches = _stretches(used, changes, recording.step.size)
+    before = parameters.make(recorded).as_ros()
+    differences = []
+    for node in CONTROLLER:
+        after = stretches[0].parameters.as_ros()[node]
+        for name in given[node]:
+            if name != "model" and after[name] != before[node][name]:
+                differences.append((f"{node}.{name}", before[node][name], after[name]))
+    now = stretches[0].parameters.load_model().model_id
+    if first and now != first:
+        differences.append(("koopman_lifter.model", first, now))
+    return Plan(stretches, differences, notes)
+
+
+def _given(params: str | None, model: str | None, settings: Iterable[str]) -> Values:
+    """Return the user's values of the lifter and the controller."""
+    given = parameters.read(params) if params else {}
+    for text in settings:
+        name, equals, value = text.partition("=")
+        node, dot, parameter = name.strip().partition(".")
+        if not (equals and dot) or node not in CONTROLLER:
+            raise ConfigError(
+                f"--set {text}: write {CONTROLLER[0]}.PARAMETER=VALUE or "
+                f"{CONTROLLER[1]}.PARAMETER=VALUE"
+            )
+        given.setdefault(node, {})[parameter] = yaml.safe_load(value)
+    if model is not None:
+        given.setdefault("koopman_lifter", {})["model"] = model
+    parameters.make({node: given.get(node, {}) for node in CONTROLLER})  # names what is wrong
+    return {node: dict(given.get(node, {})) for node in CONTROLLER}
+
+
+def _known(recorded: Values) -> tuple[list[str], Values]:
+    """Leave out recorded parameters that this version does not have."""
+    notes, kept = [], {}
+    for node in CONTROLLER:
+        known, values = known_parameters(node), recorded.get(node, {})
+        kept[node] = {name: value for name, value in values.items() if name in known}
+        notes += [
+            f"{node}.{name} = {value} was recorded; this version has no such parameter"
+            for name, value in values.items()
+            if name not in known
+        ]
+    return notes, kept
+
+
+def _without(change: Change, given: Mapping[str, Any]) -> Change:
+    """Leave out of a recorded change what the user has set for the whole replay."""
+    known = known_parameters(change.node)
+    kept = {k: v for k, v in change.values.items() if k in known and k not in given}
+    return replace(change, values=kept)
+
+
+def _with_model(change: Change, recording: Recording, models: Models) -> Change:
+    """Replace the path in a change of model, which may be another machine's, by a file at hand."""
+    if "model" not in change.values:
+        return change
+    path = str(models.file(str(recording.model[change.index])))
+    return replace(change, values={**change.values, "model": path})
+
+
+def _stretches(used: Values, changes: Iterable[Change], size: int) -> tuple[Stretch, ...]:
+    at: dict[int, list[Change]] = {0: []}
+    for change in changes:
+        if change.values:
+            at.setdefault(change.index, []).append(change)
+    begins = sorted(at)
+    stretches = []
+    for begin, end in zip(begins, [*begins[1:], size], strict=True):
+        for change in at[begin]:
+            used = {**used, change.node: {**used[change.node], **change.values}}
+        made = parameters.make(used)
+        dt = load(made.model.path).dt
+        if not dt == made.lifter.dt == made.esc.dt:
+            raise ConfigError(
+                f"dt differs: model {dt}, lifter {made.lifter.dt}, controller {made.esc.dt} s"
+            )
+        stretches.append(Stretch(begin, end, made, tuple(at[begin])))
+    return tuple(stretches)
+
+
+def model_file(plan: Plan) -> Path:
+    """Return the model file of the first state."""
+    return plan.stretches[0].parameters.model.path

@@ -1,0 +1,182 @@
+"""Parameters and model of a recorded run, and the changes that were made while it ran."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from koop_bag.reader import BagReader
+from koop_lab.parameters import NODES, ROS_OWN
+from koop_node.config import NodeConfig
+from koopman_lifter.config import SOURCES, shipped_model
+from koopman_lifter.model import KoopmanModel, ModelError, load
+
+CONTROLLER = ("koopman_lifter", "relay_esc")
+EVENTS = "/parameter_events"
+
+
+@dataclass(frozen=True)
+class Change:
+    """Parameters of one node that were set while recording.
+
+    Attributes
+    ----------
+    index : int
+        Row of the first state that was answered with them.
+    node : str
+        Name of the node.
+    values : dict
+        The new values; an equal one counts too, for setting `cost` or `model` starts the detector
+        anew.
+    """
+
+    index: int
+    node: str
+    values: dict[str, Any]
+
+
+def recorded_values(bag: BagReader, path: Path, namespace: str) -> dict[str, dict[str, Any]]:
+    """Return the recorded parameters of the lifter and the controller; empty if there are none.
+
+    They stand in the bag itself, or in the run's folder while the bag is not closed.
+    """
+    text = bag.custom_data().get("parameters", "")
+    for folder in (Path(path), Path(path).parent):
+        if not text and (folder / "parameters.yaml").is_file():
+            text = (folder / "parameters.yaml").read_text(encoding="utf-8")
+    base, content = namespace.rstrip("/"), yaml.safe_load(text) if text else None
+    found: dict[str, dict[str, Any]] = {}
+    for node in CONTROLLER:
+        section = (content or {}).get(f"{base}/{node}")
+        if section:
+            found[node] = _own_parameters(node, section["ros__parameters"])
+    return found
+
+
+def _own_parameters(node: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave out what belongs to ROS or to the process and says nothing about the controller."""
+    process = {item.name for item in fields(NodeConfig)}
+    return {k: v for k, v in given.items() if k not in process and not k.startswith(ROS_OWN)}
+
+
+def known_parameters(node: str) -> set[str]:
+    """Return the parameters that this version of a node has."""
+    return {item.name for cls in NODES[node] for item in fields(cls)}
+
+
+def recorded_changes(
+    bag: BagReader,
+    namespace: str,
+    answered: Mapping[str, NDArray[Any]],
+    source: NDArray[Any],
+    model: NDArray[np.str_],
+) -> tuple[Change, ...]:
+    """Return what was changed between two answers.
+
+    A node sends an event about the change and its answers from one thread, so that the times of
+    sending put them in order.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag.
+    namespace : str
+        Namespace of the loop.
+    answered : mapping of str to ndarray, shape (M,)
+        By node, when its answers were sent [ns]; 0 where there is none.
+    source, model : ndarray, shape (M,)
+        Recorded source, above 1 where there is none, and model of the cost; they say when it was
+        switched in a bag without parameter events.
+    """
+    changes: list[Change] = []
+    recorded = any(topic.name == EVENTS and topic.count for topic in bag.topics)
+    for sent, name, values in _events(bag) if recorded else ():
+        for node in CONTROLLER:
+            if name != f"{namespace.rstrip('/')}/{node}":
+                continue
+            later = np.flatnonzero(answered[node] > sent)
+            own = _own_parameters(node, values)
+            if own and later.size:
+                changes.append(Change(int(later[0]), node, own))
+    if not recorded:
+        names = {number: name for name, number in SOURCES.items()}
+        other = (source[1:] != source[:-1]) | (model[1:] != model[:-1])
+        for k in np.flatnonzero(other & (source[1:] < len(names))) + 1:
+            own = {"cost": names[int(source[k])]}
+            if model[k] != model[k - 1]:
+                own["model"] = str(model[k])
+            changes.append(Change(int(k), "koopman_lifter", own))
+    return tuple(sorted(changes, key=lambda change: change.index))
+
+
+def _events(bag: BagReader) -> Iterator[tuple[int, str, dict[str, Any]]]:
+    """Yield (time of sending [ns], node, changed values)."""
+    from mcap.records import Schema
+    from mcap_ros2.decoder import DecoderFactory
+
+    topic = bag.topic(EVENTS)
+    schema = Schema(id=1, name=topic.type_name, encoding="ros2msg", data=topic.definition.encode())
+    decode = DecoderFactory().decoder_for("cdr", schema)
+    assert decode is not None
+    for message in bag.messages([EVENTS]):
+        event = decode(message.data)
+        values = {item.name: _value(item.value) for item in event.changed_parameters}
+        if values:
+            yield message.publish_time, event.node, values
+
+
+def _value(value: Any) -> Any:
+    """Return what a rcl_interfaces/ParameterValue holds."""
+    kinds = ("bool", "integer", "double", "string", "byte_array", "bool_array", "integer_array",
+             "double_array", "string_array")  # fmt: skip
+    if not 1 <= value.type <= len(kinds):
+        return None
+    held = getattr(value, f"{kinds[value.type - 1]}_value")
+    return list(held) if kinds[value.type - 1].endswith("array") else held
+
+
+class Models:
+    """The model files at hand, by the id that recordings refer to them by.
+
+    Parameters
+    ----------
+    path : Path
+        The bag or the run's folder; its `model/` is searched first.
+    candidates : str
+        Files that the recorded parameters name.
+    """
+
+    def __init__(self, path: Path, *candidates: str) -> None:
+        self._files: dict[str, Path] = {}
+        folders = [Path(path) / "model", Path(path).parent / "model"]
+        files = [file for folder in folders for file in sorted(folder.glob("*.npz"))]
+        for file in (*files, *(Path(name).expanduser() for name in candidates), shipped_model()):
+            try:
+                self._files.setdefault(load(file).model_id, file)
+            except ModelError:
+                continue  # a path of another machine; whether it matters shows when it is looked up
+
+    def file(self, model_id: str) -> Path:
+        """Return the file of a model.
+
+        Raises
+        ------
+        ValueError
+            If it is not at hand.
+        """
+        if model_id not in self._files:
+            raise ValueError(
+                f"the recording was made with model {model_id}, which is not in its folder; "
+                "give the file with --model"
+            )
+        return self._files[model_id]
+
+    def load(self, model_id: str) -> KoopmanModel:
+        """Return a model."""
+        return load(self.file(model_id))
