@@ -1,0 +1,197 @@
+"""Replay through the real nodes: plays the recorded states to lifter and controller in lockstep.
+
+The next state goes out when the theta for the last one has come back, so that the result does not
+depend on the machine's speed. The states go out as the bytes that were recorded.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from koop_bag.reader import BagReader
+from koop_lab import parameters
+from koop_lab.live import START_TIMEOUT, LiveError, NodeProcess
+from koop_lab.replay.plan import Plan, Stretch
+from koop_lab.replay.recording import Recording
+from koop_lab.replay.settings import CONTROLLER
+
+TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
+RESENDS = 2
+
+
+def replay_live(
+    recording: Recording, plan: Plan
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Replay a recording through node processes over DDS.
+
+    Returns
+    -------
+    r, theta : ndarray, shape (M,)
+        What lifter and controller answer.
+
+    Raises
+    ------
+    koop_lab.live.LiveError
+        If a node ends, does not answer or refuses a parameter.
+    """
+    with tempfile.TemporaryDirectory(prefix="koop-replay-") as name:
+        nodes: dict[str, NodeProcess] = {}
+        arguments = ["--ros-args", "--params-file", str(_parameter_file(Path(name), plan))]
+        try:
+            for node in reversed(CONTROLLER):
+                nodes[node] = NodeProcess(node, arguments, Path(name) / f"{node}.log")
+            feeder = Feeder(nodes)
+            try:
+                return feeder.run(recording, plan)
+            finally:
+                feeder.close()
+        finally:
+            for process in nodes.values():
+                process.stop()
+
+
+def _parameter_file(folder: Path, plan: Plan) -> Path:
+    given = plan.stretches[0].parameters.as_ros()
+    # the lifter starts to listen when the controller and the feeder take its cost, the controller
+    # when the feeder takes its theta
+    values = {node: {**given[node], "recorders": int(node == CONTROLLER[0])} for node in CONTROLLER}
+    file = folder / "parameters.yaml"
+    parameters.write(values, file)
+    return file
+
+
+class Feeder:
+    """The plant's place in the loop, taken by a recording."""
+
+    def __init__(self, nodes: dict[str, NodeProcess]) -> None:
+        import rclpy
+        from koop_msgs.msg import ControlInput, Cost, MeasuredState
+        from rclpy.experimental.events_executor import EventsExecutor
+        from rclpy.qos import QoSProfile
+
+        self._nodes = nodes
+        self._context = rclpy.Context()
+        self._context.init(args=[])
+        self._node = rclpy.create_node("koop_replay", context=self._context)
+        qos = QoSProfile(depth=100)
+        self._publisher = self._node.create_publisher(MeasuredState, "state", qos)
+        self._node.create_subscription(Cost, "cost", self._on_cost, qos)
+        self._node.create_subscription(ControlInput, "theta", self._on_theta, qos)
+        self._executor: Any = EventsExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._cost: tuple[int, float] | None = None
+        self._theta: tuple[int, float] | None = None
+
+    def run(
+        self, recording: Recording, plan: Plan
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Play all states and return the answers r, theta."""
+        self._wait(self._publisher.get_subscription_count, START_TIMEOUT, "the lifter to listen")
+        size = recording.step.size
+        r, theta = np.empty(size), np.empty(size)
+        begins = {stretch.begin: stretch for stretch in plan.stretches[1:]}
+        held = False
+        for k, message in enumerate(tqdm(_states(recording), total=size, disable=None)):
+            if k in begins:
+                self._change(begins[k])
+            if recording.hold[k] != held:
+                held = bool(recording.hold[k])
+                self._hold(held)
+            r[k], theta[k] = self._ask(int(recording.step[k]), message)
+        return r, theta
+
+    def close(self) -> None:
+        """Leave the DDS domain."""
+        self._executor.remove_node(self._node)
+        self._node.destroy_node()
+        self._executor.shutdown()
+        self._context.try_shutdown()
+
+    def _on_cost(self, message: Any) -> None:
+        self._cost = (message.step, message.r)
+
+    def _on_theta(self, message: Any) -> None:
+        self._theta = (message.step, message.theta)
+
+    def _ask(self, step: int, message: bytes) -> tuple[float, float]:
+        """Send a state and return both answers to it."""
+        self._cost = self._theta = None
+        for _ in range(1 + RESENDS):
+            self._publisher.publish(message)
+            deadline = time.monotonic() + TIMEOUT
+            while time.monotonic() < deadline:
+                cost, theta = self._cost, self._theta
+                if cost is not None and theta is not None and cost[0] == theta[0] == step:
+                    return cost[1], theta[1]
+                self._executor.spin_once(timeout_sec=0.2)
+                self._check_nodes()
+        silent = CONTROLLER[0] if self._cost is None or self._cost[0] != step else CONTROLLER[1]
+        raise LiveError(
+            f"{silent} does not answer step {step}:\n{self._nodes[silent].last_lines()}"
+        )
+
+    def _change(self, stretch: Stretch) -> None:
+        """Set parameters as they were set while recording."""
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        for change in stretch.changed:
+            given = stretch.parameters.as_ros()[change.node]
+            request = SetParametersAtomically.Request(
+                parameters=[
+                    Parameter(name, value=given[name]).to_parameter_msg() for name in change.values
+                ]
+            )
+            service = f"{change.node}/set_parameters_atomically"
+            result = self._call(SetParametersAtomically, service, request).result
+            if not result.successful:
+                raise LiveError(f"{change.node} refuses {change.values}: {result.reason}")
+
+    def _hold(self, data: bool) -> None:
+        from std_srvs.srv import SetBool
+
+        self._call(SetBool, f"{CONTROLLER[1]}/hold", SetBool.Request(data=data))
+
+    def _call(self, service_type: Any, name: str, request: Any) -> Any:
+        client = self._node.create_client(service_type, name)
+        try:
+            self._wait(client.service_is_ready, START_TIMEOUT, f"service {name}")
+            future = client.call_async(request)
+            self._wait(future.done, START_TIMEOUT, f"an answer of {name}")
+            return future.result()
+        finally:
+            self._node.destroy_client(client)
+
+    def _wait(self, condition: Any, timeout: float, what: str) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            self._executor.spin_once(timeout_sec=0.05)
+            self._check_nodes()
+            if time.monotonic() > deadline:
+                raise LiveError(f"waited {timeout:g} s in vain for {what}")
+
+    def _check_nodes(self) -> None:
+        for node, process in self._nodes.items():
+            if process.poll() is not None:
+                raise LiveError(
+                    f"{node} ended with exit code {process.poll()}:\n{process.last_lines()}"
+                )
+
+
+def _states(recording: Recording) -> Iterator[bytes]:
+    """Yield the serialized states of a recording's rows."""
+    rows = iter(recording.message)
+    wanted = next(rows, None)
+    with BagReader(recording.path) as bag:
+        for number, message in enumerate(bag.messages([recording.state_topic])):
+            if number == wanted:
+                yield message.data
+                wanted = next(rows, None)
