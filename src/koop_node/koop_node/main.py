@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable
+from importlib.resources import files
 from types import FrameType
 from typing import Any
 
@@ -35,6 +37,7 @@ def run(make_node: Callable[[], ManagedNode], args: list[str] | None = None) -> 
 
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(files("koop_node") / "fastdds.xml"))
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
