@@ -119,7 +119,7 @@ def section(config: AblationsConfig, results: list[Any]) -> Section:
         labels = [label(value) for value in values]
         table = _table(ablation, labels, rows)
         report.tables.append(table)
-        report.figures.append(_figure(ablation, values, rows))
+        report.figures.append(_figure(ablation, values, rows, list(config.costs)))
         report.claims.append(_claim(ablation, labels, rows, table))
     return report
 
@@ -152,23 +152,26 @@ def _table(ablation: Ablation, labels: list[str], rows: dict[str, list[Any]]) ->
     return table
 
 
-def _figure(ablation: Ablation, values: list[Any], rows: dict[str, list[Any]]) -> Figure:
+def _figure(
+    ablation: Ablation, values: list[Any], rows: dict[str, list[Any]], costs: list[str]
+) -> Figure:
     numeric = all(type(value) in (int, float) for value in values)
     x = [float(value) if numeric else float(i) for i, value in enumerate(values)]
     positive = numeric and min(x) > 0.0 and max(x) / min(x) >= 20.0
     series = []
-    for i, (cost, found) in enumerate(rows.items()):
+    for cost, found in rows.items():
+        color = costs.index(cost)  # the same colour in every figure
         spreads = [spread(r, "iae") for r in found]
         series += [
             Series(
-                f"{cost}, 10–90 %", x, [finite(s.low) for s in spreads], "band",
-                [finite(s.high) for s in spreads], i,
+                cost, x, [finite(s.low) for s in spreads], "band",
+                [finite(s.high) for s in spreads], color,
             ),
-            Series(cost, x, [finite(s.median) for s in spreads], "line", color=i),
+            Series(cost, x, [finite(s.median) for s in spreads], "line", color=color),
         ]  # fmt: skip
     return Figure(
         f"ablation_{ablation.name}",
-        f"{ablation.title}: IAE.",
+        f"{ablation.title}: IAE, median and 10–90 % band.",
         (
             Panel(
                 ablation.title, "IAE", tuple(series), log_x=positive, log_y=True,

@@ -41,10 +41,12 @@ function axis(low, high, log) {
       if (e % skip) continue;
       for (const m of marks) { const v = m * 10 ** e; if (f(v) >= a - 1e-9 && f(v) <= b + 1e-9) ticks.push(v); }
     }
-  } else {
-    const rough = (b - a) / 5, power = 10 ** Math.floor(Math.log10(rough));
+  }
+  if (ticks.length < 2) {
+    ticks.length = 0;
+    const [c, d] = log ? [10 ** a, 10 ** b] : [a, b], rough = (d - c) / 5, power = 10 ** Math.floor(Math.log10(rough));
     const step = [1, 2, 5, 10].find((m) => m * power >= rough) * power;
-    for (let v = Math.ceil(a / step) * step; v <= b + step * 1e-6; v += step) ticks.push(Math.abs(v) < step * 1e-6 ? 0 : v);
+    for (let v = Math.ceil(c / step) * step; v <= d + step * 1e-6; v += step) ticks.push(Math.abs(v) < step * 1e-6 ? 0 : v);
   }
   return { place: (v) => (f(v) - a) / (b - a), value: (s) => (log ? 10 ** (a + s * (b - a)) : a + s * (b - a)), ticks };
 }
@@ -143,7 +145,8 @@ function readout(panel, state, x) {
     if (state.hidden.has(s.name) || !s.x.length) continue;
     let best = 0;
     s.x.forEach((v, i) => { if (Math.abs(v - x) < Math.abs(s.x[best] - x)) best = i; });
-    lines.push(`${s.name}: ${short(s.y[best])}${s.upper.length ? " to " + short(s.upper[best]) : ""}`);
+    const text = short(s.y[best]) + (s.upper.length ? " to " + short(s.upper[best]) : "");
+    lines.push(lines.at(-1).startsWith(s.name + ":") ? lines.pop() + ", median " + text : `${s.name}: ${text}`);
   }
   return lines.join("  ·  ");
 }
@@ -155,7 +158,7 @@ function draw(panel, holder) {
   const info = html("div", "readout", holder, panel.heat ? "" : "\u00a0");
   if (panel.series.length > 1) {
     const legend = html("div", "legend", holder);
-    for (const s of panel.series) {
+    for (const s of panel.series.filter((s, i) => panel.series.findIndex((o) => o.name === s.name) === i)) {
       const button = html("button", "", legend, s.name);
       button.type = "button";
       button.style.setProperty("--c", COLORS[s.color % COLORS.length]);

@@ -35,7 +35,7 @@ def render(sections: Sequence[Section], experiments: Sequence[Experiment], comma
     script = json.dumps(figures, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     script = script.replace("</", "<\\/")  # no string may end the script element
     links = "".join(f'<a href="#{s.name}">{html.escape(s.title)}</a>' for s in sections)
-    body = "\n".join(
+    body = _lines(
         [
             f"<h1>{TITLE}</h1>",
             "<p>Salsbury, Yu and Mukherjee, <i>Data-Driven Koopman-Enhanced Extremum Seeking for "
@@ -73,15 +73,20 @@ def _section(section: Section) -> str:
     parts = [
         f'<h2 id="{section.name}">{html.escape(section.title)}</h2>',
         f"<p>{html.escape(section.intro)}</p>",
-        _claims(section.claims),
     ]
-    for table in section.tables:
-        text = _table(table)
-        if table.detail:
-            text = f"<details><summary>{html.escape(table.title)}</summary>{text}</details>"
-        parts.append(text)
-    parts += [_figure(figure) for figure in section.figures]
-    return "\n".join(parts)
+    # what belongs to one figure stands with it, the rest before all figures
+    own = {figure.name for figure in section.figures} - {section.name}
+    parts.append(_claims([claim for claim in section.claims if claim.table not in own]))
+    parts += [_table(table) for table in section.tables if table.name not in own]
+    for figure in section.figures:
+        claims = [claim for claim in section.claims if claim.table == figure.name in own]
+        tables = [table for table in section.tables if table.name == figure.name in own]
+        parts.append(_figure(figure, claims, tables))
+    return f"<section>{_lines(parts)}</section>"
+
+
+def _lines(parts: Sequence[str]) -> str:
+    return "\n".join(part for part in parts if part)
 
 
 def _summary(section: Section) -> str:
@@ -108,16 +113,21 @@ def _table(table: Table) -> str:
             row.append(f"<td{words}>{html.escape(text)}</td>")
         rows.append(f"<tr>{''.join(row)}</tr>")
     caption = "" if table.detail else f"<caption>{html.escape(table.title)}</caption>"
-    return (
+    text = (
         f'<div class="scroll" id="table-{table.name}"><table>{caption}'
         f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
     )
+    if table.detail:
+        return f"<details><summary>{html.escape(table.title)}</summary>{text}</details>"
+    return text
 
 
-def _figure(figure: Figure) -> str:
+def _figure(figure: Figure, claims: Sequence[Claim], tables: Sequence[Table]) -> str:
+    said = "".join(f"<p>{html.escape(claim.text)}</p>" for claim in claims)
     return (
         f"<figure><figcaption>{html.escape(figure.caption)}</figcaption>"
-        f'<div data-figure="{figure.name}"></div></figure>'
+        f'<div data-figure="{figure.name}"></div>{said}'
+        f"{''.join(_table(table) for table in tables)}</figure>"
     )
 
 

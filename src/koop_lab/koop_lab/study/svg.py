@@ -43,26 +43,28 @@ def _draw(axis: Any, panel: Panel) -> None:
         axis.set_xscale("log")
     if panel.log_y:
         axis.set_yscale("log")
-    for series in panel.series:
+    names = [series.name for series in panel.series]
+    for i, series in enumerate(panel.series):
+        label = series.name if names.index(series.name) == i else None
         look: dict[str, Any] = {"color": COLORS[series.color % len(COLORS)]}
         style = STYLES[series.color // len(COLORS) % len(STYLES)]
         y = [float("nan") if v is None else v for v in series.y]
         if series.kind == "band":
             upper = [float("nan") if v is None else v for v in series.upper]
-            axis.fill_between(series.x, y, upper, label=series.name, alpha=0.25, **look)
+            axis.fill_between(series.x, y, upper, label=label, alpha=0.25, **look)
             if len(panel.series) == 1:  # a thinned trace is nothing but its band
                 axis.fill_between(series.x, y, upper, linewidth=0.6, **look)
         elif series.kind == "points":
-            axis.plot(series.x, y, "o", markersize=4, label=series.name, **look)
+            axis.plot(series.x, y, "o", markersize=4, label=label, **look)
         elif series.kind == "steps":
-            axis.step(series.x, y, where="post", linestyle=style, label=series.name, **look)
+            axis.step(series.x, y, where="post", linestyle=style, label=label, **look)
         else:
-            axis.plot(series.x, y, linestyle=style, label=series.name, **look)
+            axis.plot(series.x, y, linestyle=style, label=label, **look)
     if panel.level is not None:
         axis.axhline(panel.level, color="black", linestyle="--", linewidth=0.8)
     if panel.ticks:
         axis.set_xticks(range(len(panel.ticks)), panel.ticks)
-    if len(panel.series) > 1:
+    if len(set(names)) > 1:
         axis.legend(fontsize=7)
     axis.grid(alpha=0.3)
 
