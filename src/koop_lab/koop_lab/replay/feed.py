@@ -95,6 +95,8 @@ class Feeder:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Play all states and return the answers r, theta."""
         self._wait(self._publisher.get_subscription_count, START_TIMEOUT, "the lifter to listen")
+        if max(self._node.count_publishers(topic) for topic in ("state", "cost", "theta")) > 1:
+            raise LiveError("another loop runs on this ROS domain; set ROS_DOMAIN_ID to a free one")
         size = recording.step.size
         r, theta = np.empty(size), np.empty(size)
         begins = {stretch.begin: stretch for stretch in plan.stretches[1:]}

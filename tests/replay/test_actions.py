@@ -1,0 +1,108 @@
+"""What happened while recording happens again in a replay: switches, holds, restarts, bad states."""
+
+import math
+import signal
+
+import numpy as np
+import pytest
+from koop_msgs.msg import ControlInput, MeasuredState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParametersAtomically
+from std_srvs.srv import SetBool
+
+from koop_lab.cli import main
+from koop_lab.replay.recording import read_recording
+
+
+class Rig:
+    """A plant made of a list of states; waits for theta like a plant in lockstep."""
+
+    def __init__(self, probe):
+        self.probe = probe
+        self.answers = probe.collect(ControlInput, "theta")
+        self.publisher = probe.node.create_publisher(MeasuredState, "state", 1000)
+        probe.spin_until(
+            lambda: self.publisher.get_subscription_count() == 2, "the lifter and the recorder"
+        )
+
+    def __call__(self, step, x):
+        before = len(self.answers)
+        self.publisher.publish(MeasuredState(step=step, x=[float(value) for value in x]))
+        self.probe.spin_until(lambda: len(self.answers) > before, f"theta of step {step}")
+
+    def swing(self, steps, size=1.0):
+        for k in steps:
+            self(k, (size * math.sin(0.3 * k), size * math.cos(0.3 * k) + 0.01 * k))
+
+    def set(self, node, name, value):
+        kind = ParameterType.PARAMETER_STRING if isinstance(value, str) else 3
+        field = {"string_value": value} if isinstance(value, str) else {"double_value": value}
+        item = Parameter(name=name, value=ParameterValue(type=kind, **field))
+        answer = self.probe.call(
+            SetParametersAtomically,
+            f"/{node}/set_parameters_atomically",
+            SetParametersAtomically.Request(parameters=[item]),
+        )
+        assert answer.result.successful
+
+    def hold(self, data):
+        assert self.probe.call(SetBool, "/relay_esc/hold", SetBool.Request(data=data)).success
+
+
+@pytest.fixture
+def eventful(start, probe, tmp_path):
+    """A recording with everything that can happen to the controller; returns its folder."""
+    folder = tmp_path / "run"
+    recorder = start("recorder", output=folder)
+    controller = [
+        start("relay_esc", recorders=1, dwell=0.05, step_size=0.01),
+        start("koopman_lifter", recorders=1),
+    ]
+    rig = Rig(probe)
+    rig.swing(range(40))
+    rig(40, (math.nan, 1.0))
+    rig(41, (1.0, 2.0, 3.0))
+    rig(42, (1.0,))
+    rig.swing(range(43, 60))
+    rig.swing([59, 59])  # asked again
+    rig.swing(range(70, 90))  # ten lost
+    rig.hold(True)
+    rig.swing(range(90, 100))
+    rig.hold(False)
+    rig.swing(range(100, 130), 2.0)
+    rig.set("koopman_lifter", "cost", "raw")
+    rig.swing(range(130, 160), 2.0)
+    rig.set("relay_esc", "dwell", 0.02)
+    rig.set("koopman_lifter", "omega_l", 3.0)
+    rig.swing(range(160, 200))
+    rig.swing(range(60))  # the plant was started again
+    recorder.process.send_signal(signal.SIGINT)
+    assert recorder.process.wait(20.0) == 0
+    assert [node.stop() for node in controller] == [0, 0]
+    probe.node.destroy_publisher(rig.publisher)
+    return folder
+
+
+@pytest.mark.parametrize("how", [["--offline"], []])
+def test_an_eventful_run_is_replayed_bit_for_bit(eventful, how, capfd):
+    recording = read_recording(eventful)
+    assert np.ptp(recording.theta) > 0.1
+    assert [(c.node, c.values, recording.step[c.index]) for c in recording.changes] == [
+        ("koopman_lifter", {"cost": "raw"}, 130),
+        ("relay_esc", {"dwell": 0.02}, 160),
+        ("koopman_lifter", {"omega_l": 3.0}, 160),
+    ]
+    assert recording.step[recording.hold].tolist() == list(range(90, 100))
+    assert main(["replay", str(eventful), *how]) == 0
+    printed = capfd.readouterr().out
+    assert "r      identical bit for bit in all 250 steps" in printed
+    assert "theta  identical bit for bit in all 250 steps" in printed
+    assert "2 states of a step asked again are left out" in printed
+    assert "from step 130 on, as recorded: koopman_lifter cost = raw" in printed
+
+
+def test_what_the_user_sets_outlasts_a_recorded_change(eventful, capfd):
+    assert main(["replay", str(eventful), "--offline", "--set", "koopman_lifter.cost=lifted"]) == 1
+    printed = capfd.readouterr().out
+    assert "as recorded: koopman_lifter cost" not in printed
+    assert "first at step 130" in printed

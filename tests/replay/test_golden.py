@@ -1,0 +1,75 @@
+"""The golden bag: every version of the code answers its states with the same cost and theta."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from koop_lab.cli import main
+from koop_lab.replay.recording import read_recording
+
+GOLDEN = Path(__file__).parents[2] / "recordings" / "golden"
+RUN = GOLDEN / "run"
+HOW = pytest.mark.parametrize("how", [["--offline"], []], ids=["offline", "over DDS"])
+
+
+def test_the_golden_bag_is_small_and_shows_a_controller_at_work():
+    assert sum(file.stat().st_size for file in GOLDEN.rglob("*") if file.is_file()) < 1_000_000
+    recording = read_recording(RUN)
+    np.testing.assert_array_equal(recording.step, np.arange(2000))
+    moves = np.sign(np.diff(recording.theta))
+    assert np.count_nonzero(np.diff(moves[moves != 0.0])) >= 5  # flips of the relay
+    assert np.count_nonzero(recording.theta == -5.0) > 1  # at its limit
+    assert recording.has_theta.all()
+
+
+@HOW
+def test_the_golden_bag_is_replayed_bit_for_bit(how, capfd):
+    assert main(["replay", str(RUN), *how]) == 0
+    printed = capfd.readouterr().out
+    assert "r      identical bit for bit in all 2000 steps" in printed
+    assert "theta  identical bit for bit in all 2000 steps" in printed
+
+
+@HOW
+def test_another_parameter_is_named_with_what_it_changes(how, capfd):
+    assert main(["replay", str(RUN), *how, "--set", "relay_esc.dwell=2"]) == 1
+    printed = capfd.readouterr().out
+    assert "what the controller would have answered" in printed
+    assert [line.split() for line in printed.splitlines() if line.startswith("relay_esc")] == [
+        ["relay_esc.dwell", "1.0", "2.0"]
+    ]
+    assert "r      identical bit for bit in all 2000 steps" in printed
+    # the first flip, 1 s after the start, does not come
+    assert re.search(r"theta  differs in \d+ of 2000 steps, first at step 200: recorded", printed)
+    assert "parameters and model are the recorded ones" not in printed
+
+
+def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
+    answers = []
+    for how in ([], ["--offline"]):
+        out = tmp_path / f"{len(answers)}.npz"
+        given = ["--set", "koopman_lifter.cost=raw", "--out", str(out)]
+        assert main(["replay", str(RUN), *how, *given]) == 1
+        with np.load(out) as file:
+            answers.append({name: file[name] for name in file.files})
+    for name in ("r", "theta"):
+        np.testing.assert_array_equal(answers[0][name], answers[1][name])
+        assert (answers[0][name] != answers[0][f"recorded_{name}"]).any()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--set", "relay_esc.dwel=2"], "relay_esc: unknown parameter dwel; known:"),
+        (["--set", "dwell=2"], "--set dwell=2: write koopman_lifter.PARAMETER=VALUE or"),
+        (["--set", "relay_esc.dwell=-1"], "relay_esc: dwell = -1: must be 0 to 10000 s"),
+        (["--set", "relay_esc.dt=0.01"], "dt differs: model 0.005"),
+        (["--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
+        (["--namespace", "/two"], "no koop_msgs/msg/MeasuredState on /two/state"),
+    ],
+)
+def test_what_cannot_be_used_is_named(given, message, capsys):
+    assert main(["replay", str(RUN), "--offline", *given]) == 2
+    assert message in capsys.readouterr().err
