@@ -1,4 +1,4 @@
-"""What happened while recording happens again in a replay: switches, holds, restarts, bad states."""
+"""What happened while recording happens again: switches, holds, restarts, bad states."""
 
 import math
 import signal
