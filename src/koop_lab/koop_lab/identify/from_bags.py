@@ -1,0 +1,198 @@
+"""A Koopman model from one or many bags, in memory that does not depend on their size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_bag.reader import BagReader
+from koop_lab.identify.forecast import Forecast
+from koop_lab.identify.samples import STEP, Batch, StateSpec, batches, sha256, state_names
+from koop_lab.identify.segments import Cutter, Cutting, Piece
+from koop_lab.replay.settings import recorded_values
+from koopman_lifter.edmd import Gram
+from koopman_lifter.model import KoopmanModel, build
+from koopman_lifter.observables import Monomials
+
+GAPS = 3.0  # a pause of more than so many usual periods, or Dt, is a gap
+
+
+@dataclass(frozen=True)
+class BagTraining:
+    """What to learn from bags.
+
+    Attributes
+    ----------
+    state : StateSpec
+        Fields that are the state.
+    dt : float or None
+        Time between two states [s]; None: the recorded loop's.
+    way : str
+        One of koop_lab.identify.segments.WAYS, or `auto`: by steps where the messages have them
+        and are one dt apart, else linear.
+    gap : float or None
+        Longest pause that is bridged [s]; None: three times the usual period, at least three dt.
+    held_out : float
+        Share of the data that is not learned from, 0 to 0.5.
+    horizons : tuple of int
+        Steps ahead of which the error on the held-out data is found.
+    degree, modes : int
+        Largest degree of the monomials, number N of modes to keep.
+    names : tuple of str
+        Names of the states; empty: from the fields.
+    """
+
+    state: StateSpec
+    dt: float | None = None
+    way: str = "auto"
+    gap: float | None = None
+    held_out: float = 0.2
+    horizons: tuple[int, ...] = (1, 10, 50, 200)
+    degree: int = 3
+    modes: int = 8
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.held_out <= 0.5:
+            raise ValueError(f"held-out share {self.held_out:g}: must be 0 to 0.5")
+        if not self.horizons or min(self.horizons) < 1:
+            raise ValueError("horizons are steps ahead, each at least 1")
+        for name, value in (("dt", self.dt), ("gap", self.gap)):
+            if value is not None and not 0.0 < value < 1e6:
+                raise ValueError(f"{name} = {value:g} s: must be positive")
+
+
+def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanModel:
+    """Learn a model; one pass over the bags for it, one more for its error on held-out data.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If a bag cannot be read or lacks the topic or a field.
+    ValueError
+        If the bags do not fit together or cannot determine the model.
+    """
+    gram: Gram | None = None
+    cuttings, described = [], []
+    for path in paths:
+        with BagReader(path) as bag:
+            cutting, n = find_cutting(bag, path, training)
+            if gram is None:
+                gram = Gram.empty(Monomials(n, training.degree))
+                training = replace(training, dt=cutting.dt)  # of all bags
+            if n != gram.observables.n:
+                raise ValueError(f"{path}: {n} numbers in {training.state}, other bags have "
+                                 f"{gram.observables.n}")  # fmt: skip
+            cutter = Cutter(cutting, bag.topic(training.state.topic).count)
+            before = gram.pairs
+            for piece, _ in joined(_pieces(bag, training.state, cutter), 1):
+                if not piece.held_out:
+                    gram.add_trajectory(piece.states)
+            cuttings.append(cutting)
+            described.append(
+                {
+                    "name": Path(path).name,
+                    "sha256": sha256(path),
+                    "states": bag.topic(training.state.topic).count,
+                    "pairs": gram.pairs - before,
+                    "stretches": cutter.stretches,
+                    "not_finite": cutter.dropped,
+                    "way": cutting.way,
+                    "gap": cutting.gap,
+                }
+            )
+    assert gram is not None
+    assert training.dt is not None
+    names = training.names or state_names(training.state, gram.observables.n)
+    provenance: dict[str, Any] = {
+        "source": "bags",
+        "state": str(training.state),
+        "held_out": training.held_out,
+        "degree": training.degree,
+        "bags": described,
+    }
+    model = build(gram, training.dt, names, training.modes, provenance)
+    if not training.held_out:
+        return model
+    forecast = Forecast(model, training.horizons)
+    for path, cutting in zip(paths, cuttings, strict=True):
+        with BagReader(path) as bag:
+            cutter = Cutter(cutting, bag.topic(training.state.topic).count)
+            pieces = _pieces(bag, training.state, cutter)
+            for piece, known in joined(pieces, max(training.horizons)):
+                if piece.held_out:
+                    forecast.add(piece.states, known)
+    return replace(model, provenance={**model.provenance, "forecast": forecast.result()})
+
+
+def joined(pieces: Iterator[Piece], overlap: int) -> Iterator[tuple[Piece, int]]:
+    """Repeat the end of a piece at the beginning of the next one of the same stretch.
+
+    Yields
+    ------
+    piece : Piece
+        With up to `overlap` states more.
+    known : int
+        How many of its states were part of the piece before.
+    """
+    tail: NDArray[np.float64] | None = None
+    for piece in pieces:
+        known = 0
+        states = piece.states
+        if not piece.begins and tail is not None:
+            known = tail.shape[1]
+            states = np.hstack((tail, states))
+        tail = states[:, -overlap:].copy()
+        yield piece._replace(states=states), known
+
+
+def _pieces(bag: BagReader, state: StateSpec, cutter: Cutter) -> Iterator[Piece]:
+    for batch in batches(bag, state):
+        yield from cutter.pieces(batch)
+
+
+def find_cutting(bag: BagReader, path: Path, training: BagTraining) -> tuple[Cutting, int]:
+    """Return how to cut a bag, as far as possible from what it says itself, and n.
+
+    Raises
+    ------
+    ValueError
+        If the topic is empty, or nothing says what dt is.
+    """
+    first = next(batches(bag, training.state), None)
+    if first is None or first.time.size < 2:
+        raise ValueError(f"{path}: fewer than two messages on {training.state.topic}")
+    period = _period(first)
+    recorded = recorded_values(bag, path, training.state.topic.rpartition("/")[0] or "/")
+    own = recorded.get("koopman_lifter", {}).get("dt")
+    dt = training.dt or own
+    if dt is None:
+        raise ValueError(
+            f"{path}: nothing in the bag says what the time between two states is to be; "
+            f"give --dt (the usual time between two messages is {period:.6g} s)"
+        )
+    way = training.way
+    if way == "auto":
+        stepped = first.step is not None and (own == dt or abs(_step_time(first) / dt - 1.0) < 0.01)
+        way = "steps" if stepped else "linear"
+    if way == "steps" and first.step is None:
+        raise ValueError(f"{path}: messages on {training.state.topic} have no field '{STEP}'")
+    gap = training.gap or GAPS * max(period, dt)
+    return Cutting(way, float(dt), float(gap), training.held_out), first.x.shape[1]
+
+
+def _period(batch: Batch) -> float:
+    """Return the usual time between two samples [s]."""
+    return float(np.median(np.diff(batch.time))) * 1e-9
+
+
+def _step_time(batch: Batch) -> float:
+    """Return the usual time between two steps [s]; NaN if they do not grow."""
+    assert batch.step is not None
+    steps, apart = np.diff(batch.step), np.diff(batch.time)
+    return float(np.median(apart[steps == 1])) * 1e-9 if (steps == 1).any() else float("nan")

@@ -1,0 +1,132 @@
+"""The state's samples in a bag, batch by batch."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_bag.columns import LOG_TIME, iter_columns, list_fields
+from koop_bag.reader import BagReader, find_files
+
+STAMP, STEP = "header.stamp", "step"
+
+
+@dataclass(frozen=True)
+class StateSpec:
+    """Which numbers of which topic are the state.
+
+    Attributes
+    ----------
+    topic : str
+        Full name of the topic.
+    fields : tuple of str
+        Numbers (`position[0]`) and arrays, of which every element counts (`x`).
+    """
+
+    topic: str
+    fields: tuple[str, ...]
+
+    @classmethod
+    def parse(cls, text: str) -> StateSpec:
+        """Read `/topic:field,field`.
+
+        >>> StateSpec.parse("/joint_states:position[0],velocity[0]").fields
+        ('position[0]', 'velocity[0]')
+
+        Raises
+        ------
+        ValueError
+            If the text names no topic or no field.
+        """
+        topic, _, fields = text.partition(":")
+        names = tuple(name.strip() for name in fields.split(",") if name.strip())
+        if not topic.startswith("/") or not names or len(set(names)) < len(names):
+            raise ValueError(
+                f"state {text!r}: write /topic:field or /topic:field,field, "
+                "such as /joint_states:position[0],velocity[0]"
+            )
+        return cls(topic, names)
+
+    def __str__(self) -> str:
+        return f"{self.topic}:{','.join(self.fields)}"
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Consecutive samples.
+
+    Attributes
+    ----------
+    index : int
+        Position of the first one among the topic's messages.
+    time : ndarray of int64, shape (M,)
+        Stamp, or time of reception where there is none [ns].
+    step : ndarray of int64, shape (M,), or None
+        Step index, where the message has one.
+    x : ndarray, shape (M, n)
+        State.
+    """
+
+    index: int
+    time: NDArray[np.int64]
+    step: NDArray[np.int64] | None
+    x: NDArray[np.float64]
+
+
+def batches(bag: BagReader, spec: StateSpec) -> Iterator[Batch]:
+    """Yield the samples of a bag in the order of recording.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If the bag has no such topic or field, or a field has another length now and then.
+    """
+    known = set(list_fields(bag, spec.topic))
+    wanted = [*dict.fromkeys((*spec.fields, *(known & {STAMP, STEP}), LOG_TIME))]
+    index, stamped = 0, STAMP in known
+    for columns in iter_columns(bag, spec.topic, wanted):
+        if not index:
+            stamped = stamped and bool(columns[STAMP][0])  # a source that never stamps writes zeros
+        x = np.column_stack([columns[name] for name in spec.fields]).astype(np.float64, copy=False)
+        yield Batch(
+            index,
+            columns[STAMP if stamped else LOG_TIME].astype(np.int64),
+            columns[STEP].astype(np.int64) if STEP in known else None,
+            x,
+        )
+        index += x.shape[0]
+
+
+def state_names(spec: StateSpec, n: int) -> tuple[str, ...]:
+    """Return a name for each of the n numbers: the field, with its index where it is an array.
+
+    Raises
+    ------
+    ValueError
+        If several fields are arrays, so that the numbers cannot be told apart.
+    """
+    arrays = n - len(spec.fields) + 1
+    if arrays == 1:
+        return tuple(_plain(name) for name in spec.fields)
+    if len(spec.fields) == 1:
+        return tuple(f"{_plain(spec.fields[0])}{i}" for i in range(n))
+    raise ValueError(f"{n} numbers in {spec}: name them with --names")
+
+
+def _plain(field: str) -> str:
+    return field.replace("[", "").replace("]", "").replace(".", "_")
+
+
+def sha256(path: Path) -> str:
+    """Return the hash over the bytes of a bag's files, hexadecimal."""
+    digest = hashlib.sha256()
+    for file in find_files(path):
+        with open(file, "rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
