@@ -8,6 +8,7 @@ import sys
 from importlib import import_module
 from types import FrameType
 
+from koop_bag.errors import BagError
 from koop_lab.live import LiveError
 
 # A command is a module with register(subparsers); it sets ``func``, which returns the exit code.
@@ -40,7 +41,7 @@ def main(argv: list[str] | None = None) -> int:
     signal.signal(signal.SIGHUP, _interrupt)
     try:
         return int(args.func(args))
-    except (ValueError, OSError, ArithmeticError, LiveError) as error:
+    except (ValueError, OSError, ArithmeticError, BagError, LiveError) as error:
         print(f"koop {args.command}: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

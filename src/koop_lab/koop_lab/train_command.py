@@ -153,7 +153,7 @@ def describe(model: KoopmanModel) -> str:
 
 def origin(provenance: dict[str, Any]) -> list[str]:
     """Return in words what a model was trained on."""
-    plain = {k: v for k, v in provenance.items() if not isinstance(v, list)}
+    plain = {k: v for k, v in sorted(provenance.items()) if not isinstance(v, list)}
     lines = ["trained on " + ", ".join(f"{key} {value}" for key, value in plain.items())]
     for bag in provenance.get("bags", []):
         lines.append(

@@ -78,13 +78,16 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
         If the bags do not fit together or cannot determine the model.
     """
     gram: Gram | None = None
-    cuttings, described = [], []
+    cuttings: list[Cutting] = []
+    described: list[dict[str, Any]] = []
     for path in paths:
         with BagReader(path) as bag:
             cutting, n = find_cutting(bag, path, training)
             if gram is None:
                 gram = Gram.empty(Monomials(n, training.degree))
                 training = replace(training, dt=cutting.dt)  # of all bags
+                names = training.names or state_names(training.state, n)
+                gram.observables.names(names)  # as many as there are states
             if n != gram.observables.n:
                 raise ValueError(f"{path}: {n} numbers in {training.state}, other bags have "
                                  f"{gram.observables.n}")  # fmt: skip
@@ -108,7 +111,9 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
             )
     assert gram is not None
     assert training.dt is not None
-    names = training.names or state_names(training.state, gram.observables.n)
+    dropped = sum(bag["not_finite"] for bag in described)
+    if not gram.pairs and dropped:
+        raise ValueError(f"no pair of states: {dropped} samples of {training.state} are not finite")
     provenance: dict[str, Any] = {
         "source": "bags",
         "state": str(training.state),

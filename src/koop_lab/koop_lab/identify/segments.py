@@ -105,7 +105,7 @@ class Cutter:
                 step = np.append(self._last.step, step)
         known = int(self._last is not None)
         self._last = Batch(0, time[-1:], None if step is None else step[-1:], x[-1:])
-        finite: NDArray[np.bool_] = np.isfinite(x).all(axis=1)
+        finite = np.asarray(np.isfinite(x).all(axis=1), np.bool_)
         self.dropped += int(np.count_nonzero(~finite[known:]))
         held = self._cutting.is_held_out(
             (first + np.arange(time.size)) * BLOCKS // self._count  # block of every sample

@@ -1,0 +1,234 @@
+"""Identification from bags, against systems whose operator is known."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.linalg import expm
+
+from koop_lab.cli import main
+from koop_lab.identify.forecast import Forecast
+from koop_lab.identify.from_bags import BagTraining, joined, train_from_bags
+from koop_lab.identify.samples import Batch, StateSpec
+from koop_lab.identify.segments import WAYS, Cutter, Cutting
+from koopman_lifter.edmd import Gram
+from koopman_lifter.model import build, load
+from koopman_lifter.observables import Monomials
+
+DT = 0.02
+A = np.array([[-0.1, 2.0], [-2.0, -0.1]])  # a damped oscillation, 2 rad/s
+JOINTS = StateSpec.parse("/joint_states:position[1],velocity[1]")
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def oscillation(t, phase=0.0):
+    """x(t) of x' = A x from [cos, sin] of the phase, shape (n, len(t))."""
+    start = np.array([np.cos(phase), np.sin(phase)])
+    return np.stack([expm(A * tau) @ start for tau in t], axis=1)
+
+
+def write_joints(path, t, x, begin=1_700_000_000):
+    """Write a bag of sensor_msgs/JointState with another library; the state is joint 1 of two."""
+    types, plugin = STORE.types, StoragePlugin.MCAP
+    header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        kind = "sensor_msgs/msg/JointState"
+        topic = writer.add_connection("/joint_states", kind, typestore=STORE)
+        for time, (position, velocity) in zip(t, x.T, strict=True):
+            at = round(time * 1e9)
+            message = types[kind](
+                header=header(stamp(begin + at // 10**9, at % 10**9), "rig"),
+                name=["first", "second"],
+                position=np.array([9.0, position]),
+                velocity=np.array([9.0, velocity]),
+                effort=np.array([]),
+            )
+            late = at + begin * 10**9 + 300_000
+            writer.write(topic, late, STORE.serialize_cdr(message, kind))
+    return path
+
+
+def linear(paths, **given):
+    return train_from_bags(
+        paths, BagTraining(JOINTS, **{"dt": DT, "degree": 1, "modes": 3, **given})
+    )
+
+
+def test_an_oscillator_is_identified_from_unevenly_sampled_joint_states(tmp_path):
+    rng = np.random.default_rng(1)
+    paths = []
+    for number in range(3):
+        t = np.cumsum(rng.uniform(0.0005, 0.0015, 6000))  # 1 kHz with jitter
+        paths.append(write_joints(tmp_path / f"bag{number}", t, oscillation(t, number)))
+    model = linear(paths)
+    # linear interpolation errs by h^2 |x''| / 8 < 2e-6 between samples 1.5 ms apart
+    np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=1e-4)
+    np.testing.assert_allclose(model.K[1:, 0], 0.0, atol=1e-4)
+    assert model.state_names == ("position1", "velocity1")
+    assert [bag["name"] for bag in model.provenance["bags"]] == ["bag0", "bag1", "bag2"]
+    assert len({bag["sha256"] for bag in model.provenance["bags"]}) == 3
+    (one, *_, far) = model.provenance["forecast"]
+    assert (one["steps"], far["steps"]) == (1, 50 if far["steps"] == 50 else 10)
+    assert max(far["error"]) < 1e-3 < 0.1 < min(far["no_change"])
+
+
+@pytest.mark.parametrize("way", ["linear", "zoh", "none"])
+def test_a_pause_is_not_bridged(tmp_path, way):
+    t = np.arange(400) * DT
+    t[200:] += 7.5 * DT  # the recorder slept
+    x = oscillation(t)
+    x[:, 200:] = oscillation(t[200:], 2.0)  # meanwhile somebody pushed the rig
+    model = linear([write_joints(tmp_path / "bag", t, x)], way=way, held_out=0.0)
+    np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=1e-9)
+    assert model.provenance["pairs"] == 199 + 199
+    assert model.provenance["bags"][0]["stretches"] == 2
+
+
+def test_stamps_that_jitter_are_ignored_if_told_so(tmp_path):
+    rng = np.random.default_rng(2)
+    even = np.arange(2000) * DT
+    jittered = even + rng.uniform(0.0, 0.5 * DT, even.size)
+    path = write_joints(tmp_path / "bag", jittered, oscillation(even))
+    exact = linear([path], way="none").K[1:, 1:]
+    np.testing.assert_allclose(exact, expm(A * DT), atol=1e-9)
+    blurred = linear([path], way="linear").K[1:, 1:]
+    assert np.abs(blurred - expm(A * DT)).max() > 1e-6
+
+
+# -- cutting ------------------------------------------------------------------------------------
+
+
+def cut(cutting, time, step, x, bounds):
+    """Feed samples in batches; return all pairs of consecutive states, and of states 3 apart."""
+    cutter = Cutter(cutting, time.size)
+    edges = [0, *sorted(bounds), time.size]
+    parts = [slice(a, b) for a, b in pairwise(edges)]
+    fed = (Batch(p.start, time[p], step[p], x[p]) for p in parts)
+    pieces = list(joined((piece for batch in fed for piece in cutter.pieces(batch)), 3))
+    found = []
+    for apart in (1, 3):
+        pairs = [
+            (piece.held_out, *piece.states[:, k - apart], *piece.states[:, k])
+            for piece, known in pieces
+            for k in range(max(apart, known), piece.states.shape[1])
+        ]
+        found.append(pairs)
+    return found
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+def test_how_a_bag_is_read_in_batches_does_not_matter(data):
+    size = data.draw(st.integers(5, 60))
+    jumps = data.draw(st.lists(st.sampled_from([1, 1, 1, 1, 2, 9, 0, -5]), min_size=size,
+                               max_size=size))  # fmt: skip
+    step = np.cumsum(jumps)
+    time = np.cumsum(np.array(jumps) * 10_000_000 + data.draw(st.integers(-3000, 3000)))
+    x = np.arange(float(size))[:, None] ** [1, 2]
+    x[data.draw(st.lists(st.integers(0, size - 1), max_size=2)), 0] = np.nan
+    way = data.draw(st.sampled_from(WAYS))
+    cutting = Cutting(way, 0.007 if way in ("linear", "zoh") else 0.01, 0.035, 0.25)
+    bounds = data.draw(st.sets(st.integers(1, size - 1), max_size=6))
+    assert cut(cutting, time, step, x, bounds) == cut(cutting, time, step, x, set())
+
+
+def test_steps_pair_only_neighbours_of_the_same_run_and_share():
+    step = np.array([0, 1, 2, 4, 5, 5, 6, 0, 1, 2])
+    x = np.array([10.0, 11, 12, 14, 15, 15, np.nan, 20, 21, 22])[:, None]
+    cutting = Cutting("steps", 0.01, 1.0)
+    pairs, triples = cut(cutting, step * 10_000_000, step, x, {3})
+    assert [pair[1:] for pair in pairs] == [(10, 11), (11, 12), (14, 15), (20, 21), (21, 22)]
+    assert triples == []
+
+
+def test_blocks_are_held_out_evenly_and_never_the_first():
+    blocks = np.arange(20)
+    for share, held in ((0.0, []), (0.2, [4, 9, 14, 19]), (0.05, [19]), (0.5, range(1, 20, 2))):
+        assert np.flatnonzero(Cutting("none", 1.0, 1.0, share).is_held_out(blocks)).tolist() == [
+            *held
+        ]
+
+
+# -- forecast -----------------------------------------------------------------------------------
+
+
+def test_the_forecast_of_a_known_operator_errs_by_the_noise_alone():
+    rng = np.random.default_rng(3)
+    clean = oscillation(np.arange(2000) * DT)
+    gram = Gram.empty(Monomials(2, 1))
+    gram.add_trajectory(clean)
+    model = build(gram, DT, ("a", "b"), 3, {})
+    exact, noisy = Forecast(model, (1, 20)), Forecast(model, (1, 20, 5000))
+    exact.add(clean, 0)
+    sigma = 0.01
+    measured = clean + sigma * rng.standard_normal(clean.shape)
+    for begin in range(0, 2000, 500):  # in pieces that overlap by the longest horizon in reach
+        known = min(begin, 20)
+        noisy.add(measured[:, begin - known : begin + 500], known)
+    for item in exact.result():
+        np.testing.assert_allclose(item["error"], 0.0, atol=1e-9)
+    first, second = noisy.result()  # no stretch is 5000 steps long
+    assert (first["predictions"], second["predictions"]) == (1999, 1980)
+    for item in (first, second):
+        # noise in the target and, turned and damped, in the start: both of deviation sigma
+        gain = np.linalg.norm(expm(A * DT * item["steps"]), 2)
+        expected = sigma * np.sqrt(1.0 + gain**2) / measured.std(axis=1)
+        np.testing.assert_allclose(item["error"], expected, rtol=0.1)
+        moved = clean[:, item["steps"] :] - clean[:, : -item["steps"]]
+        unchanged = np.sqrt((moved**2).mean(axis=1) + 2.0 * sigma**2) / measured.std(axis=1)
+        np.testing.assert_allclose(item["no_change"], unchanged, rtol=0.1)
+
+
+# -- the command --------------------------------------------------------------------------------
+
+
+def test_train_writes_a_model_that_inspect_explains(tmp_path, capsys):
+    t = np.arange(1500) * DT
+    bag, out = write_joints(tmp_path / "rig", t, oscillation(t)), tmp_path / "model.npz"
+    given = ["--state", str(JOINTS), "--dt", str(DT), "--degree", "1", "--modes", "2"]
+    given += ["--names", "angle,speed", "--horizons", "1,25", "--out", str(out)]
+    assert main(["train", str(bag), *given]) == 0
+    model = load(out)
+    assert model.state_names == ("angle", "speed")
+    assert model.provenance["bags"][0]["states"] == 1500
+    trained = capsys.readouterr().out
+    assert main(["inspect", str(out)]) == 0
+    inspected = capsys.readouterr().out
+    assert inspected.split("\n", 1)[1].strip() in trained
+    assert "rig (" in inspected
+    assert "1500 states in 8 stretches" in inspected
+    assert [line.split()[:2] for line in inspected.splitlines() if line.startswith("25 ")] == [
+        ["25", "0.5"]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([], "give --dt (the usual time between two messages is 0.02 s)"),
+        (["--dt", "0"], "dt = 0 s: must be positive"),
+        (["--dt", "0.02", "--state", "/joint_states"], "write /topic:field or"),
+        (["--dt", "0.02", "--state", "/nowhere:x"], "has no topic /nowhere; it has /joint_states"),
+        (["--dt", "0.02", "--state", "/joint_states:speed"], "has no field 'speed'"),
+        (["--dt", "0.02", "--resample", "steps"], "have no field 'step'"),
+        (["--dt", "0.02", "--held-out", "0.9"], "held-out share 0.9: must be 0 to 0.5"),
+        (["--dt", "0.02", "--horizons", "0"], "horizons are steps ahead"),
+        (["--dt", "0.02", "--names", "a"], "1 state names for 2 states"),
+        (["--seed", "1"], "--seed is for training without a bag"),
+        (["--dt", "0.02", "--state", "/joint_states:position[7],position[1]"], "finite"),
+    ],
+)
+def test_what_cannot_be_learned_is_said(tmp_path, given, message, capsys):
+    t = np.arange(100) * DT
+    bag = write_joints(tmp_path / "bag", t, oscillation(t))
+    state = [] if "--state" in given else ["--state", str(JOINTS)]
+    out = tmp_path / "model.npz"
+    assert main(["train", str(bag), *state, *given, "--degree", "1", "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not out.exists()
