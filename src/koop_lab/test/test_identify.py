@@ -10,6 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.linalg import expm
 
+from koop_lab.bench_memory import STORED, peak_of_training, write_states
 from koop_lab.cli import main
 from koop_lab.identify.forecast import Forecast
 from koop_lab.identify.from_bags import BagTraining, joined, train_from_bags
@@ -232,3 +233,14 @@ def test_what_cannot_be_learned_is_said(tmp_path, given, message, capsys):
     assert message in error
     assert error.count("\n") == 1
     assert not out.exists()
+
+
+@pytest.mark.slow
+def test_a_bag_20_times_as_large_takes_no_more_memory(tmp_path):
+    peaks = []
+    for megabytes in (10, 200):  # the smaller one fills a batch, which is what is held at once
+        size = write_states(tmp_path / str(megabytes), round(megabytes * 1e6 / STORED))
+        assert size == pytest.approx(megabytes * 1e6, rel=0.1)
+        peaks.append(peak_of_training(tmp_path / str(megabytes)))
+    # without batches the states alone, 2 million of 16 bytes in several copies, would add 100 MB
+    assert peaks[1] - peaks[0] < 30e6
