@@ -6,6 +6,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
+    package_data={PACKAGE: ["fast_dds.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
@@ -14,7 +15,12 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="MCAP recording of ROS 2 topics: pure writer and reader, recorder node.",
+    description="MCAP bags of ROS 2 topics: pure writer and reader, recorder and player nodes.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["recorder = koop_bag.node:main"]},
+    entry_points={
+        "console_scripts": [
+            "recorder = koop_bag.node:main",
+            "player = koop_bag.player_node:main",
+        ]
+    },
 )

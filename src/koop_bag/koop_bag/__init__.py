@@ -1,1 +1,1 @@
-"""MCAP recording of ROS 2 topics: pure writer and reader, recorder node."""
+"""MCAP bags of ROS 2 topics: pure writer and reader, recorder and player nodes."""

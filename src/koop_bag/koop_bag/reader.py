@@ -18,6 +18,7 @@ from koop_bag.mcap_scan import McapFile, Place, inner_places
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel id, sequence, log time, publish time; the serialized message follows."""
 
+_CHUNK_TIMES = struct.Struct("<QQ")  # of its first and its last message
 _NUMBERED = re.compile(r"_(\d+)\.mcap$")
 
 
@@ -144,7 +145,7 @@ class BagReader:
             self.topic(name)
         begin, stop = start or 0, 2**64 if end is None else end
         unpack, fixed = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
-        for records, names in self.blocks(topics):
+        for records, names in self.blocks(topics, begin, stop):
             for opcode, at, length in inner_places(records):
                 if opcode != Opcode.MESSAGE:
                     continue
@@ -159,9 +160,12 @@ class BagReader:
                     )
 
     def blocks(
-        self, topics: Collection[str] | None = None
+        self, topics: Collection[str] | None = None, start: int = 0, end: int = 2**64
     ) -> Iterator[tuple[bytes, dict[int, str]]]:
-        """MCAP records chunk by chunk, each with the wanted channels' topics."""
+        """MCAP records chunk by chunk, each with the wanted channels' topics.
+
+        Chunks without a message at start <= log time < end are passed over, unread.
+        """
         for item in self._contents:
             wanted = {
                 number: channel.topic
@@ -170,7 +174,7 @@ class BagReader:
             }
             if not any(item.counts.get(number) for number in wanted):
                 continue
-            for records in _message_records(item.file):
+            for records in _message_records(item.file, start, end):
                 yield records, wanted
 
     def close(self) -> None:
@@ -294,7 +298,7 @@ def _note(contents: FileContents, place: Place, data: bytes) -> None:
         contents.notes[metadata.name] = metadata.metadata
 
 
-def _message_records(file: McapFile) -> Iterator[bytes]:
+def _message_records(file: McapFile, start: int, end: int) -> Iterator[bytes]:
     """Records that hold messages: the inside of each chunk, or messages that lie outside of any."""
     loose = bytearray()
     for place in file.places():
@@ -304,7 +308,9 @@ def _message_records(file: McapFile) -> Iterator[bytes]:
             yield bytes(loose)
             loose.clear()
         if place.opcode == Opcode.CHUNK:
-            yield file.chunk_records(place)
+            first, last = _CHUNK_TIMES.unpack(file.content(place._replace(length=16)))
+            if first < end and last >= start:
+                yield file.chunk_records(place)
         elif place.opcode == Opcode.DATA_END:
             return
     if loose:

@@ -1,4 +1,4 @@
-"""Reads the step index out of serialized messages without decoding them."""
+"""Reads step index and stamp out of serialized messages without decoding them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from koop_bag.schema import MessageSchema
 
 _LENGTH = struct.Struct("<I")
 _STEP = struct.Struct("<Q")
+_STAMP = struct.Struct("<iI")
+_HEADER = "std_msgs/Header"
 # Encapsulation, sec, nanosec; the length of frame_id follows, then its characters, then the step.
 _FRAME_ID = 12
 
@@ -24,10 +26,27 @@ class StepPeek:
 
     def see(self, message: bytes) -> None:
         """Count one serialized message."""
-        (length,) = _LENGTH.unpack_from(message, _FRAME_ID)
-        # The step lies at the next multiple of 8, counted from the end of the encapsulation.
-        (step,) = _STEP.unpack_from(message, 4 + (_FRAME_ID + length + 7 & ~7))
-        self.counter.add(step)
+        self.counter.add(step_of(message))
+
+
+def step_of(message: bytes) -> int:
+    """The step of a serialized message for whose type :func:`has_step` holds."""
+    (length,) = _LENGTH.unpack_from(message, _FRAME_ID)
+    # The step lies at the next multiple of 8, counted from the end of the encapsulation.
+    (step,) = _STEP.unpack_from(message, 4 + (_FRAME_ID + length + 7 & ~7))
+    return int(step)
+
+
+def stamp_of(message: bytes) -> int:
+    """The header stamp [ns] of a serialized message for whose type :func:`has_header` holds."""
+    seconds, nanoseconds = _STAMP.unpack_from(message, 4)
+    return int(seconds * 1_000_000_000 + nanoseconds)
+
+
+def has_header(schema: MessageSchema) -> bool:
+    """Whether messages of this type begin with `std_msgs/Header`."""
+    fields = parse_definition(schema.name, schema.text).fields
+    return bool(fields) and isinstance(fields[0][1], Struct) and fields[0][1].name == _HEADER
 
 
 def has_step(schema: MessageSchema) -> bool:
@@ -35,6 +54,10 @@ def has_step(schema: MessageSchema) -> bool:
     fields = parse_definition(schema.name, schema.text).fields
     if len(fields) < 2:
         return False
-    (_, header), (name, step) = fields[:2]
-    is_header = isinstance(header, Struct) and header.name == "std_msgs/Header"
-    return is_header and name == "step" and isinstance(step, Primitive) and step.dtype == "<u8"
+    name, step = fields[1]
+    return (
+        has_header(schema)
+        and name == "step"
+        and isinstance(step, Primitive)
+        and step.dtype == "<u8"
+    )

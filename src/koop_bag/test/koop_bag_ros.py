@@ -1,4 +1,4 @@
-"""A recorder in a process of its own and nodes that talk to it."""
+"""A recorder or player in a process of its own and nodes that talk to it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import subprocess
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rclpy
 from ament_index_python.packages import get_package_prefix
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -19,6 +20,9 @@ from rclpy.serialization import deserialize_message
 from koop_bag.errors import BagError
 from koop_bag.reader import BagReader
 from koop_bag.ros_topics import message_class
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 PATIENCE = 30.0  # [s] for what should take far less
 
@@ -33,14 +37,12 @@ def wait_until(condition: Callable[[], Any], what: str) -> Any:
     raise AssertionError(f"waited {PATIENCE} s for {what}")
 
 
-class Recorder:
-    """`ros2 run koop_bag recorder`; a context manager that leaves no process behind."""
+class Program:
+    """`ros2 run koop_bag NAME`; a context manager that leaves no process behind."""
 
-    def __init__(self, folder: Path, *arguments: str, file_limit: int = 0) -> None:
-        self.folder = folder
-        self.log = folder.parent / f"{folder.name}.log"
-        program = Path(get_package_prefix("koop_bag")) / "lib" / "koop_bag" / "recorder"
-        given = ["-p", f"output:={folder}", *arguments]
+    def __init__(self, name: str, log: Path, given: list[str], file_limit: int = 0) -> None:
+        self.log = log
+        program = Path(get_package_prefix("koop_bag")) / "lib" / "koop_bag" / name
 
         def limit() -> None:
             if file_limit:
@@ -54,7 +56,7 @@ class Recorder:
                 preexec_fn=limit,
             )
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -65,6 +67,27 @@ class Recorder:
     def output(self) -> str:
         """Return what it said."""
         return self.log.read_text()
+
+    def stop(self, number: int = signal.SIGINT) -> float:
+        """Send a signal, wait for the end, return how long it took [s]."""
+        begin = time.monotonic()
+        self.process.send_signal(number)
+        self.process.wait(PATIENCE)
+        return time.monotonic() - begin
+
+    def end(self) -> int:
+        """Wait until it ends by itself; return the exit code."""
+        self.process.wait(PATIENCE)
+        return self.process.returncode
+
+
+class Recorder(Program):
+    """`ros2 run koop_bag recorder`."""
+
+    def __init__(self, folder: Path, *arguments: str, file_limit: int = 0) -> None:
+        self.folder = folder
+        given = ["-p", f"output:={folder}", *arguments]
+        super().__init__("recorder", folder.parent / f"{folder.name}.log", given, file_limit)
 
     def wait_for(self, topic: str, count: int) -> None:
         """Wait until so many messages of a topic are on the disk.
@@ -82,12 +105,15 @@ class Recorder:
 
         wait_until(recorded, f"{count} messages on {topic}")
 
-    def stop(self, number: int = signal.SIGINT) -> float:
-        """Send a signal, wait for the end, return how long it took [s]."""
-        begin = time.monotonic()
-        self.process.send_signal(number)
-        self.process.wait(PATIENCE)
-        return time.monotonic() - begin
+
+class Player(Program):
+    """`ros2 run koop_bag player`; keyword arguments are its parameters."""
+
+    def __init__(self, path: Path, *arguments: str, **parameters: Any) -> None:
+        given = {"bag": path, **parameters}
+        words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+        log = path.parent / f"{path.name}-player.log"
+        super().__init__("player", log, [*words, *arguments])
 
 
 class Talker:
@@ -103,15 +129,16 @@ class Talker:
             parameter_overrides=[Parameter(key, value=v) for key, v in parameters.items()],
             automatically_declare_parameters_from_overrides=True,
         )
-        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor: Any = EventsExecutor(context=self.context)
         self.executor.add_node(self.node)
 
     def __enter__(self) -> Talker:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.executor.shutdown()
+        self.executor.remove_node(self.node)
         self.node.destroy_node()
+        self.executor.shutdown()
         self.context.shutdown()
 
     def publishers(self, types: dict[str, str], qos: QoSProfile | int = 1000) -> dict[str, Any]:
@@ -125,14 +152,29 @@ class Talker:
         )
         return made
 
+    def collect(self, topic: str, kind: str, qos: QoSProfile | int = 10000) -> list[bytes]:
+        """Subscribe; the serialized messages that arrive are appended to the returned list."""
+        found: list[bytes] = []
+        self.node.create_subscription(message_class(kind), topic, found.append, qos, raw=True)
+        return found
+
+    def call(self, service_type: Any, name: str, request: Any) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(service_type, name)
+        self.spin_until(client.service_is_ready, f"the service {name}")
+        future = client.call_async(request)
+        self.spin_until(future.done, f"an answer of {name}")
+        self.node.destroy_client(client)
+        return future.result()
+
     def spin_until(self, condition: Callable[[], Any], what: str) -> Any:
         """Answer services until a condition is true."""
-
-        def look() -> Any:
-            self.executor.spin_once(timeout_sec=0.05)
-            return condition()
-
-        return wait_until(look, what)
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            if value := condition():
+                return value
+            self.executor.spin_once(timeout_sec=0.02)
+        raise AssertionError(f"waited {PATIENCE} s for {what}")
 
 
 def publish(

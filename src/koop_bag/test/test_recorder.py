@@ -1,8 +1,6 @@
 """The recorder as a process, real DDS, real signals; bags judged by readers of others."""
 
 import hashlib
-import itertools
-import os
 import random
 import signal
 import subprocess
@@ -29,15 +27,6 @@ from koop_bag.recover import recover
 from koop_bag.ros_topics import message_class
 
 pytestmark = pytest.mark.ros
-domains = itertools.count(int(os.environ.get("ROS_DOMAIN_ID", os.getpid())))
-
-
-@pytest.fixture(autouse=True)
-def own_domain(monkeypatch):
-    """Give each test a DDS domain: the ghost of a killed recorder counts as a listener for 20 s."""
-    # above the default domain, below those whose ports Linux hands out to others
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + next(domains) % 100))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 def steps(folder, topic="/state"):

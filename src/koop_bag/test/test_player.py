@@ -1,0 +1,245 @@
+"""When messages go out: decided by hand for short bags, without ROS and without waiting."""
+
+import math
+import random
+
+import pytest
+
+from koop_bag.player import Playback, Timeline, in_time_order
+from koop_bag.player_config import PlayerConfig, default_topics, parse_counts, parse_remap
+from koop_bag.reader import RawMessage
+from koop_node.config import ConfigError
+
+BEGIN = 1_700_000_000_000_000_000
+MS = 1_000_000
+
+
+def message(topic, milliseconds, data=b""):
+    time = BEGIN + round(milliseconds * MS)
+    return RawMessage(topic, time, time, 0, data)
+
+
+def loop_messages(steps, period=5.0):
+    """Return state, cost and theta of each step, 1 ms after one another."""
+    return [
+        message(topic, k * period + i, b"%d" % k)
+        for k in range(steps)
+        for i, topic in enumerate(("state", "cost", "theta"))
+    ]
+
+
+def playback(messages, **options):
+    end = max((m.log_time for m in messages), default=BEGIN)
+
+    def source(start):
+        return iter([m for m in messages if m.log_time >= start])
+
+    return Playback(source, BEGIN, options.pop("end", end), **options)
+
+
+def drain(playing, now):
+    taken = []
+    while (found := playing.take(now)) is not None:
+        taken.append(found)
+    return taken
+
+
+def play_through(playing, begin=100.0):
+    """Return (message, time) of everything, jumping from one waiting time to the next."""
+    now, out = begin, []
+    playing.start(now)
+    while not playing.finished:
+        out += [(m, now) for m in drain(playing, now)]
+        wait = playing.wait(now)
+        if math.isinf(wait):
+            break
+        now += wait
+    return out
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.25, 40.0])
+def test_every_message_goes_out_at_its_time(rate):
+    messages = loop_messages(20)
+    out = play_through(playback(messages, rate=rate))
+    assert [m for m, _ in out] == messages
+    for m, now in out:
+        # 1 us: what a float holds of seconds and the rounding of one waiting time
+        assert (now - 100.0) * rate == pytest.approx((m.log_time - BEGIN) * 1e-9, abs=1e-6 * rate)
+
+
+def test_equal_times_keep_the_order_of_the_file():
+    messages = [message(topic, k, bytes([i])) for k in range(3) for i, topic in enumerate("bacd")]
+    assert list(in_time_order(messages)) == messages
+    assert [m for m, _ in play_through(playback(messages))] == messages
+
+
+def test_batches_written_by_a_recorder_are_put_in_order():
+    rng = random.Random(1)
+    messages = [message("t", k, b"%d" % k) for k in range(5000)]
+    written = sorted(messages, key=lambda m: m.log_time + rng.randrange(100 * MS))
+    assert written != messages
+    assert list(in_time_order(written)) == messages
+
+
+def test_a_message_far_out_of_place_comes_late_but_comes():
+    messages = [message("t", 1000), message("t", 1500), message("t", 0), message("t", 1600)]
+    assert sorted(in_time_order(messages)) == sorted(messages)
+
+
+def test_as_fast_as_possible_waits_for_nothing():
+    messages = loop_messages(100)
+    assert {now for _, now in play_through(playback(messages, rate=math.inf))} == {100.0}
+
+
+def test_after_a_stall_all_that_is_overdue_goes_out_at_once_and_in_order():
+    messages = loop_messages(10)
+    playing = playback(messages)
+    playing.start(0.0)
+    assert len(drain(playing, 0.0)) == 1
+    assert drain(playing, 10.0) == messages[1:]
+    assert playing.lateness == pytest.approx(10.0 - 0.047)
+
+
+def test_a_pause_shifts_what_follows_by_its_length():
+    messages = loop_messages(10)
+    playing = playback(messages)
+    playing.start(0.0)
+    before = drain(playing, 0.0075)
+    playing.pause(0.0075)
+    assert drain(playing, 50.0) == []
+    assert math.isinf(playing.wait(50.0))
+    playing.resume(60.0)
+    assert playing.wait(60.0) == pytest.approx(10e-3 - 7.5e-3)
+    assert before + drain(playing, 70.0) == messages
+
+
+def test_a_paused_playback_goes_step_by_step():
+    messages = loop_messages(4)
+    playing = playback(messages, gate="state")
+    playing.start(0.0)
+    assert not playing.step()
+    drain(playing, 0.0)  # the first state is due at once
+    playing.pause(0.0)
+    steps = []
+    for _ in range(3):
+        assert playing.step()
+        assert playing.wait(0.0) == 0.0
+        steps.append([m.topic + m.data.decode() for m in drain(playing, 0.0)])
+    assert steps == [
+        ["cost0", "theta0"],
+        ["state1", "cost1", "theta1"],
+        ["state2", "cost2", "theta2"],
+    ]
+    playing.resume(5.0)
+    assert playing.wait(5.0) == pytest.approx(3e-3)  # state3 lies 3 ms after theta2
+
+
+def test_without_a_topic_that_begins_steps_one_message_is_a_step():
+    playing = playback(loop_messages(2))
+    playing.pause(0.0)
+    for k in range(3):
+        playing.step()
+        assert len(drain(playing, 0.0)) == 1, k
+
+
+def test_lockstep_holds_the_next_state_until_the_answer_and_nothing_else():
+    messages = loop_messages(3)
+    playing = playback(messages, gate="state", lockstep=True)
+    playing.start(0.0)
+    for k in range(3):
+        assert drain(playing, 0.0) == messages[3 * k : 3 * k + 3]
+        assert playing.waiting
+        assert not playing.finished
+        playing.answered()
+    assert playing.finished
+
+
+def test_a_seek_goes_on_there_and_forgets_the_missing_answer():
+    messages = loop_messages(100)
+    playing = playback(messages, gate="state", lockstep=True)
+    playing.start(0.0)
+    drain(playing, 0.0)
+    playing.seek(BEGIN + 250 * MS, 0.0)
+    assert drain(playing, 0.0)[0].data == b"50"
+    timed = playback(messages)
+    timed.start(0.0)
+    drain(timed, 0.4)
+    timed.seek(BEGIN + 100 * MS, 0.4)  # back
+    assert [m.data for m in drain(timed, 0.4)] == [b"20"]
+    assert timed.wait(0.4) == pytest.approx(1e-3)
+
+
+def test_a_loop_begins_again_when_the_pass_is_over_not_when_its_last_message_went_out():
+    messages = [message("t", 0), message("t", 10)]
+    playing = playback(messages, end=BEGIN + 50 * MS, loop=True)
+    playing.start(0.0)
+    assert drain(playing, 0.02) == messages
+    assert playing.wait(0.02) == pytest.approx(0.03)
+    assert drain(playing, 0.105) == [*messages, messages[0]]
+    assert playing.passes == 2
+    playing.loop = False
+    drain(playing, 0.2)
+    assert playing.finished
+
+
+def test_a_loop_over_one_message_leaves_time_for_others():
+    playing = playback([message("map", 0)], loop=True)
+    playing.start(0.0)
+    assert len(drain(playing, 0.0)) == 1
+    assert playing.wait(0.0) > 0.0
+
+
+def test_a_bag_without_messages_is_finished_also_if_it_shall_loop():
+    assert playback([], loop=True).finished
+
+
+def test_only_the_chosen_stretch_is_played():
+    messages = loop_messages(100)
+    playing = playback(messages, end=BEGIN + 22 * MS)
+    playing.seek(BEGIN + 10 * MS, 0.0)
+    playing.start(0.0)
+    assert {m.data for m in drain(playing, 9.0)} == {b"2", b"3", b"4"}
+    assert playing.finished
+
+
+def test_the_rate_changes_without_a_jump():
+    timeline = Timeline(2.0)
+    timeline.set(BEGIN, 0.0)
+    timeline.run(0.0)
+    assert timeline.bag_time(1.0) == BEGIN + 2000 * MS
+    timeline.set_rate(0.5, 1.0)
+    assert timeline.bag_time(1.0) == BEGIN + 2000 * MS
+    assert timeline.due(BEGIN + 3000 * MS) == pytest.approx(3.0)
+
+
+def test_stopped_and_started_again_it_goes_on_where_it_was():
+    messages = loop_messages(10)
+    playing = playback(messages)
+    playing.start(0.0)
+    before = drain(playing, 0.012)
+    playing.stop(0.012)
+    playing.start(99.0)
+    assert playing.wait(99.0) == pytest.approx(3e-3)
+    assert before + drain(playing, 200.0) == messages
+
+
+def test_topics_that_live_nodes_publish_are_not_played_unless_chosen():
+    present = ["/rig/state", "/rig/cost", "/rig/theta", "/rig/truth", "/rosout", "/clock"]
+    assert default_topics(present, lockstep=False) == present[:4]
+    assert default_topics(present, lockstep=True) == ["/rig/state", "/rig/truth"]
+
+
+def test_options_in_words():
+    assert parse_remap("/a:=/b state:=old/state") == {"/a": "/b", "state": "old/state"}
+    assert parse_counts("state:2 cost") == {"state": 2, "cost": 1}
+    assert parse_counts("none") == {}
+    assert PlayerConfig(pace="scaled", rate=5.0).speed == 5.0
+    assert math.isinf(PlayerConfig(pace="fast").speed)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"remap": "/a=/b"}, {"wait_for": "state:x"}, {"pace": "warp"}, {"rate": 0.0}]
+)
+def test_wrong_options_are_refused(wrong):
+    with pytest.raises(ConfigError):
+        PlayerConfig(**wrong)

@@ -1,0 +1,293 @@
+"""The player as a process, over real DDS, with nodes that listen and answer."""
+
+import signal
+import struct
+import time
+
+import pytest
+from koop_bag_messages import LOOP, PERIOD, START
+from koop_bag_ros import Player, Recorder, Talker, wait_until
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool, Trigger
+
+from koop_bag.metadata import OfferedQos
+from koop_bag.reader import BagReader
+from koop_bag.ros_topics import message_class
+from koop_bag.schema import MessageSchema, load_schema
+from koop_bag.step_peek import step_of
+from koop_bag.writer import BagWriter
+
+pytestmark = pytest.mark.ros
+
+
+def listen(talker, topics=LOOP):
+    return {topic: talker.collect(topic, LOOP[topic]) for topic in topics}
+
+
+def finish(player, talker):
+    """Serve until the player has ended; return its exit code."""
+    talker.spin_until(lambda: player.process.poll() is not None, "the player to end")
+    return player.process.returncode
+
+
+def set_parameter(talker, name, value):
+    kinds = {
+        float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
+        bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
+    }
+    kind, field = kinds[type(value)]
+    parameter = Parameter(name=name, value=ParameterValue(type=kind, **{field: value}))
+    request = SetParameters.Request(parameters=[parameter])
+    return talker.call(SetParameters, "/player/set_parameters", request).results[0]
+
+
+def answer_states(talker):
+    """Make the talker the rest of a loop: theta for every state; return the steps answered."""
+    answered = []
+    publisher = talker.node.create_publisher(message_class(LOOP["/theta"]), "/theta", 1000)
+
+    def on_state(data):
+        step = step_of(data)
+        answered.append(step)
+        publisher.publish(publisher.msg_type(step=step))
+
+    talker.node.create_subscription(
+        message_class(LOOP["/state"]), "/state", on_state, 1000, raw=True
+    )
+    return answered
+
+
+def test_all_bytes_arrive_from_the_first_message_on_and_the_player_ends(write_loop, messages):
+    bag = write_loop(n=2000)
+    with Player(bag, pace="fast") as player, Talker() as talker:
+        found = listen(talker)
+        assert finish(player, talker) == 0, player.output()
+        # the player ends when everything has arrived; some still waits in this node's queues
+        talker.spin_until(lambda: all(len(f) == 2000 for f in found.values()), "the rest")
+        assert "Traceback" not in player.output()
+    for topic, data in found.items():
+        assert data == [padded(messages.loop(topic, k)) for k in range(2000)]
+
+
+def padded(data):
+    """Return a message as DDS hands it on: filled up to a multiple of four bytes."""
+    return data + bytes(-len(data) % 4)
+
+
+def test_a_recording_of_a_playback_is_the_recording(write_loop, tmp_path):
+    bag = write_loop(n=200)
+    with Recorder(tmp_path / "again") as recorder, Player(bag, recorders=1) as player:
+        assert player.end() == 0, player.output()
+        recorder.stop()
+    with BagReader(bag) as before, BagReader(tmp_path / "again") as after:
+        for topic in LOOP:
+            first, second = ([m.data for m in b.messages([topic])] for b in (before, after))
+            assert second == [padded(data) for data in first]
+
+
+@pytest.mark.parametrize(("options", "rate"), [({}, 1.0), ({"pace": "scaled", "rate": 4.0}, 4.0)])
+def test_time_passes_at_the_rate(write_loop, options, rate):
+    bag = write_loop(n=401)  # 2 s
+    with Player(bag, topics="state", **options) as player, Talker() as talker:
+        times = []
+        kind = message_class(LOOP["/state"])
+        talker.node.create_subscription(kind, "/state", lambda _: times.append(time.time()), 1000)
+        assert finish(player, talker) == 0
+    assert len(times) == 401
+    # on a busy machine the first may be seen late, and so may the last
+    assert 0.5 * 2.0 / rate < times[-1] - times[0] < 2.0 / rate + 2.0
+
+
+def test_lockstep_asks_for_the_next_theta_only_after_the_last(write_loop):
+    bag = write_loop(n=1000)
+    with Player(bag, pace="lockstep") as player, Talker() as talker:
+        found = listen(talker, ["/cost", "/truth"])
+        answered = answer_states(talker)
+        assert finish(player, talker) == 0, player.output()
+        talker.spin_until(lambda: len(found["/truth"]) == 1000, "the rest")
+    assert answered == list(range(1000))
+    assert not found["/cost"]  # the live loop's, not the bag's
+
+
+def test_in_lockstep_a_lost_answer_is_asked_for_again(write_loop):
+    bag = write_loop(n=20)
+    with Player(bag, pace="lockstep", answer_timeout=0.2) as player, Talker() as talker:
+        asked = []
+        publisher = talker.node.create_publisher(message_class(LOOP["/theta"]), "/theta", 1000)
+
+        def on_state(data):
+            step = step_of(data)
+            asked.append(step)
+            if step == 7 and asked.count(7) == 1:
+                publisher.publish(publisher.msg_type(step=6))  # too old, no answer to 7
+            else:
+                publisher.publish(publisher.msg_type(step=step))
+
+        kind = message_class(LOOP["/state"])
+        talker.node.create_subscription(kind, "/state", on_state, 1000, raw=True)
+        assert finish(player, talker) == 0, player.output()
+        assert "/state of step 7" in player.output()
+    assert sorted(set(asked)) == list(range(20))
+    assert asked.count(7) >= 2
+
+
+def test_in_lockstep_silence_is_an_error_that_names_step_and_topic(write_loop):
+    bag = write_loop(n=20)
+    with Player(bag, pace="lockstep", answer_timeout=0.05) as player, Talker() as talker:
+        found = listen(talker, ["/state"])["/state"]
+        assert finish(player, talker) == 1
+        assert "no /theta in 0.05 s for /state of step 0" in player.output()
+        assert "Traceback" not in player.output()
+    assert len(found) <= 4
+    assert {step_of(data) for data in found} == {0}
+
+
+def test_pause_step_seek_and_resume(write_loop):
+    bag = write_loop(n=1000)  # 5 s
+    with Player(bag, topics="state truth", paused=True) as player, Talker() as talker:
+        found = listen(talker, ["/state", "/truth"])
+        steps = lambda: [step_of(data) for data in found["/state"]]  # noqa: E731
+        trigger = lambda: talker.call(Trigger, "/player/step", Trigger.Request())  # noqa: E731
+        wait_until(lambda: "playing" in player.output(), "the player to start")
+        for k in range(3):
+            assert trigger().success
+            talker.spin_until(lambda: len(found["/truth"]) > k, "a step")  # noqa: B023
+        assert steps() == [0, 1, 2]
+        assert set_parameter(talker, "position", 2.5).successful
+        assert trigger().success
+        talker.spin_until(lambda: len(found["/truth"]) == 4, "a step")
+        assert steps() == [0, 1, 2, 500]
+        refused = set_parameter(talker, "position", 99.0)
+        assert not refused.successful
+        assert "4.995 s long" in refused.reason
+        assert set_parameter(talker, "position", 4.5).successful
+        assert talker.call(SetBool, "/player/pause", SetBool.Request(data=False)).success
+        assert finish(player, talker) == 0
+        talker.spin_until(lambda: len(found["/truth"]) == 104, "the rest")
+        assert steps() == [0, 1, 2, 500, *range(900, 1000)]
+        assert "Traceback" not in player.output()
+
+
+def test_a_loop_goes_on_until_it_is_told_not_to(write_loop):
+    bag = write_loop(n=40)  # 0.2 s
+    with Player(bag, topics="state", loop=True) as player, Talker() as talker:
+        found = listen(talker, ["/state"])["/state"]
+        talker.spin_until(lambda: len(found) > 90, "two passes")
+        refused = set_parameter(talker, "rate", 2.0)
+        assert "scaled" in refused.reason
+        assert set_parameter(talker, "loop", False).successful
+        assert finish(player, talker) == 0
+        talker.spin_until(lambda: len(found) % 40 == 0, "the rest")
+    assert [step_of(data) for data in found] == list(range(40)) * (len(found) // 40)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_cleanly(write_loop, number):
+    with Player(write_loop(n=4000), topics="state") as player, Talker() as talker:
+        found = listen(talker, ["/state"])["/state"]
+        talker.spin_until(lambda: found, "the first state")
+        assert player.stop(number) < 2.0
+        assert player.process.returncode == 0
+        assert "Traceback" not in player.output()
+
+
+def clock_times(data):
+    stamps = [deserialize_message(item, Clock).clock for item in data]
+    return [stamp.sec * 1_000_000_000 + stamp.nanosec for stamp in stamps]
+
+
+@pytest.mark.parametrize("kind", ["receive", "stamp"])
+def test_the_clock_is_told_at_every_step(write_loop, kind):
+    bag = write_loop(n=100)
+    with Player(bag, pace="fast", topics="state", clock=kind) as player, Talker() as talker:
+        clock = talker.collect("/clock", "rosgraph_msgs/msg/Clock")
+        listen(talker, ["/state"])
+        assert finish(player, talker) == 0
+        talker.spin_until(lambda: len(clock) >= 100, "the clock")
+    begin = START if kind == "receive" else 0
+    assert clock_times(clock) == [begin + k * PERIOD for k in range(100)]
+
+
+def test_the_clock_goes_on_where_the_bag_is_silent(tmp_path, messages):
+    with BagWriter(tmp_path / "bag") as writer:
+        channel = writer.add_topic("/state", load_schema(LOOP["/state"]))
+        for k in (0, 200):  # one second of nothing
+            writer.write(channel, START + k * PERIOD, START, messages.loop("/state", k))
+    with Player(tmp_path / "bag", clock="receive") as player, Talker() as talker:
+        clock = talker.collect("/clock", "rosgraph_msgs/msg/Clock")
+        listen(talker, ["/state"])
+        assert finish(player, talker) == 0
+    times = clock_times(clock)
+    assert times == sorted(times)
+    # 200 Hz; a busy machine may wake the player less often, but never so that a loop would notice
+    assert len(times) > 60
+
+
+def test_topics_are_remapped_and_started_for_the_number_that_shall_listen(write_loop, messages):
+    bag = write_loop(n=50)
+    options = {"topics": "state", "remap": "state:=/old/state", "wait_for": "state:2"}
+    with Player(bag, pace="fast", **options) as player, Talker() as talker:
+        first = talker.collect("/old/state", LOOP["/state"])
+        wait_until(lambda: "waiting for subscribers: 1 on /old/state" in player.output(), "waiting")
+        with Talker("second") as other:
+            second = other.collect("/old/state", LOOP["/state"])
+            assert finish(player, talker) == 0
+            talker.spin_until(lambda: len(first) == 50, "the rest")
+            other.spin_until(lambda: len(second) == 50, "the rest")
+    assert first == second == [messages.loop("/state", k) for k in range(50)]
+
+
+def test_the_offered_qos_is_that_of_the_recorded_publishers(tmp_path, messages):
+    profiles = {
+        "/map": OfferedQos(durability="transient_local", depth=1),
+        "/fast": OfferedQos(reliability="best_effort", deadline=(0, 500_000_000)),
+    }
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic, profile in profiles.items():
+            channel = writer.add_topic(topic, load_schema(LOOP["/state"]), [profile])
+            writer.write(channel, START, START, messages.loop("/state", 0))
+    with Player(tmp_path / "bag", paused=True) as player, Talker() as talker:
+        reliable = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+        talker.collect("/map", LOOP["/state"], reliable)
+        talker.spin_until(lambda: talker.node.count_publishers("/fast"), "the player")
+        found = {t: talker.node.get_publishers_info_by_topic(t)[0].qos_profile for t in profiles}
+        player.stop()
+    assert found["/map"].durability.name == "TRANSIENT_LOCAL"
+    assert found["/map"].reliability.name == "RELIABLE"
+    assert found["/fast"].reliability.name == "BEST_EFFORT"
+    assert found["/fast"].deadline.nanoseconds == 500_000_000
+
+
+def test_messages_of_a_type_that_has_changed_since_are_not_played(tmp_path, messages):
+    schema = load_schema(LOOP["/state"])
+    other = MessageSchema(schema.name, schema.text, "RIHS01_" + "0" * 64)
+    with BagWriter(tmp_path / "bag") as writer:
+        channel = writer.add_topic("/state", other)
+        writer.write(channel, START, START, struct.pack("<I", 256))
+    for options, said in (({}, "is not played"), ({"topics": "state"}, "error")):
+        with Player(tmp_path / "bag", **options) as player:
+            assert player.end() == 1
+            assert said in player.output().lower()
+            assert "another version of koop_msgs/msg/MeasuredState" in player.output()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"topics": "stat"}, "has no topic /stat; it has /state"),
+        ({"bag": "/nowhere"}, "there is no bag /nowhere"),
+        ({"start": 99.0}, "no message to play"),
+        ({"wait_for": "imu"}, "/imu is not played"),
+        ({"pace": "lockstep", "gate": "imu"}, "gate: /imu is not among the topics played"),
+        ({"pace": "lockstep", "answer": "knob"}, "the bag has no /knob"),
+    ],
+)
+def test_what_cannot_be_played_is_said_in_one_line(write_loop, options, said):
+    with Player(write_loop(n=3), **options) as player:
+        assert player.end() == 1
+        assert said in player.output()
+        assert "Traceback" not in player.output()
