@@ -172,6 +172,7 @@ def _claims(config: BeyondConfig, table: Table) -> list[Claim]:
         text = table.cell(name, "iae_median")
         return float("inf") if text == "diverged" else float(text)
 
+    best = min((candidate.name for candidate in config.candidates), key=median)
     claims = []
     for candidate in config.candidates:
         name = candidate.name
@@ -186,7 +187,7 @@ def _claims(config: BeyondConfig, table: Table) -> list[Claim]:
                 f"{table.cell(config.reference, 'iae_median')} "
                 f"({table.cell(config.reference, 'converged')} % converged).",
                 "beyond",
-                summary=name == config.default,
+                summary=name in (config.default, best),
             )
         )
     return claims
