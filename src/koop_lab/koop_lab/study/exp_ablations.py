@@ -160,7 +160,7 @@ def _figure(
 ) -> Figure:
     numeric = all(type(value) in (int, float) for value in values)
     x = [float(value) if numeric else float(i) for i, value in enumerate(values)]
-    positive = numeric and min(x) > 0.0 and max(x) / min(x) >= 20.0
+    positive = numeric and min(x) > 0.0 and max(x) / min(x) >= 10.0
     series = []
     for cost, found in rows.items():
         color = costs.index(cost)  # the same colour in every figure
