@@ -307,3 +307,17 @@ def test_other_distribution_is_named_and_does_not_leak_in(clone: Clone) -> None:
     assert "ROS 2 humble is sourced, not jazzy" in err
     assert "/opt/ros" not in out
     assert "ros.txt" in clone.calls()[1]
+
+
+def test_an_edited_source_drops_the_compiled_kernels_of_all_that_may_call_it(ready: Clone) -> None:
+    kernel = ready.root / "src/first/first/__pycache__/module.kernel.nbc"
+    kernel.parent.mkdir()
+    kernel.touch()
+    assert ready.koop("shell", "-c", "true")[0] == 0
+    assert kernel.exists()
+    edited = ready.root / "src/second/second/module.py"
+    stamp = (ready.root / "ros2_ws/install/koop_kernels.stamp").stat().st_mtime
+    edited.write_text("edited")
+    os.utime(edited, (stamp + 1, stamp + 1))
+    assert ready.koop("shell", "-c", "true")[0] == 0
+    assert not kernel.exists()

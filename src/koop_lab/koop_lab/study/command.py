@@ -41,6 +41,12 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--readme", type=Path, metavar="FILE", help="rewrite the results table of this README"
     )
+    parser.add_argument(
+        "--over-dds",
+        action="store_true",
+        help="run only the headline runs, with the real nodes in lockstep, and compare them with "
+        "the offline loop bit for bit; exit code 1 if one differs",
+    )
     parser.set_defaults(func=main)
 
 

@@ -41,7 +41,7 @@ class MapShape:
 
 def grid() -> NDArray[np.float64]:
     """Return the values of theta that maps are sampled at, falling, shape (G,)."""
-    return np.linspace(HIGH, LOW, round((HIGH - LOW) / SPACING) + 1)
+    return np.linspace(HIGH, LOW, round((HIGH - LOW) / SPACING) + 1, dtype=np.float64)
 
 
 def smooth(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -72,7 +72,7 @@ def ramp(case: Case, duration: float) -> tuple[NDArray[np.float64], NDArray[np.f
     """
     case = replace(case, duration=duration + SETTLING)
     settle = round(SETTLING / case.plant.dt)
-    falling = np.linspace(HIGH, LOW, case.steps - settle)
+    falling = np.linspace(HIGH, LOW, case.steps - settle, dtype=np.float64)
     trace = run(case, schedule=np.concatenate([np.full(settle, HIGH), falling]))
     return falling, trace.r[settle:]
 

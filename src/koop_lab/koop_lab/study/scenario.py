@@ -122,13 +122,13 @@ def expose(
     """
     rng = np.random.default_rng([seed, 1])
     t = np.arange(steps, dtype=np.float64) * plant.dt
-    added = np.empty((0, 2))
+    added: NDArray[np.float64] = np.empty((0, 2))
     second = second_channel(config, plant, t)
     if config.noise > 0.0 or second.size:
         added = rng.normal(0.0, config.noise, (steps, 2))
         if second.size:
             added[:, 1] += second
-    lost = np.empty(0, dtype=np.bool_)
+    lost: NDArray[np.bool_] = np.empty(0, dtype=np.bool_)
     if config.lost > 0.0:
         lost = rng.random(steps) < config.lost
         lost[0] = False  # the loop begins with the first state that arrives

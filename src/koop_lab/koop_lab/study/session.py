@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from koop_lab.study import publish
+from koop_lab.study import over_dds, publish
 from koop_lab.study.experiments import KINDS, read_folder
 from koop_lab.study.runner import run_all
 from koop_lab.study.units import Store
@@ -44,6 +44,8 @@ def run(args: argparse.Namespace) -> int:
     if not experiments:
         raise ConfigError(f"{args.experiments}: holds no experiment of the kinds asked for")
     out = args.out or Path("recordings/study-quick" if args.quick else "recordings/study")
+    if args.over_dds:
+        return 0 if over_dds.repeat(experiments, out) else 1
     store = Store(out / "units")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a shell's `kill` stops it as Ctrl-C
     try:
