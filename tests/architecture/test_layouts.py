@@ -1,0 +1,83 @@
+"""Every path in the viewer layouts is a field of the message on that topic."""
+
+import json
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from rosbags.typesys import get_types_from_msg
+
+SRC = Path(__file__).parents[2] / "src"
+LAYOUTS = SRC / "koop_bringup" / "layouts"
+TYPES = {"state": "MeasuredState", "cost": "Cost", "theta": "ControlInput", "truth": "PlantTruth"}
+STATES = 2
+
+
+def fields_of(topic):
+    """Return {field: whether it is an array} as another library reads the definition."""
+    text = (SRC / "koop_msgs" / "msg" / f"{TYPES[topic]}.msg").read_text()
+    name = f"koop_msgs/msg/{TYPES[topic]}"
+    _, fields = get_types_from_msg(text, name)[name]
+    return {field: kind.name in ("ARRAY", "SEQUENCE") for field, (kind, _) in fields}
+
+
+def assert_path_exists(topic, field):
+    name, index = re.fullmatch(r"(\w+)(?:\[(\d+)\])?", field).groups()
+    fields = fields_of(topic)
+    assert name in fields, f"/{topic} has no field {name}"
+    assert fields[name] == (index is not None), f"/{topic}.{field}"
+    assert int(index or 0) < STATES
+
+
+def plotjuggler_paths():
+    root = ElementTree.parse(LAYOUTS / "plotjuggler.xml").getroot()
+    for curve in root.iter("curve"):
+        xy = [curve.get("curve_x"), curve.get("curve_y")]
+        yield from xy if all(xy) else [curve.get("name")]
+
+
+def foxglove_panels():
+    return json.loads((LAYOUTS / "foxglove.json").read_text())["configById"]
+
+
+def foxglove_paths():
+    for panel in foxglove_panels().values():
+        for path in [*panel.get("paths", ()), *filter(None, [panel.get("xAxisPath")])]:
+            yield path["value"]
+
+
+@pytest.mark.parametrize(
+    ("paths", "pattern"),
+    [(plotjuggler_paths, r"/(\w+)/(.+)"), (foxglove_paths, r"/(\w+)\.(.+)")],
+    ids=["PlotJuggler", "Foxglove"],
+)
+def test_every_path_is_a_field_and_every_topic_is_shown(paths, pattern):
+    found = [re.fullmatch(pattern, path).groups() for path in paths()]
+    assert {topic for topic, _ in found} == set(TYPES)
+    for topic, field in found:
+        assert_path_exists(topic, field)
+    assert {("state", "x[0]"), ("cost", "r"), ("theta", "theta")} <= set(found)
+
+
+def test_every_foxglove_panel_stands_in_the_layout():
+    panels = foxglove_panels()
+    shown = []
+
+    def walk(node):
+        if isinstance(node, str):
+            shown.append(node)
+        else:
+            walk(node["first"])
+            walk(node["second"])
+
+    for tab in panels["Tab!main"]["tabs"]:
+        walk(tab["layout"])
+    assert sorted(shown) == sorted(set(panels) - {"Tab!main"})
+
+
+def test_the_layouts_are_installed():
+    from ament_index_python.packages import get_package_share_path
+
+    for name in ("plotjuggler.xml", "foxglove.json"):
+        assert (get_package_share_path("koop_bringup") / "layouts" / name).is_file()
