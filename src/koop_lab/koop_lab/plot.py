@@ -51,15 +51,15 @@ def plot_run(
     columns = state.reshape(t.size, -1)
     for i, name in enumerate(("x", "y") if columns.shape[1] == 2 else map(str, range(99))):
         if i < columns.shape[1]:
-            _envelope(axes[0], t, columns[:, i], name)
+            envelope(axes[0], t, columns[:, i], name)
     axes[0].set_ylabel("state")
     after = t >= LOGGING_START if t[-1] > LOGGING_START else t >= t[0]
-    _fit(axes[0], columns[after])
-    _fit(axes[1], r[after])
+    fit(axes[0], columns[after])
+    fit(axes[1], r[after])
     axes[0].legend(loc="upper right", ncols=2)
-    _envelope(axes[1], t, r, "r")
+    envelope(axes[1], t, r, "r")
     axes[1].set_ylabel("cost r")
-    _envelope(axes[2], t, theta, "theta")
+    envelope(axes[2], t, theta, "theta")
     axes[2].axhline(theta_star, linestyle="--", color="black", linewidth=1.0)
     axes[2].annotate(
         "θ*", (t[-1], theta_star), xytext=(3, 0), textcoords="offset points", va="center"
@@ -73,13 +73,14 @@ def plot_run(
     plt.close(figure)
 
 
-def _fit(axis: Axes, y: NDArray[np.float64]) -> None:
+def fit(axis: Axes, y: NDArray[np.float64]) -> None:
+    """Let the vertical axis fit the values, a little wider."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     margin = 0.05 * (high - low) or 1.0
     axis.set_ylim(low - margin, high + margin)
 
 
-def _envelope(axis: Axes, t: NDArray[np.float64], y: NDArray[np.float64], label: str) -> None:
+def envelope(axis: Axes, t: NDArray[np.float64], y: NDArray[np.float64], label: str) -> None:
     """Plot a signal; a long one as the band between its extremes, so that no peak is lost."""
     block = -(-t.size // POINTS)
     if block == 1:

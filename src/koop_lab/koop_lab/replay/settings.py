@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -41,8 +41,10 @@ class Change:
     values: dict[str, Any]
 
 
-def recorded_values(bag: BagReader, path: Path, namespace: str) -> dict[str, dict[str, Any]]:
-    """Return the recorded parameters of the lifter and the controller; empty if there are none.
+def recorded_values(
+    bag: BagReader, path: Path, namespace: str, nodes: Iterable[str] = CONTROLLER
+) -> dict[str, dict[str, Any]]:
+    """Return the recorded parameters of some nodes; a node that has none is left out.
 
     They stand in the bag itself, or in the run's folder while the bag is not closed.
     """
@@ -52,7 +54,7 @@ def recorded_values(bag: BagReader, path: Path, namespace: str) -> dict[str, dic
             text = (folder / "parameters.yaml").read_text(encoding="utf-8")
     base, content = namespace.rstrip("/"), yaml.safe_load(text) if text else None
     found: dict[str, dict[str, Any]] = {}
-    for node in CONTROLLER:
+    for node in nodes:
         section = (content or {}).get(f"{base}/{node}")
         if section:
             found[node] = _own_parameters(node, section["ros__parameters"])

@@ -1,0 +1,67 @@
+"""``koop bag metrics`` and ``koop bag plot`` on the golden bag."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from koop_lab.bag_report import read, register_bag_commands
+from koop_lab.report_plot import plot_report
+
+RUN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
+
+
+def command(*given):
+    parser = argparse.ArgumentParser()
+    register_bag_commands(parser.add_subparsers(required=True))
+    args = parser.parse_args([str(word) for word in given])
+    return args.func(args)
+
+
+def test_the_metrics_are_those_of_the_recorded_theta(capsys):
+    with AnyReader([RUN / "bag"]) as reader:
+        topics = [c for c in reader.connections if c.topic == "/theta"]
+        theta = np.array([reader.deserialize(raw, c.msgtype).theta
+                          for c, _, raw in reader.messages(topics)])  # fmt: skip
+    assert command("metrics", RUN, "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    error = np.abs(theta + 3.0)
+    assert result["iae_theta"] == pytest.approx(0.005 * error.sum(), rel=1e-9)
+    assert result["ise_theta"] == pytest.approx(0.005 * (error**2).sum(), rel=1e-9)
+    assert result["t_theta"] == pytest.approx(0.005 * np.argmax(error < 0.1))
+    assert result["e_r_ss"] > 0.0
+    assert result["lost"] == {"state": 0, "cost": 0, "theta": 0, "truth": 0}
+    assert command("metrics", RUN, "--json", "--theta-star", "2") == 0
+    other = json.loads(capsys.readouterr().out)
+    assert other["iae_theta"] == pytest.approx(0.005 * np.abs(theta - 2.0).sum(), rel=1e-9)
+    assert other["e_r_ss"] is None  # r* belongs to the plant's own theta*
+
+
+def test_the_table_shows_every_signal(capsys):
+    assert command("metrics", RUN) == 0
+    printed = capsys.readouterr().out
+    assert "IAE_theta [s]" in printed
+    assert {line.split()[0] for line in printed.splitlines() if line} >= {
+        "x[0]", "x[1]", "r", "theta", "2000",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_the_plot_is_written(tmp_path, capsys, ending):
+    out = tmp_path / f"report.{ending}"
+    assert command("plot", RUN, "--out", out) == 0
+    begin = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[ending]
+    assert out.read_bytes().startswith(begin)
+    assert str(out) in capsys.readouterr().out
+
+
+def test_a_run_without_a_model_and_with_holes_is_drawn_too(tmp_path):
+    run = read(RUN)
+    assert run.model is not None
+    assert run.model.model_id == read(RUN / "bag").model.model_id
+    run.signals.measured[100:130] = np.nan
+    plot_report(tmp_path / "report.png", run.signals, run.dt, None, None, "holes")
+    assert (tmp_path / "report.png").stat().st_size > 10_000
