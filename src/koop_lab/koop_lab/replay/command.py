@@ -89,7 +89,8 @@ def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[
     lines += [str(result) for result in results]
     if not any(result.different for result in results) or plan.differences:
         return lines
-    lines.append("parameters and model are the recorded ones")
+    if recording.values:
+        lines.append("parameters and model are the recorded ones")
     if recording.in_progress:
         lines.append(
             f"the recording begins in mid-run (the first cost is {recording.r[0]:.6g}, not 0): "

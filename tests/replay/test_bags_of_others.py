@@ -1,0 +1,114 @@
+"""Bags that lack something: other recorders, killed ones, other namespaces, a late start."""
+
+import shutil
+from pathlib import Path
+
+import yaml
+
+from koop_bag.reader import BagReader
+from koop_bag.schema import load_schema
+from koop_bag.writer import BagWriter
+from koop_lab.cli import main
+from koop_lab.train import TrainingConfig, train
+from vdp_plant.config import PlantConfig
+
+RUN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
+LOOP = ("/state", "/cost", "/theta")
+
+
+def copy(folder, topics=LOOP, begin=0, namespace="", parameters=None):
+    """Write a bag with some of the golden bag's messages, those of a topic from one number on."""
+    with BagReader(RUN) as bag, BagWriter(folder) as writer:
+        if parameters:
+            writer.custom_data["parameters"] = yaml.safe_dump(parameters)
+        channels = {
+            name: writer.add_topic(namespace + name, load_schema(bag.topic(name).type_name))
+            for name in topics
+        }
+        counts = dict.fromkeys(topics, 0)
+        for message in bag.messages(topics):
+            counts[message.topic] += 1
+            if counts[message.topic] > begin:
+                writer.write(
+                    channels[message.topic], message.log_time, message.publish_time, message.data
+                )
+    return folder
+
+
+def golden_parameters(namespace=""):
+    content = yaml.safe_load((RUN / "parameters.yaml").read_text())
+    return {f"{namespace}{node}": content[node] for node in ("/koopman_lifter", "/relay_esc")}
+
+
+def replay(folder, capsys, *given):
+    code = main(["replay", str(folder), "--offline", *map(str, given)])
+    return code, "".join(capsys.readouterr())
+
+
+def test_a_loop_in_a_namespace(tmp_path, capsys):
+    bag = copy(tmp_path / "bag", namespace="/two", parameters=golden_parameters("/two"))
+    code, printed = replay(bag, capsys, "--namespace", "/two")
+    assert code == 0, printed
+    assert "theta  identical bit for bit in all 2000 steps" in printed
+
+
+def test_without_parameters_the_defaults_are_assumed_and_it_is_said(tmp_path, capsys):
+    bag = copy(tmp_path / "bag")
+    code, printed = replay(bag, capsys)
+    assert code == 1
+    assert "the bag holds no parameters" in printed
+    assert "parameters and model are the recorded ones" not in printed
+    assert "r      identical bit for bit" in printed
+    code, printed = replay(bag, capsys, "--params", RUN.parent / "given.yaml")
+    assert code == 0, printed
+
+
+def test_states_alone_show_what_the_controller_would_answer(tmp_path, capsys):
+    code, printed = replay(copy(tmp_path / "bag", topics=["/state"]), capsys)
+    assert code == 0
+    assert printed.count("nothing recorded to compare with") == 2
+
+
+def test_a_recording_that_began_in_mid_run_says_so(tmp_path, capsys):
+    bag = copy(tmp_path / "bag", begin=700, parameters=golden_parameters())
+    code, printed = replay(bag, capsys)
+    assert code == 1
+    assert "first at step 700" in printed
+    assert "the recording begins in mid-run" in printed
+
+
+def test_without_recorded_costs_every_state_is_replayed(tmp_path, capsys):
+    bag = copy(tmp_path / "bag", topics=["/state", "/theta"], parameters=golden_parameters())
+    code, printed = replay(bag, capsys)
+    assert code == 0, printed
+    assert "r      nothing recorded to compare with" in printed
+
+
+def test_a_killed_recorder_s_bag_is_replayed_with_the_run_s_own_files(tmp_path, capsys):
+    run = tmp_path / "run"
+    shutil.copytree(RUN, run)
+    (file,) = (run / "bag").glob("*.mcap")
+    with open(file, "r+b") as torn:
+        torn.truncate(file.stat().st_size // 2)
+    (run / "bag" / "metadata.yaml").unlink()
+    code, printed = replay(run, capsys)
+    assert code == 0, printed
+    assert "the bag holds no parameters" not in printed
+
+
+def test_another_model_is_named(tmp_path, capsys):
+    model = train(PlantConfig(), TrainingConfig(trajectories=5, duration=10.0))
+    model.save(tmp_path / "other.npz")
+    code, printed = replay(RUN, capsys, "--model", tmp_path / "other.npz")
+    assert code == 1
+    assert ["koopman_lifter.model", "6c06224ad266", model.model_id] in [
+        line.split() for line in printed.splitlines()
+    ]
+
+
+def test_a_parameter_of_another_version_is_named_and_left_out(tmp_path, capsys):
+    parameters = golden_parameters()
+    parameters["/relay_esc"]["ros__parameters"]["newer"] = 1.0
+    code, printed = replay(copy(tmp_path / "bag", parameters=parameters), capsys)
+    assert code == 0, printed
+    assert "relay_esc.newer = 1.0 was recorded; this version has no such parameter" in printed
