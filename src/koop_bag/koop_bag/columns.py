@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -27,16 +27,17 @@ bag's size.
 """
 
 _RECORD = struct.Struct("<BQH")  # opcode, length, and the channel if it is a message
-_STORED: dict[str, tuple[int, str]] = {
+STORED: dict[str, tuple[int, str]] = {
     SEQUENCE: (2, "<u4"),
     LOG_TIME: (6, "<u8"),
     PUBLISH_TIME: (14, "<u8"),
 }
+"""Where the columns that every topic has lie in a message record, and their type."""
 
 
 def list_fields(bag: BagReader, topic: str) -> list[str]:
     """The fields of a topic that can be read as columns."""
-    return _names(_definition(bag, topic))
+    return _names(definition_of(bag, topic))
 
 
 def read_columns(bag: BagReader, topic: str, fields: Sequence[str] | None = None) -> Columns:
@@ -97,10 +98,24 @@ def iter_tables(
 ) -> Iterator[tuple[str, Columns]]:
     """`read_tables` in batches of (topic, columns)."""
     decoders = {topic: _Table(bag, topic, fields) for topic, fields in tables.items()}
+    return iter_decoded(bag, decoders, batch_bytes)
+
+
+class Decoder(Protocol):
+    """Makes something of the messages of one topic that lie in a buffer."""
+
+    def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
+        """Columns of the message records whose content starts at `starts`."""
+
+
+def iter_decoded(
+    bag: BagReader, decoders: Mapping[str, Decoder], batch_bytes: int = BATCH_BYTES
+) -> Iterator[tuple[str, Columns]]:
+    """What the decoders make of their topics, in batches."""
     pending: list[bytes] = []
     names: dict[int, str] = {}
     size = 0
-    for records, channels in bag.blocks(tables):
+    for records, channels in bag.blocks(decoders):
         if pending and (
             size >= batch_bytes or channels != names
         ):  # another file may number its channels otherwise
@@ -117,11 +132,9 @@ class _Table:
     """The wanted columns of one topic."""
 
     def __init__(self, bag: BagReader, topic: str, fields: Sequence[str] | None) -> None:
-        root = _definition(bag, topic)
+        root = definition_of(bag, topic)
         self.fields = tuple(_names(root) if fields is None else fields)
-        self._finder = LayoutFinder(
-            root, tuple(name for name in self.fields if name not in _STORED)
-        )
+        self._finder = LayoutFinder(root, tuple(name for name in self.fields if name not in STORED))
         self._topic = topic
 
     def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
@@ -131,7 +144,7 @@ class _Table:
             columns = decode(buffer, starts + fixed, sizes - fixed, self._finder)
         except BagError as error:
             raise BagError(f"topic {self._topic}: {error}") from error
-        for name, (offset, dtype) in _STORED.items():
+        for name, (offset, dtype) in STORED.items():
             if name in self.fields:
                 columns[name] = at_every_byte(buffer, np.dtype(dtype))[starts + offset]
         return {name: columns[name] for name in self.fields}
@@ -142,7 +155,7 @@ class _Table:
 
 
 def _decode_batch(
-    records: bytes, names: dict[int, str], tables: dict[str, _Table]
+    records: bytes, names: dict[int, str], tables: Mapping[str, Decoder]
 ) -> Iterator[tuple[str, Columns]]:
     places: dict[int, list[int]] = {number: [] for number in names}
     # The one loop over messages: opcode, length and channel in one step, no call but the unpacking.
@@ -173,10 +186,11 @@ def _join(name: str, arrays: list[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _names(root: Struct) -> list[str]:
-    return [f".{name}" if name in _STORED else name for name in leaf_fields(root)]
+    return [f".{name}" if name in STORED else name for name in leaf_fields(root)]
 
 
-def _definition(bag: BagReader, topic: str) -> Struct:
+def definition_of(bag: BagReader, topic: str) -> Struct:
+    """The message type of a topic, as the bag defines it."""
     info = bag.topic(topic)
     if info.encoding != "cdr" or not info.definition:
         raise BagError(

@@ -23,6 +23,11 @@ COMMON_TOPICS = {
 """Topics that every node of a system shares: what they reported, which parameters changed."""
 
 
+def is_common(topic: str) -> bool:
+    """Whether every node publishes a topic by itself, so that it says nothing about the loop."""
+    return topic in COMMON_TOPICS or topic == "/clock" or topic.endswith("/transition_event")
+
+
 @dataclass(frozen=True)
 class RecorderConfig:
     """What is recorded, and how.

@@ -1,5 +1,6 @@
 """Lost messages, counted from the step index that every message of the loop carries."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,28 @@ def count_losses(steps: ArrayLike) -> StepReport:
     )
 
 
+def early_ends(last: Mapping[str, int]) -> dict[str, int]:
+    """Steps that topics lack at their end, which no gap shows.
+
+    Parameters
+    ----------
+    last : mapping of str to int
+        Last step by topic. Topics of one namespace belong to one loop.
+
+    Returns
+    -------
+    dict of str to int
+        Missing steps by topic, for topics that end more than a step before the loop's last: one
+        step is what a loop may be stopped within.
+    """
+    ends: dict[str, int] = {}
+    for topic, step in last.items():
+        loop = topic.rpartition("/")[0]
+        ends[loop] = max(ends.get(loop, -1), step)
+    missing = {topic: ends[topic.rpartition("/")[0]] - step for topic, step in last.items()}
+    return {topic: count for topic, count in missing.items() if count > 1}
+
+
 class StepCounter:
     """`count_losses`, one message at a time."""
 
@@ -74,6 +97,23 @@ class StepCounter:
             self.first = step
         self.last = self._before = step
         self.count += 1
+
+    def add_many(self, steps: ArrayLike) -> None:
+        """Count a column of messages, shape (n,)."""
+        k = np.asarray(steps).astype(np.int64)
+        if k.size == 0:
+            return
+        before = self._before
+        if before is None:
+            before = int(k[0])
+            self.add(before)
+            k = k[1:]
+        found = count_losses(np.insert(k, 0, before))
+        self.count += k.size
+        self.lost += found.lost
+        self.duplicates += found.duplicates
+        self.backward += found.backward
+        self.last = self._before = found.last
 
     def interrupt(self) -> None:
         """Do not compare the next message with the last one: those between were not wanted."""

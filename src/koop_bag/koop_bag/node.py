@@ -10,6 +10,7 @@ from typing import Any
 from koop_bag import run_folder
 from koop_bag.config import COMMON_TOPICS, LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.errors import BagError, BagWriteError
+from koop_bag.losses import early_ends
 from koop_bag.metadata import OfferedQos, dump
 from koop_bag.ros_parameters import ParameterCollector
 from koop_bag.ros_topics import RecordedTopic, fetch
@@ -193,6 +194,9 @@ class RecorderNode(ManagedNode):
             f"{self.samples()} messages, {writer.bytes_written} bytes in {writer.folder}; "
             f"lost messages: {losses or 'none'}"
         )
+        last = {t.name: t.peek.counter.last for t in self._topics.values() if t.peek and t.count}
+        for name, missing in early_ends(last).items():
+            self.get_logger().warning(f"{name} ends {missing} steps before the loop does")
 
     def _keep_parameters(self) -> None:
         """Write what is known of the nodes beside the bag and, to outlive a crash, into it."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from koop_bag.config import COMMON_TOPICS, LOOP_TOPICS
+from koop_bag.config import is_common
 from koop_node.config import ConfigError, parameter, validate
 
 PACES = ("realtime", "scaled", "fast", "lockstep")
@@ -36,8 +36,8 @@ class PlayerConfig:
     topics: str = parameter(
         "",
         "topics to play, separated by spaces, by their names in the bag; empty: all but those that "
-        "every node publishes by itself (/rosout, /parameter_events, /diagnostics, /clock) and, in "
-        "lockstep, those that the live nodes answer with (cost, theta)",
+        "every node publishes by itself (/rosout, /parameter_events, /diagnostics, /clock, "
+        "transition_event) and, in lockstep, those that the live nodes answer with (cost, theta)",
         read_only=True,
     )
     remap: str = parameter(
@@ -122,7 +122,7 @@ def parse_counts(text: str) -> dict[str, int]:
 
 def default_topics(present: Iterable[str], lockstep: bool) -> list[str]:
     """Return the topics of a bag that are played if none are chosen."""
-    own = {*COMMON_TOPICS, "/clock"}
     answers = ANSWERED if lockstep else ()
-    assert set(answers) <= set(LOOP_TOPICS)
-    return [name for name in present if name not in own and name.rsplit("/", 1)[-1] not in answers]
+    return [
+        name for name in present if not is_common(name) and name.rsplit("/", 1)[-1] not in answers
+    ]

@@ -24,6 +24,15 @@ def test_gaps_repetitions_and_restarts_are_told_apart(steps, expected):
     assert counter.report() == expected
 
 
+@pytest.mark.parametrize("size", [1, 2, 3])
+@pytest.mark.parametrize(("steps", "expected"), CASES.values(), ids=CASES)
+def test_columns_that_come_in_batches_count_as_one(steps, expected, size):
+    counter = StepCounter()
+    for begin in range(0, len(steps), size):
+        counter.add_many(np.array(steps[begin : begin + size], np.uint64))
+    assert counter.report() == expected
+
+
 def test_steps_that_go_back_do_not_wrap_around():
     # unsigned steps: the plain difference of 0 after 5 would be 2**64 - 5
     assert count_losses(np.array([5, 0], np.uint64)).lost == 0

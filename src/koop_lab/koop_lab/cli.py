@@ -17,6 +17,7 @@ COMMANDS = (
     "koop_lab.simulate_command",
     "koop_lab.train_command",
     "koop_lab.replay.command",
+    "koop_bag.cli",
     "koop_lab.bench",
     "koop_lab.study.command",
 )

@@ -1,0 +1,232 @@
+"""The command ``koop bag``: information, recording, playing, recovery, comparison, export."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from koop_bag.config import RecorderConfig
+from koop_bag.errors import BagError
+from koop_bag.player_config import PlayerConfig
+from koop_node.config import spec_of
+
+Action = Callable[[argparse.Namespace], int]
+
+
+def register(commands: Any) -> None:
+    """Add the command to the subparsers of ``koop``."""
+    bag = bag_commands(commands)
+    info = bag.add_parser("info", help="topics, rates, losses, model, parameters")
+    info.add_argument("bag", type=Path)
+    info.add_argument("--parameters", action="store_true", help="print the nodes' parameters, too")
+    info.add_argument("--json", action="store_true", help="everything, for a program to read")
+    _set(info, _info)
+
+    record = bag.add_parser("record", help="record topics until Ctrl-C")
+    record.add_argument("topics", nargs="*", help="NAME or NAME:pkg/msg/Type; default: the loop's")
+    _add_node_options(record, RecorderConfig, {"topics"})
+    _set(record, _record)
+
+    play = bag.add_parser("play", help="play a bag to other nodes")
+    play.add_argument("bag", type=Path)
+    _add_node_options(play, PlayerConfig, {"bag", "position"})
+    _set(play, _play)
+
+    recover = bag.add_parser("recover", help="make a whole bag of a torn or damaged one")
+    recover.add_argument("bag", type=Path)
+    recover.add_argument("target", type=Path, nargs="?", help="default: beside it, _recovered")
+    _set(recover, _recover)
+
+    diff = bag.add_parser("diff", help="compare two bags; exit code 1 if they differ")
+    diff.add_argument("a", type=Path)
+    diff.add_argument("b", type=Path)
+    diff.add_argument("--topic", action="append", help="only this topic; may be repeated")
+    diff.add_argument("--ignore", action="append", default=[], metavar="FIELD")
+    diff.add_argument("--tolerance", type=float, default=0.0, metavar="X")
+    _set(diff, _diff)
+
+    export = bag.add_parser("export", help="write CSV or Parquet, one file a topic")
+    export.add_argument("bag", type=Path)
+    export.add_argument("-o", "--output", type=Path, help="folder; default: beside it, _export")
+    export.add_argument("--format", choices=("csv", "parquet"), default="csv")
+    export.add_argument("--topic", action="append", help="only this topic; may be repeated")
+    _set(export, _export)
+
+
+def bag_commands(commands: Any) -> Any:
+    """Return the subparsers of ``koop bag``, for others to add theirs; made at the first call.
+
+    Parameters
+    ----------
+    commands : subparsers
+        Those of ``koop``.
+    """
+    parser = commands.choices.get("bag")
+    if parser is None:
+        parser = commands.add_parser("bag", help="record, play, inspect and compare recordings")
+        parser.nested = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    return parser.nested
+
+
+def _set(parser: argparse.ArgumentParser, action: Action) -> None:
+    def guarded(args: argparse.Namespace) -> int:
+        try:
+            return action(args)
+        except BagError as error:
+            print(f"koop bag {args.action}: error: {error}", file=sys.stderr)
+            return 2
+        except BrokenPipeError:  # `| head` has seen enough
+            sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
+            return 0
+
+    parser.set_defaults(func=guarded)
+
+
+# -- offline ----------------------------------------------------------------------------------
+
+
+def _info(args: argparse.Namespace) -> int:
+    from koop_bag.info import as_text, describe
+    from koop_bag.reader import BagReader
+
+    with BagReader(args.bag) as reader:
+        info = describe(reader)
+    if args.json:
+        print(json.dumps(dataclasses.asdict(info) | {"parameters": info.parameters}, indent=1))
+    else:
+        print(as_text(info, args.parameters))
+    return 0
+
+
+def _recover(args: argparse.Namespace) -> int:
+    from koop_bag.reader import BagReader
+    from koop_bag.recover import recover
+
+    target = args.target or _beside(args.bag, "recovered")
+    report = recover(args.bag, target)
+    with BagReader(target) as reader:
+        print(
+            f"{target}: {report.messages} messages, {reader.duration:.3f} s; left out: "
+            f"{report.damaged_records} damaged records, {report.torn_bytes} torn bytes at the end"
+        )
+    return 0
+
+
+def _diff(args: argparse.Namespace) -> int:
+    from koop_bag.config import is_common
+    from koop_bag.diff import compare
+    from koop_bag.reader import BagReader
+
+    same = True
+    with BagReader(args.a) as a, BagReader(args.b) as b:
+        for name in args.topic or ():
+            for bag in (a, b):
+                bag.topic(name)
+        for item in compare(a, b, args.topic, ignore=args.ignore, tolerance=args.tolerance):
+            same = same and item.identical
+            key = "step" if item.by_step else "message"
+            if item.problem:
+                print(f"{item.topic}: {item.problem}")
+                continue
+            verdict = "identical" if item.identical else "different"
+            print(f"{item.topic}: {verdict}, {item.compared} messages by {key}", end="")
+            print(f", {item.only_a} only in A" if item.only_a else "", end="")
+            print(f", {item.only_b} only in B" if item.only_b else "")
+            for field in item.fields:
+                left, right = (
+                    getattr(value, "item", lambda v=value: v)() for value in field.values
+                )
+                print(
+                    f"  {field.name}: {field.count} differ, first at {key} {field.first} "
+                    f"({left!r}, {right!r}), largest difference {field.largest:g} at {key} "
+                    f"{field.largest_at}"
+                )
+        skipped = {topic.name for bag in (a, b) for topic in bag.topics if is_common(topic.name)}
+    if skipped and not args.topic:
+        print(f"not compared: {', '.join(sorted(skipped))} (choose them with --topic)")
+    return 0 if same else 1
+
+
+def _export(args: argparse.Namespace) -> int:
+    from koop_bag.export import export
+    from koop_bag.reader import BagReader
+
+    def warn(text: str) -> None:
+        print(f"koop bag export: {text}", file=sys.stderr)
+
+    folder = args.output or _beside(args.bag, "export")
+    with BagReader(args.bag) as reader:
+        for topic, path in export(reader, folder, args.format, args.topic, warn).items():
+            print(f"{topic}: {path}")
+    return 0
+
+
+def _beside(bag: Path, what: str) -> Path:
+    return bag.resolve().with_name(f"{bag.resolve().stem}_{what}")
+
+
+# -- nodes ------------------------------------------------------------------------------------
+
+
+def _add_node_options(parser: argparse.ArgumentParser, config: type, skip: set[str]) -> None:
+    """Make an option of every parameter of a node."""
+    for item in dataclasses.fields(config):
+        if item.name in skip:
+            continue
+        spec = spec_of(item)
+        names = [f"--{item.name.replace('_', '-')}"]
+        if item.name == "output":
+            names.insert(0, "-o")
+        text = spec.description + (f" [{spec.unit}]" if spec.unit else "")
+        default = "" if item.default in ("", False) else f" (default {item.default})"
+        options: dict[str, Any] = {"dest": f"node_{item.name}", "help": text + default}
+        if isinstance(item.default, bool):
+            parser.add_argument(*names, action="store_true", default=None, **options)
+        else:
+            options |= {"metavar": item.name.upper()} if not spec.choices else {}
+            choices = spec.choices or None
+            parser.add_argument(*names, type=type(item.default), choices=choices, **options)
+    parser.add_argument("--namespace", default="", help="namespace of the node and of its topics")
+
+
+def node_arguments(args: argparse.Namespace, **more: str) -> list[str]:
+    """Return the ROS arguments that the options of a node mean."""
+    given = {
+        name.removeprefix("node_"): value
+        for name, value in vars(args).items()
+        if name.startswith("node_") and value is not None
+    }
+    words = ["--ros-args"]
+    for name, value in (given | more).items():
+        # in YAML, which parameters are written in, only quoted text is text whatever it holds
+        text = (
+            "'" + value.replace("'", "''") + "'" if isinstance(value, str) else str(value).lower()
+        )
+        words += ["-p", f"{name}:={text}"]
+    return [*words, "-r", f"__ns:={args.namespace}"] if args.namespace else words
+
+
+def _record(args: argparse.Namespace) -> int:
+    return _become("recorder", node_arguments(args, topics=" ".join(args.topics)))
+
+
+def _play(args: argparse.Namespace) -> int:
+    return _become("player", node_arguments(args, bag=str(args.bag)))
+
+
+def _become(name: str, arguments: list[str]) -> int:
+    """Go on as a node: signals and the exit code need no passing on."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+    try:
+        program = Path(get_package_prefix("koop_bag")) / "lib" / "koop_bag" / name
+    except PackageNotFoundError:
+        raise BagError("the package koop_bag is not built: run './koop setup'") from None
+    sys.stdout.flush()
+    os.execv(program, [str(program), *arguments])

@@ -1,0 +1,352 @@
+"""`koop bag` on real bags, judged by pyarrow, `rosbags` and counting by hand."""
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.csv
+import pyarrow.parquet
+import pytest
+from koop_bag_messages import LOOP, PERIOD, START
+from koop_bag_ros import Talker, publish, wait_until
+from rosbags.highlevel import AnyReader
+
+from koop_bag import cli
+from koop_bag.diff import compare
+from koop_bag.errors import BagError
+from koop_bag.losses import early_ends
+from koop_bag.player_config import PlayerConfig
+from koop_bag.reader import BagReader
+from koop_bag.schema import load_schema
+from koop_bag.writer import BagWriter
+
+
+@pytest.fixture
+def koop(capsys):
+    """Return a function that runs `koop bag ...` here: (exit code, output, errors)."""
+    parser = argparse.ArgumentParser()
+    cli.register(parser.add_subparsers(dest="command"))
+
+    def run(*arguments):
+        args = parser.parse_args(["bag", *map(str, arguments)])
+        code = args.func(args)
+        return (code, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def write(tmp_path, messages):
+    """Return a function that writes a bag of (topic, step, serialized message or None)."""
+
+    def make(name, rows):
+        with BagWriter(tmp_path / name) as writer:
+            channels = {t: writer.add_topic(t, load_schema(kind)) for t, kind in LOOP.items()}
+            for i, (topic, k, data) in enumerate(rows):
+                now = START + i * 1000
+                writer.write(channels[topic], now, now, data or messages.loop(topic, k))
+        return tmp_path / name
+
+    return make
+
+
+# -- info -------------------------------------------------------------------------------------
+
+
+def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tmp_path):
+    folder = tmp_path / "run"
+    with BagWriter(folder) as writer:
+        channels = {t: writer.add_topic(t, load_schema(kind)) for t, kind in LOOP.items()}
+        for k in [*range(10), *range(13, 21), 20]:
+            for topic, channel in channels.items():
+                if topic != "/truth" or k < 10:
+                    now = START + k * PERIOD
+                    writer.write(channel, now, now, messages.loop(topic, k, model_id="abc"))
+        writer.custom_data["parameters"] = "/esc:\n  ros__parameters:\n    gain: 2.5\n"
+    code, text, _ = koop("info", folder, "--parameters")
+    assert code == 0
+    assert "complete" in text
+    assert "gain: 2.5" in text
+    _, text, _ = koop("info", folder, "--json")
+    found = json.loads(text)
+    assert found["model_ids"] == ["abc"]
+    assert found["parameters"] == {"/esc": {"gain": 2.5}}
+    assert found["messages"] == 3 * 19 + 10
+    topics = {topic["name"]: topic for topic in found["topics"]}
+    assert topics["/state"]["steps"] | {"count": 0} == {
+        "count": 0,
+        "lost": 3,
+        "duplicates": 1,
+        "backward": 0,
+        "first": 0,
+        "last": 20,
+    }
+    assert topics["/truth"]["rate"] == pytest.approx(200.0)
+    _, text, _ = koop("info", folder)
+    assert "ends at step 9, 11 before the loop" in text
+
+
+def test_info_of_a_torn_bag_tells_the_remedy(write_loop, koop):
+    path = write_loop(n=500) / "run_0.mcap"
+    path.write_bytes(path.read_bytes()[:-3000])
+    code, text, _ = koop("info", path.parent)
+    assert code == 0
+    assert "torn: `koop bag recover`" in text
+    code, text, _ = koop("recover", path.parent)
+    assert code == 0
+    assert "0 damaged records" in text
+    with AnyReader([path.parent.with_name("run_recovered")]) as reader:
+        assert reader.message_count == sum(1 for _ in reader.messages()) > 1500
+
+
+def test_a_topic_that_ends_early_is_no_gap_but_still_lacks_something():
+    assert early_ends({"/a/state": 99, "/a/truth": 90, "/b/state": 5, "/a/theta": 98}) == {
+        "/a/truth": 9
+    }
+    assert early_ends({}) == {}
+
+
+# -- diff -------------------------------------------------------------------------------------
+
+
+def test_a_copy_is_identical_whatever_the_times_and_the_order_of_topics(write, koop):
+    by_step = write("a", [(topic, k, None) for k in range(50) for topic in LOOP])
+    by_topic = write("b", [(topic, k, None) for topic in LOOP for k in range(50)])
+    code, text, _ = koop("diff", by_step, by_topic)
+    assert code == 0
+    assert text.splitlines() == [f"{t}: identical, 50 messages by step" for t in LOOP]
+
+
+def test_differences_are_counted_and_the_first_and_the_largest_are_told(write, koop, messages):
+    a = write("a", [("/cost", k, None) for k in range(20)])
+    # cost k says r = 1.5 k, y_out = 2 k
+    other = {7: messages.loop("/cost", 8), 12: messages.loop("/cost", 4)}
+    rows = [("/cost", k, _with_step(other[k], k) if k in other else None) for k in range(18)]
+    b = write("b", rows)
+    code, text, _ = koop("diff", a, b, "--topic", "/cost", "--ignore", "header")
+    assert code == 1
+    assert text.splitlines() == [
+        "/cost: different, 18 messages by step, 2 only in A",
+        "  r: 2 differ, first at step 7 (10.5, 12.0), largest difference 12 at step 12",
+        "  y_out: 2 differ, first at step 7 (14.0, 16.0), largest difference 16 at step 12",
+        "  source: 1 differ, first at step 7 (1, 0), largest difference 1 at step 7",
+    ]
+    with BagReader(a) as first, BagReader(b) as second:
+        (found,) = compare(first, second, ["/cost"], ignore=["header", "source"], tolerance=2.0)
+    assert [(item.name, item.count, item.first) for item in found.fields] == [
+        ("r", 1, 12),
+        ("y_out", 1, 12),
+    ]
+
+
+def _with_step(data, k):
+    return data[:20] + k.to_bytes(8, "little") + data[28:]  # the frame id is empty
+
+
+def test_repeated_and_missing_steps_do_not_shift_the_comparison(write, koop):
+    a = write("a", [("/state", k, None) for k in (0, 1, 1, 2, 3, 5, 6)])
+    b = write("b", [("/state", k, None) for k in (1, 2, 3, 3, 4, 5, 6)])
+    code, text, _ = koop("diff", a, b, "--topic", "/state")
+    assert code == 1
+    assert text == "/state: different, 5 messages by step, 1 only in A, 1 only in B\n"
+
+
+def test_text_nan_and_arrays_of_other_lengths(tmp_path, messages):
+    kind = "sensor_msgs/msg/JointState"
+
+    def joints(names, position):
+        made = messages.make(
+            kind,
+            header=messages.header(0),
+            name=names,
+            position=np.array(position),
+            velocity=np.array([]),
+            effort=np.array([]),
+        )
+        return messages.serialize(kind, made)
+
+    sides = (
+        [joints(["a", "b"], [1.0, np.nan]), joints(["a", "b"], [1.0])],
+        [joints(["a", "c"], [1.0, np.nan]), joints(["a", "b"], [1.0, 2.0])],
+    )
+    for name, data in zip("ab", sides, strict=True):
+        with BagWriter(tmp_path / name) as writer:
+            channel = writer.add_topic("/joints", load_schema(kind))
+            for item in data:
+                writer.write(channel, START, START, item)
+    with BagReader(tmp_path / "a") as a, BagReader(tmp_path / "b") as b:
+        (found,) = compare(a, b)
+    assert not found.by_step
+    assert {item.name: item.first for item in found.fields} == {"name[1]": 0, "position[1]": 1}
+    assert found.fields[0].values == ("b", "c")
+
+
+def test_long_arrays_are_compared_as_bytes(tmp_path):
+    kind = "std_msgs/msg/UInt8MultiArray"
+    head = b"\0\1\0\0" + bytes(8) + (5000).to_bytes(4, "little")
+    for name, last in (("a", 1), ("b", 2)):
+        with BagWriter(tmp_path / name) as writer:
+            channel = writer.add_topic("/blob", load_schema(kind))
+            writer.write(channel, START, START, head + bytes(5000))
+            writer.write(channel, START, START, head + bytes(4999) + bytes([last]))
+    with BagReader(tmp_path / "a") as a, BagReader(tmp_path / "b") as b:
+        (found,) = compare(a, b)
+        (same,) = compare(a, a)
+    assert [(item.name, item.count, item.first) for item in found.fields] == [("data", 1, 1)]
+    assert same.identical
+
+
+def test_topics_and_bags_that_are_not_there(write, koop, tmp_path):
+    a = write("a", [("/state", 0, None)])
+    with BagWriter(tmp_path / "b") as writer:
+        writer.add_topic("/state", load_schema(LOOP["/cost"]))
+    code, text, _ = koop("diff", a, tmp_path / "b")
+    assert code == 1
+    assert "/state: types koop_msgs/msg/MeasuredState and koop_msgs/msg/Cost" in text
+    assert "/cost: " in text
+    assert "has no such topic" in text
+    code, _, error = koop("diff", a, tmp_path / "c")
+    assert code == 2
+    assert error == f"koop bag diff: error: there is no bag {tmp_path / 'c'}\n"
+    assert koop("diff", a, a, "--topic", "/nothing")[0] == 2
+
+
+# -- export -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_every_number_and_text_is_exported(write_loop, koop, tmp_path, form):
+    folder = write_loop(n=300)
+    code, text, _ = koop("export", folder, "-o", tmp_path / "out", "--format", form)
+    assert code == 0
+    assert len(text.splitlines()) == 4
+    read = pyarrow.csv.read_csv if form == "csv" else pyarrow.parquet.read_table
+    with AnyReader([folder]) as reader:
+        for connection in reader.connections:
+            table = read(tmp_path / "out" / f"{connection.topic[1:]}.{form}")
+            rows = table.to_pylist()
+            found = reader.messages([connection])
+            for row, (_, time, raw) in zip(rows, found, strict=True):
+                message = reader.deserialize(raw, connection.msgtype)
+                assert row["log_time"] == time
+                assert row["header.stamp"] == message.header.stamp.sec * 10**9 + (
+                    message.header.stamp.nanosec
+                )
+                for name, value in vars(message).items():
+                    if name == "x":
+                        assert [row["x[0]"], row["x[1]"]] == value.tolist()
+                    elif name.islower() and name not in ("header", "__msgtype__"):  # no constant
+                        assert row[name] == value, name
+
+
+def test_elements_that_a_message_lacks_are_empty(tmp_path, messages, koop):
+    kind = "sensor_msgs/msg/JointState"
+    lengths = [2, 0, 3]
+    with BagWriter(tmp_path / "bag") as writer:
+        channel = writer.add_topic("/rig/joints", load_schema(kind))
+        for k, length in enumerate(lengths):
+            made = messages.make(
+                kind,
+                header=messages.header(k),
+                name=[f"j{i}" for i in range(length)],
+                position=np.arange(length, dtype=float),
+                velocity=np.array([]),
+                effort=np.array([]),
+            )
+            writer.write(channel, START + k, START, messages.serialize(kind, made))
+    koop("export", tmp_path / "bag", "--format", "parquet", "-o", tmp_path)
+    table = pyarrow.parquet.read_table(tmp_path / "rig.joints.parquet").to_pydict()
+    assert table["name[0]"] == ["j0", None, "j0"]
+    assert table["name[2]"] == [None, None, "j2"]
+    assert table["position[2]"][2] == 2.0
+    assert "velocity[0]" not in table
+    assert "position[3]" not in table
+
+
+MEASURE = """
+import resource, sys
+from pathlib import Path
+from koop_bag.export import export
+from koop_bag.reader import BagReader
+with BagReader(sys.argv[1]) as reader:
+    export(reader, Path(sys.argv[2]), "parquet")
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def test_the_memory_of_an_export_does_not_grow_with_the_bag(tmp_path, messages):
+    block = [messages.loop("/state", k) for k in range(10_000)]
+    peaks = []
+    for size in (2, 40):
+        with BagWriter(tmp_path / f"bag{size}") as writer:
+            channel = writer.add_topic("/state", load_schema(LOOP["/state"]))
+            for part in range(size):
+                begin = START + part * len(block) * PERIOD
+                rows = ((begin + k * PERIOD, channel, START, data) for k, data in enumerate(block))
+                writer.write_many(rows)
+        command = [sys.executable, "-c", MEASURE, tmp_path / f"bag{size}", tmp_path / str(size)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        peaks.append(float(done.stdout))
+    # 20 times the bag; the rest is what Arrow keeps of what it allocated
+    assert peaks[1] - peaks[0] < 60.0, peaks
+
+
+# -- record and play --------------------------------------------------------------------------
+
+
+def test_every_parameter_of_the_player_is_an_option_and_reaches_it(koop, monkeypatch):
+    calls = []
+    monkeypatch.setattr(cli, "_become", lambda name, arguments: calls.append(arguments) or 0)
+    assert (
+        koop("play", "b'ag", "--pace", "scaled", "--rate", "2", "--loop", "--topics", "7")[0] == 0
+    )
+    assert calls[0] == [
+        *("--ros-args", "-p", "pace:='scaled'", "-p", "rate:=2.0", "-p", "topics:='7'"),
+        *("-p", "loop:=true", "-p", "bag:='b''ag'"),
+    ]
+    koop("record", "state", "imu:sensor_msgs/msg/Imu", "-o", "run", "--namespace", "/rig")
+    assert calls[1][-2:] == ["-r", "__ns:=/rig"]
+    assert "topics:='state imu:sensor_msgs/msg/Imu'" in calls[1]
+    assert PlayerConfig(bag="b'ag", pace="scaled", rate=2.0).speed == 2.0
+
+
+@pytest.mark.ros
+def test_what_is_recorded_is_played(tmp_path, messages):
+    running = []
+
+    def start(*words):
+        log = tmp_path / f"{words[0]}.log"
+        command = [sys.executable, "-m", "koop_lab", "bag", *map(str, words)]
+        with log.open("wb") as output:
+            running.append(subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT))
+        return running[-1], log
+
+    try:
+        with Talker() as talker:
+            recorder, said = start("record", "state", "-o", tmp_path / "run")
+            publish(talker.publishers({"/state": LOOP["/state"]}), messages.loop, range(20))
+            wait_until(lambda: _count(tmp_path / "run") == 20, "20 messages on the disk")
+            recorder.send_signal(signal.SIGINT)
+            assert recorder.wait(30) == 0, said.read_text()
+            player, said = start("play", tmp_path / "run", "--pace", "fast")
+            found = talker.collect("/state", LOOP["/state"])
+            talker.spin_until(lambda: len(found) == 20, "what was recorded")
+            assert player.wait(30) == 0, said.read_text()
+    finally:
+        for process in running:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+    assert found == [messages.loop("/state", k) for k in range(20)]
+
+
+def _count(path: Path) -> int:
+    try:
+        with BagReader(path) as reader:
+            return reader.message_count
+    except BagError:
+        return 0
