@@ -70,6 +70,8 @@ def assert_same(found, expected):
                 assert_same(item, item_expected)
         elif isinstance(value, str) and isinstance(other, int):
             assert int(value) == other  # 64 bits do not fit into a number of JavaScript
+        elif isinstance(value, int) and isinstance(other, float):
+            assert float(value) == other, name  # which writes 1e17 without a point
         else:
             assert value == simple(other), name
 
