@@ -86,6 +86,7 @@ def run_kernel(
     """
     z = np.empty(lifting.parent.shape[0])
     state = np.empty(2)
+    applied = relay_state.theta
     for k in range(theta.shape[0]):
         state[0], state[1] = dynamics.measure(plant, k, x, y)
         r[k], y_out, detector_state = cost.step(source, lifting, detector, detector_state, state, z)
@@ -97,7 +98,8 @@ def run_kernel(
         truth[k, 0] = x
         truth[k, 1] = y
         theta[k] = relay_state.theta
-        x, y = dynamics.step(plant, k, x, y, relay_state.theta)
+        applied = dynamics.actuate(plant, applied, relay_state.theta)
+        x, y = dynamics.step(plant, k, x, y, applied)
     return len(theta)
 
 

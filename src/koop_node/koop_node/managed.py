@@ -14,17 +14,14 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from koop_node.config import NodeConfig
 from koop_node.parameters import Parameters
+from koop_node.report import ERROR, OK, STALE, WARN, Finding, summary
+from koop_node.stream import StreamMonitor
 
 # A writer keeps this many samples for a reader that was not scheduled for a while; the oldest are
 # lost after that. In lockstep, at 4 kHz, a depth of 100 lost 2 % of a run to a busy machine.
 QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 
-OK, WARN, ERROR, STALE = (
-    DiagnosticStatus.OK,
-    DiagnosticStatus.WARN,
-    DiagnosticStatus.ERROR,
-    DiagnosticStatus.STALE,
-)
+__all__ = ["ERROR", "OK", "QOS", "STALE", "WARN", "ManagedNode"]
 
 
 class ManagedNode(LifecycleNode):
@@ -42,6 +39,8 @@ class ManagedNode(LifecycleNode):
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._linking: Any = None
         self._counted = (time.monotonic(), 0)
+        self._told = Finding(OK, "")
+        self.inputs: tuple[StreamMonitor, ...] = ()  # reported on /diagnostics
         self.parameters = Parameters(
             self, (NodeConfig, *config_classes), self.check_parameters, self.parameters_changed
         )
@@ -68,8 +67,8 @@ class ManagedNode(LifecycleNode):
     def parameters_changed(self, names: set[str]) -> None:
         """Take changed configurations into use."""
 
-    def diagnose(self) -> tuple[bytes, str, Mapping[str, object]]:
-        """Return level, message and values for /diagnostics."""
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
+        """Return level, message and values for /diagnostics, besides what the inputs say."""
         return OK, "", {}
 
     def samples(self) -> int:
@@ -77,6 +76,11 @@ class ManagedNode(LifecycleNode):
         return 0
 
     # -- services of the base class -----------------------------------------------------------
+
+    @property
+    def hardware_id(self) -> str:
+        """What the diagnostics are about: the loop, for a fleet has one in every namespace."""
+        return f"koop{self.get_namespace()}".rstrip("/")
 
     @property
     def lifecycle_state(self) -> str:
@@ -173,22 +177,43 @@ class ManagedNode(LifecycleNode):
     # -- diagnostics --------------------------------------------------------------------------
 
     def _publish_diagnostics(self) -> None:
-        level, message, values = self.diagnose()
+        level, message, own_values = self.diagnose()
         now, count = time.monotonic(), self.samples()
         before, counted = self._counted
         self._counted = (now, count)
-        values = {
+        findings = [Finding(level, message)]
+        values: dict[str, object] = {
             "lifecycle_state": self.lifecycle_state,
             "rate_hz": f"{(count - counted) / (now - before):.1f}",
-            **values,
+            **own_values,
         }
+        for monitor in self.inputs:
+            publishers = self.count_publishers(monitor.topic)
+            if self.active:
+                findings += monitor.findings(now, publishers)
+            values |= monitor.values(now, time.time(), publishers)
+        told = summary(findings)
+        self._log_change(told)
         status = DiagnosticStatus(
-            level=level,
+            level=bytes([told.level]),
             name=self.get_fully_qualified_name(),
-            message=message,
-            hardware_id="",
+            message=told.text,
+            hardware_id=self.hardware_id,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+    def _log_change(self, told: Finding) -> None:
+        """Log when the level changes: who reads only the log learns it too."""
+        if told.level != self._told.level:
+            logger = self.get_logger()
+            # rclpy ties a severity to the line of the call
+            if told.level == OK:
+                logger.info(f"all is well again: {told.text}")
+            elif told.level == WARN:
+                logger.warning(told.text)
+            else:
+                logger.error(told.text)
+        self._told = told

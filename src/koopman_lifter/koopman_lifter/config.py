@@ -44,6 +44,15 @@ class LifterConfig:
         0.005, "sampling time of the state", unit="s", low=1e-6, high=1.0, read_only=True
     )
 
+    state_timeout: float = parameter(
+        0.5,
+        "age at which the state is stale; after such a silence the detector takes no difference "
+        "to the state before it; 0: never",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
+
     def __post_init__(self) -> None:
         validate(self)
 

@@ -52,7 +52,7 @@ class DetectorParams(NamedTuple):
 
 
 class DetectorState(NamedTuple):
-    """What the detector remembers; ``primed`` is False before the first sample."""
+    """What the detector remembers; ``primed`` is False if the next sample follows on none."""
 
     y_previous: float
     y_hp: float
@@ -68,6 +68,16 @@ def detector_params(omega_h: float, omega_l: float, dt: float) -> DetectorParams
 def initial() -> DetectorState:
     """Return the state before the first sample."""
     return DetectorState(0.0, 0.0, 0.0, False)
+
+
+@njit(cache=True)
+def resume(state: DetectorState) -> DetectorState:
+    """Keep the filters over a silence, so that the next sample is no jump.
+
+    Starting them from zero instead would let r climb again, which looks like a cost that gets
+    worse and turns the relay for nothing.
+    """
+    return DetectorState(state.y_previous, state.y_hp, state.y_lp, False)
 
 
 @njit(cache=True, inline="always")
@@ -121,7 +131,7 @@ def detect(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float
         State after this sample.
     """
     if not state.primed:
-        return 0.0, DetectorState(y_out, 0.0, 0.0, True)
+        return max(state.y_lp, 0.0), DetectorState(y_out, state.y_hp, state.y_lp, True)
     y_hp = p.alpha_hp * state.y_hp + (1.0 - p.alpha_hp) * (y_out - state.y_previous)
     y_lp = p.alpha_lp * state.y_lp + (1.0 - p.alpha_lp) * (y_hp * y_hp)
     return max(y_lp, 0.0), DetectorState(y_out, y_hp, y_lp, True)

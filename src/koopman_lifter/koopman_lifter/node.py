@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ from koop_msgs.msg import Cost, MeasuredState
 
 from koop_node.config import NodeConfig
 from koop_node.main import run
-from koop_node.managed import ERROR, OK, QOS, WARN, ManagedNode
+from koop_node.managed import OK, QOS, ManagedNode
+from koop_node.stream import LATE, NEXT, REPEAT, RESTART, StreamMonitor
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, ModelError, load
@@ -23,23 +25,22 @@ class LifterNode(ManagedNode):
     """Answers every state with a cost.
 
     A state that cannot be used (wrong length, not finite) is answered with r = NaN, on which the
-    controller holds; the detector goes on from the last usable state.
+    controller holds; the detector goes on with the next usable state. A state that was overtaken
+    by a newer one is counted and not answered: the filters can't go back in time.
     """
 
     def __init__(self) -> None:
         self._candidate: tuple[Path, KoopmanModel] | None = None
         self._subscription: Any = None
-        self._count = 0
-        self._unusable = 0
-        self._missed = 0
-        self._last_problem = ""
         super().__init__("koopman_lifter", LifterConfig, ModelConfig)
 
     def configure(self) -> None:
         self._use(self._loaded(self.parameters[ModelConfig].path, self.parameters[LifterConfig]))
         self._answer = Cost()
-        self._step: int | None = None
         self._state = cost.initial()
+        config = self.parameters[LifterConfig]
+        self._input = StreamMonitor("state", config.state_timeout, config.dt)
+        self.inputs = (self._input,)
         self._take_config()
         self._compile()
         self._publisher = self.create_publisher(Cost, "cost", QOS)
@@ -76,21 +77,15 @@ class LifterNode(ManagedNode):
         self._take_config()
 
     def samples(self) -> int:
-        return self._count
+        return self._input.count if self.inputs else 0
 
-    def diagnose(self) -> tuple[bytes, str, Mapping[str, object]]:
-        if self._count == 0:
-            return OK, "no state yet", {}
-        values = {
-            "step": self._step,
-            "r": self._answer.r,
-            "model_id": self._model.model_id,
-            "missed_steps": self._missed,
-            "unusable_states": self._unusable,
-        }
-        if math.isnan(self._answer.r):
-            return ERROR, self._last_problem, values
-        return (WARN, "missed states", values) if self._missed else (OK, "lifting", values)
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
+        if not self.inputs:
+            return OK, "", {}
+        values = {"cost": self.parameters[LifterConfig].cost, "model_id": self._answer_id}
+        if self._input.step is None:
+            return OK, "no state yet", values
+        return OK, "lifting", {"step": self._answer.step, "r": self._answer.r, **values}
 
     def _loaded(self, path: Path, config: LifterConfig) -> KoopmanModel:
         model = load(path)
@@ -111,6 +106,7 @@ class LifterNode(ManagedNode):
         config = self.parameters[LifterConfig]
         self._source = config.source
         self._detector = config.detector_params()
+        self._input.timeout = config.state_timeout
 
     def _listen(self) -> None:
         self._subscription = self.create_subscription(MeasuredState, "state", self._on_state, QOS)
@@ -118,24 +114,22 @@ class LifterNode(ManagedNode):
     def _on_state(self, state: MeasuredState) -> None:
         if not self.active:
             return
-        step = state.step
-        if step != self._step:
-            self._process(state, step)
-        # a repeated step was asked again: the same answer, no second update
+        stamp = state.header.stamp
+        kind = self._input.take(state.step, stamp.sec + 1e-9 * stamp.nanosec, time.monotonic())
+        if kind == LATE:
+            return
+        if kind != REPEAT:  # else it was asked again: the same answer, no second update
+            if kind == RESTART:
+                self._state = cost.initial()
+            elif kind != NEXT:
+                self._state = cost.resume(self._state)
+            self._process(state)
         self._publisher.publish(self._answer)
 
-    def _process(self, state: MeasuredState, step: int) -> None:
-        if self._step is not None:
-            if step < self._step:
-                self.get_logger().warning(f"step went back from {self._step} to {step}")
-                self._state = cost.initial()
-            else:
-                self._missed += step - self._step - 1
-        self._step = step
-        self._count += 1
+    def _process(self, state: MeasuredState) -> None:
         answer = self._answer
         answer.header = state.header
-        answer.step = step
+        answer.step = state.step
         answer.source = self._source
         answer.model_id = self._answer_id
         x = np.frombuffer(state.x)
@@ -146,22 +140,22 @@ class LifterNode(ManagedNode):
         else:
             answer.r = answer.y_out = math.nan
         if math.isnan(answer.r):
-            self._report_unusable(x, step)
+            self._state = cost.resume(self._state)
+            self._report_unusable(x)
 
-    def _report_unusable(self, x: np.ndarray[Any, Any], step: int) -> None:
-        self._unusable += 1
+    def _report_unusable(self, x: np.ndarray[Any, Any]) -> None:
         n = self._model.observables.n
         if x.shape[0] != n:
             problem = f"state has {x.shape[0]} values, the model {self._answer_id} needs {n}"
         else:
             problem = f"state {x.tolist()} is not finite or too large"
-        self._last_problem = f"step {step}: {problem}"
-        self.get_logger().error(self._last_problem, throttle_duration_sec=1.0)
+        self._input.reject(f"step {self._answer.step}: {problem}")
+        self.get_logger().error(self._input.problem, throttle_duration_sec=1.0)
 
     def _compile(self) -> None:
         """Compile the kernel for the types that messages bring, before the first sample."""
         x = np.frombuffer(np.zeros(self._model.observables.n).tobytes())
-        for state in (cost.initial(), self._state):
+        for state in (cost.initial(), cost.resume(self._state)):
             cost.step(self._source, self._lifting, self._detector, state, x, self._z)
 
 

@@ -64,3 +64,16 @@ def test_an_unusable_state_costs_nan_and_leaves_the_detector_alone():
         r, _, after = cost.step(*arguments, before, np.array(bad), z)
         assert math.isnan(r)
         assert after == before
+
+
+def test_after_a_silence_the_cost_goes_on_from_where_it_was():
+    params = cost.detector_params(20.0, 0.3, 0.005)
+    state = cost.initial()
+    for k in range(4000):
+        r, state = cost.detect(params, state, 3.0 * np.sin(0.04 * k))
+    jump = 1e6  # what the energy did meanwhile is no oscillation
+    after, state = cost.detect(params, cost.resume(state), jump)
+    assert after == r
+    for k in range(4000, 8000):
+        after, state = cost.detect(params, state, jump + 3.0 * np.sin(0.04 * k))
+    assert after == pytest.approx(r, rel=0.1)  # the residue is the cost's own ripple

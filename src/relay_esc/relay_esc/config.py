@@ -30,6 +30,21 @@ class EscConfig:
     )
     theta_min: float = parameter(-5.0, "lower saturation limit of theta", low=-1e6, high=1e6)
     theta_max: float = parameter(5.0, "upper saturation limit of theta", low=-1e6, high=1e6)
+    rate_limit: float = parameter(
+        0.0,
+        "largest change of theta per second, also after a reset or a change of its limits; 0: none",
+        unit="1/s",
+        low=0.0,
+        high=1e6,
+    )
+    cost_timeout: float = parameter(
+        0.5,
+        "age at which the cost is stale; after such a silence filter and dwell time start from "
+        "nothing; 0: never",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
     objective: str = parameter(
         "minimise", "what the controller does with the cost", choices=("minimise", "maximise")
     )
@@ -57,11 +72,16 @@ class EscConfig:
         if self.epsilon_initial == 0:
             raise ConfigError("epsilon_initial = 0: must be 1 or -1")
 
+    @property
+    def largest_change(self) -> float:
+        """Largest change of theta in one step; infinite without a rate limit."""
+        return self.rate_limit * self.dt if self.rate_limit > 0.0 else math.inf
+
     def params(self) -> RelayParams:
         """Return the values that ``relay_esc.relay.step`` takes."""
         return RelayParams(
             math.exp(-self.dt / self.tau_f),
-            self.step_size,
+            min(self.step_size, self.largest_change),
             dwell_samples(self.dwell, self.dt),
             self.theta_min,
             self.theta_max,

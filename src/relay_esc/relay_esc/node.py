@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,6 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from koop_node.config import NodeConfig
 from koop_node.main import run
 from koop_node.managed import OK, QOS, WARN, ManagedNode
+from koop_node.stream import LATE, NEXT, REPEAT, StreamMonitor
 from relay_esc import relay
 from relay_esc.config import EscConfig
 
@@ -21,23 +23,22 @@ class EscNode(ManagedNode):
     """Answers every cost with a control input.
 
     The control input is held, flagged ``holding``, while the node is inactive, after ``~/hold``,
-    and for a cost that is not finite: silence would look like a dead controller.
+    and for a cost that is not finite: silence would look like a dead controller. A cost that was
+    overtaken by a newer one is counted and not answered.
     """
 
     def __init__(self) -> None:
         super().__init__("relay_esc", EscConfig)
         self._subscription: Any = None
         self._hold_asked = False
-        self._count = 0
-        self._unusable = 0
-        self._missed = 0
 
     def configure(self) -> None:
         config = self.parameters[EscConfig]
-        self._params = config.params()
+        self._params, self._largest_change = config.params(), config.largest_change
         self._state = config.initial()
-        self._answer = ControlInput()
-        self._step: int | None = None
+        self._answer = ControlInput(theta=self._state.theta)
+        self._input = StreamMonitor("cost", config.cost_timeout, config.dt)
+        self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
         _compile(config)
         self._publisher = self.create_publisher(ControlInput, "theta", QOS)
@@ -60,59 +61,58 @@ class EscNode(ManagedNode):
         self.destroy_publisher(self._publisher)
 
     def parameters_changed(self, names: set[str]) -> None:
-        self._params = self.parameters[EscConfig].params()
+        config = self.parameters[EscConfig]
+        self._params, self._largest_change = config.params(), config.largest_change
+        if self.inputs:
+            self._input.timeout = config.cost_timeout
 
     def samples(self) -> int:
-        return self._count
+        return self._input.count if self.inputs else 0
 
-    def diagnose(self) -> tuple[bytes, str, Mapping[str, object]]:
-        if self._step is None:
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
+        if not self.inputs or self._input.step is None:
             return OK, "no cost yet", {}
         answer = self._answer
-        level, message = (WARN, "holding theta") if answer.holding else (OK, "seeking")
         values = {
-            "step": self._step,
+            "step": answer.step,
             "theta": answer.theta,
+            "epsilon": answer.epsilon,
             "saturated": answer.saturated,
-            "missed_steps": self._missed,
-            "unusable_costs": self._unusable,
+            "holding": answer.holding,
+            "model_id": self._origin[1] if self._origin else "",
         }
-        return level, message, values
+        return (WARN, "holding theta", values) if answer.holding else (OK, "seeking", values)
 
     def _listen(self) -> None:
         self._subscription = self.create_subscription(Cost, "cost", self._on_cost, QOS)
 
     def _on_cost(self, cost: Cost) -> None:
-        step = cost.step
-        if step == self._step:  # asked again: the same answer, no second update
-            self._publisher.publish(self._answer)
+        stamp = cost.header.stamp
+        kind = self._input.take(cost.step, stamp.sec + 1e-9 * stamp.nanosec, time.monotonic())
+        if kind == LATE:
             return
-        anew = False
-        if self._step is not None:
-            if step < self._step:
-                self.get_logger().warning(f"step went back from {self._step} to {step}")
-                anew = True
-            else:
-                self._missed += step - self._step - 1
+        if kind != REPEAT:  # else it was asked again: the same answer, no second update
+            self._process(cost, kind != NEXT)
+        self._publisher.publish(self._answer)
+
+    def _process(self, cost: Cost, from_nothing: bool) -> None:
         origin = (cost.source, cost.model_id)
-        if origin != self._origin:
-            anew = True
+        if origin != self._origin:  # another quantity: its difference to the last means nothing
+            from_nothing = True
             self._origin = origin
-        state, holding = relay.respond(
-            self._params, self._state, cost.r, anew, self._hold_asked or not self.active
+        self._state, holding = relay.respond(
+            self._params, self._state, cost.r, from_nothing, self._hold_asked or not self.active
         )
-        self._state, self._step = state, step
-        self._count += 1
-        self._unusable += not math.isfinite(cost.r)
-        answer = self._answer
+        if not math.isfinite(cost.r):
+            self._input.reject(f"step {cost.step}: r = {cost.r}")
+        state, answer = self._state, self._answer
         answer.header = cost.header
-        answer.step = step
-        answer.theta = state.theta
+        answer.step = cost.step
+        answer.theta = relay.slew(answer.theta, state.theta, self._largest_change)
         answer.epsilon = state.epsilon
         answer.hp = state.hp
-        answer.saturated = relay.saturated(self._params, state.theta)
+        answer.saturated = relay.saturated(self._params, answer.theta)
         answer.holding = holding
-        self._publisher.publish(answer)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._state = self.parameters[EscConfig].initial()
@@ -131,7 +131,8 @@ class EscNode(ManagedNode):
 def _compile(config: EscConfig) -> None:
     """Compile the kernels for the types that messages bring, before the first sample."""
     state, _ = relay.respond(config.params(), config.initial(), 0.0, True, False)
-    relay.saturated(config.params(), state.theta)
+    relay.respond(config.params(), state, 1.0, False, True)
+    relay.saturated(config.params(), relay.slew(state.theta, state.theta, math.inf))
 
 
 def main() -> None:

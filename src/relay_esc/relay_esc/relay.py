@@ -6,7 +6,9 @@
 
 The first sample only primes the filter: r_{-1} is unknown, so its difference is taken as 0 and
 theta stays. The same holds for the first sample after a hold, so that a cost that jumped in the
-meantime causes no false flip.
+meantime causes no false flip; the filter goes on from where it was. After a cost that follows on no
+earlier one the filter starts from nothing. It then has the dwell time to settle: right after a
+start, its sign is that of the first difference and says nothing.
 """
 
 from __future__ import annotations
@@ -84,8 +86,16 @@ def initial(theta: float, epsilon: int) -> RelayState:
 
 @njit(cache=True)
 def hold(state: RelayState) -> RelayState:
-    """Keep theta and forget the filter, so that the next cost starts it anew."""
-    return RelayState(state.theta, state.epsilon, 0.0, 0.0, state.since_flip, False)
+    """Keep theta and the filter; the next cost is no jump."""
+    return RelayState(
+        state.theta, state.epsilon, state.hp, state.r_previous, state.since_flip, False
+    )
+
+
+@njit(cache=True)
+def anew(state: RelayState) -> RelayState:
+    """Keep theta and its direction; filter and dwell time start from nothing."""
+    return RelayState(state.theta, state.epsilon, 0.0, 0.0, 0, False)
 
 
 @njit(cache=True)
@@ -121,7 +131,7 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
 
 @njit(cache=True)
 def respond(
-    p: RelayParams, state: RelayState, r: float, anew: bool, hold_asked: bool
+    p: RelayParams, state: RelayState, r: float, from_nothing: bool, hold_asked: bool
 ) -> tuple[RelayState, bool]:
     """Answer one cost, whatever it is: the node and the offline replay decide alike.
 
@@ -133,8 +143,8 @@ def respond(
         State after the previous cost.
     r : float
         Cost r_k; theta is held on one that is not finite.
-    anew : bool
-        Whether r_k follows on no earlier cost: the steps went back, or it is another quantity. Its
+    from_nothing : bool
+        Whether r_k follows on no earlier cost: another run, another quantity, a long silence. Its
         difference to the last one then means nothing.
     hold_asked : bool
         Whether theta is to be held whatever the cost.
@@ -146,10 +156,17 @@ def respond(
     holding : bool
         Whether theta was held.
     """
-    holding = hold_asked or not math.isfinite(r)
-    if holding or anew:
-        state = hold(state)
-    return (state if holding else step(p, state, r)), holding
+    if from_nothing:
+        state = anew(state)
+    if hold_asked or not math.isfinite(r):
+        return hold(state), True
+    return step(p, state, r), False
+
+
+@njit(cache=True)
+def slew(theta: float, wanted: float, most: float) -> float:
+    """Return ``wanted``, or as far from ``theta`` towards it as a change of ``most`` allows."""
+    return min(max(wanted, theta - most), theta + most)
 
 
 @njit(cache=True)

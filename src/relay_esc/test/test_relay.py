@@ -128,3 +128,37 @@ def test_an_answer_is_held_anew_or_the_next_step():
     assert (anew.theta, anew.epsilon, anew.hp, anew.primed) == (
         state.theta, state.epsilon, 0.0, True,
     )  # fmt: skip
+
+
+def test_after_a_start_from_nothing_the_dwell_time_guards_the_unsettled_filter():
+    config = EscConfig(dwell=0.05)  # 10 samples
+    params = config.params()
+    state = run(config, np.linspace(1.0, 0.5, 50))[-1]  # falling, the dwell time is long past
+    state, _ = relay.respond(params, state, 7.0, True, False)
+    for _ in range(9):  # a rise that would turn the relay at once
+        state, holding = relay.respond(params, state, state.r_previous + 1e-6, False, False)
+        assert not holding
+        assert state.epsilon == 1
+    state, _ = relay.respond(params, state, state.r_previous + 1e-6, False, False)
+    assert state.epsilon == -1
+
+
+def test_a_held_filter_goes_on_from_where_it_was():
+    config = EscConfig(dwell=0.0)
+    before = run(config, np.linspace(1.0, 0.5, 50))[-1]
+    for r, asked in ((math.nan, False), (math.inf, False), (0.4, True)):
+        held, holding = relay.respond(config.params(), before, r, False, asked)
+        assert holding
+        assert (held.theta, held.hp, held.epsilon) == (before.theta, before.hp, before.epsilon)
+    after, _ = relay.respond(config.params(), held, 1e9, False, False)  # a jump while blind
+    assert after.epsilon == before.epsilon
+    assert after.hp == before.hp
+
+
+def test_theta_changes_no_faster_than_its_rate_limit():
+    assert relay.slew(1.0, 1.5, 0.1) == 1.1
+    assert relay.slew(1.0, -9.0, 0.25) == 0.75
+    assert relay.slew(1.0, 0.9, math.inf) == 0.9
+    config = EscConfig(rate_limit=0.02)  # the relay alone would move by 0.0667 a second
+    states = run(config, np.linspace(1.0, 0.0, 201))
+    assert states[-1].theta == pytest.approx(2.0 - 0.02)

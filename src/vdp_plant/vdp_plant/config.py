@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from koop_node.config import ConfigError, parameter, validate
@@ -72,6 +73,11 @@ class PlantConfig:
     theta_initial: float = parameter(
         2.0, "theta before the controller's first answer", low=-100.0, high=100.0, read_only=True
     )
+    theta_low: float = parameter(-100.0, "lower bound of the actuator", low=-100.0, high=100.0)
+    theta_high: float = parameter(100.0, "upper bound of the actuator", low=-100.0, high=100.0)
+    theta_rate: float = parameter(
+        0.0, "largest rate of the actuator; 0: no limit", unit="1/s", low=0.0, high=1e6
+    )
     initial_state: tuple[float, ...] = parameter(
         (),
         "initial [x, y]; empty: uniform in [-3, 3] from the seed",
@@ -86,6 +92,11 @@ class PlantConfig:
         if len(self.initial_state) not in (0, 2):
             raise ConfigError(
                 f"initial_state has {len(self.initial_state)} values: must be [x, y] or empty"
+            )
+        if not self.theta_low <= self.theta_initial <= self.theta_high:
+            raise ConfigError(
+                f"theta_initial = {self.theta_initial:g} must lie within "
+                f"[theta_low, theta_high] = [{self.theta_low:g}, {self.theta_high:g}]"
             )
 
     def params(self) -> PlantParams:
@@ -107,6 +118,9 @@ class PlantConfig:
             self.interference_phase_2,
             self.dt,
             INTEGRATORS[self.integrator],
+            self.theta_low,
+            self.theta_high,
+            self.theta_rate if self.theta_rate > 0.0 else math.inf,
         )
 
 
@@ -134,12 +148,43 @@ class PaceConfig:
     publish_clock: bool = parameter(False, "publish simulated time on /clock", read_only=True)
     theta_timeout: float = parameter(
         2.0,
-        "lockstep: time without theta after which the state is sent again; after "
-        f"{RESENDS} times the node gives up",
+        "age at which theta is stale; 0: never. lockstep: the state is sent again, after "
+        f"{RESENDS} times the node gives up; realtime, scaled: theta is held",
         unit="s",
-        low=0.05,
-        high=600.0,
+        low=0.0,
+        high=1e6,
+    )
+    theta_safe_timeout: float = parameter(
+        0.0,
+        "realtime, scaled: age of theta at which theta_safe is applied instead; 0: never",
+        unit="s",
+        low=0.0,
+        high=1e6,
+    )
+    theta_safe: float = parameter(
+        0.0, "theta that is safe without a controller", low=-100.0, high=100.0
     )
 
     def __post_init__(self) -> None:
         validate(self)
+        if 0.0 < self.theta_safe_timeout < self.theta_timeout:
+            raise ConfigError(
+                f"theta_safe_timeout = {self.theta_safe_timeout:g} s must not be below "
+                f"theta_timeout = {self.theta_timeout:g} s: theta is held first"
+            )
+
+    def command(self, theta: float, age: float) -> tuple[float, str]:
+        """Return the theta to apply at the paces realtime and scaled, and the watchdog's state.
+
+        Parameters
+        ----------
+        theta : float
+            Last theta that was received.
+        age : float
+            Time since it was received [s].
+        """
+        if 0.0 < self.theta_safe_timeout < age:
+            return self.theta_safe, "safe"
+        if 0.0 < self.theta_timeout < age:
+            return theta, "holding"
+        return theta, "ok" if self.theta_timeout > 0.0 else "off"

@@ -42,6 +42,9 @@ class PlantParams(NamedTuple):
     interference_phase_2: float
     dt: float
     integrator: int
+    theta_low: float
+    theta_high: float
+    theta_rate: float
 
 
 @njit(cache=True)
@@ -110,6 +113,26 @@ def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[floa
         x + sixth * (k1x + 2.0 * k2x + 2.0 * k3x + k4x),
         y + sixth * (k1y + 2.0 * k2y + 2.0 * k3y + k4y),
     )
+
+
+@njit(cache=True)
+def actuate(p: PlantParams, applied: float, theta: float) -> float:
+    """Return the theta that acts in the next step: within the actuator's bounds and rate.
+
+    The controller has limits of its own; these hold whoever commands the plant.
+
+    Parameters
+    ----------
+    p : PlantParams
+        Plant parameters; ``theta_rate`` is in 1/s, infinite without a limit.
+    applied : float
+        Theta of the step before.
+    theta : float
+        Commanded theta.
+    """
+    most = p.theta_rate * p.dt
+    theta = min(max(theta, p.theta_low), p.theta_high)
+    return min(max(theta, applied - most), applied + most)
 
 
 @njit(cache=True)

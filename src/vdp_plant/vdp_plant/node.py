@@ -18,8 +18,12 @@ from std_msgs.msg import Header
 from koop_node.config import NodeConfig
 from koop_node.main import run
 from koop_node.managed import ERROR, OK, QOS, WARN, ManagedNode
+from koop_node.stream import LATE, StreamMonitor
 from vdp_plant import dynamics
 from vdp_plant.config import RESENDS, PaceConfig, PlantConfig
+
+CHECK_PERIOD = 0.05  # [s] between looks whether the answer in lockstep is overdue
+ROUND_TRIPS = 256  # states whose sending time is kept until their theta comes
 
 
 class PlantNode(ManagedNode):
@@ -27,8 +31,7 @@ class PlantNode(ManagedNode):
 
     def __init__(self) -> None:
         self._k = 0
-        self._late = 0
-        self._theta_age_step: int | None = None
+        self._late = self._late_told = 0
         super().__init__("vdp_plant", PlantConfig, PaceConfig)
 
     # -- lifecycle ----------------------------------------------------------------------------
@@ -46,6 +49,11 @@ class PlantNode(ManagedNode):
         self._period = config.dt / (pace.time_scale if pace.pace == "scaled" else 1.0)
         self._timer: Any = None
         self._asked_again = 0
+        self._watchdog = "waiting"
+        self._input = StreamMonitor("theta", pace.theta_timeout, config.dt)
+        self.inputs = (self._input,)
+        self._sent = [math.nan] * ROUND_TRIPS
+        self._round_trip = math.nan
         self._cost_seen: int | None = None
         self._cost_probe: Any = None
         self._started = False
@@ -78,25 +86,36 @@ class PlantNode(ManagedNode):
 
     def parameters_changed(self, names: set[str]) -> None:
         self._params = self.parameters[PlantConfig].params()
+        if self.inputs:
+            self._input.timeout = self.parameters[PaceConfig].theta_timeout
 
     def samples(self) -> int:
         return self._k
 
-    def diagnose(self) -> tuple[bytes, str, Mapping[str, object]]:
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
         if not (self.active and self._started):
             return OK, "waiting for the loop to connect" if self.active else "", {}
-        values = {"step": self._k, "theta": self._theta, "late_ticks": self._late}
+        late, self._late_told = self._late - self._late_told, self._late
+        values = {
+            "step": self._k,
+            "theta": self._theta,
+            "theta_applied": self._theta_applied,
+            "late_ticks": self._late,
+            "round_trip_ms": f"{self._round_trip * 1e3:.2f}",
+            "command": self._watchdog,
+        }
         if self._asked_again:
             return ERROR, self._silent_node(), values
-        return (WARN, "late ticks", values) if self._late else (OK, "running", values)
+        if self._watchdog == "safe":
+            return WARN, f"theta_safe = {self.parameters[PaceConfig].theta_safe:g} acts", values
+        return (WARN, f"{late} late ticks", values) if late else (OK, "running", values)
 
     # -- both kinds of pace -------------------------------------------------------------------
 
     def _start(self) -> None:
+        self._input.watch_from(time.monotonic())
         if self._lockstep:
-            self._timer = self.steady_timer(
-                self.parameters[PaceConfig].theta_timeout / 4.0, self._check_answer
-            )
+            self._timer = self.steady_timer(CHECK_PERIOD, self._check_answer)
             self._answered = time.monotonic()
             if self._started:  # activated again: ask for the theta that is still missing
                 self._state_publisher.publish(self._state_message)
@@ -122,6 +141,7 @@ class PlantNode(ManagedNode):
         state.header = header
         state.step = k
         state.x = array("d", dynamics.measure(params, k, x, y))
+        self._sent[k % ROUND_TRIPS] = time.monotonic()
         self._state_publisher.publish(state)
         truth = self._truth_message
         truth.header = header
@@ -134,6 +154,7 @@ class PlantNode(ManagedNode):
             self._clock_publisher.publish(Clock(clock=_nanoseconds(k * params.dt)))
 
     def _advance(self, theta: float) -> None:
+        theta = dynamics.actuate(self._params, self._theta_applied, theta)
         self._x, self._y = dynamics.step(self._params, self._k, self._x, self._y, theta)
         self._theta_applied = theta
         self._k += 1
@@ -163,33 +184,47 @@ class PlantNode(ManagedNode):
             self._due += late * self._period
         self._due += self._period
         self._publish()
-        self._advance(self._theta)
+        theta, self._watchdog = self.parameters[PaceConfig].command(
+            self._theta, self._input.age(now)
+        )
+        self._advance(theta)
 
     def _on_theta(self, message: ControlInput) -> None:
-        if math.isfinite(message.theta):
+        if self._take(message):
             self._theta = message.theta
+
+    def _take(self, message: ControlInput) -> bool:
+        """Return whether a theta may be applied."""
+        step, now = message.step, time.monotonic()
+        stamp = message.header.stamp
+        if not math.isfinite(message.theta):
+            self._input.reject(f"step {step}: theta = {message.theta}")
+            return False
+        if self._input.take(step, stamp.sec + 1e-9 * stamp.nanosec, now) == LATE:
+            return False
+        self._round_trip = now - self._sent[step % ROUND_TRIPS]
+        return True
 
     # -- lockstep -----------------------------------------------------------------------------
 
     def _on_theta_lockstep(self, message: ControlInput) -> None:
         if message.step != self._k or not self.active or not self._started:
             return
-        theta = message.theta
-        if not math.isfinite(theta):
+        if not self._take(message):
             return
-        self._theta = theta
+        self._theta = message.theta
         self._answered = time.monotonic()
         if self._asked_again:
             self._asked_again = 0
             self._end_probe()
             self.get_logger().info(f"theta for step {self._k} came after all")
-        self._advance(theta)
+        self._advance(self._theta)
         if self.exit_code is None:
             self._publish()
 
     def _check_answer(self) -> None:
         timeout = self.parameters[PaceConfig].theta_timeout
-        if time.monotonic() - self._answered < timeout:
+        if timeout == 0.0 or time.monotonic() - self._answered < timeout:
             return
         if self._asked_again == RESENDS:
             self.get_logger().error(f"no theta for step {self._k}: {self._silent_node()}")
@@ -223,7 +258,8 @@ class PlantNode(ManagedNode):
 
     def _compile(self) -> None:
         """Compile the kernels before the first step."""
-        x, y = dynamics.step(self._params, 0, self._x, self._y, self._theta)
+        theta = dynamics.actuate(self._params, self._theta, self._theta)
+        x, y = dynamics.step(self._params, 0, self._x, self._y, theta)
         dynamics.measure(self._params, 0, x, y)
         dynamics.damping(self._params, 0.0)
 

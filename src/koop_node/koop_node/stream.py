@@ -1,0 +1,159 @@
+"""Watches one input of a node: what a message's step means, how old it is, what went missing.
+
+Pure: no ROS, and time is an argument. What a sample *does* depends only on the messages, so that a
+replay at any speed decides the same; what is *reported* depends on the steady clock.
+
+One meaning of every timeout, in seconds, 0 = off: an input is stale if its newest usable message is
+older than that. The first message after a silence of that length, by its stamp or by its step,
+follows on nothing: filters must not take its difference to the last one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from koop_node.report import ERROR, STALE, WARN, Finding
+
+NEXT = 0  # follows on the last message, perhaps after a few lost ones
+RESUME = 1  # the same run goes on after a silence
+RESTART = 2  # another run: first message, source restarted, bag looped
+REPEAT = 3  # the same step as the last one: asked again, or duplicated on its way
+LATE = 4  # was overtaken by a newer message
+
+WINDOW = 64  # steps that a message may be overtaken by; further back is another run
+
+
+class StreamMonitor:
+    """Follows the steps of one topic.
+
+    Parameters
+    ----------
+    topic : str
+        Name for the reports.
+    timeout : float
+        Age at which the input is stale [s]; 0: never.
+    dt : float
+        Time between two steps [s].
+    """
+
+    def __init__(self, topic: str, timeout: float, dt: float) -> None:
+        self.topic = topic
+        self.timeout = timeout
+        self.dt = dt
+        self.step: int | None = None
+        self.count = 0
+        self.missed = self.repeated = self.late = self.restarts = self.silences = 0
+        self.unusable = 0
+        self.problem = ""
+        self._stamp = 0.0
+        self._heard = math.nan
+        self._late_in_a_row = 0
+        self._reported: tuple[int, ...] = (0,) * 5
+
+    def take(self, step: int, stamp: float, now: float) -> int:
+        """Classify a message; NEXT, RESUME, RESTART, REPEAT or LATE.
+
+        Parameters
+        ----------
+        step : int
+            Step of the message.
+        stamp : float
+            Its stamp [s], in whatever clock its source has.
+        now : float
+            Steady time of its arrival [s].
+        """
+        last, self._heard = self.step, now
+        silence, self._stamp = stamp - self._stamp, max(stamp, self._stamp)
+        if last is None:
+            kind = RESTART
+        elif step > last:
+            self.missed += step - last - 1
+            silence = max(silence, (step - last) * self.dt)
+            kind = RESUME if 0.0 < self.timeout < silence else NEXT
+            self.silences += kind
+        elif step == last:
+            self.repeated += 1
+            return REPEAT
+        elif 0 < step >= last - WINDOW and self._late_in_a_row < WINDOW:
+            self.late += 1
+            self._late_in_a_row += 1
+            return LATE
+        else:
+            self.restarts += 1
+            self._stamp = stamp
+            kind = RESTART
+        self._late_in_a_row = 0
+        self.step = step
+        self.count += 1
+        return kind
+
+    def watch_from(self, now: float) -> None:
+        """Let the age count from ``now`` although nothing was heard yet."""
+        self._heard = now
+
+    def reject(self, problem: str) -> None:
+        """Count a message whose content cannot be used."""
+        self.unusable += 1
+        self.problem = problem
+
+    def age(self, now: float) -> float:
+        """Return the time since the last message [s]; NaN before the first."""
+        return now - self._heard
+
+    def stale(self, now: float) -> bool:
+        """Return True if the timeout has passed since the last message."""
+        return 0.0 < self.timeout < self.age(now)
+
+    def latency(self, now: float, wall: float) -> float:
+        """Return from stamp to arrival of the last message [s]; NaN if the stamps are no real time.
+
+        ``now`` and ``wall`` are the same instant on the steady and on the system clock.
+        """
+        latency = wall - self.age(now) - self._stamp
+        return latency if abs(latency) < 60.0 else math.nan
+
+    def findings(self, now: float, publishers: int) -> Iterator[Finding]:
+        """Say what is wrong; counts are those since the last call."""
+        counts = (self.unusable, self.missed, self.late, self.restarts, self.repeated)
+        unusable, missed, late, restarts, repeated = (
+            new - old for new, old in zip(counts, self._reported, strict=True)
+        )
+        self._reported = counts
+        if publishers > 1:
+            yield Finding(ERROR, f"{publishers} publishers on '{self.topic}'")
+        if unusable:
+            yield Finding(ERROR, f"{unusable} unusable on '{self.topic}', last {self.problem}")
+        if self.stale(now):
+            text = f"nothing on '{self.topic}' for {self.age(now):.1f} s"
+            yield Finding(STALE, f"{text}, timeout {self.timeout:g} s")
+        if restarts:
+            yield Finding(WARN, f"steps on '{self.topic}' went back")
+        for number, what in ((missed, "missed"), (late, "late"), (repeated, "repeated")):
+            if number:
+                yield Finding(WARN, f"{number} {what} on '{self.topic}'")
+
+    def values(self, now: float, wall: float, publishers: int) -> dict[str, object]:
+        """Return the figures for /diagnostics."""
+        latency = self.latency(now, wall)
+        name = self.topic
+        return {
+            f"{name} age_s": f"{self.age(now):.3f}",
+            **({f"{name} latency_ms": f"{latency * 1e3:.2f}"} if math.isfinite(latency) else {}),
+            f"{name} missed_steps": self.missed,
+            f"{name} late": self.late,
+            f"{name} repeated": self.repeated,
+            f"{name} restarts": self.restarts,
+            f"{name} silences": self.silences,
+            f"{name} unusable": self.unusable,
+            f"{name} publishers": publishers,
+            f"{name} watchdog": self.watchdog(now),
+        }
+
+    def watchdog(self, now: float) -> str:
+        """Return the state of the watchdog: off, waiting, ok or stale."""
+        if self.timeout == 0.0:
+            return "off"
+        if math.isnan(self._heard):
+            return "waiting"
+        return "stale" if self.stale(now) else "ok"

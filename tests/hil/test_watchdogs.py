@@ -1,0 +1,144 @@
+"""Watchdogs and /diagnostics of the nodes as processes: silence, disorder, a second publisher."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from koop_msgs.msg import ControlInput, Cost, MeasuredState, PlantTruth
+from std_srvs.srv import Trigger
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+
+
+class Reports:
+    """What the nodes say on /diagnostics."""
+
+    def __init__(self, probe):
+        self.probe = probe
+        self.arrays = probe.collect(DiagnosticArray, "/diagnostics")
+
+    def wait(self, node, level, text=""):
+        """Return the values of the next report of that level whose message holds the text."""
+        seen = len(self.arrays)
+
+        def found():
+            for array in self.arrays[seen:]:
+                for status in array.status:
+                    if status.name == node and status.level == level and text in status.message:
+                        return {item.key: item.value for item in status.values}
+            return None
+
+        return self.probe.spin_until(found, f"{node} to report {level} {text!r}")
+
+
+@pytest.fixture
+def reports(probe):
+    return Reports(probe)
+
+
+def test_the_plant_holds_theta_then_applies_the_safe_one_and_follows_again(start, probe, reports):
+    probe.collect(MeasuredState, "state")
+    truth = probe.collect(PlantTruth, "truth")
+    theta = probe.node.create_publisher(ControlInput, "theta", 10)
+    start("vdp_plant", theta_timeout=0.5, theta_safe_timeout=1.5, theta_safe=-1.0, theta_rate=100.0)
+    probe.spin_until(lambda: truth and theta.get_subscription_count(), "the plant")
+    theta.publish(ControlInput(step=0, theta=3.0))
+    probe.spin_until(lambda: truth[-1].theta_applied == 3.0, "theta to act")
+    begin = truth[-1].step
+    probe.spin_until(lambda: truth[-1].theta_applied == -1.0, "the safe theta")
+    held = [t.theta_applied for t in truth if begin <= t.step]
+    # 1.5 s are 300 steps; the ramp at 100 /s takes 8 of them
+    assert 250 < sum(value == 3.0 for value in held) < 350
+    assert max(abs(b - a) for a, b in pairwise(held)) <= 0.5 + 1e-12
+    values = reports.wait("/vdp_plant", STALE, "nothing on 'theta'")
+    assert (values["theta watchdog"], values["command"]) == ("stale", "safe")
+    theta.publish(ControlInput(step=1, theta=2.0))
+    probe.spin_until(lambda: truth[-1].theta_applied == 2.0, "theta to act again")
+
+
+def test_the_plant_enforces_its_own_bounds_and_refuses_what_is_no_number(start, probe, reports):
+    probe.collect(MeasuredState, "state")
+    truth = probe.collect(PlantTruth, "truth")
+    theta = probe.node.create_publisher(ControlInput, "theta", 10)
+    start("vdp_plant", theta_low=-4.0, theta_high=4.0)
+    probe.spin_until(lambda: truth and theta.get_subscription_count(), "the plant")
+    theta.publish(ControlInput(step=0, theta=1e9))
+    probe.spin_until(lambda: truth[-1].theta_applied == 4.0, "the upper bound")
+    theta.publish(ControlInput(step=1, theta=math.nan))
+    reports.wait("/vdp_plant", ERROR, "theta = nan")
+    assert truth[-1].theta_applied == 4.0
+
+
+def test_silence_is_stale_and_a_second_publisher_is_an_error(start, probe, reports):
+    start("koopman_lifter", state_timeout=0.5)
+    probe.collect(Cost, "cost")
+    state = probe.publisher(MeasuredState, "state")
+    state.publish(MeasuredState(step=0, x=[1.0, 2.0]))
+    values = reports.wait("/koopman_lifter", STALE, "nothing on 'state' for")
+    assert values["state watchdog"] == "stale"
+    assert values["lifecycle_state"] == "active"
+    assert len(values["model_id"]) == 12
+    probe.node.create_publisher(MeasuredState, "state", 10)
+    values = reports.wait("/koopman_lifter", ERROR, "2 publishers on 'state'")
+    assert values["state publishers"] == "2"
+
+
+def test_lost_late_and_unusable_states_are_counted(start, probe, reports):
+    start("koopman_lifter")
+    answers = probe.collect(Cost, "cost")
+    state = probe.publisher(MeasuredState, "state")
+    for step in (0, 1, 5, 4, 6, 6):
+        state.publish(MeasuredState(step=step, x=[1.0, 2.0]))
+    values = reports.wait("/koopman_lifter", WARN, "3 missed on 'state'; 1 late on 'state'")
+    assert [a.step for a in answers] == [0, 1, 5, 6, 6]  # an overtaken state is not answered
+    assert values["state repeated"] == "1"
+    state.publish(MeasuredState(step=7, x=[1.0]))
+    values = reports.wait("/koopman_lifter", ERROR, "state has 1 values")
+    assert values["state unusable"] == "1"
+
+
+def test_the_controller_starts_anew_after_a_silence_without_turning(start, probe, reports):
+    start("relay_esc", dwell=1.0, step_size=0.001, cost_timeout=0.5)
+    answers = probe.collect(ControlInput, "theta")
+    cost = probe.publisher(Cost, "cost")
+
+    def send(steps, r):
+        for k in steps:
+            cost.publish(Cost(step=k, r=r(k)))
+        probe.spin_until(lambda: answers and answers[-1].step == steps[-1], "the answers")
+
+    send(range(300), lambda k: 1.0 - 1e-4 * k)  # falls for longer than the dwell time
+    before = answers[-1]
+    reports.wait("/relay_esc", STALE, "nothing on 'cost'")
+    send(range(1000, 1150), lambda k: 50.0 + 1e-6 * k)  # another level, rising at first
+    after = answers[-150:]
+    assert after[0].theta == before.theta
+    assert {a.epsilon for a in after} == {before.epsilon}
+    assert after[0].hp == 0.0
+    send(range(1150, 1300), lambda k: 50.0 + 1e-6 * k)  # still rising when the dwell time is over
+    assert answers[-1].epsilon == -before.epsilon
+
+
+def test_a_reset_ramps_theta_back_at_the_rate_limit(start, probe):
+    start("relay_esc", rate_limit=0.2, step_size=0.001, dwell=100.0)  # 0.001 a step
+    answers = probe.collect(ControlInput, "theta")
+    cost = probe.publisher(Cost, "cost")
+
+    def send(steps):
+        for k in steps:
+            cost.publish(Cost(step=k, r=1.0))
+        probe.spin_until(lambda: answers and answers[-1].step == steps[-1], "the answers")
+
+    send(range(51))
+    assert answers[-1].theta == pytest.approx(1.95)
+    assert probe.call(Trigger, "/relay_esc/reset", Trigger.Request()).success
+    send(range(51, 200))
+    changes = [b.theta - a.theta for a, b in pairwise(answers)]
+    assert max(changes) == pytest.approx(0.001)
+    assert max(a.theta for a in answers[60:]) > 1.97
