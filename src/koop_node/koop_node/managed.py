@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,6 +14,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from koop_node.config import NodeConfig
+from koop_node.fields import check_type
 from koop_node.parameters import Parameters
 from koop_node.report import ERROR, OK, STALE, WARN, Finding, summary
 from koop_node.stream import StreamMonitor
@@ -21,7 +23,25 @@ from koop_node.stream import StreamMonitor
 # lost after that. In lockstep, at 4 kHz, a depth of 100 lost 2 % of a run to a busy machine.
 QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 
-__all__ = ["ERROR", "OK", "QOS", "STALE", "WARN", "ManagedNode"]
+# Matches any writer: drivers often offer best effort only.
+LAX = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+__all__ = ["ERROR", "LAX", "OK", "QOS", "STALE", "WARN", "ManagedNode", "message_type"]
+
+
+def message_type(name: str) -> Any:
+    """Return the class of ``pkg/msg/Type``.
+
+    Raises
+    ------
+    ValueError
+        If no such message is installed.
+    """
+    package, _, kind = check_type(name).split("/")
+    try:
+        return getattr(import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError):
+        raise ValueError(f"message type {name} is not installed") from None
 
 
 class ManagedNode(LifecycleNode):

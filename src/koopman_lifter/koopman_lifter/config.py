@@ -7,6 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from koop_node.config import parameter, validate
+from koop_node.fields import Source, check_type, parse_source
 from koopman_lifter.cost import LIFTED, RAW, DetectorParams, detector_params
 
 SOURCES = {"raw": RAW, "lifted": LIFTED}
@@ -53,8 +54,27 @@ class LifterConfig:
         high=1e6,
     )
 
+    state_source: str = parameter(
+        "",
+        "for a rig that speaks another message: topic:field,field, for example "
+        "/joint_states:position[0],velocity[0]; the node then publishes 'state' itself; empty: "
+        "the rig publishes 'state'",
+        read_only=True,
+    )
+    state_type: str = parameter(
+        "sensor_msgs/msg/JointState", "message type of state_source", read_only=True
+    )
+
     def __post_init__(self) -> None:
         validate(self)
+        check_type(self.state_type)
+        if self.state_source:
+            parse_source(self.state_source)
+
+    @property
+    def foreign(self) -> Source | None:
+        """Where the state comes from if not from the topic 'state'."""
+        return parse_source(self.state_source) if self.state_source else None
 
     @property
     def source(self) -> int:

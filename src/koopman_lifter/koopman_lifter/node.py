@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 from koop_msgs.msg import Cost, MeasuredState
 
+from koop_node.adapter import StateAdapter
 from koop_node.config import NodeConfig
+from koop_node.fields import check_fields
 from koop_node.main import run
-from koop_node.managed import OK, QOS, ManagedNode
+from koop_node.managed import LAX, OK, QOS, ManagedNode, message_type
 from koop_node.stream import LATE, NEXT, REPEAT, RESTART, StreamMonitor
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
@@ -44,6 +46,7 @@ class LifterNode(ManagedNode):
         self._take_config()
         self._compile()
         self._publisher = self.create_publisher(Cost, "cost", QOS)
+        self._adapt(config)
         self.get_logger().info(
             f"model {self._model.model_id}: {self._model.observables.p} observables, "
             f"{self._model.projector.shape[0]} modes kept"
@@ -52,13 +55,18 @@ class LifterNode(ManagedNode):
     def activate(self) -> None:
         if self._subscription is None:
             recorders = self.parameters[NodeConfig].recorders
-            self.when_matched({self._publisher: 1 + recorders}, self._listen)
+            needed = {self._publisher: 1 + recorders}
+            if self._state_publisher is not None:
+                needed[self._state_publisher] = recorders
+            self.when_matched(needed, self._listen)
 
     def cleanup(self) -> None:
         if self._subscription is not None:
             self.destroy_subscription(self._subscription)
             self._subscription = None
         self.destroy_publisher(self._publisher)
+        if self._state_publisher is not None:
+            self.destroy_publisher(self._state_publisher)
 
     def check_parameters(self, configs: dict[type, Any]) -> None:
         path = configs[ModelConfig].path
@@ -108,8 +116,33 @@ class LifterNode(ManagedNode):
         self._detector = config.detector_params()
         self._input.timeout = config.state_timeout
 
+    def _adapt(self, config: LifterConfig) -> None:
+        """Prepare for a rig that speaks another message than MeasuredState."""
+        self._state_publisher: Any = None
+        self._topic, self._type, self._callback = "state", MeasuredState, self._on_state
+        if config.foreign is not None:
+            self._topic, self._type = config.foreign.topic, message_type(config.state_type)
+            check_fields(config.foreign.fields, self._type())
+            self._adapter = StateAdapter(config.foreign, config.dt)
+            self._callback = self._on_foreign
+            self._state_publisher = self.create_publisher(MeasuredState, "state", QOS)
+        self._input.topic = self._topic
+
     def _listen(self) -> None:
-        self._subscription = self.create_subscription(MeasuredState, "state", self._on_state, QOS)
+        self._subscription = self.create_subscription(
+            self._type, self._topic, self._callback, QOS if self._type is MeasuredState else LAX
+        )
+
+    def _on_foreign(self, message: Any) -> None:
+        """Publish what a rig measured as 'state', for recording and replay, and answer it."""
+        if not self.active:
+            return
+        step, x = self._adapter.convert(message)
+        state = MeasuredState(step=step, x=x)
+        if hasattr(message, "header"):
+            state.header = message.header
+        self._state_publisher.publish(state)
+        self._on_state(state)
 
     def _on_state(self, state: MeasuredState) -> None:
         if not self.active:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from koop_node.config import ConfigError, parameter, validate
+from koop_node.fields import check_topic
 from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
 
 
@@ -54,12 +55,20 @@ class EscConfig:
     epsilon_initial: int = parameter(
         1, "first relay sign: 1 moves theta down, -1 up", low=-1, high=1, read_only=True
     )
+    command_topic: str = parameter(
+        "",
+        "topic on which theta is also published as std_msgs/Float64, for a rig that takes no "
+        "ControlInput; empty: none",
+        read_only=True,
+    )
     dt: float = parameter(
         0.005, "sampling time of the cost", unit="s", low=1e-6, high=1.0, read_only=True
     )
 
     def __post_init__(self) -> None:
         validate(self)
+        if self.command_topic:
+            check_topic(self.command_topic)
         if self.theta_min >= self.theta_max:
             raise ConfigError(
                 f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from koop_msgs.msg import ControlInput, Cost
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from koop_node.config import NodeConfig
@@ -42,6 +43,8 @@ class EscNode(ManagedNode):
         self._origin: tuple[int, str] | None = None
         _compile(config)
         self._publisher = self.create_publisher(ControlInput, "theta", QOS)
+        topic = config.command_topic
+        self._command = self.create_publisher(Float64, topic, QOS) if topic else None
         self._own_services = [
             self.create_service(Trigger, "~/reset", self._on_reset),
             self.create_service(SetBool, "~/hold", self._on_hold),
@@ -50,7 +53,11 @@ class EscNode(ManagedNode):
     def activate(self) -> None:
         if self._subscription is None:
             recorders = self.parameters[NodeConfig].recorders
-            self.when_matched({self._publisher: 1 + recorders}, self._listen)
+            if self._command is None:
+                needed = {self._publisher: 1 + recorders}
+            else:  # the rig listens there, and to nothing else
+                needed = {self._command: 1, self._publisher: recorders}
+            self.when_matched(needed, self._listen)
 
     def cleanup(self) -> None:
         if self._subscription is not None:
@@ -59,6 +66,8 @@ class EscNode(ManagedNode):
         for service in self._own_services:
             self.destroy_service(service)
         self.destroy_publisher(self._publisher)
+        if self._command is not None:
+            self.destroy_publisher(self._command)
 
     def parameters_changed(self, names: set[str]) -> None:
         config = self.parameters[EscConfig]
@@ -94,6 +103,8 @@ class EscNode(ManagedNode):
         if kind != REPEAT:  # else it was asked again: the same answer, no second update
             self._process(cost, kind != NEXT)
         self._publisher.publish(self._answer)
+        if self._command is not None:
+            self._command.publish(Float64(data=self._answer.theta))
 
     def _process(self, cost: Cost, from_nothing: bool) -> None:
         origin = (cost.source, cost.model_id)

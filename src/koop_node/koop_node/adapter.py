@@ -1,0 +1,56 @@
+"""Numbers steps for rigs whose messages carry none. Pure: no ROS."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from koop_node.fields import Source, read_field
+from koop_node.stream import WINDOW
+
+
+class StepCounter:
+    """Counts the steps of a source that says only when it measured.
+
+    With stamps, the step grows by the whole number of periods between two of them, so that a lost
+    message is a gap in the steps; jitter and a drifting clock don't add up, for only neighbours are
+    compared. Without stamps (all zero) every message is the next step.
+
+    Parameters
+    ----------
+    dt : float
+        Time between two steps [s].
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+        self._step = -1
+        self._stamp = 0.0
+
+    def next(self, stamp: float) -> int:
+        """Return the step of a message with this stamp [s]."""
+        since = stamp - self._stamp
+        periods = round(min(max(since / self._dt, -1e15), 1e15))
+        if self._step < 0 or stamp == 0.0:
+            self._step += 1
+        elif since < 0.0 and periods >= -WINDOW:  # overtaken; the newest one stays the reference
+            return max(0, self._step + min(periods, -1))
+        elif since < 0.0:
+            self._step = 0  # the source started again
+        elif since > 0.0:
+            self._step += max(periods, 1)
+        self._stamp = stamp
+        return self._step
+
+
+class StateAdapter:
+    """Takes step, stamp and state out of any message."""
+
+    def __init__(self, source: Source, dt: float) -> None:
+        self._fields = source.fields
+        self._steps = StepCounter(dt)
+
+    def convert(self, message: Any) -> tuple[int, list[float]]:
+        """Return the step and the state, NaN where the message has no such number."""
+        header = getattr(message, "header", None)
+        stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec if header is not None else 0.0
+        return self._steps.next(stamp), [read_field(path, message) for path in self._fields]

@@ -1,0 +1,76 @@
+"""Rigs that speak standard messages join by parameters: their states in, a plain number out."""
+
+import math
+
+import pytest
+from koop_msgs.msg import Cost, MeasuredState
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
+
+
+@pytest.mark.parametrize("kind", ["JointState", "Float64MultiArray"])
+def test_a_standard_message_is_lifted_like_a_state(start, probe, kind):
+    given = {
+        "JointState": ("/joint_states:position[0],velocity[0]", "sensor_msgs/msg/JointState"),
+        "Float64MultiArray": ("/adc:data[2],data[0]", "std_msgs/msg/Float64MultiArray"),
+    }[kind]
+    start("koopman_lifter", state_source=given[0], state_type=given[1])
+    costs, states = probe.collect(Cost, "cost"), probe.collect(MeasuredState, "state")
+    message_type = {"JointState": JointState, "Float64MultiArray": Float64MultiArray}[kind]
+    topic = given[0].split(":")[0]
+    # a driver's usual quality of service: best effort
+    rig = probe.node.create_publisher(message_type, topic, qos_profile_sensor_data)
+    probe.spin_until(lambda: rig.get_subscription_count(), "the lifter")
+    for k in range(5):
+        if kind == "JointState":
+            message = JointState(position=[3.0 + k, 9.0], velocity=[4.0])
+            message.header.stamp.sec, message.header.stamp.nanosec = 7, k * 5_000_000
+        else:
+            message = Float64MultiArray(data=[4.0, 9.0, 3.0 + k])
+        rig.publish(message)
+        probe.spin_until(lambda k=k: len(costs) > k and len(states) > k, "state and cost")
+    assert [c.step for c in costs] == [s.step for s in states] == list(range(5))
+    assert [list(s.x) for s in states] == [[3.0 + k, 4.0] for k in range(5)]
+    reference = start_reference(start, probe, states)
+    assert [c.r for c in costs] == [c.r for c in reference]
+    rig.publish(message_type())  # too short: a state that can't be used
+    probe.spin_until(lambda: len(costs) > 5, "the answer")
+    assert math.isnan(costs[5].r)
+
+
+def start_reference(start, probe, states):
+    """Return what the lifter answers if the rig speaks MeasuredState."""
+    start("koopman_lifter", "-r", "__ns:=/reference")
+    answers = probe.collect(Cost, "/reference/cost")
+    publisher = probe.publisher(MeasuredState, "/reference/state")
+    for state in states[:5]:
+        publisher.publish(state)
+    probe.spin_until(lambda: len(answers) == 5, "the reference")
+    return answers
+
+
+def test_the_controller_also_speaks_a_plain_number(start, probe):
+    start("relay_esc", command_topic="/rig/theta")
+    numbers = probe.collect(Float64, "/rig/theta")  # nobody listens to 'theta'
+    cost = probe.publisher(Cost, "cost")
+    for k in range(3):
+        cost.publish(Cost(step=k, r=1.0 - 0.1 * k))
+    probe.spin_until(lambda: len(numbers) == 3, "the numbers")
+    assert [n.data for n in numbers] == pytest.approx([2.0, 2.0 - 1 / 3000, 2.0 - 2 / 3000])
+
+
+@pytest.mark.parametrize(
+    ("parameters", "code", "message"),
+    [
+        ({"state_source": "/joint_states"}, 2, "is no source: write topic:field,field"),
+        ({"state_source": "/js:effort"}, 1, "JointState: 'effort' needs an index"),
+        ({"state_source": "/js:torque[0]"}, 1, "JointState has no field 'torque'"),
+        ({"state_source": "/js:x", "state_type": "no_msgs/msg/No"}, 1, "is not installed"),
+        ({"state_source": "/js:x", "state_type": "os"}, 2, "'os' is no message type"),
+    ],
+)
+def test_a_source_that_cannot_be_is_refused_in_one_line(start, parameters, code, message):
+    process = start("koopman_lifter", **parameters)
+    assert process.process.wait(20.0) == code
+    assert message in process.log.read_text()
