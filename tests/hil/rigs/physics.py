@@ -1,0 +1,122 @@
+"""Simulated rigs for the hardware-in-the-loop tests; shares no code with the workspace's packages.
+
+Every rig is a second-order oscillator with one knob theta, whose limit cycle is smallest at a
+theta* that only the rig knows. Plain Python on purpose: nothing here is the code under test.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+State = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Physics and sensors of a rig.
+
+    Attributes
+    ----------
+    derivative : callable
+        ``derivative(t, x, y, theta)`` returns (dx/dt, dy/dt).
+    start : tuple of float
+        Initial [x, y].
+    theta_star : float
+        Where the oscillation is smallest.
+    disturbance : callable
+        ``disturbance(t)`` is added to both sensors, as the paper's interference is.
+    noise : float
+        Standard deviation of each sensor's noise.
+    resolution : float
+        Quantisation step of the sensors.
+    """
+
+    derivative: Callable[[float, float, float, float], State]
+    start: State
+    theta_star: float
+    disturbance: Callable[[float], float]
+    noise: float
+    resolution: float
+
+
+def van_der_pol(
+    mu: float, offset: float, theta_star: float, force: float, omega: float
+) -> Callable[[float, float, float, float], State]:
+    """Return the forced Van der Pol oscillator of the paper (section 3), with its drift."""
+
+    def derivative(t: float, x: float, y: float, theta: float) -> State:
+        epsilon = 1.0 + math.sin(0.005 * t)
+        size = 1.0 + (theta - theta_star) ** 2
+        damping = epsilon * ((x - offset) ** 2 - size)
+        return y, -damping * y - mu * mu * (x - offset) + force * math.sin(omega * t)
+
+    return derivative
+
+
+def two_tones(a1: float, w1: float, a2: float, w2: float) -> Callable[[float], float]:
+    """Return a sum of two sines."""
+    return lambda t: a1 * math.sin(w1 * t) + a2 * math.sin(w2 * t)
+
+
+def galloping(theta_star: float) -> Callable[[float, float, float, float], State]:
+    """Return a square prism that gallops in the wind, with a tunable damper.
+
+    Parkinson and Smith, "The square prism as an aeroelastic non-linear oscillator", Quarterly
+    Journal of Mechanics and Applied Mathematics 17 (1964) 225-239, in the time tau = omega t:
+
+        Y'' + Y = n A [(U - U0) Y' - B/(A U) Y'^3 + C/(A U^3) Y'^5 - D/(A U^5) Y'^7]
+
+    with U0 = 2 beta / (n A) the wind speed at which galloping begins. A, B, C and D are theirs, from
+    the measured side force. The mass parameter n is that of a light model. The damper works best
+    when it is tuned, at theta*: beta, and so U0, falls off to both sides as a resonance does.
+    The state is [Y, Y'] in tenths of the prism's width.
+    """
+    a, b, c, d = 2.69, 168.0, 6270.0, 59900.0
+    n, wind, omega = 0.05, 2.0, 6.0
+    k1, k3 = n * a, n * b / wind
+    k5, k7 = n * c / wind**3, n * d / wind**5
+
+    def derivative(t: float, x: float, y: float, theta: float) -> State:
+        onset = 1.75 / (1.0 + ((theta - theta_star) / 3.0) ** 2)
+        v = 0.1 * y
+        v2 = v * v
+        force = v * (k1 * (wind - onset) - v2 * (k3 - v2 * (k5 - v2 * k7)))
+        return omega * y, omega * (10.0 * force - x)
+
+    return derivative
+
+
+RIGS = {
+    "paper": Rig(
+        van_der_pol(1.0, 6.0, -3.0, 2.2, 4.5),
+        (1.0, -2.0),
+        -3.0,
+        two_tones(10.5, 3.2, 11.1, 7.8),
+        noise=0.02,
+        resolution=0.01,
+    ),
+    "other": Rig(
+        van_der_pol(1.3, 4.0, 1.5, 1.5, 5.2),
+        (0.5, 1.0),
+        1.5,
+        two_tones(6.0, 2.6, 8.0, 9.1),
+        noise=0.05,
+        resolution=0.02,
+    ),
+    "galloping": Rig(
+        galloping(0.8), (0.5, 0.0), 0.8, two_tones(0.5, 2.0, 0.5, 15.0), noise=0.02, resolution=0.01
+    ),
+}
+
+
+def advance(rig: Rig, t: float, dt: float, state: State, theta: float) -> State:
+    """Integrate one step [s] with the classical Runge-Kutta method."""
+    x, y = state
+    f = rig.derivative
+    ax, ay = f(t, x, y, theta)
+    bx, by = f(t + dt / 2, x + dt / 2 * ax, y + dt / 2 * ay, theta)
+    cx, cy = f(t + dt / 2, x + dt / 2 * bx, y + dt / 2 * by, theta)
+    dx, dy = f(t + dt, x + dt * cx, y + dt * cy, theta)
+    return x + dt / 6 * (ax + 2 * bx + 2 * cx + dx), y + dt / 6 * (ay + 2 * by + 2 * cy + dy)
