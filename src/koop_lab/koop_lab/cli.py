@@ -19,6 +19,7 @@ COMMANDS = (
     "koop_lab.replay.command",
     "koop_bag.cli",
     "koop_lab.bench",
+    "koop_lab.hil.command",
     "koop_lab.study.command",
 )
 

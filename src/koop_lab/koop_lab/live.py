@@ -10,7 +10,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -49,12 +49,14 @@ def executable(package: str, name: str) -> Path:
 class NodeProcess:
     """One node in a process of its own, its output in a log file."""
 
-    def __init__(self, node: str, arguments: list[str], log: Path) -> None:
+    def __init__(
+        self, node: str, arguments: list[str], log: Path, command: list[str] | None = None
+    ) -> None:
         self.node = node
         self.log = log
-        self._output = open(log, "wb")  # noqa: SIM115 - closed when the process has ended
+        self._output = open(log, "ab")  # noqa: SIM115 - closed when the process has ended
         self.process = subprocess.Popen(
-            [str(executable(*EXECUTABLES[node])), *arguments],
+            [*(command or [str(executable(*EXECUTABLES[node]))]), *arguments],
             stdin=subprocess.DEVNULL,
             stdout=self._output,
             stderr=subprocess.STDOUT,
@@ -102,6 +104,8 @@ class Monitor:
         from rclpy.experimental.events_executor import EventsExecutor
 
         self.progress = Progress()
+        self.levels: dict[str, int] = {}  # that every node last reported
+        self._clients: dict[str, Any] = {}
         self._context = rclpy.Context()
         self._context.init(args=[])
         self._node = rclpy.create_node("koop_monitor", context=self._context)
@@ -117,6 +121,57 @@ class Monitor:
         """Return how many publishers of ``state`` are on this domain."""
         return int(self._node.count_publishers("state"))
 
+    @property
+    def theta(self) -> float:
+        """Last theta of the controller."""
+        return float(self.progress.values.get("relay_esc", {}).get("theta", math.nan))
+
+    def set_parameters(
+        self, node: str, values: Mapping[str, str | float], wait: float = 5.0
+    ) -> None:
+        """Change parameters of a node while it runs.
+
+        Raises
+        ------
+        LiveError
+            If the node refuses or doesn't answer.
+        """
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        if node not in self._clients:
+            self._clients[node] = self._node.create_client(
+                SetParametersAtomically, f"/{node}/set_parameters_atomically"
+            )
+        client = self._clients[node]
+        deadline = time.monotonic() + wait
+        while not client.service_is_ready() and time.monotonic() < deadline:
+            self.spin(0.02)
+        asked = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        future = client.call_async(SetParametersAtomically.Request(parameters=asked))
+        while not future.done() and time.monotonic() < deadline:
+            self.spin(0.02)
+        if not future.done():
+            raise LiveError(f"{node} doesn't answer the change of {', '.join(values)}")
+        if not future.result().result.successful:
+            raise LiveError(f"{node} refuses: {future.result().result.reason}")
+
+    def theta_publisher(self, topic: str) -> Any:
+        """Return a publisher of control inputs: an intruder in the loop."""
+        from koop_msgs.msg import ControlInput
+
+        return self._node.create_publisher(ControlInput, topic, 10)
+
+    def publish_theta(self, publisher: Any, theta: float) -> None:
+        """Publish a control input as a foreign controller would, with steps of its own."""
+        from koop_msgs.msg import ControlInput
+
+        publisher.publish(ControlInput(step=time.monotonic_ns() // 5_000_000, theta=theta))
+
+    def end_publisher(self, publisher: Any) -> None:
+        """Take an intruder out of the loop."""
+        self._node.destroy_publisher(publisher)
+
     def close(self) -> None:
         """Leave the DDS domain."""
         self._executor.remove_node(self._node)
@@ -129,6 +184,7 @@ class Monitor:
             node = status.name.split(":")[0].strip("/").rsplit("/", 1)[-1]
             values = {item.key: item.value for item in status.values}
             self.progress.values[node] = values
+            self.levels[node] = status.level[0]
             if node == "vdp_plant":
                 self.progress.step = int(values.get("step", self.progress.step))
                 self.progress.steps_per_second = float(values["rate_hz"])

@@ -9,6 +9,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -124,6 +125,15 @@ class ManagedNode(LifecycleNode):
         """Stop working before the process ends; called once, also after a signal."""
         if self.active:
             self.trigger_deactivate()
+        self._deliver_the_last()
+
+    def _deliver_the_last(self) -> None:
+        """Wait until what was said is heard: a writer that goes away takes lost samples with it."""
+        deadline = time.monotonic() + 0.5
+        for publisher in self.publishers:
+            left = deadline - time.monotonic()
+            if left > 0.0 and publisher.get_subscription_count():
+                publisher.wait_for_all_acked(Duration(seconds=left))
 
     def finish(self, exit_code: int = 0) -> None:
         """End the process after the current callback."""

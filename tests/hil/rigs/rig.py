@@ -107,7 +107,9 @@ def options() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("rig", choices=sorted(RIGS))
-    parser.add_argument("--duration", type=float, default=0.0, help="simulated seconds; 0: for ever")
+    parser.add_argument(
+        "--duration", type=float, default=0.0, help="simulated seconds; 0: for ever"
+    )
     parser.add_argument("--scale", type=float, default=1.0, help="simulated per real time")
     parser.add_argument("--state", default="state", help="topic of the measured state")
     parser.add_argument("--theta", default="theta", help="topic of the command")

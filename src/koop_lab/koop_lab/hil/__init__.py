@@ -1,0 +1,1 @@
+"""Hardware in the loop: scenarios with faults on the real nodes, and their verdicts."""

@@ -1,0 +1,103 @@
+"""The verdict on a scenario, from its recording and from what the nodes reported."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_bag.columns import read_columns
+from koop_bag.reader import BagReader
+from koop_lab.hil.runner import RunRecord
+from koop_lab.hil.scenario import Scenario
+from koop_lab.metrics import TAIL
+
+SETTLED = 0.6  # mean |theta - theta*| over a dwell time that counts as converged again
+DWELL = 15.0  # [s]
+
+
+@dataclass
+class Verdict:
+    """Figures of a run and what failed.
+
+    Attributes
+    ----------
+    tail_error : float
+        Mean |theta - theta*| over the last 30 %.
+    wrong_for : float
+        Simulated time [s] from the first event on with theta wrong.
+    wrong_by : float
+        Largest |theta - theta*| from the first event on.
+    messages : dict
+        Recorded messages by topic.
+    levels : dict
+        Levels reported on /diagnostics.
+    failures : list of str
+        What did not hold; empty if the scenario passed.
+    """
+
+    name: str
+    description: str
+    events: list[str]
+    tail_error: float = math.nan
+    wrong_for: float = math.nan
+    wrong_by: float = math.nan
+    wall_time: float = 0.0
+    messages: dict[str, int] = field(default_factory=dict)
+    levels: dict[str, list[str]] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def passed(self) -> bool:
+        """True if all limits held."""
+        return not self.failures
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the verdict in JSON terms."""
+        return {**asdict(self), "passed": self.passed}
+
+
+def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
+    """Compare a run with the scenario's limits."""
+    events = [str(event) for event in scenario.events]
+    verdict = Verdict(scenario.name, scenario.setting.description, events)
+    verdict.wall_time = (record.end - record.begin) * 1e-9
+    verdict.levels = {node: sorted(levels) for node, levels in sorted(record.levels.items())}
+    verdict.failures += record.crashed
+    for node, level in scenario.levels.items():
+        if level not in record.levels.get(node, set()):
+            verdict.failures.append(f"{node} did not report {level}")
+    for log in sorted((bag.parent / "logs").glob("*.log")):
+        if "Traceback" in log.read_text(errors="replace"):
+            verdict.failures.append(f"{log.name} holds a traceback")
+    stamps, theta = applied(bag, verdict)
+    inside = (stamps >= record.begin) & (stamps <= record.end)
+    stamps, theta = stamps[inside], theta[inside]
+    if stamps.size < 100:
+        verdict.failures.append(f"only {stamps.size} thetas recorded")
+        return verdict
+    error = np.abs(theta - scenario.setting.theta_star)
+    verdict.tail_error = float(error[-max(1, round(TAIL * error.size)) :].mean())
+    first = min((begin for begin, _, _ in record.happened), default=record.begin)
+    after = stamps >= first
+    steps = np.minimum(np.diff(stamps, append=stamps[-1]) * 1e-9, 1.0)  # a paused plant is no time
+    wrong = after & (error > scenario.limits.wrong)
+    verdict.wrong_for = float(steps[wrong].sum() * scenario.setting.time_scale)
+    verdict.wrong_by = float(error[after].max())
+    for figure in ("tail_error", "wrong_for", "wrong_by"):
+        value, limit = getattr(verdict, figure), getattr(scenario.limits, figure)
+        if not value <= limit:
+            verdict.failures.append(f"{figure} = {value:.2f} is above {limit:g}")
+    return verdict
+
+
+def applied(bag: Path, verdict: Verdict) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return receive times [ns] and the theta that acted on the plant; count the messages."""
+    with BagReader(bag) as reader:
+        verdict.messages = {topic.name: topic.count for topic in reader.topics}
+        columns = read_columns(reader, "/truth", ["theta_applied", "log_time"])
+    return columns["log_time"].astype(np.int64), columns["theta_applied"].astype(np.float64)
