@@ -17,7 +17,7 @@ from koopman_lifter.config import shipped_model
 from koopman_lifter.model import KoopmanModel, load
 from vdp_plant.config import PlantConfig
 
-SIMULATION = ("params", "trajectories", "duration", "seed", "integrator", "clean")
+SIMULATION = ("params", "trajectories", "duration", "seed", "integrator", "clean", "contrast")
 BAGS = ("state", "names", "dt", "way", "gap", "held_out", "horizons")
 
 
@@ -42,6 +42,13 @@ def register(commands: Any) -> None:
     group.add_argument("--integrator", choices=("rk4", "euler"))
     group.add_argument(
         "--clean", action="store_const", const=True, help="train without the interference"
+    )
+    group.add_argument(
+        "--contrast",
+        action="store_const",
+        const=True,
+        help="in place of the most energetic modes, the direction in which strongly oscillating "
+        "trajectories differ most from weakly oscillating ones (the study's best cost)",
     )
     parser.set_defaults(func=train_main)
 
@@ -120,6 +127,11 @@ def _simulated(args: argparse.Namespace) -> KoopmanModel:
         if getattr(args, name) is not None
     }
     config = TrainingConfig(degree=args.degree, modes=args.modes, corrupted=not args.clean, **given)
+    if args.contrast:
+        from koop_lab.study import learning, scenario, variants  # SciPy: not for every command
+
+        learned = learning.learn(plant, scenario.ScenarioConfig(), config)
+        return variants.make("contrast", learned, plant.dt, config.modes)
     return train(plant, config)
 
 
@@ -142,7 +154,10 @@ def describe(model: KoopmanModel) -> str:
         mode_table(model),
         "",
     ]
-    if asked is not None and asked != kept:
+    variant = model.provenance.get("variant", "lifted")
+    if variant != "lifted":
+        lines.append(f"the cost is not that of these modes but '{variant}' (see koop study)")
+    elif asked is not None and asked != kept:
         lines.append(f"{kept} modes kept where {asked} were asked for: no complex pair is split")
     else:
         lines.append(f"{kept} modes kept, by energy")

@@ -105,3 +105,15 @@ def test_a_bad_parameter_file_is_refused_with_the_reason(tmp_path, text, message
     with pytest.raises(ConfigError) as caught:
         make(read(file))
     assert message in str(caught.value)
+
+
+def test_the_contrast_model_serves_the_loop_and_beats_the_shipped_one(tmp_path, capsys):
+    path = tmp_path / "contrast.npz"
+    assert main(["train", "--contrast", "--out", str(path)]) == 0
+    capsys.readouterr()
+    found = []
+    for model in ([], ["--model", str(path)]):
+        assert main(["simulate", "--json", *model]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[1]["converged"]
+    assert found[1]["iae_theta"] < found[0]["iae_theta"]
