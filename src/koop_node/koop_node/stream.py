@@ -4,8 +4,8 @@ Pure: no ROS, and time is an argument. What a sample *does* depends only on the 
 replay at any speed decides the same; what is *reported* depends on the steady clock.
 
 One meaning of every timeout, in seconds, 0 = off: an input is stale if its newest usable message is
-older than that. The first message after a silence of that length, by its stamp or by its step,
-follows on nothing: filters must not take its difference to the last one.
+older than that. The first message after a silence of that length, by its step, follows on nothing:
+filters must not take its difference to the last one.
 """
 
 from __future__ import annotations
@@ -63,14 +63,12 @@ class StreamMonitor:
         now : float
             Steady time of its arrival [s].
         """
-        last, self._heard = self.step, now
-        silence, self._stamp = stamp - self._stamp, max(stamp, self._stamp)
+        last, self._heard, self._stamp = self.step, now, stamp
         if last is None:
             kind = RESTART
         elif step > last:
             self.missed += step - last - 1
-            silence = max(silence, (step - last) * self.dt)
-            kind = RESUME if 0.0 < self.timeout < silence else NEXT
+            kind = RESUME if 0.0 < self.timeout < (step - last) * self.dt else NEXT
             self.silences += kind
         elif step == last:
             self.repeated += 1
@@ -81,7 +79,6 @@ class StreamMonitor:
             return LATE
         else:
             self.restarts += 1
-            self._stamp = stamp
             kind = RESTART
         self._late_in_a_row = 0
         self.step = step

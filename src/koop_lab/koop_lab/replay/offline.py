@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from koop_lab.replay.plan import Plan
 from koop_lab.replay.recording import Recording
+from koop_node.stream import WINDOW
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
 from koopman_lifter.model import load
@@ -29,6 +30,7 @@ def replay_kernel(
     step: NDArray[np.int64],
     x: NDArray[np.float64],
     hold: NDArray[np.bool_],
+    silences: tuple[float, float],
     r: NDArray[np.float64],
     theta: NDArray[np.float64],
 ) -> tuple[DetectorState, RelayState]:
@@ -52,6 +54,8 @@ def replay_kernel(
         Measured states; one that is not finite has no cost.
     hold : ndarray, shape (M,)
         Whether the user holds theta.
+    silences : tuple of float
+        Steps between two messages beyond which lifter and controller find the input stale.
     r, theta : ndarray, shape (M,)
         Receive the answers.
 
@@ -62,12 +66,20 @@ def replay_kernel(
     """
     z = np.empty(lifting.parent.shape[0])
     for k in range(step.shape[0]):
-        back = step[k] < previous
+        if previous > step[k] >= max(previous - WINDOW, 1):  # overtaken: the nodes don't answer
+            r[k], theta[k] = np.nan, relay_state.theta
+            continue
+        back, gap = step[k] < previous, step[k] - previous if previous >= 0 else 0
         previous = step[k]
         if back:
             detector_state = fresh
+        elif gap > silences[0]:
+            detector_state = cost.resume(detector_state)
         r[k], _, detector_state = cost.step(source, lifting, detector, detector_state, x[k], z)
-        relay_state, _ = relay.respond(esc, relay_state, r[k], anew or back, hold[k])
+        if np.isnan(r[k]):
+            detector_state = cost.resume(detector_state)
+        from_nothing = anew or back or gap > silences[1]
+        relay_state, _ = relay.respond(esc, relay_state, r[k], from_nothing, hold[k])
         anew = False
         theta[k] = relay_state.theta
     return detector_state, relay_state
@@ -110,7 +122,13 @@ def replay_offline(
             recording.step[part],
             x[part],
             recording.hold[part],
+            (_silence(lifter.state_timeout, lifter.dt), _silence(esc.cost_timeout, esc.dt)),
             r[part],
             theta[part],
         )
     return r, theta
+
+
+def _silence(timeout: float, dt: float) -> float:
+    """Return a timeout [s] in steps; infinite if it is off."""
+    return timeout / dt if timeout > 0.0 else np.inf
