@@ -10,10 +10,12 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from koop_bag.errors import BagError
 from koop_lab.hil import report
 from koop_lab.hil.scenario import Scenario, read
 from koop_lab.hil.verdict import Verdict
 from koop_node.config import ConfigError
+from relay_esc.config import EscConfig
 
 
 def register(commands: Any) -> None:
@@ -28,6 +30,12 @@ def register(commands: Any) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: recordings/TIME-hil")
     parser.add_argument("--junit", type=Path, metavar="FILE", help="also write JUnit XML here")
     parser.add_argument("--table", type=Path, metavar="FILE", help="also write a Markdown table")
+    parser.add_argument(
+        "--exercise",
+        type=float,
+        metavar="S",
+        help="no controller: move theta at random for this time, to record training data",
+    )
     parser.set_defaults(func=main)
 
 
@@ -44,6 +52,11 @@ def main(args: argparse.Namespace) -> int:
     scenarios = [read(path) for path in paths]  # a bad file is reported before an hour has passed
     stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
     out = args.out or Path("recordings") / f"{stamp}-hil"
+    if args.exercise is not None:
+        for scenario in scenarios:
+            bag = record_exercise(scenario, out / scenario.name, args.exercise)
+            print(f"recorded; now 'koop train {bag} --dt 0.005 --out model.npz'")
+        return 0
     verdicts = []
     for number in range(args.repeat):
         for scenario in scenarios:
@@ -83,10 +96,19 @@ def find(name: str) -> Path:
     raise ConfigError(f"no scenario '{name}': 'koop hil --list' shows them")
 
 
+def record_exercise(scenario: Scenario, folder: Path, duration: float) -> Path:
+    """Record a scenario's plant over the controller's range of theta."""
+    from koop_lab.hil.exercise import exercise
+
+    limits = EscConfig(**{"theta_initial": scenario.setting.theta_initial})
+    return exercise(scenario, folder, limits.theta_min, limits.theta_max, duration)
+
+
 def run(scenario: Scenario, folder: Path) -> Verdict:
     """Run one scenario, judge it and write ``verdict.json`` beside its recording."""
     from koop_lab.hil.runner import Supervisor
     from koop_lab.hil.verdict import judge
+    from koop_lab.live import LiveError
 
     if (folder / "bag").exists():
         raise ConfigError(f"{folder} holds a recording already: choose another --out")
@@ -98,7 +120,10 @@ def run(scenario: Scenario, folder: Path) -> Verdict:
             print(f"\r{scenario.name}: {t:.0f} of {duration:.0f} s, {text}  ", end="\r",
                   file=sys.stderr)  # fmt: skip
 
-    record = Supervisor(scenario, folder, show).run()
-    verdict = judge(scenario, record, folder / "bag")
+    try:
+        record = Supervisor(scenario, folder, show).run()
+        verdict = judge(scenario, record, folder / "bag")
+    except (LiveError, BagError) as error:  # one bad scenario doesn't end the others
+        verdict = Verdict(scenario.name, scenario.setting.description, [], failures=[str(error)])
     (folder / "verdict.json").write_text(json.dumps(verdict.as_dict(), indent=1) + "\n")
     return verdict

@@ -29,10 +29,13 @@ class Processes:
         Of the run: bag, logs, parameters.
     scenario : Scenario
         What to run.
+    controlled : bool
+        Whether lifter and controller are started too.
     """
 
-    def __init__(self, folder: Path, scenario: Scenario) -> None:
+    def __init__(self, folder: Path, scenario: Scenario, controlled: bool = True) -> None:
         self._folder = folder
+        self._controlled = controlled
         self._scenario = scenario
         self._running: dict[str, NodeProcess] = {}
         self.exit_codes: list[tuple[str, int]] = []
@@ -43,8 +46,9 @@ class Processes:
         loop_parameters.write(self._given(), self._parameter_file)
         try:
             for name in ORDER:
-                if name != "wire" or self._scenario.wired:
-                    self.start(name)
+                if name in ("recorder", "plant") or self._controlled:
+                    if name != "wire" or self._scenario.wired:
+                        self.start(name)
         except BaseException:
             self.close()
             raise
@@ -131,7 +135,7 @@ class Processes:
         options = {
             "scale": setting.time_scale,
             "theta-initial": setting.theta_initial,
-            "readers": 2,
+            "readers": 2 if self._controlled else 1,
             "seed": setting.seed,
             **({"state": "rig/state", "theta": "rig/theta"} if wired else {}),
         }
