@@ -74,6 +74,8 @@ class McapFile:
 
     def content(self, place: Place) -> bytes:
         """The bytes of a record."""
+        if place.length < 0 or place.start + place.length > self.size:
+            raise BagError(self._damaged(f"it refers to byte {place.start}, where nothing is"))
         self._file.seek(place.start)
         return self._file.read(place.length)
 
@@ -85,7 +87,7 @@ class McapFile:
         """Parse the content of a record; `where` is for the error."""
         try:
             record: McapRecord = kind.read(ReadDataStream(io.BytesIO(data)))
-        except (McapError, ValueError, struct.error) as error:
+        except (McapError, ValueError, OverflowError, struct.error) as error:
             raise BagError(
                 self._damaged(f"the {kind.__name__} record at byte {where} does not parse")
             ) from error
@@ -106,7 +108,7 @@ class McapFile:
                 raise BagError(
                     f"{self.path} is compressed with '{chunk.compression}'; known are zstd and lz4"
                 )
-        except (zstandard.ZstdError, RuntimeError) as error:
+        except (zstandard.ZstdError, RuntimeError, OverflowError, MemoryError) as error:
             raise BagError(
                 self._damaged(f"the chunk at byte {place.start} does not decompress")
             ) from error

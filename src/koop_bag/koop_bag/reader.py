@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import yaml
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema, Statistics
+from mcap.records import Channel, Metadata, MetadataIndex, Schema, Statistics
 
 from koop_bag.errors import BagError
 from koop_bag.mcap_scan import McapFile, Place, inner_places
@@ -271,7 +271,8 @@ def _read_summary(contents: FileContents) -> bool:
         elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             _note(contents, place, file.content(place))
         elif place.opcode == Opcode.METADATA_INDEX:
-            offset, length = struct.unpack_from("<QQ", file.content(place))
+            index = file.parse(MetadataIndex, place)
+            offset, length = index.offset, index.length
             _note(
                 contents,
                 Place(Opcode.METADATA, offset, length),

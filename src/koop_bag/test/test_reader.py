@@ -141,3 +141,16 @@ def test_an_empty_bag_is_a_bag(write_loop):
         assert (reader.message_count, reader.duration) == (0, 0.0)
         assert list(reader.messages()) == []
         assert read_columns(reader, "/state", ["step"])["step"].size == 0
+
+
+def test_a_damaged_index_is_an_error_of_the_bag_and_nothing_else(tmp_path):
+    """Offsets and lengths that fuzzing made up once ended in MemoryError or OverflowError."""
+    from koop_bag.mcap_scan import McapFile, Place
+
+    file = tmp_path / "a.mcap"
+    file.write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    opened = McapFile(file)
+    for start, length in ((0, 2**62), (2**63, 8), (50, -9), (100, 9)):
+        with pytest.raises(BagError, match="is damaged"):
+            opened.content(Place(0, start, length))
+    opened.close()

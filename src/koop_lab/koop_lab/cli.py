@@ -20,6 +20,7 @@ COMMANDS = (
     "koop_bag.cli",
     "koop_lab.bench",
     "koop_lab.hil.command",
+    "koop_lab.hil.fuzz",
     "koop_lab.study.command",
 )
 

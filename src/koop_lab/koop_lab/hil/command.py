@@ -100,7 +100,7 @@ def record_exercise(scenario: Scenario, folder: Path, duration: float) -> Path:
     """Record a scenario's plant over the controller's range of theta."""
     from koop_lab.hil.exercise import exercise
 
-    limits = EscConfig(**{"theta_initial": scenario.setting.theta_initial})
+    limits = EscConfig(theta_initial=scenario.setting.theta_initial)
     return exercise(scenario, folder, limits.theta_min, limits.theta_max, duration)
 
 

@@ -107,7 +107,7 @@ class Channel:
             copies += self._random.random() < fault["duplicate"]
         elif name == "delayed":
             due += fault["delay"] + fault["jitter"] * self._random.random()
-        elif name != "ok":
+        elif name in ("stuck", "garbage", "wrong"):
             values = self._changed(fault, values)
         if name in ("ok", "delayed"):
             self._last = values

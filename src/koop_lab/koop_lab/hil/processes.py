@@ -46,9 +46,9 @@ class Processes:
         loop_parameters.write(self._given(), self._parameter_file)
         try:
             for name in ORDER:
-                if name in ("recorder", "plant") or self._controlled:
-                    if name != "wire" or self._scenario.wired:
-                        self.start(name)
+                wanted = self._scenario.wired if name == "wire" else True
+                if name in ("recorder", "plant") or (self._controlled and wanted):
+                    self.start(name)
         except BaseException:
             self.close()
             raise

@@ -1,0 +1,124 @@
+"""The pure parts of the harness: scenario files, faults, reports, fuzzing."""
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from koop_lab.hil import faults, fuzz, report
+from koop_lab.hil.faults import Channel
+from koop_lab.hil.scenario import parse, read
+from koop_lab.hil.verdict import Verdict
+from koop_node.config import ConfigError
+
+
+def through(fault, messages, dt=0.005, seed=1):
+    """Return (step, values) of what comes out of a channel."""
+    channel = Channel(seed)
+    channel.push(0.0, -1, [1.0, 2.0])  # a good one before the fault
+    channel.pop(0.0)
+    channel.fault = faults.parse(fault)
+    out = []
+    for k in range(messages):
+        channel.push(k * dt, k, [float(k), 10.0])
+        out += channel.pop(k * dt)
+    return out + channel.pop(1e9)
+
+
+def test_each_fault_does_what_its_name_says():
+    assert through("ok", 3) == [(0, [0.0, 10.0]), (1, [1.0, 10.0]), (2, [2.0, 10.0])]
+    assert through("off", 9) == []
+    assert through("stuck", 2) == [(0, [1.0, 2.0]), (1, [1.0, 2.0])]
+    assert through("stuck index=1 value=7", 2) == [(0, [0.0, 7.0]), (1, [1.0, 7.0])]
+    assert through("wrong gain=2 bias=1 index=0", 2) == [(0, [1.0, 10.0]), (1, [3.0, 10.0])]
+    assert [k for k, _ in through("slow every=3", 9)] == [1, 4, 7]
+    assert all(math.isnan(v) for v in through("garbage kind=nan", 1)[0][1])
+    assert through("garbage kind=inf", 1) == [(0, [math.inf, math.inf])]
+    assert through("garbage kind=short", 1) == [(0, [0.0])]
+
+
+def test_losses_and_duplicates_have_the_asked_share():
+    assert 650 < len(through("intermittent loss=0.3", 1000)) < 750
+    assert 1450 < len(through("intermittent duplicate=0.5", 1000)) < 1550
+
+
+def test_a_delay_keeps_the_order_and_jitter_does_not():
+    channel = Channel()
+    channel.fault = faults.parse("delayed delay=0.1")
+    channel.push(0.0, 0, [1.0])
+    assert channel.pop(0.0999) == []
+    assert channel.pop(0.1) == [(0, [1.0])]
+    steps = [k for k, _ in through("delayed jitter=0.03", 200)]
+    assert sorted(steps) == list(range(200))
+    assert steps != sorted(steps)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "broken", "delayed delay", "delayed speed=1", "delayed delay=x", "slow every=0",
+             "garbage kind=odd", "intermittent loss=nan", "delayed delay=-1"],
+)  # fmt: skip
+def test_a_fault_that_is_none_is_refused(text):
+    with pytest.raises(ConfigError):
+        faults.parse(text)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ([], "a scenario must be a mapping"),
+        ({"duration": -1}, "duration = -1: must be"),
+        ({"durations": 1}, "a scenario has no durations"),
+        ({"events": {"at": 1}}, "events must be a list"),
+        ({"events": [{"at": 1}]}, "an event has one of inject, kill"),
+        ({"events": [{"at": "x", "kill": "plant"}]}, "at: 'x' is no number"),
+        ({"events": [{"kill": "recorder"}]}, "kill: one of plant"),
+        ({"events": [{"inject": {"state": False}}]}, "YAML wants 'off' quoted"),
+        ({"events": [{"inject": {"cost": "off"}}]}, "into state or theta"),
+        ({"limits": {"tail": 1}}, "limits has no tail"),
+        ({"levels": {"relay_esc": "BAD"}}, "must be WARN, ERROR or STALE"),
+    ],
+)
+def test_a_scenario_that_means_nothing_is_refused(content, message):
+    with pytest.raises(ConfigError, match=message):
+        parse("name", content, Path("."))
+
+
+def test_a_scenario_file_cannot_make_objects(tmp_path):
+    file = tmp_path / "bad.yaml"
+    file.write_text("description: !!python/object/apply:os.system ['true']\n")
+    with pytest.raises(ConfigError, match=r"bad\.yaml: cannot be read as YAML"):
+        read(file)
+
+
+def test_verdicts_are_written_as_junit_and_as_a_table(tmp_path):
+    good = Verdict("a", "fine", [], 0.1, 0.0, 0.5, 3.0)
+    bad = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, 2.0, failures=["tail_error = 0.9 < & >"])
+    file = tmp_path / "junit.xml"
+    report.write_junit([good, bad], file)
+    suite = ElementTree.parse(file).getroot()
+    assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
+    assert [case.get("name") for case in suite] == ["a", "b"]
+    assert suite[1].find("failure").get("message") == "tail_error = 0.9 < & >"
+    rows = report.table([good, bad]).splitlines()
+    assert rows[2].startswith("| a | fine | 0.10 | 0.0 s | 0.50 | OK | passed |")
+    assert "**failed**" in rows[3]
+
+
+@pytest.mark.parametrize("name", ["model", "bag", "fields", "words", "scenario"])
+def test_arbitrary_input_is_refused_or_works(tmp_path, name):
+    trial, expected = fuzz.targets(tmp_path)[name]
+    outcome = fuzz.fuzz(trial, expected, 1500, seed=7)
+    assert outcome.findings == []
+    assert outcome.inputs == 1500
+
+
+def test_the_fuzzer_finds_what_is_not_refused():
+    def trial(rng):
+        if rng.random() < 0.1:
+            raise KeyError("unexpected")
+        raise ValueError
+
+    outcome = fuzz.fuzz(trial, (ValueError,), 200, seed=0)
+    assert 5 < len(outcome.findings) < 40
+    assert "KeyError('unexpected')" in outcome.findings[0]
