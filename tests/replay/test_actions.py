@@ -59,6 +59,15 @@ def eventful(start, probe, tmp_path):
         start("koopman_lifter", recorders=1),
     ]
     rig = Rig(probe)
+    known = folder / "parameters.yaml"  # what was changed before the recorder asked is not known
+    probe.spin_until(
+        lambda: (
+            {"/relay_esc:", "/koopman_lifter:"} <= set(known.read_text().split())
+            if known.exists()
+            else False
+        ),
+        "the recorder to know the parameters",
+    )
     rig.swing(range(40))
     rig(40, (math.nan, 1.0))
     rig(41, (1.0, 2.0, 3.0))
@@ -93,8 +102,9 @@ def test_an_eventful_run_is_replayed_bit_for_bit(eventful, how, capfd):
         ("koopman_lifter", {"omega_l": 3.0}, 160),
     ]
     assert recording.step[recording.hold].tolist() == list(range(90, 100))
-    assert main(["replay", str(eventful), *how]) == 0
-    printed = capfd.readouterr().out
+    code = main(["replay", str(eventful), *how])
+    printed, error = capfd.readouterr()
+    assert code == 0, printed + error
     assert "r      identical bit for bit in all 250 steps" in printed
     assert "theta  identical bit for bit in all 250 steps" in printed
     assert "2 states of a step asked again are left out" in printed

@@ -26,16 +26,18 @@ def test_the_golden_bag_is_small_and_shows_a_controller_at_work():
 
 @HOW
 def test_the_golden_bag_is_replayed_bit_for_bit(how, capfd):
-    assert main(["replay", str(RUN), *how]) == 0
-    printed = capfd.readouterr().out
+    code = main(["replay", str(RUN), *how])
+    printed, error = capfd.readouterr()
+    assert code == 0, error
     assert "r      identical bit for bit in all 2000 steps" in printed
     assert "theta  identical bit for bit in all 2000 steps" in printed
 
 
 @HOW
 def test_another_parameter_is_named_with_what_it_changes(how, capfd):
-    assert main(["replay", str(RUN), *how, "--set", "relay_esc.dwell=2"]) == 1
-    printed = capfd.readouterr().out
+    code = main(["replay", str(RUN), *how, "--set", "relay_esc.dwell=2"])
+    printed, error = capfd.readouterr()
+    assert code == 1, error
     assert "what the controller would have answered" in printed
     assert [line.split() for line in printed.splitlines() if line.startswith("relay_esc")] == [
         ["relay_esc.dwell", "1.0", "2.0"]

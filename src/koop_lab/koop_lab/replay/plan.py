@@ -88,6 +88,13 @@ def make_plan(
         notes.append(
             "the bag holds no parameters: the defaults are assumed to be the recorded ones"
         )
+    notes += [
+        f"{name} was changed while recording; what it was before is not in the bag, and it is "
+        "taken to have had the later value from the start"
+        for name in recording.unknown
+    ]
+    if recording.first_cost:
+        recorded["koopman_lifter"]["cost"] = recording.first_cost
     changes = tuple(_without(change, given[change.node]) for change in recording.changes)
     if first and "model" not in given["koopman_lifter"]:
         recorded["koopman_lifter"]["model"] = str(models.file(first))

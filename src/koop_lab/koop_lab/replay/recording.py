@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 
 from koop_bag.columns import Columns, read_columns, read_tables
 from koop_bag.reader import BagReader
-from koop_lab.replay.settings import Change, recorded_changes, recorded_values
+from koop_lab.replay.settings import Change, first_values, recorded_changes, recorded_values
+from koopman_lifter.config import SOURCES
 
 STATE_TYPE = "koop_msgs/msg/MeasuredState"
+NO_SOURCE = 255  # none of koop_msgs/Cost
 MAX_STEP = 2**40  # 170 years at 200 Hz; leaves room for the number of the pass in 64 bits
 FIELDS = {
     "cost": ["step", "r", "source", "model_id", "publish_time"],
@@ -45,12 +47,16 @@ class Recording:
         Whether the answer was recorded.
     hold : ndarray of bool, shape (M,)
         Whether theta was held although the cost was finite: by the hold service or inactivity.
+    source : ndarray of int, shape (M,)
+        Which cost was answered; NO_SOURCE where there is no answer.
     model : ndarray of str, shape (M,)
         Id of the model that answered; empty where there is no answer.
     values : dict
-        Parameters by node as recorded; empty if they were not.
+        Parameters by node at the first state; empty if they were not recorded.
     changes : tuple of Change
         Parameters changed while recording, in order of their first state.
+    unknown : list of str
+        Parameters that were changed while recording and of which the first value is not known.
     repeated, unanswered : int
         States that are no part of this: of a step asked again, and without a recorded cost.
     """
@@ -64,9 +70,11 @@ class Recording:
     has_r: NDArray[np.bool_]
     has_theta: NDArray[np.bool_]
     hold: NDArray[np.bool_]
+    source: NDArray[np.uint8]
     model: NDArray[np.str_]
     values: dict[str, dict[str, Any]]
     changes: tuple[Change, ...]
+    unknown: list[str]
     repeated: int
     unanswered: int
 
@@ -74,6 +82,12 @@ class Recording:
     def first_model(self) -> str:
         """Id of the model of the first answer; empty if there is none."""
         return str(next((name for name in self.model if name), ""))
+
+    @property
+    def first_cost(self) -> str:
+        """Kind of the first answer, a value of the parameter `cost`; empty if there is none."""
+        names = {number: name for name, number in SOURCES.items()}
+        return next((names[int(number)] for number in self.source if int(number) in names), "")
 
     @property
     def in_progress(self) -> bool:
@@ -128,6 +142,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         key, message = key[fed], message[fed]
         values = recorded_values(bag, path, namespace)
         r, model = cost.at(key, "r", np.nan), cost.at(key, "model_id", "").astype(np.str_)
+        source = cost.at(key, "source", NO_SOURCE)
         changes = recorded_changes(
             bag,
             namespace,
@@ -135,9 +150,10 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
                 "koopman_lifter": cost.at(key, "publish_time", 0),
                 "relay_esc": theta.at(key, "publish_time", 0),
             },
-            cost.at(key, "source", 255),
+            source,
             model,
         )
+        values, unknown = first_values(bag, namespace, values, changes)
     return Recording(
         Path(path),
         topic,
@@ -148,9 +164,11 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         cost.holds(key),
         theta.holds(key),
         np.asarray(theta.at(key, "holding", False).astype(np.bool_) & np.isfinite(r)),
+        source,
         model,
         values,
         changes,
+        unknown,
         steps.size - key.size - unanswered,
         unanswered,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -97,17 +97,13 @@ def recorded_changes(
         switched in a bag without parameter events.
     """
     changes: list[Change] = []
+    names = {number: name for name, number in SOURCES.items()}
     recorded = any(topic.name == EVENTS and topic.count for topic in bag.topics)
-    for sent, name, values in _events(bag) if recorded else ():
-        for node in CONTROLLER:
-            if name != f"{namespace.rstrip('/')}/{node}":
-                continue
-            later = np.flatnonzero(answered[node] > sent)
-            own = _own_parameters(node, values)
-            if own and later.size:
-                changes.append(Change(int(later[0]), node, own))
+    for event in _events(bag, namespace) if recorded else ():
+        later = np.flatnonzero(answered[event.node] > event.sent)
+        if event.changed and later.size:
+            changes.append(Change(int(later[0]), event.node, event.changed))
     if not recorded:
-        names = {number: name for name, number in SOURCES.items()}
         other = (source[1:] != source[:-1]) | (model[1:] != model[:-1])
         for k in np.flatnonzero(other & (source[1:] < len(names))) + 1:
             own = {"cost": names[int(source[k])]}
@@ -117,8 +113,44 @@ def recorded_changes(
     return tuple(sorted(changes, key=lambda change: change.index))
 
 
-def _events(bag: BagReader) -> Iterator[tuple[int, str, dict[str, Any]]]:
-    """Yield (time of sending [ns], node, changed values)."""
+def first_values(
+    bag: BagReader,
+    namespace: str,
+    collected: Mapping[str, Mapping[str, Any]],
+    changes: Iterable[Change],
+) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """Return the parameters of the first state, and those of which the bag does not tell.
+
+    The recorder asks every node once, perhaps after a change. What a changed parameter was before
+    is known from the event of its declaration; which cost and model it was, from the first answer.
+    """
+    values = {node: dict(given) for node, given in collected.items()}
+    changed = {(change.node, name): value for change in changes
+               for name, value in change.values.items()}  # fmt: skip
+    declared: dict[tuple[str, str], Any] = {}
+    if changed and any(topic.name == EVENTS for topic in bag.topics):
+        for event in _events(bag, namespace):
+            for name, value in event.declared.items():
+                declared.setdefault((event.node, name), value)
+    unknown = []
+    for (node, name), value in changed.items():
+        if (node, name) in declared:
+            values.setdefault(node, {})[name] = declared[node, name]
+        elif name not in ("cost", "model") and values.get(node, {}).get(name) == value:
+            unknown.append(f"{node}.{name}")
+    return values, unknown
+
+
+class _Event(NamedTuple):
+    """A rcl_interfaces/ParameterEvent of the lifter or the controller."""
+
+    sent: int
+    node: str
+    declared: dict[str, Any]
+    changed: dict[str, Any]
+
+
+def _events(bag: BagReader, namespace: str) -> Iterator[_Event]:
     from mcap.records import Schema
     from mcap_ros2.decoder import DecoderFactory
 
@@ -126,11 +158,16 @@ def _events(bag: BagReader) -> Iterator[tuple[int, str, dict[str, Any]]]:
     schema = Schema(id=1, name=topic.type_name, encoding="ros2msg", data=topic.definition.encode())
     decode = DecoderFactory().decoder_for("cdr", schema)
     assert decode is not None
+    nodes = {f"{namespace.rstrip('/')}/{node}": node for node in CONTROLLER}
     for message in bag.messages([EVENTS]):
         event = decode(message.data)
-        values = {item.name: _value(item.value) for item in event.changed_parameters}
-        if values:
-            yield message.publish_time, event.node, values
+        if event.node in nodes:
+            node = nodes[event.node]
+            declared, changed = (
+                _own_parameters(node, {item.name: _value(item.value) for item in items})
+                for items in (event.new_parameters, event.changed_parameters)
+            )
+            yield _Event(message.publish_time, node, declared, changed)
 
 
 def _value(value: Any) -> Any:
