@@ -107,7 +107,11 @@ class Feeder:
             if recording.hold[k] != held:
                 held = bool(recording.hold[k])
                 self._hold(held)
-            r[k], theta[k] = self._ask(int(recording.step[k]), message)
+            if recording.late[k]:  # has no answer
+                self._publisher.publish(message)
+                r[k] = theta[k] = np.nan
+            else:
+                r[k], theta[k] = self._ask(int(recording.step[k]), message)
         return r, theta
 
     def close(self) -> None:

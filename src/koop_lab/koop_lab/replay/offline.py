@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from koop_lab.replay.plan import Plan
 from koop_lab.replay.recording import Recording
-from koop_node.stream import WINDOW
+from koop_node.stream import LATE, NEXT, RESTART, RESUME, StreamMonitor
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
 from koopman_lifter.model import load
@@ -16,73 +18,89 @@ from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 
 
+class Controller(NamedTuple):
+    """What lifter and controller remember between two messages.
+
+    Attributes
+    ----------
+    detector : DetectorState
+        Of the lifter.
+    relay : RelayState
+        Of the controller.
+    theta : float
+        Its last answer.
+    """
+
+    detector: DetectorState
+    relay: RelayState
+    theta: float
+
+
 @njit(cache=True)
 def replay_kernel(
     source: int,
     lifting: Lifting,
-    detector: DetectorParams,
-    detector_state: DetectorState,
+    detector_params: DetectorParams,
     fresh: DetectorState,
     esc: RelayParams,
-    relay_state: RelayState,
+    largest_change: float,
+    state: Controller,
     anew: bool,
-    previous: int,
-    step: NDArray[np.int64],
+    heard: NDArray[np.int8],
+    heard_cost: NDArray[np.int8],
     x: NDArray[np.float64],
     hold: NDArray[np.bool_],
-    silences: tuple[float, float],
     r: NDArray[np.float64],
     theta: NDArray[np.float64],
-) -> tuple[DetectorState, RelayState]:
+) -> Controller:
     """Answer M states one after the other, as the two nodes do.
 
     Parameters
     ----------
-    source, lifting, detector, esc
-        Parameters of lifter and controller.
-    detector_state, relay_state
-        States after the previous message.
+    source, lifting, detector_params
+        Parameters of the lifter.
     fresh : DetectorState
         The detector before its first sample.
+    esc, largest_change
+        Parameters of the controller.
+    state : Controller
+        After the previous message.
     anew : bool
         Whether the first cost is of another quantity than the one before.
-    previous : int
-        Step of the previous message; -1 for none.
-    step : ndarray, shape (M,)
-        Step of each state; one that goes back begins anew.
+    heard, heard_cost : ndarray, shape (M,)
+        What the lifter's StreamMonitor says about each state, and the controller's about its cost;
+        LATE for a state that newer ones had overtaken.
     x : ndarray, shape (M, n)
         Measured states; one that is not finite has no cost.
     hold : ndarray, shape (M,)
         Whether the user holds theta.
-    silences : tuple of float
-        Steps between two messages beyond which lifter and controller find the input stale.
     r, theta : ndarray, shape (M,)
-        Receive the answers.
+        Receive the answers; NaN for a state that came too late for one.
 
     Returns
     -------
-    detector_state, relay_state
-        States after the last message.
+    Controller
+        After the last message.
     """
+    detector, relay_state, last = state.detector, state.relay, state.theta
     z = np.empty(lifting.parent.shape[0])
-    for k in range(step.shape[0]):
-        if previous > step[k] >= max(previous - WINDOW, 1):  # overtaken: the nodes don't answer
-            r[k], theta[k] = np.nan, relay_state.theta
+    for k in range(heard.shape[0]):
+        if heard[k] == LATE:
+            r[k] = theta[k] = np.nan
             continue
-        back, gap = step[k] < previous, step[k] - previous if previous >= 0 else 0
-        previous = step[k]
-        if back:
-            detector_state = fresh
-        elif gap > silences[0]:
-            detector_state = cost.resume(detector_state)
-        r[k], _, detector_state = cost.step(source, lifting, detector, detector_state, x[k], z)
+        if heard[k] == RESTART:
+            detector = fresh
+        elif heard[k] == RESUME:
+            detector = cost.resume(detector)
+        r[k], _, detector = cost.step(source, lifting, detector_params, detector, x[k], z)
         if np.isnan(r[k]):
-            detector_state = cost.resume(detector_state)
-        from_nothing = anew or back or gap > silences[1]
+            detector = cost.resume(detector)
+        from_nothing = anew or heard_cost[k] != NEXT
         relay_state, _ = relay.respond(esc, relay_state, r[k], from_nothing, hold[k])
         anew = False
-        theta[k] = relay_state.theta
-    return detector_state, relay_state
+        last = relay.slew(last, relay_state.theta, largest_change)
+        theta[k] = last
+    return Controller(detector, relay_state, last)
 
 
 def replay_offline(
@@ -96,8 +114,10 @@ def replay_offline(
         What lifter and controller answer.
     """
     r, theta = np.empty(recording.step.size), np.empty(recording.step.size)
-    detector_state = cost.initial()
-    relay_state = plan.stretches[0].parameters.esc.initial()
+    first = plan.stretches[0].parameters
+    state = Controller(cost.initial(), first.esc.initial(), first.esc.initial().theta)
+    states = StreamMonitor("state", first.lifter.state_timeout, first.lifter.dt)
+    costs = StreamMonitor("cost", first.esc.cost_timeout, first.esc.dt)
     origin = None
     x: NDArray[np.float64] | None = None
     for stretch in plan.stretches:
@@ -107,28 +127,31 @@ def replay_offline(
         if x is None or x.shape[1] != model.observables.n:
             x = recording.states(model.observables.n)
         if any({"cost", "model"} & set(change.values) for change in stretch.changed):
-            detector_state = cost.initial()
+            state = state._replace(detector=cost.initial())
         anew, origin = origin != (lifter.source, model.model_id), (lifter.source, model.model_id)
-        detector_state, relay_state = replay_kernel(
+        states.timeout, costs.timeout = lifter.state_timeout, esc.cost_timeout
+        heard = listen(states, recording.step[part])
+        heard_cost = np.full_like(heard, LATE)
+        heard_cost[heard != LATE] = listen(costs, recording.step[part][heard != LATE])
+        state = replay_kernel(
             lifter.source,
             model.lifting(),
             lifter.detector_params(),
-            detector_state,
             cost.initial(),
             esc.params(),
-            relay_state,
+            esc.largest_change,
+            state,
             anew,
-            int(recording.step[stretch.begin - 1]) if stretch.begin else -1,
-            recording.step[part],
+            heard,
+            heard_cost,
             x[part],
             recording.hold[part],
-            (_silence(lifter.state_timeout, lifter.dt), _silence(esc.cost_timeout, esc.dt)),
             r[part],
             theta[part],
         )
     return r, theta
 
 
-def _silence(timeout: float, dt: float) -> float:
-    """Return a timeout [s] in steps; infinite if it is off."""
-    return timeout / dt if timeout > 0.0 else np.inf
+def listen(monitor: StreamMonitor, step: NDArray[np.int64]) -> NDArray[np.int8]:
+    """Return what a monitor says about messages."""
+    return np.array([monitor.take(number, 0.0, 0.0) for number in step.tolist()], np.int8)

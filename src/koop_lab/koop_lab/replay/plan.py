@@ -17,6 +17,8 @@ from koop_node.config import ConfigError
 from koopman_lifter.model import load
 
 Values = dict[str, dict[str, Any]]
+OWN_TOPICS = {"koopman_lifter": {"state_source": ""}, "relay_esc": {"command_topic": ""}}
+"""A rig with messages of its own: what the lifter made of them is recorded as `state`."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def make_plan(
         changes = tuple(_with_model(change, recording, models) for change in changes)
     elif first:
         recorded["koopman_lifter"]["model"] = ""
-    used = {node: {**recorded[node], **given[node]} for node in CONTROLLER}
+    used = {node: {**recorded[node], **given[node], **OWN_TOPICS[node]} for node in CONTROLLER}
     stretches = _stretches(used, changes, recording.step.size)
     before = parameters.make(recorded).as_ros()
     differences = []
@@ -140,6 +142,7 @@ def _known(recorded: Values) -> tuple[list[str], Values]:
     for node in CONTROLLER:
         known, values = known_parameters(node), recorded.get(node, {})
         kept[node] = {name: value for name, value in values.items() if name in known}
+        kept[node].update(OWN_TOPICS[node])
         notes += [
             f"{node}.{name} = {value} was recorded; this version has no such parameter"
             for name, value in values.items()

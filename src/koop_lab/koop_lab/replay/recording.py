@@ -1,7 +1,7 @@
-"""What a replay needs of a bag: the states that were answered, the answers, what the user changed.
+"""What a replay needs of a bag: the states that were heard, the answers, what the user changed.
 
-The nodes answer a repeated step with the same answer and a step that went back as a new beginning.
-A message is therefore known by its pass (how often the steps went back before it) and its step.
+Steps may begin anew within a bag. A message is therefore known by its pass (how many runs began
+before it, as the nodes' StreamMonitor sees it) and its step.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from koop_bag.columns import Columns, read_columns, read_tables
 from koop_bag.reader import BagReader
 from koop_lab.replay.settings import Change, first_values, recorded_changes, recorded_values
+from koop_node.stream import LATE, NEXT, REPEAT, RESTART, StreamMonitor
 from koopman_lifter.config import SOURCES
 
 STATE_TYPE = "koop_msgs/msg/MeasuredState"
@@ -29,7 +30,7 @@ FIELDS = {
 
 @dataclass(frozen=True)
 class Recording:
-    """States in the order in which they were answered, one row each, M in all.
+    """States in the order in which they were heard, one row each, M in all.
 
     Attributes
     ----------
@@ -40,7 +41,9 @@ class Recording:
     message : ndarray of int64, shape (M,)
         Position of the state among the messages of its topic.
     step : ndarray of int64, shape (M,)
-        Step index; grows but for the beginning of another pass.
+        Step index.
+    late : ndarray of bool, shape (M,)
+        Whether a newer state had overtaken it, so that it has no answer.
     r, theta : ndarray, shape (M,)
         Recorded answers; NaN where there is none.
     has_r, has_theta : ndarray of bool, shape (M,)
@@ -65,6 +68,7 @@ class Recording:
     state_topic: str
     message: NDArray[np.int64]
     step: NDArray[np.int64]
+    late: NDArray[np.bool_]
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
     has_r: NDArray[np.bool_]
@@ -132,14 +136,17 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         tables = read_tables(
             bag, {topic: ["step"], **{f"{base}/{name}": f for name, f in wanted.items()}}
         )
-        cost = _Answers(tables.get(f"{base}/cost"))
-        theta = _Answers(tables.get(f"{base}/theta"))
-        steps = tables[topic]["step"]
-        key, message = _first_of_each(steps)
+        state = _Messages(tables[topic])
+        cost = _Messages(tables.get(f"{base}/cost"))
+        theta = _Messages(tables.get(f"{base}/theta"))
+        rows = state.kind != REPEAT
         # A state without a cost was not seen by the lifter: its filters know nothing of it.
-        fed = cost.holds(key) if cost.key.size else np.ones(key.size, np.bool_)
-        unanswered = int(key.size - fed.sum())
-        key, message = key[fed], message[fed]
+        lacking = rows & (state.kind != LATE) & ~cost.hold(state.key)
+        if cost.key.size:
+            rows &= ~lacking
+        message = np.flatnonzero(rows)
+        late = state.kind[message] == LATE
+        key = np.where(late, -1, state.key[message])  # no key: no answer
         values = recorded_values(bag, path, namespace)
         r, model = cost.at(key, "r", np.nan), cost.at(key, "model_id", "").astype(np.str_)
         source = cost.at(key, "source", NO_SOURCE)
@@ -158,46 +165,63 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         Path(path),
         topic,
         message,
-        steps[message].astype(np.int64),
+        state.step[message],
+        late,
         r,
         theta.at(key, "theta", np.nan),
-        cost.holds(key),
-        theta.holds(key),
+        cost.hold(key),
+        theta.hold(key),
         np.asarray(theta.at(key, "holding", False).astype(np.bool_) & np.isfinite(r)),
         source,
         model,
         values,
         changes,
         unknown,
-        steps.size - key.size - unanswered,
-        unanswered,
+        int(np.count_nonzero(state.kind == REPEAT)),
+        int(np.count_nonzero(lacking)) if cost.key.size else 0,
     )
 
 
-class _Answers:
-    """The messages of a topic by key; the first one of a key counts, the others repeat it."""
+class _Messages:
+    """The messages of a topic as a node hears them.
+
+    Attributes
+    ----------
+    step, kind : ndarray, shape (K,)
+        Step and what the nodes' StreamMonitor says about it.
+    key : ndarray of int64, shape (K,)
+        Pass and step in one number.
+    """
 
     def __init__(self, columns: Columns | None) -> None:
-        self._columns = columns or {}
-        self.key, self._message = _first_of_each(self._columns.get("step", np.empty(0, np.uint64)))
+        self._columns = columns or {"step": np.empty(0, np.int64)}
+        self.step = self._columns["step"].astype(np.int64)
+        if self.step.size and not 0 <= self.step.min() <= self.step.max() < MAX_STEP:
+            raise ValueError("a step is no count of steps: the recording is damaged")
+        self.kind = _kinds(self.step)
+        self.key = np.cumsum(self.kind == RESTART) * MAX_STEP + self.step
+        heard = np.flatnonzero((self.kind != REPEAT) & (self.kind != LATE))
+        self._heard = heard[np.argsort(self.key[heard], kind="stable")]
+        self._sorted = self.key[self._heard]
 
-    def holds(self, key: NDArray[np.int64]) -> NDArray[np.bool_]:
-        return np.isin(key, self.key)
+    def hold(self, key: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which keys are there."""
+        return np.isin(key, self._sorted)
 
     def at(self, key: NDArray[np.int64], name: str, absent: Any) -> NDArray[Any]:
-        """Return a field of the answers to `key`, `absent` where there is none."""
-        if not self.key.size:
+        """Return a field of the messages with these keys, `absent` where there is none."""
+        if not self._sorted.size:
             return np.full(key.size, absent)
-        place = np.minimum(np.searchsorted(self.key, key), self.key.size - 1)
-        found = self._columns[name][self._message[place]]
-        return np.where(self.key[place] == key, found, absent)
+        place = np.minimum(np.searchsorted(self._sorted, key), self._sorted.size - 1)
+        found = self._columns[name][self._heard[place]]
+        return np.where(self._sorted[place] == key, found, absent)
 
 
-def _first_of_each(steps: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the keys, growing, and where the first message of each lies."""
-    if steps.size and steps.max() >= MAX_STEP:
-        raise ValueError(f"step {steps.max()} is no count of steps: the recording is damaged")
-    signed = steps.astype(np.int64)
-    passes = np.concatenate(([0], np.cumsum(np.diff(signed) < 0))) if signed.size else signed
-    key, message = np.unique(passes * MAX_STEP + signed, return_index=True)
-    return key, message.astype(np.int64)
+def _kinds(step: NDArray[np.int64]) -> NDArray[np.int8]:
+    """Return what a StreamMonitor says about each message, silences left aside."""
+    kinds = np.full(step.size, NEXT, np.int8)
+    kinds[:1] = RESTART
+    if (np.diff(step) <= 0).any():
+        monitor = StreamMonitor("", 0.0, 0.0)
+        kinds[:] = [monitor.take(number, 0.0, 0.0) for number in step.tolist()]
+    return kinds
