@@ -194,8 +194,15 @@ class RecorderNode(ManagedNode):
             f"{self.samples()} messages, {writer.bytes_written} bytes in {writer.folder}; "
             f"lost messages: {losses or 'none'}"
         )
-        last = {t.name: t.peek.counter.last for t in self._topics.values() if t.peek and t.count}
-        for name, missing in early_ends(last).items():
+        self._report_ends()
+
+    def _report_ends(self) -> None:
+        """Say what no gap shows: that the record of a topic begins late or ends early."""
+        counters = {t.name: t.peek.counter for t in self._topics.values() if t.peek and t.count}
+        for name, counter in counters.items():
+            if counter.first:
+                self.get_logger().warning(f"{name} begins at step {counter.first}, not at 0")
+        for name, missing in early_ends({n: c.last for n, c in counters.items()}).items():
             self.get_logger().warning(f"{name} ends {missing} steps before the loop does")
 
     def _keep_parameters(self) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from koop_lab import bench_loop, bench_memory, bench_offline, bench_realtime
+from koop_lab import bench_loop, bench_memory, bench_offline, bench_realtime, bench_record
 
-BENCHMARKS = (bench_loop, bench_memory, bench_offline, bench_realtime)
+BENCHMARKS = (bench_loop, bench_memory, bench_offline, bench_realtime, bench_record)
 
 
 def register(commands: Any) -> None:
