@@ -21,7 +21,7 @@ import numpy as np
 from koop_bag.columns import read_columns
 from koop_bag.config import LOOP_TOPICS
 from koop_bag.errors import BagError
-from koop_bag.losses import count_losses
+from koop_bag.losses import StepReport, count_losses
 from koop_bag.reader import BagReader
 from koop_bag.recover import recover
 from koop_lab.live import LiveError, NodeProcess
@@ -71,8 +71,8 @@ class LoadReport:
         Steps a second that were asked for, and how long all took [s].
     sent : int
         Messages of each of the four topics.
-    recorded : dict of str to int
-        Messages in the bag by topic, as far as they belong to the load.
+    recorded : dict of str to StepReport
+        What the steps in the bag say, by topic.
     counted : int
         Losses in all that the recorder reported: gaps, late begins and early ends.
     cpu : float
@@ -84,7 +84,7 @@ class LoadReport:
     rate: float
     elapsed: float
     sent: int
-    recorded: dict[str, int]
+    recorded: dict[str, StepReport]
     counted: int
     cpu: float
     stored: float
@@ -93,7 +93,7 @@ class LoadReport:
     @property
     def missing(self) -> int:
         """Messages that were sent and are not in the bag."""
-        return sum(self.sent - count for count in self.recorded.values())
+        return sum(self.sent - steps.count for steps in self.recorded.values())
 
     def text(self) -> str:
         """The report for people."""
@@ -103,6 +103,7 @@ class LoadReport:
             f"sent, {self.missing} missing, {self.counted} reported as lost; recorder "
             f"{self.cpu:.1%} of a core; {self.stored:.1f} B a message on the disk, "
             f"{self.payload:.1f} B of it payload before compression"
+            + ("" if self.missing == self.counted else f"\nNOT REPORTED: {self.recorded}")
         )
 
 
@@ -146,7 +147,7 @@ def record_load(
     recorded = {}
     with BagReader(folder) as bag:
         for topic in LOOP_TOPICS:
-            recorded[topic] = count_losses(read_columns(bag, f"/{topic}", ["step"])["step"]).count
+            recorded[topic] = count_losses(read_columns(bag, f"/{topic}", ["step"])["step"])
         stored = bag.size / bag.message_count
     return LoadReport(
         rate,

@@ -1,0 +1,35 @@
+"""A recorded run played to the real controller, which gives the recorded answers."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from koop_bag.diff import compare
+from koop_bag.reader import BagReader
+
+pytestmark = pytest.mark.ros
+GOLDEN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
+
+
+def test_played_in_lockstep_lifter_and_controller_answer_as_recorded(start, tmp_path):
+    parameters = yaml.safe_load((GOLDEN / "parameters.yaml").read_text())
+    lifter = parameters["/koopman_lifter"]["ros__parameters"]
+    lifter["model"] = str(GOLDEN / "model" / Path(lifter["model"]).name)
+    file = tmp_path / "parameters.yaml"
+    file.write_text(yaml.safe_dump(parameters))
+    recorder = start("recorder", output=tmp_path / "run")
+    for node in ("relay_esc", "koopman_lifter"):
+        start(node, "--params-file", str(file))
+    options = ["--pace", "lockstep", "--wait-for", "state:2 truth"]
+    command = [sys.executable, "-m", "koop_lab", "bag", "play", str(GOLDEN), *options]
+    player = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert player.returncode == 0, player.stderr
+    assert recorder.stop() == 0
+    with BagReader(GOLDEN) as golden, BagReader(tmp_path / "run") as played:
+        found = {item.topic: item for item in compare(golden, played)}
+    for topic in ("/state", "/cost", "/theta", "/truth"):
+        assert found[topic].identical, found[topic]
+        assert found[topic].compared == 2000
