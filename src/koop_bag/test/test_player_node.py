@@ -98,8 +98,8 @@ def test_time_passes_at_the_rate(write_loop, options, rate):
         talker.node.create_subscription(kind, "/state", lambda _: times.append(time.time()), 1000)
         assert finish(player, talker) == 0
     assert len(times) == 401
-    # on a busy machine the first may be seen late, and so may the last
-    assert 0.5 * 2.0 / rate < times[-1] - times[0] < 2.0 / rate + 2.0
+    # not faster than asked for; half, because a busy machine may see the first one late
+    assert times[-1] - times[0] > 0.5 * 2.0 / rate
 
 
 def test_lockstep_asks_for_the_next_theta_only_after_the_last(write_loop):
