@@ -14,6 +14,7 @@ setup(
         ("share/" + PACKAGE + "/launch", glob("launch/*.launch.py")),
         ("share/" + PACKAGE + "/config", glob("config/*.yaml")),
         ("share/" + PACKAGE + "/layouts", glob("layouts/*")),
+        ("share/" + PACKAGE + "/security", glob("security/*.xml")),
     ],
     install_requires=["setuptools"],
     zip_safe=False,
