@@ -17,6 +17,8 @@ from koop_lab.hil.verdict import Verdict
 from koop_node.config import ConfigError
 from relay_esc.config import EscConfig
 
+SOAK = 600.0  # [s] from which on the growth of memory and latency means something
+
 
 def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
@@ -63,6 +65,8 @@ def main(args: argparse.Namespace) -> int:
             name = scenario.name if args.repeat == 1 else f"{scenario.name}-{number + 1}"
             verdicts.append(run(scenario, out / name))
             print(report.line(verdicts[-1]), flush=True)
+            if scenario.setting.duration >= SOAK:
+                print(report.growth(verdicts[-1]), flush=True)
             for failure in verdicts[-1].failures:
                 print(f"    {failure}", flush=True)
     if args.junit:

@@ -23,6 +23,13 @@ def line(verdict: Verdict) -> str:
     )
 
 
+def growth(verdict: Verdict) -> str:
+    """Return how memory and latency changed, as a line."""
+    slopes = ", ".join(f"{node} {slope:+.2f}" for node, slope in verdict.memory_slope.items())
+    first, last = verdict.round_trip
+    return f"    memory [MB/h]: {slopes}; state to theta: {first:.2f} ms, at the end {last:.2f} ms"
+
+
 def table(verdicts: Sequence[Verdict]) -> str:
     """Return the verdicts as a Markdown table."""
     rows = [HEAD]

@@ -33,7 +33,9 @@ class RunRecord:
     crashed : list of str
         Processes that ended on their own, with their last words.
     memory : list of (float, dict)
-        Simulated time [s] and resident memory of every process [MB], about once a second.
+        Time [s] and resident memory of every process [MB], about once a second.
+    round_trip : list of (float, float)
+        Time [s] and time from state to theta [ms], where the plant reports it.
     """
 
     begin: int = 0
@@ -42,6 +44,7 @@ class RunRecord:
     levels: dict[str, set[str]] = field(default_factory=dict)
     crashed: list[str] = field(default_factory=list)
     memory: list[tuple[float, dict[str, float]]] = field(default_factory=list)
+    round_trip: list[tuple[float, float]] = field(default_factory=list)
 
 
 class Supervisor:
@@ -117,7 +120,9 @@ class Supervisor:
                 break
             if time.monotonic() - looked > 1.0:
                 looked = time.monotonic()
-                record.memory.append((t, processes.memory()))
+                record.memory.append((looked - started, processes.memory()))
+                reported = monitor.progress.values.get("vdp_plant", {}).get("round_trip_ms", "nan")
+                record.round_trip.append((looked - started, float(reported)))
                 self._progress(t, f"theta {monitor.theta:+.2f}")
         record.end = time.time_ns()
 

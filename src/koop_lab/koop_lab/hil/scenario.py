@@ -59,6 +59,9 @@ class Limits:
     wrong_for: float = parameter(
         1e9, "how long theta may be wrong from the first event on", unit="s", low=0.0
     )
+    memory_slope: float = parameter(
+        1e9, "growth of a node's memory over the second half", unit="MB/h", low=0.0
+    )
     wrong_by: float = parameter(1e9, "how far theta may be off from the first event on", low=0.0)
 
     def __post_init__(self) -> None:

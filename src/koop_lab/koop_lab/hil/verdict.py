@@ -34,6 +34,10 @@ class Verdict:
         Largest |theta - theta*| from the first event on.
     messages : dict
         Recorded messages by topic.
+    memory_slope : dict
+        Growth of the resident memory of every process over the second half [MB/h].
+    round_trip : tuple of float
+        Median time from state to theta in the first and in the last third [ms].
     levels : dict
         Levels reported on /diagnostics.
     failures : list of str
@@ -48,6 +52,8 @@ class Verdict:
     wrong_by: float = math.nan
     wall_time: float = 0.0
     messages: dict[str, int] = field(default_factory=dict)
+    memory_slope: dict[str, float] = field(default_factory=dict)
+    round_trip: tuple[float, float] = (math.nan, math.nan)
     levels: dict[str, list[str]] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
 
@@ -74,6 +80,10 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     for log in sorted((bag.parent / "logs").glob("*.log")):
         if "Traceback" in log.read_text(errors="replace"):
             verdict.failures.append(f"{log.name} holds a traceback")
+    _look_for_growth(record, verdict)
+    for node, slope in verdict.memory_slope.items():
+        if slope > scenario.limits.memory_slope:
+            verdict.failures.append(f"the memory of {node} grows by {slope:.1f} MB/h")
     stamps, theta = applied(bag, verdict)
     inside = (stamps >= record.begin) & (stamps <= record.end)
     stamps, theta = stamps[inside], theta[inside]
@@ -93,6 +103,19 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
         if not value <= limit:
             verdict.failures.append(f"{figure} = {value:.2f} is above {limit:g}")
     return verdict
+
+
+def _look_for_growth(record: RunRecord, verdict: Verdict) -> None:
+    """Fill in how memory and round trip changed; the first half is start-up."""
+    late = record.memory[len(record.memory) // 2 :]
+    for node in late[0][1] if len(late) > 10 else ():
+        points = np.array([(t, sizes[node]) for t, sizes in late if node in sizes])
+        if len(points) > 10:
+            verdict.memory_slope[node] = float(np.polyfit(points[:, 0], points[:, 1], 1)[0] * 3600)
+    trips = [value for _, value in record.round_trip if math.isfinite(value)]
+    third = len(trips) // 3
+    if third:
+        verdict.round_trip = (float(np.median(trips[:third])), float(np.median(trips[-third:])))
 
 
 def applied(bag: Path, verdict: Verdict) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
