@@ -6,6 +6,8 @@ depend on the machine's speed. The states go out as the bytes that were recorded
 
 from __future__ import annotations
 
+import os
+import random
 import tempfile
 import time
 from collections.abc import Iterator
@@ -18,13 +20,15 @@ from tqdm import tqdm
 
 from koop_bag.reader import BagReader
 from koop_lab import parameters
-from koop_lab.live import START_TIMEOUT, LiveError, NodeProcess
+from koop_lab.live import EXECUTABLES, START_TIMEOUT, LiveError, NodeProcess, executable
 from koop_lab.replay.plan import Plan, Stretch
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER
 
 TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
 RESENDS = 2
+DOMAINS = range(1, 102)  # beyond, the ports would be those that the system hands out
+DISCOVERY_PORT = 7400  # of domain 0; 250 ports a domain (DDSI-RTPS 9.6.1)
 
 
 def replay_live(
@@ -45,10 +49,12 @@ def replay_live(
     with tempfile.TemporaryDirectory(prefix="koop-replay-") as name:
         nodes: dict[str, NodeProcess] = {}
         arguments = ["--ros-args", "--params-file", str(_parameter_file(Path(name), plan))]
+        domain = free_domain()
         try:
             for node in reversed(CONTROLLER):
-                nodes[node] = NodeProcess(node, arguments, Path(name) / f"{node}.log")
-            feeder = Feeder(nodes)
+                command = ["env", f"ROS_DOMAIN_ID={domain}", str(executable(*EXECUTABLES[node]))]
+                nodes[node] = NodeProcess(node, arguments, Path(name) / f"{node}.log", command)
+            feeder = Feeder(nodes, domain)
             try:
                 return feeder.run(recording, plan)
             finally:
@@ -56,6 +62,21 @@ def replay_live(
         finally:
             for process in nodes.values():
                 process.stop()
+
+
+def free_domain() -> int:
+    """Return a ROS domain that nobody on this machine takes part in, so that a loop may run beside.
+
+    Who takes part listens at the domain's discovery port; where the system does not tell who
+    listens, it is the domain of the environment.
+    """
+    try:
+        table = Path("/proc/net/udp").read_text().splitlines()[1:]
+    except OSError:
+        return int(os.environ.get("ROS_DOMAIN_ID", 0))
+    ports = {int(line.split()[1].rpartition(":")[2], 16) for line in table}
+    free = [domain for domain in DOMAINS if DISCOVERY_PORT + 250 * domain not in ports]
+    return random.choice(free or DOMAINS)
 
 
 def _parameter_file(folder: Path, plan: Plan) -> Path:
@@ -71,7 +92,7 @@ def _parameter_file(folder: Path, plan: Plan) -> Path:
 class Feeder:
     """The plant's place in the loop, taken by a recording."""
 
-    def __init__(self, nodes: dict[str, NodeProcess]) -> None:
+    def __init__(self, nodes: dict[str, NodeProcess], domain: int) -> None:
         import rclpy
         from koop_msgs.msg import ControlInput, Cost, MeasuredState
         from rclpy.experimental.events_executor import EventsExecutor
@@ -79,7 +100,7 @@ class Feeder:
 
         self._nodes = nodes
         self._context = rclpy.Context()
-        self._context.init(args=[])
+        self._context.init(args=[], domain_id=domain)
         self._node = rclpy.create_node("koop_replay", context=self._context)
         qos = QoSProfile(depth=100)
         self._publisher = self._node.create_publisher(MeasuredState, "state", qos)
@@ -96,7 +117,7 @@ class Feeder:
         """Play all states and return the answers r, theta."""
         self._wait(self._publisher.get_subscription_count, START_TIMEOUT, "the lifter to listen")
         if max(self._node.count_publishers(topic) for topic in ("state", "cost", "theta")) > 1:
-            raise LiveError("another loop runs on this ROS domain; set ROS_DOMAIN_ID to a free one")
+            raise LiveError("another loop has come into the ROS domain of the replay: try again")
         size = recording.step.size
         r, theta = np.empty(size), np.empty(size)
         begins = {stretch.begin: stretch for stretch in plan.stretches[1:]}
