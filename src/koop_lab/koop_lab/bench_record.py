@@ -149,6 +149,8 @@ def record_load(
         for topic in LOOP_TOPICS:
             recorded[topic] = count_losses(read_columns(bag, f"/{topic}", ["step"])["step"])
         stored = bag.size / bag.message_count
+    if any(steps.count > last["sent"] for steps in recorded.values()):
+        raise LiveError("another loop is on this ROS domain; set ROS_DOMAIN_ID to a free one")
     return LoadReport(
         rate,
         last["elapsed"],
