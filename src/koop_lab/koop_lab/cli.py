@@ -8,7 +8,9 @@ import sys
 from importlib import import_module
 from types import FrameType
 
+from koop_bag.cli import bag_commands
 from koop_bag.errors import BagError
+from koop_lab.bag_report import register_bag_commands
 from koop_lab.live import LiveError
 
 # A command is a module with register(subparsers); it sets ``func``, which returns the exit code.
@@ -33,6 +35,7 @@ def parser() -> argparse.ArgumentParser:
     commands = result.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for module in COMMANDS:
         import_module(module).register(commands)
+    register_bag_commands(bag_commands(commands))
     return result
 
 

@@ -117,3 +117,11 @@ def test_the_contrast_model_serves_the_loop_and_beats_the_shipped_one(tmp_path, 
         found.append(json.loads(capsys.readouterr().out))
     assert found[1]["converged"]
     assert found[1]["iae_theta"] < found[0]["iae_theta"]
+
+
+def test_both_packages_have_their_actions_under_koop_bag(capsys):
+    with pytest.raises(SystemExit):
+        main(["bag", "--help"])
+    text = capsys.readouterr().out
+    for action in ("info", "record", "play", "recover", "diff", "export", "metrics", "plot"):
+        assert f"\n    {action} " in text
