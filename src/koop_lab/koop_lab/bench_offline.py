@@ -160,7 +160,8 @@ def time_c(program: Path, loop: Loop, rounds: int) -> tuple[float, NDArray[np.fl
     plant = loop.plant.params()
     numbers = [
         STEPS, rounds, EVERY, *initial_state(loop.plant), loop.esc.theta_initial,
-        *plant[: plant._fields.index("integrator")], *loop.lifter.detector_params(), *loop.esc.params(),
+        *plant[: plant._fields.index("integrator")],
+        *loop.lifter.detector_params(), *loop.esc.params(),
         loop.lifter.source, p, rows, *lifting.parent, *lifting.factor, *lifting.projector.ravel(),
     ]  # fmt: skip
     text = "\n".join(repr(float(number)) for number in numbers)
