@@ -205,7 +205,7 @@ def _entries(raw: bytes) -> dict[str, NDArray[Any]]:
             if sum(info.file_size for info in archive.infolist()) > MAX_BYTES:
                 raise ModelError("unpacks to more than a model can hold")
         with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
+            entries = {name: archive[name] for name in archive.files}
     except ModelError:
         raise
     except ValueError as error:
@@ -214,6 +214,10 @@ def _entries(raw: bytes) -> dict[str, NDArray[Any]]:
         raise ModelError(f"damaged ({error})") from None
     except Exception as error:  # zipfile and npy headers fail in many ways on arbitrary bytes
         raise ModelError(f"truncated, damaged or no model file ({error})") from None
+    for name, entry in entries.items():
+        if not isinstance(entry, np.ndarray):  # numpy hands out an entry without its mark as bytes
+            raise ModelError(f"damaged: its entry '{name}' is no array")
+    return entries
 
 
 def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:

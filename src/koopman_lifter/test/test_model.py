@@ -141,3 +141,16 @@ def test_a_missing_file_and_a_missing_entry_are_named(tmp_path):
 def test_other_content_has_another_id(model):
     assert replace(model, energies=model.energies * 2).model_id != model.model_id
     assert replace(model, provenance={}).model_id != model.model_id
+
+
+def test_an_entry_that_is_no_array_is_refused(model, tmp_path):
+    """Found by fuzzing: numpy returned its bytes, and the loader failed on them."""
+    import zipfile
+
+    good, bad = tmp_path / "good.npz", tmp_path / "bad.npz"
+    model.save(good)
+    with zipfile.ZipFile(good) as source, zipfile.ZipFile(bad, "w") as target:
+        for name in source.namelist():
+            target.writestr(name, b"no array" if name == "K.npy" else source.read(name))
+    with pytest.raises(ModelError, match="its entry 'K' is no array"):
+        load(bad)
