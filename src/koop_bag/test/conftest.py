@@ -14,6 +14,7 @@ import pytest
 
 from koop_bag.schema import load_schema
 from koop_bag.writer import BagWriter, WriterOptions
+from koop_node.domain import free_domain
 
 sys.path.insert(0, str(Path(__file__).parent))  # helpers of these tests; pytest adds no folder
 
@@ -27,7 +28,9 @@ def own_domain(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     """Give each test a DDS domain: the ghost of a killed recorder counts as a listener for 20 s."""
     if request.node.get_closest_marker("ros"):
         # above the default domain, below those whose ports Linux hands out to others
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + next(domains) % 100))
+        first = next(domains)
+        domain = free_domain((first + i) % 100 + 1 for i in range(100))
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 

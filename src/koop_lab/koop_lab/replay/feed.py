@@ -6,8 +6,6 @@ depend on the machine's speed. The states go out as the bytes that were recorded
 
 from __future__ import annotations
 
-import os
-import random
 import tempfile
 import time
 from collections.abc import Iterator
@@ -24,11 +22,10 @@ from koop_lab.live import EXECUTABLES, START_TIMEOUT, LiveError, NodeProcess, ex
 from koop_lab.replay.plan import Plan, Stretch
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER
+from koop_node.domain import free_domain
 
 TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
 RESENDS = 2
-DOMAINS = range(1, 102)  # beyond, the ports would be those that the system hands out
-DISCOVERY_PORT = 7400  # of domain 0; 250 ports a domain (DDSI-RTPS 9.6.1)
 
 
 def replay_live(
@@ -62,21 +59,6 @@ def replay_live(
         finally:
             for process in nodes.values():
                 process.stop()
-
-
-def free_domain() -> int:
-    """Return a ROS domain that nobody on this machine takes part in, so that a loop may run beside.
-
-    Who takes part listens at the domain's discovery port; where the system does not tell who
-    listens, it is the domain of the environment.
-    """
-    try:
-        table = Path("/proc/net/udp").read_text().splitlines()[1:]
-    except OSError:
-        return int(os.environ.get("ROS_DOMAIN_ID", 0))
-    ports = {int(line.split()[1].rpartition(":")[2], 16) for line in table}
-    free = [domain for domain in DOMAINS if DISCOVERY_PORT + 250 * domain not in ports]
-    return random.choice(free or DOMAINS)
 
 
 def _parameter_file(folder: Path, plan: Plan) -> Path:
