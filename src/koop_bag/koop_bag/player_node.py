@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
@@ -308,18 +306,6 @@ class PlayerNode(ManagedNode):
         return answer
 
 
-def _ask_for_acknowledgements_often() -> None:
-    """Let Fast DDS notice within 10 ms, not 3 s, that everything has arrived.
-
-    Pace `fast` and the end of every playback wait for it. A profile of the user's comes first, and
-    other DDS implementations read none.
-    """
-    names = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-    if not any(name in os.environ for name in names):
-        os.environ[names[0]] = str(Path(__file__).with_name("fast_dds.xml"))
-
-
 def main() -> None:
     """Entry point of ``ros2 run koop_bag player``."""
-    _ask_for_acknowledgements_often()
     sys.exit(run(PlayerNode))

@@ -25,8 +25,10 @@ def main(rate: float, seconds: float) -> None:
     from rclpy.duration import Duration
 
     from koop_bag.ros_topics import message_class
+    from koop_node.main import set_dds_profile
     from koop_node.managed import QOS
 
+    set_dds_profile()
     rclpy.init()
     node = rclpy.create_node("load")
     pools, publishers = [], []

@@ -19,6 +19,11 @@ from koop_node.managed import ManagedNode
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
 
 
+def set_dds_profile() -> None:
+    """Let Fast DDS notice a loss in 10 ms; to be called before DDS starts in this process."""
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(files("koop_node") / "fastdds.xml"))
+
+
 def run(make_node: Callable[[], ManagedNode], args: list[str] | None = None) -> int:
     """Run a node until it finishes or the process is told to stop.
 
@@ -37,7 +42,7 @@ def run(make_node: Callable[[], ManagedNode], args: list[str] | None = None) -> 
 
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(files("koop_node") / "fastdds.xml"))
+    set_dds_profile()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
