@@ -10,6 +10,7 @@ from koop_bag.schema import load_schema
 from koop_bag.writer import BagWriter
 from koop_lab.cli import main
 from koop_lab.train import TrainingConfig, train
+from koopman_lifter.config import shipped_model
 from vdp_plant.config import PlantConfig
 
 RUN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
@@ -37,6 +38,8 @@ def copy(folder, topics=LOOP, begin=0, namespace="", parameters=None):
 
 def golden_parameters(namespace=""):
     content = yaml.safe_load((RUN / "parameters.yaml").read_text())
+    # the path is that of the machine that recorded; where no cost names the model, it is needed
+    content["/koopman_lifter"]["ros__parameters"]["model"] = str(shipped_model())
     return {f"{namespace}{node}": content[node] for node in ("/koopman_lifter", "/relay_esc")}
 
 
