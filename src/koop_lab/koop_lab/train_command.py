@@ -17,7 +17,7 @@ from koopman_lifter.config import shipped_model
 from koopman_lifter.model import KoopmanModel, load
 from vdp_plant.config import PlantConfig
 
-SIMULATION = ("params", "trajectories", "duration", "seed", "integrator", "clean", "contrast")
+SIMULATION = ("params", "trajectories", "duration", "seed", "integrator", "clean")
 BAGS = ("state", "names", "dt", "way", "gap", "held_out", "horizons")
 
 
@@ -33,6 +33,12 @@ def register(commands: Any) -> None:
     parser.add_argument("--out", type=Path, default=Path("model.npz"), metavar="FILE.npz")
     parser.add_argument("--degree", type=int, default=default.degree)
     parser.add_argument("--modes", type=int, default=default.modes, metavar="N")
+    parser.add_argument(
+        "--contrast",
+        action="store_true",
+        help="in place of the most energetic modes, the direction in which strongly oscillating "
+        "stretches of data differ most from weakly oscillating ones (the study's best cost)",
+    )
     _add_bag_options(parser.add_argument_group("from bags"))
     group = parser.add_argument_group("without a bag: the simulated plant")
     group.add_argument("--params", metavar="FILE", help="ROS 2 parameter file of the plant")
@@ -42,13 +48,6 @@ def register(commands: Any) -> None:
     group.add_argument("--integrator", choices=("rk4", "euler"))
     group.add_argument(
         "--clean", action="store_const", const=True, help="train without the interference"
-    )
-    group.add_argument(
-        "--contrast",
-        action="store_const",
-        const=True,
-        help="in place of the most energetic modes, the direction in which strongly oscillating "
-        "trajectories differ most from weakly oscillating ones (the study's best cost)",
     )
     parser.set_defaults(func=train_main)
 
@@ -114,7 +113,7 @@ def _bag_training(args: argparse.Namespace) -> BagTraining:
     if args.names is not None:
         given["names"] = tuple(args.names.split(","))
     state = StateSpec.parse(args.state or "/state:x")
-    return BagTraining(state, degree=args.degree, modes=args.modes, **given)
+    return BagTraining(state, degree=args.degree, modes=args.modes, contrast=args.contrast, **given)
 
 
 def _simulated(args: argparse.Namespace) -> KoopmanModel:

@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 from koop_lab.bench_memory import STORED, peak_of_training, write_states
 from koop_lab.cli import main
+from koop_lab.contrast import WINDOW
 from koop_lab.identify.forecast import Forecast
 from koop_lab.identify.from_bags import BagTraining, joined, train_from_bags
 from koop_lab.identify.samples import Batch, StateSpec
@@ -244,3 +245,26 @@ def test_a_bag_20_times_as_large_takes_no_more_memory(tmp_path):
         peaks.append(peak_of_training(tmp_path / str(megabytes)))
     # without batches the states alone, 2 million of 16 bytes in several copies, would add 100 MB
     assert peaks[1] - peaks[0] < 30e6
+
+
+def test_the_contrast_of_a_bag_is_free_of_what_all_of_it_contains(tmp_path):
+    t = DT * np.arange(6 * WINDOW)
+    swing = np.repeat([1.0, 5.0, 2.0, 6.0, 1.5, 4.0], WINDOW) * np.sin(2.0 * t)
+    common = 20.0 * np.sin(3.1 * t)
+    x = np.stack((common + swing + 4.0, 2.0 * common - swing + 1.0))
+    path = write_joints(tmp_path / "bag", t, x)
+    given = {"dt": DT, "way": "none", "held_out": 0.0, "contrast": True}
+    model = train_from_bags([path], BagTraining(JOINTS, **given))
+    constant, *direction = model.projector[0, :3]
+    # 2 x1 - x2 is free of the common part and has its centre at 2 * 4 - 1
+    assert direction[0] / direction[1] == pytest.approx(-2.0, abs=0.01)
+    assert constant / direction[1] == pytest.approx(7.0, abs=0.1)
+    assert not model.projector[1:].any()
+    assert model.provenance["variant"] == "contrast"
+
+
+def test_a_bag_too_short_for_a_contrast_is_refused_with_what_to_do(tmp_path):
+    t = DT * np.arange(3000)
+    path = write_joints(tmp_path / "bag", t, oscillation(t))
+    with pytest.raises(ValueError, match="record longer, while theta moves over its range"):
+        linear([path], contrast=True)

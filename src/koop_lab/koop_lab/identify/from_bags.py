@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.reader import BagReader
+from koop_lab.contrast import Windows, with_contrast
 from koop_lab.identify.forecast import Forecast
 from koop_lab.identify.samples import STEP, Batch, StateSpec, batches, sha256, state_names
 from koop_lab.identify.segments import Cutter, Cutting, Piece
@@ -45,6 +46,9 @@ class BagTraining:
         Largest degree of the monomials, number N of modes to keep.
     names : tuple of str
         Names of the states; empty: from the fields.
+    contrast : bool
+        Whether the cost is the contrast of strong and weak oscillation (koop_lab.contrast) in place
+        of the energy of the dominant modes.
     """
 
     state: StateSpec
@@ -56,6 +60,7 @@ class BagTraining:
     degree: int = 3
     modes: int = 8
     names: tuple[str, ...] = ()
+    contrast: bool = False
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.held_out <= 0.5:
@@ -85,6 +90,7 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
             cutting, n = find_cutting(bag, path, training)
             if gram is None:
                 gram = Gram.empty(Monomials(n, training.degree))
+                windows = Windows(n) if training.contrast else None
                 training = replace(training, dt=cutting.dt)  # of all bags
                 names = training.names or state_names(training.state, n)
                 gram.observables.names(names)  # as many as there are states
@@ -93,9 +99,12 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
                                  f"{gram.observables.n}")  # fmt: skip
             cutter = Cutter(cutting, bag.topic(training.state.topic).count)
             before = gram.pairs
-            for piece, _ in joined(_pieces(bag, training.state, cutter), 1):
-                if not piece.held_out:
-                    gram.add_trajectory(piece.states)
+            for piece, known in joined(_pieces(bag, training.state, cutter), 1):
+                if piece.held_out:
+                    continue
+                gram.add_trajectory(piece.states)
+                if windows is not None:
+                    windows.add(piece.states[:, known:], piece.begins)
             cuttings.append(cutting)
             described.append(
                 {
@@ -121,7 +130,11 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
         "degree": training.degree,
         "bags": described,
     }
+    if windows is not None:
+        provenance["variant"] = "contrast"
     model = build(gram, training.dt, names, training.modes, provenance)
+    if windows is not None:
+        model = with_contrast(model, *windows.moments())
     if not training.held_out:
         return model
     forecast = Forecast(model, training.horizons)

@@ -7,17 +7,10 @@
 ``weighted``     all modes, non-negative least-squares weights that make the weighted modal energy
                  follow the trajectories' amplitude.
 ``contrast``     one direction of the linear observables: the one in which the strongly oscillating
-                 trajectories exceed the weakly oscillating ones most.
+                 trajectories exceed the weakly oscillating ones most, see koop_lab.contrast.
 
-What every trajectory contains alike, such as interference, drops out of ``contrast``: with C_hi and
-C_lo the mean covariances of the trajectories of largest and smallest amplitude it maximises
-
-    w^T C_hi w / w^T C_lo w,
-
-a generalised eigenvalue problem (common spatial patterns; Koles 1991, Fukunaga 1990). It is
-restricted to the linear observables because an interference that is added to the state is additive
-there and nowhere else. All of them are W of the existing model file, so that the lifter node runs
-them unchanged; ``log`` alone needs one more operation.
+All of them are W of the existing model file, so that the lifter node runs them unchanged; ``log``
+alone needs one more operation.
 """
 
 from __future__ import annotations
@@ -26,18 +19,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.stats import spearmanr
 
+from koop_lab.contrast import with_contrast
 from koop_lab.study.learning import Learned
 from koop_lab.train import STATE_NAMES
 from koopman_lifter.edmd import Koopman, edmd
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.modes import Modes, decompose, partner, projector
 
-QUARTILE = 0.25  # share of the trajectories that counts as strongly, and as weakly, oscillating
 CORRELATION_MODES = 4  # N of ``correlation``
 
 
@@ -139,18 +131,9 @@ def _weighted(
 def _contrast(
     model: KoopmanModel, learned: Learned, koopman: Koopman, modes: Modes
 ) -> KoopmanModel:
-    n, p = learned.gram.observables.n, learned.gram.observables.p
-    order = np.argsort(amplitudes(learned), kind="stable")
-    count = max(1, round(QUARTILE * order.size))
-    weak, strong = order[:count], order[-count:]
-    linear = learned.covariances[:, 1 : n + 1, 1 : n + 1]
-    _, directions = scipy.linalg.eigh(linear[strong].mean(axis=0), linear[weak].mean(axis=0))
-    direction = directions[:, -1] / np.abs(directions[:, -1]).sum()
-    rows = np.zeros((int(model.kept.sum()), p))  # as many as a model file of N modes has
-    rows[0, 1 : n + 1] = direction
-    # the centre of the oscillation; a strong one is too slow for its mean to tell
-    rows[0, 0] = -direction @ learned.means[weak, 1 : n + 1].mean(axis=0)
-    return replace(model, projector=rows)
+    n = learned.gram.observables.n
+    linear = slice(1, n + 1)
+    return with_contrast(model, learned.covariances[:, linear, linear], learned.means[:, linear])
 
 
 VARIANTS: dict[str, Callable[[KoopmanModel, Learned, Koopman, Modes], KoopmanModel]] = {
