@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from koopman_lifter.model import KoopmanModel
 
 QUARTILE = 0.25  # share of the stretches that counts as strongly, and as weakly, oscillating
+TRANSIENT = 0.2  # share of a trajectory that is left out of its moments
 WINDOW = 2000  # [samples] of a stretch, where a recording does not come in trajectories
 
 
@@ -41,14 +42,12 @@ def with_contrast(
     Raises
     ------
     ValueError
-        If there are too few stretches, or a state (or a combination of states) never moves.
+        If a state, or a combination of states, never moves.
     """
     import scipy.linalg  # slow to import, and no other way of training needs it
 
     n = model.observables.n
     count = max(1, round(QUARTILE * len(covariances)))
-    if len(covariances) < 2 * count:
-        raise ValueError(f"{len(covariances)} stretches of data: the contrast needs at least 2")
     order = np.argsort(np.trace(covariances, axis1=1, axis2=2), kind="stable")
     weak, strong = order[:count], order[-count:]
     try:
@@ -67,8 +66,8 @@ def with_contrast(
     return replace(model, projector=rows)
 
 
-class Windows:
-    """Cuts stretches of states into windows of equal length and keeps their moments.
+class Moments:
+    """Collects covariance and mean of the measured state, stretch by stretch.
 
     Parameters
     ----------
@@ -77,29 +76,36 @@ class Windows:
     """
 
     def __init__(self, n: int) -> None:
-        self._states: NDArray[np.float64] = np.empty((n, 0))
+        self._begun: NDArray[np.float64] = np.empty((n, 0))
         self._covariances: list[NDArray[np.float64]] = []
         self._means: list[NDArray[np.float64]] = []
 
-    def add(self, states: NDArray[np.float64], begins: bool) -> None:
-        """Take states, shape (n, M), that follow on the last ones unless a stretch begins."""
-        self._states = states if begins else np.hstack((self._states, states))
-        while self._states.shape[1] >= WINDOW:
-            window, self._states = np.split(self._states, [WINDOW], axis=1)
-            self._covariances.append(np.atleast_2d(np.cov(window, bias=True)))
-            self._means.append(window.mean(axis=1))
+    def add_trajectory(self, states: NDArray[np.float64]) -> None:
+        """Take the settled part of a trajectory at one theta, shape (n, M)."""
+        self._add(states[:, round(TRANSIENT * states.shape[1]) :])
 
-    def moments(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return covariances, shape (T, n, n), and means, shape (T, n), of all whole windows.
+    def add_recorded(self, states: NDArray[np.float64], begins: bool) -> None:
+        """Take states, shape (n, M), that follow on the last ones unless ``begins``."""
+        self._begun = states if begins else np.hstack((self._begun, states))
+        while self._begun.shape[1] >= WINDOW:
+            window, self._begun = np.split(self._begun, [WINDOW], axis=1)
+            self._add(window)
+
+    def _add(self, stretch: NDArray[np.float64]) -> None:
+        self._covariances.append(np.atleast_2d(np.cov(stretch, bias=True)))
+        self._means.append(stretch.mean(axis=1))
+
+    def result(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return covariances, shape (T, n, n), and means, shape (T, n).
 
         Raises
         ------
         ValueError
-            If there are fewer than two.
+            If there are fewer than two stretches.
         """
         if len(self._means) < 2:
             raise ValueError(
-                f"the contrast needs two stretches of {WINDOW} states, at weak and at strong "
-                "oscillation: record longer, while theta moves over its range"
+                "the contrast needs weak and strong oscillation: two trajectories, or "
+                f"{2 * WINDOW} recorded states; record longer, while theta moves over its range"
             )
         return np.array(self._covariances), np.array(self._means)

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from koop_lab.contrast import Moments, with_contrast
 from koop_node.config import parameter, validate
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
@@ -71,8 +72,10 @@ def trajectories(
         yield states if trajectory_kernel(plant.params(), x, y, theta, states) else None
 
 
-def simulated_gram(plant: PlantConfig, config: TrainingConfig) -> tuple[Gram, int]:
-    """Simulate the training trajectories and sum them up.
+def simulated_gram(
+    plant: PlantConfig, config: TrainingConfig, moments: Moments | None = None
+) -> tuple[Gram, int]:
+    """Simulate the training trajectories and sum them up, also in ``moments`` where given.
 
     Returns
     -------
@@ -88,22 +91,27 @@ def simulated_gram(plant: PlantConfig, config: TrainingConfig) -> tuple[Gram, in
             dropped += 1
         else:
             gram.add_trajectory(states)
+            if moments is not None:
+                moments.add_trajectory(states)
     return gram, dropped
 
 
-def train(plant: PlantConfig, config: TrainingConfig) -> KoopmanModel:
-    """Train a model on simulated trajectories.
+def train(plant: PlantConfig, config: TrainingConfig, contrast: bool = False) -> KoopmanModel:
+    """Train a model on simulated trajectories, for the paper's cost or for ``contrast``.
 
     Raises
     ------
     ValueError
         If the surviving trajectories cannot determine the model.
     """
-    gram, dropped = simulated_gram(plant, config)
+    moments = Moments(2) if contrast else None
+    gram, dropped = simulated_gram(plant, config, moments)
     provenance: dict[str, Any] = {
         "source": "simulation",
         "integrator": plant.integrator,
         "dropped": dropped,
         **{name: getattr(config, name) for name in config.__dataclass_fields__},
+        **({"variant": "contrast"} if contrast else {}),
     }
-    return build(gram, plant.dt, STATE_NAMES, config.modes, provenance)
+    model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance)
+    return with_contrast(model, *moments.result()) if moments is not None else model

@@ -126,12 +126,7 @@ def _simulated(args: argparse.Namespace) -> KoopmanModel:
         if getattr(args, name) is not None
     }
     config = TrainingConfig(degree=args.degree, modes=args.modes, corrupted=not args.clean, **given)
-    if args.contrast:
-        from koop_lab.study import learning, scenario, variants  # SciPy: not for every command
-
-        learned = learning.learn(plant, scenario.ScenarioConfig(), config)
-        return variants.make("contrast", learned, plant.dt, config.modes)
-    return train(plant, config)
+    return train(plant, config, args.contrast)
 
 
 def inspect_main(args: argparse.Namespace) -> int:

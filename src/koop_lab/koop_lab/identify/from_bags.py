@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.reader import BagReader
-from koop_lab.contrast import Windows, with_contrast
+from koop_lab.contrast import Moments, with_contrast
 from koop_lab.identify.forecast import Forecast
 from koop_lab.identify.samples import STEP, Batch, StateSpec, batches, sha256, state_names
 from koop_lab.identify.segments import Cutter, Cutting, Piece
@@ -90,7 +90,7 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
             cutting, n = find_cutting(bag, path, training)
             if gram is None:
                 gram = Gram.empty(Monomials(n, training.degree))
-                windows = Windows(n) if training.contrast else None
+                moments = Moments(n) if training.contrast else None
                 training = replace(training, dt=cutting.dt)  # of all bags
                 names = training.names or state_names(training.state, n)
                 gram.observables.names(names)  # as many as there are states
@@ -103,8 +103,8 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
                 if piece.held_out:
                     continue
                 gram.add_trajectory(piece.states)
-                if windows is not None:
-                    windows.add(piece.states[:, known:], piece.begins)
+                if moments is not None:
+                    moments.add_recorded(piece.states[:, known:], piece.begins)
             cuttings.append(cutting)
             described.append(
                 {
@@ -130,11 +130,11 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
         "degree": training.degree,
         "bags": described,
     }
-    if windows is not None:
+    if training.contrast:
         provenance["variant"] = "contrast"
     model = build(gram, training.dt, names, training.modes, provenance)
-    if windows is not None:
-        model = with_contrast(model, *windows.moments())
+    if moments is not None:
+        model = with_contrast(model, *moments.result())
     if not training.held_out:
         return model
     forecast = Forecast(model, training.horizons)

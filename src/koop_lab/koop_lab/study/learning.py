@@ -12,13 +12,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_lab.contrast import TRANSIENT
 from koop_lab.study.scenario import ScenarioConfig, second_channel
 from koop_lab.train import TrainingConfig, trajectories
 from koopman_lifter.edmd import Gram
 from koopman_lifter.observables import Monomials
 from vdp_plant.config import PlantConfig
-
-SETTLED = 0.2  # share of a trajectory that is left out of its moments as transient
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ def _learn(plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfi
         if added.size and training.corrupted:
             states[1] += added
         gram.add_trajectory(states)
-        lifted = gram.observables.lift(states[:, round(SETTLED * states.shape[1]) :])
+        lifted = gram.observables.lift(states[:, round(TRANSIENT * states.shape[1]) :])
         mean = lifted.mean(axis=1)
         lifted -= mean[:, None]
         covariances.append(lifted @ lifted.T / lifted.shape[1])
