@@ -77,6 +77,7 @@ def test_a_fault_that_is_none_is_refused(text):
         ({"events": [{"inject": {"cost": "off"}}]}, "into state or theta"),
         ({"limits": {"tail": 1}}, "limits has no tail"),
         ({"levels": {"relay_esc": "BAD"}}, "must be WARN, ERROR or STALE"),
+        ({"pace": "lockstep", "events": [{"kill": "plant"}]}, "without events"),
     ],
 )
 def test_a_scenario_that_means_nothing_is_refused(content, message):
@@ -101,7 +102,7 @@ def test_verdicts_are_written_as_junit_and_as_a_table(tmp_path):
     assert [case.get("name") for case in suite] == ["a", "b"]
     assert suite[1].find("failure").get("message") == "tail_error = 0.9 < & >"
     rows = report.table([good, bad]).splitlines()
-    assert rows[2].startswith("| a | fine | 0.10 | 0.0 s | 0.50 | OK | passed |")
+    assert rows[2].startswith("| a | fine | 0.10 | 0.0 s | 0.50 | whole | OK | passed |")
     assert "**failed**" in rows[3]
 
 

@@ -70,6 +70,18 @@ class Processes:
         process.process.kill()
         process.stop()
 
+    def intrude(self, theta: float) -> None:
+        """Start a second controller that wants another theta."""
+        arguments = ["--ros-args", "-r", "__node:=intruder", "-p", f"theta_initial:={theta}"]
+        log = self._folder / "logs" / "intruder.log"
+        self._running["intruder"] = NodeProcess(
+            "relay_esc", [*arguments, "-p", "step_size:=0.0"], log
+        )
+
+    def end_intrusion(self) -> None:
+        """Stop the second controller."""
+        self._running.pop("intruder").stop()
+
     def pause(self, name: str, paused: bool) -> None:
         """Stop a process in its tracks or let it go on."""
         self._running[name].process.send_signal(signal.SIGSTOP if paused else signal.SIGCONT)
@@ -95,7 +107,7 @@ class Processes:
 
     def close(self) -> None:
         """Stop all, the sources before the recorder."""
-        for name in reversed(ORDER):
+        for name in ("intruder", *reversed(ORDER)):
             if name in self._running:
                 process = self._running.pop(name)
                 process.process.send_signal(signal.SIGCONT)
@@ -105,7 +117,7 @@ class Processes:
         setting = self._scenario.setting
         given: dict[str, dict[str, object]] = {
             "vdp_plant": {
-                "pace": "scaled",
+                "pace": setting.pace,
                 "time_scale": setting.time_scale,
                 "theta_initial": setting.theta_initial,
                 "seed": setting.seed,

@@ -10,7 +10,7 @@ from koop_lab.hil.verdict import Verdict
 
 HEAD = (
     "| scenario | what happens | mean \\|θ − θ*\\| at the end | θ wrong for | θ off by at most "
-    "| reported | verdict |\n|---|---|---|---|---|---|---|"
+    "| recording | reported | verdict |\n|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -40,10 +40,11 @@ def table(verdicts: Sequence[Verdict]) -> str:
             if set(levels) - {"OK"}
         )
         happens = "; ".join(v.events) or v.description
+        recording = f"{v.unrecorded} missing" if v.unrecorded else "whole"
         verdict = "passed" if v.passed else "**failed**: " + "; ".join(v.failures)
         rows.append(
             f"| {v.name} | {happens} | {v.tail_error:.2f} | {v.wrong_for:.1f} s | "
-            f"{v.wrong_by:.2f} | {levels or 'OK'} | {verdict} |"
+            f"{v.wrong_by:.2f} | {recording} | {levels or 'OK'} | {verdict} |"
         )
     return "\n".join(rows) + "\n"
 
@@ -68,9 +69,9 @@ def write_junit(verdicts: Iterable[Verdict], path: Path) -> None:
             time=f"{verdict.wall_time:.3f}",
         )
         properties = ElementTree.SubElement(case, "properties")
-        for name in ("tail_error", "wrong_for", "wrong_by"):
+        for name in ("tail_error", "wrong_for", "wrong_by", "unrecorded"):
             ElementTree.SubElement(
-                properties, "property", name=name, value=f"{getattr(verdict, name):.4f}"
+                properties, "property", name=name, value=f"{getattr(verdict, name):.4g}"
             )
         if not verdict.passed:
             failure = ElementTree.SubElement(case, "failure", message=verdict.failures[0])

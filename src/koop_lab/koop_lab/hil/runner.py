@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from koop_lab.hil.processes import Processes
 from koop_lab.hil.scenario import Event, Scenario
 from koop_lab.live import START_TIMEOUT, LiveError, Monitor
+from vdp_plant.config import PlantConfig
 
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
-TICK = 0.02  # [s] between looks at the clock; also the period of an intruder
+TICK = 0.02  # [s] between looks at the clock
 
 
 @dataclass
@@ -57,8 +57,6 @@ class Supervisor:
         self._folder = folder
         self._progress = progress
         self._record = RunRecord()
-        self._intruding: float | None = None
-        self._intruder: Any = None
 
     def run(self) -> RunRecord:
         """Run the scenario to its end.
@@ -100,7 +98,7 @@ class Supervisor:
         heapq.heapify(todo)
         first = min((event.at for event in self._scenario.events), default=0.0)
         looked = 0.0
-        while (t := (time.monotonic() - started) * setting.time_scale) < setting.duration:
+        while (t := self._simulated(monitor, time.monotonic() - started)) < setting.duration:
             monitor.spin(TICK)
             while todo and todo[0][0] <= t:
                 _, _, event, begun = heapq.heappop(todo)
@@ -110,7 +108,6 @@ class Supervisor:
                     heapq.heappush(todo, (t + event.lasts, next(order), event, now))
                 else:
                     record.happened.append((begun or now, time.time_ns(), event))
-            self._intrude(monitor)
             if t >= first:
                 for node, level in monitor.levels.items():
                     record.levels.setdefault(node, set()).add(LEVELS[level])
@@ -126,6 +123,12 @@ class Supervisor:
                 self._progress(t, f"theta {monitor.theta:+.2f}")
         record.end = time.time_ns()
 
+    def _simulated(self, monitor: Monitor, elapsed: float) -> float:
+        """Return the simulated time [s] after a real time."""
+        if self._scenario.setting.pace == "lockstep":
+            return monitor.progress.step * PlantConfig().dt
+        return elapsed * self._scenario.setting.time_scale
+
     def _do(self, event: Event, over: bool, monitor: Monitor, processes: Processes) -> None:
         """Begin an event, or end it if it is over."""
         if event.action == "kill":
@@ -136,7 +139,7 @@ class Supervisor:
         elif event.action == "pause":
             processes.pause(event.what, not over)
         elif event.action == "intrude":
-            self._intruding = None if over else event.what
+            processes.end_intrusion() if over else processes.intrude(event.what)
         elif event.action == "inject":
             for topic, fault in event.what.items():
                 text = "ok" if over else fault
@@ -144,12 +147,3 @@ class Supervisor:
         elif not over:
             for node, values in event.what.items():
                 monitor.set_parameters(node, values)
-
-    def _intrude(self, monitor: Monitor) -> None:
-        if self._intruding is not None:
-            topic = "rig/theta" if self._scenario.wired else "theta"
-            self._intruder = self._intruder or monitor.theta_publisher(topic)
-            monitor.publish_theta(self._intruder, self._intruding)
-        elif self._intruder is not None:
-            monitor.end_publisher(self._intruder)
-            self._intruder = None

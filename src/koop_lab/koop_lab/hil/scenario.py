@@ -28,7 +28,7 @@ class Event:
         Begin and length [s] of simulated time.
     action : str
         ``inject`` a fault into ``state`` or ``theta``; ``kill`` a node and start it again;
-        ``pause`` a process; ``intrude`` as a second publisher of theta; ``set`` parameters.
+        ``pause`` a process; ``intrude`` with a second controller; ``set`` parameters.
     what : object
         ``{topic: fault}``, a node, a theta, or ``{node: {parameter: value}}``.
     """
@@ -62,6 +62,9 @@ class Limits:
     memory_slope: float = parameter(
         1e9, "growth of a node's memory over the second half", unit="MB/h", low=0.0
     )
+    unrecorded: int = parameter(
+        0, "messages that the recording may lack: those on their way when a node was killed", low=0
+    )
     wrong_by: float = parameter(1e9, "how far theta may be off from the first event on", low=0.0)
 
     def __post_init__(self) -> None:
@@ -75,6 +78,11 @@ class Setting:
     description: str = parameter("", "what is shown")
     plant: str = parameter("vdp_plant", "vdp_plant, or the name of a rig in tests/hil/rigs")
     theta_star: float = parameter(-3.0, "optimal theta", low=-1e3, high=1e3)
+    pace: str = parameter(
+        "scaled",
+        "scaled, or lockstep: as fast as the machine allows, without events",
+        choices=("scaled", "lockstep"),
+    )
     time_scale: float = parameter(
         1.0, "simulated per real time; 1 is real time", low=0.01, high=100.0
     )
@@ -144,9 +152,12 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     for node, level in levels.items():
         if level not in ("WARN", "ERROR", "STALE"):
             raise ConfigError(f"levels: {node} must be WARN, ERROR or STALE")
+    setting = Setting(**given)
+    if setting.pace == "lockstep" and (events or setting.plant != "vdp_plant"):
+        raise ConfigError("pace: lockstep is for vdp_plant, and without events")
     return Scenario(
         name,
-        Setting(**given),
+        setting,
         {str(node): _mapping(values, str(node)) for node, values in parameters.items()},
         tuple(_event(item, folder) for item in events),
         Limits(**limits),

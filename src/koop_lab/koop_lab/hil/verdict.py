@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.columns import read_columns
+from koop_bag.columns import read_tables
+from koop_bag.losses import count_losses
 from koop_bag.reader import BagReader
 from koop_lab.hil.runner import RunRecord
 from koop_lab.hil.scenario import Scenario
 from koop_lab.metrics import TAIL
-
-SETTLED = 0.6  # mean |theta - theta*| over a dwell time that counts as converged again
-DWELL = 15.0  # [s]
+from vdp_plant.config import PlantConfig
 
 
 @dataclass
@@ -34,6 +33,9 @@ class Verdict:
         Largest |theta - theta*| from the first event on.
     messages : dict
         Recorded messages by topic.
+    unrecorded : int
+        Messages that must have been there but are not in the bag: truths of steps that were jumped
+        over, states whose cost, and costs whose theta was recorded.
     memory_slope : dict
         Growth of the resident memory of every process over the second half [MB/h].
     round_trip : tuple of float
@@ -52,6 +54,7 @@ class Verdict:
     wrong_by: float = math.nan
     wall_time: float = 0.0
     messages: dict[str, int] = field(default_factory=dict)
+    unrecorded: int = 0
     memory_slope: dict[str, float] = field(default_factory=dict)
     round_trip: tuple[float, float] = (math.nan, math.nan)
     levels: dict[str, list[str]] = field(default_factory=dict)
@@ -84,7 +87,9 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     for node, slope in verdict.memory_slope.items():
         if slope > scenario.limits.memory_slope:
             verdict.failures.append(f"the memory of {node} grows by {slope:.1f} MB/h")
-    stamps, theta = applied(bag, verdict)
+    stamps, theta = _recorded(bag, verdict)
+    if verdict.unrecorded > scenario.limits.unrecorded:
+        verdict.failures.append(f"{verdict.unrecorded} messages are missing in the recording")
     inside = (stamps >= record.begin) & (stamps <= record.end)
     stamps, theta = stamps[inside], theta[inside]
     if stamps.size < 100:
@@ -94,9 +99,8 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     verdict.tail_error = float(error[-max(1, round(TAIL * error.size)) :].mean())
     first = min((begin for begin, _, _ in record.happened), default=record.begin)
     after = stamps >= first
-    steps = np.minimum(np.diff(stamps, append=stamps[-1]) * 1e-9, 1.0)  # a paused plant is no time
     wrong = after & (error > scenario.limits.wrong)
-    verdict.wrong_for = float(steps[wrong].sum() * scenario.setting.time_scale)
+    verdict.wrong_for = float(wrong.sum() * PlantConfig().dt)
     verdict.wrong_by = float(error[after].max())
     for figure in ("tail_error", "wrong_for", "wrong_by"):
         value, limit = getattr(verdict, figure), getattr(scenario.limits, figure)
@@ -118,9 +122,18 @@ def _look_for_growth(record: RunRecord, verdict: Verdict) -> None:
         verdict.round_trip = (float(np.median(trips[:third])), float(np.median(trips[-third:])))
 
 
-def applied(bag: Path, verdict: Verdict) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return receive times [ns] and the theta that acted on the plant; count the messages."""
+def _recorded(bag: Path, verdict: Verdict) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return receive times [ns] and the theta that acted on the plant; count what is missing."""
+    wanted = {f"/{name}": ["step"] for name in ("state", "cost", "theta")}
     with BagReader(bag) as reader:
         verdict.messages = {topic.name: topic.count for topic in reader.topics}
-        columns = read_columns(reader, "/truth", ["theta_applied", "log_time"])
-    return columns["log_time"].astype(np.int64), columns["theta_applied"].astype(np.float64)
+        wanted = {topic: fields for topic, fields in wanted.items() if topic in verdict.messages}
+        columns = read_tables(reader, {**wanted, "/truth": ["step", "log_time", "theta_applied"]})
+    truth = columns["/truth"]
+    steps = {topic: np.unique(columns[topic]["step"]) for topic in wanted}
+    verdict.unrecorded = count_losses(truth["step"]).lost + sum(
+        np.setdiff1d(steps[answer], steps[question]).size
+        for question, answer in (("/state", "/cost"), ("/cost", "/theta"))
+        if answer in steps and question in steps
+    )
+    return truth["log_time"].astype(np.int64), truth["theta_applied"].astype(np.float64)
