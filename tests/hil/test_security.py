@@ -1,21 +1,32 @@
 """The sros2 policy says what the nodes do, and what koop starts stays on this machine."""
 
+from fnmatch import fnmatchcase
 from xml.etree import ElementTree
 
 from ament_index_python.packages import get_package_share_path
+from koop_msgs.msg import Cost
 
 NODES = {"vdp_plant", "koopman_lifter", "relay_esc", "recorder"}
 
 
 def allowed(kind, direction):
-    """Return {node: names} of the policy."""
+    """Return {node: full names} of the policy."""
     file = get_package_share_path("koop_bringup") / "security" / "policy.xml"
     return {
         profile.get("node"): {
-            item.text for group in profile.findall(kind) if group.get(direction) for item in group
+            full_name(item.text, profile.get("node"))
+            for group in profile.findall(kind)
+            if group.get(direction) == "ALLOW"
+            for item in group
         }
         for profile in ElementTree.parse(file).getroot().iter("profile")
     }
+
+
+def full_name(name, node):
+    return (
+        name if name[0] == "/" else name.replace("~", f"/{node}") if name[0] == "~" else f"/{name}"
+    )
 
 
 def test_every_node_has_its_own_permissions():
@@ -24,27 +35,35 @@ def test_every_node_has_its_own_permissions():
 
 def test_only_the_controller_may_command_the_plant():
     publishers = allowed("topics", "publish")
-    assert {node for node, topics in publishers.items() if "theta" in topics} == {"relay_esc"}
-    assert not any("truth" in topics for node, topics in allowed("topics", "subscribe").items()
+    assert {node for node, topics in publishers.items() if "/theta" in topics} == {"relay_esc"}
+    assert not any("/truth" in topics for node, topics in allowed("topics", "subscribe").items()
                    if node != "recorder")  # fmt: skip
 
 
-def test_the_policy_covers_all_that_the_nodes_publish(start, probe, tmp_path):
-    permitted = allowed("topics", "publish")
-    for node in NODES:
-        start(node, **({"output": tmp_path / "run"} if node == "recorder" else {}))
+def test_the_policy_covers_all_that_the_nodes_say_hear_serve_and_ask(start, probe, tmp_path):
+    start("recorder", output=tmp_path / "run")
+    start("vdp_plant", publish_clock="true")
+    for node in ("koopman_lifter", "relay_esc"):
+        start(node, use_sim_time="true")
+    costs = probe.collect(Cost, "cost")
+    probe.spin_until(lambda: costs, "the loop")
+    heard = {"/state", "/cost", "/theta", "/truth", "/clock", "/relay_esc/transition_event"}
 
-    def published(node):
-        return {
-            name.replace(f"/{node}/", "~/")
-            for name, _ in probe.node.get_publisher_names_and_types_by_node(node, "/")
-        }
+    def names(question, node):
+        ask = getattr(probe.node, f"get_{question}_names_and_types_by_node")
+        return {name for name, _ in ask(node, "/")}
 
-    for node in NODES:
-        probe.spin_until(
-            lambda node=node: node in probe.node.get_node_names() and published(node), node
-        )
-        unknown = {
-            name for name in published(node) if not {name, name.lstrip("/")} & permitted[node]
-        }
-        assert not unknown, node
+    probe.spin_until(lambda: heard <= names("subscriber", "recorder"), "the recorder")
+    for question, kind, direction in (
+        ("publisher", "topics", "publish"),
+        ("subscriber", "topics", "subscribe"),
+        ("service", "services", "reply"),
+        ("client", "services", "request"),
+    ):
+        permitted = allowed(kind, direction)
+        for node in NODES:
+            live = names(question, node)
+            assert live or question == "client", (node, question)
+            rules = permitted[node]
+            unknown = {name for name in live if not any(fnmatchcase(name, r) for r in rules)}
+            assert not unknown, (node, question)
