@@ -164,6 +164,8 @@ def _decode_batch(
     while position <= last:
         opcode, length, channel = unpack(records, position)
         position += head
+        if position + length > len(records):
+            break
         if opcode == message and channel in places:
             places[channel] += (position, length)
         position += length

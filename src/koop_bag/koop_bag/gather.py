@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.errors import BagError
-from koop_bag.layout import Layout, LayoutFinder, Span
+from koop_bag.layout import ENCAPSULATION, Layout, LayoutFinder, Span
 
 _LITTLE_ENDIAN_CDR = 0x0100  # bytes 00 01
 _MAX_GROUPS = 64
@@ -41,6 +41,8 @@ def decode(
     finder : LayoutFinder
         Type and fields.
     """
+    if (sizes < ENCAPSULATION).any():
+        raise BagError("a message is cut short: it lacks even the mark of its encoding")
     heads = at_every_byte(buffer, np.dtype("<u2"))[starts]
     if (heads != _LITTLE_ENDIAN_CDR).any():
         raise BagError("a message is not in little-endian CDR; other encodings are not supported")

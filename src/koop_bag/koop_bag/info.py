@@ -6,10 +6,9 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
-import yaml
-
 from koop_bag.columns import LOG_TIME, iter_tables, list_fields
 from koop_bag.losses import StepCounter, StepReport, early_ends
+from koop_bag.metadata import parse_map
 from koop_bag.reader import BagReader, Topic
 from koop_bag.schema import MessageSchema
 from koop_bag.step_peek import has_step
@@ -56,8 +55,12 @@ class BagInfo:
     @property
     def parameters(self) -> dict[str, Any]:
         """Parameters by node, as they were recorded."""
-        nodes = yaml.safe_load(self.custom.get("parameters", "")) or {}
-        return {name: node.get("ros__parameters", {}) for name, node in nodes.items()}
+        nodes = parse_map(self.custom.get("parameters", ""), "record of parameters")
+        return {
+            str(name): node.get("ros__parameters", {})
+            for name, node in nodes.items()
+            if isinstance(node, dict)
+        }
 
 
 def describe(bag: BagReader) -> BagInfo:

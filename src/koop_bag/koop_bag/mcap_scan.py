@@ -23,6 +23,9 @@ from koop_bag.errors import BagError
 
 RECORD_HEAD = struct.Struct("<BQ")
 _FOOTER_SIZE = RECORD_HEAD.size + 20 + len(MCAP0_MAGIC)
+MAX_CHUNK = 256 << 20
+"""The largest chunk that is unpacked [B]: recorders make chunks of some MB, and a file of a few kB
+could otherwise fill the memory."""
 _Parsed = TypeVar("_Parsed", Schema, Channel, Statistics, Metadata, Chunk, Footer)
 
 
@@ -94,21 +97,40 @@ class McapFile:
         assert isinstance(record, kind)
         return record
 
+    def unpack(self, form: struct.Struct, data: bytes, where: int) -> tuple[int, ...]:
+        """What a record begins with; `where` is for the error."""
+        if len(data) < form.size:
+            raise BagError(self._damaged(f"the record at byte {where} is cut short"))
+        return form.unpack_from(data)
+
     def chunk_records(self, place: Place) -> bytes:
         """The records inside of a chunk, decompressed and checked against the chunk's checksum."""
         chunk = self.parse(Chunk, place)
+        size = chunk.uncompressed_size
+        if size > MAX_CHUNK:
+            raise BagError(
+                self._damaged(
+                    f"the chunk at byte {place.start} claims to unpack to {size} bytes, "
+                    f"known are up to {MAX_CHUNK}"
+                )
+            )
         try:
             if chunk.compression == "zstd":
-                data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+                frame = zstandard.get_frame_parameters(chunk.data).content_size
+                if frame not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+                    raise ValueError("another size than the chunk says")
+                data = zstandard.decompress(chunk.data, size)
             elif chunk.compression == "lz4":
-                data = lz4.frame.decompress(chunk.data)
+                data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
             elif chunk.compression == "":
                 data = chunk.data
             else:
                 raise BagError(
                     f"{self.path} is compressed with '{chunk.compression}'; known are zstd and lz4"
                 )
-        except (zstandard.ZstdError, RuntimeError, OverflowError, MemoryError) as error:
+            if len(data) != size:
+                raise ValueError("another size than the chunk says")
+        except (zstandard.ZstdError, RuntimeError, ValueError, EOFError, MemoryError) as error:
             raise BagError(
                 self._damaged(f"the chunk at byte {place.start} does not decompress")
             ) from error

@@ -6,6 +6,8 @@ from typing import Any
 
 import yaml
 
+from koop_bag.errors import BagError
+
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 
@@ -134,6 +136,39 @@ def bag_map(
         "custom_data": dict(custom),
         "ros_distro": "jazzy",
     }
+
+
+def parse(text: str, what: str) -> Any:
+    """The content of a YAML text out of a bag, or a BagError that names `what` it is."""
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        raise BagError(f"the bag's {what} is no valid YAML") from None
+
+
+def parse_map(text: str, what: str) -> dict[Any, Any]:
+    """`parse` where the text must be a mapping, or empty."""
+    content = parse(text, what)
+    if content is not None and not isinstance(content, dict):
+        raise BagError(f"the bag's {what} is no mapping")
+    return content or {}
+
+
+def parse_qos(text: str) -> list[OfferedQos]:
+    """The QoS that the publishers of a topic offered, from the channel's text."""
+    try:
+        return [OfferedQos.from_map(item) for item in parse(text, "QoS of a topic") or ()]
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise BagError("the bag's QoS of a topic is not in rosbag2's form") from None
+
+
+def custom_of(described: Mapping[Any, Any]) -> dict[str, str]:
+    """The `custom_data` of a bag's description: texts by name, anything else is left out."""
+    custom = described.get("custom_data")
+    if not isinstance(custom, dict):
+        return {}
+    plain = {key: value for key, value in custom.items() if isinstance(value, str | int | float)}
+    return {str(key): str(value) for key, value in plain.items()}
 
 
 def dump(value: Any) -> str:

@@ -26,6 +26,8 @@ _PRIMITIVES = {
 _FIELD = re.compile(
     r"^\s*(?P<type>[A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
+_MAX_DEPTH = 50  # types inside of types
+_MAX_FIELDS = 20_000  # with those of the types inside; the largest messages in use have hundreds
 _STAMPS = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 
 
@@ -84,45 +86,72 @@ def parse_definition(type_name: str, text: str) -> Struct:
     for part in others:
         head, _, body = part.partition("\n")
         definitions[head.removeprefix("MSG:").strip().replace("/msg/", "/")] = body
-    return _struct(f"{package}/{name}", definitions)
+    return _Parser(definitions).struct(f"{package}/{name}")
 
 
-def _struct(name: str, definitions: dict[str, str]) -> Struct:
-    if name not in definitions:
-        raise BagError(f"the bag's message definition lacks {name}")
-    fields = tuple(_fields(name.partition("/")[0], definitions[name], definitions))
-    # A message without fields is serialized as one byte: DDS knows no empty structures.
-    return Struct(
-        name, fields or (("structure_needs_at_least_one_member", Primitive(np.dtype("u1"))),)
-    )
+class _Parser:
+    """Makes types of their definitions, each once."""
 
+    def __init__(self, definitions: dict[str, str]) -> None:
+        self._definitions = definitions
+        self._known: dict[str, tuple[Struct, int]] = {}  # with the number of its fields
+        self._open: list[str] = []  # types that are being made: each holds the next one
 
-def _fields(
-    package: str, text: str, definitions: dict[str, str]
-) -> Iterator[tuple[str, MessageType]]:
-    for line in text.splitlines():
-        match = _FIELD.match(line)
-        if match is None or match["rest"].startswith("="):  # comment, blank line or constant
-            continue
-        yield match["name"], _array(_element(package, match["type"], definitions), match["array"])
+    def struct(self, name: str) -> Struct:
+        """The type of a full name."""
+        return self._sized(name)[0]
 
+    def _sized(self, name: str) -> tuple[Struct, int]:
+        if name in self._known:
+            return self._known[name]
+        if name not in self._definitions:
+            raise BagError(f"the bag's message definition lacks {name}")
+        if name in self._open or len(self._open) == _MAX_DEPTH:
+            raise BagError(
+                f"the bag's message definition is endless: {self._open[0]} has no bottom"
+            )
+        self._open.append(name)
+        count, fields = 0, []
+        for field, kind, size in self._fields(name.partition("/")[0], self._definitions[name]):
+            fields.append((field, kind))
+            count += size
+        if count > _MAX_FIELDS:
+            raise BagError(
+                f"the bag's message definition {name} has more than {_MAX_FIELDS} fields"
+            )
+        self._open.pop()
+        # A message without fields is serialized as one byte: DDS knows no empty structures.
+        nothing = ("structure_needs_at_least_one_member", Primitive(np.dtype("u1")))
+        made = Struct(name, tuple(fields) or (nothing,))
+        self._known[name] = (made, max(count, 1))
+        return self._known[name]
 
-def _element(package: str, name: str, definitions: dict[str, str]) -> MessageType:
-    if name in _PRIMITIVES:
-        return Primitive(np.dtype(_PRIMITIVES[name]))
-    if name in ("string", "wstring"):
-        return Text(wide=name == "wstring")
-    if name == "Header":
-        return _struct("std_msgs/Header", definitions)
-    full = name.replace("/msg/", "/")
-    return _struct(full if "/" in full else f"{package}/{full}", definitions)
+    def _fields(self, package: str, text: str) -> Iterator[tuple[str, MessageType, int]]:
+        for line in text.splitlines():
+            match = _FIELD.match(line)
+            if match is None or match["rest"].startswith("="):  # comment, blank line or constant
+                continue
+            element, size = self._element(package, match["type"])
+            yield match["name"], _array(element, match["array"]), size
+
+    def _element(self, package: str, name: str) -> tuple[MessageType, int]:
+        if name in _PRIMITIVES:
+            return Primitive(np.dtype(_PRIMITIVES[name])), 1
+        if name in ("string", "wstring"):
+            return Text(wide=name == "wstring"), 1
+        full = "std_msgs/Header" if name == "Header" else name.replace("/msg/", "/")
+        return self._sized(full if "/" in full else f"{package}/{full}")
 
 
 def _array(element: MessageType, brackets: str | None) -> MessageType:
     if not brackets:
         return element
     size = brackets.strip("[]")
-    return Array(element, int(size) if size.isdigit() else None)
+    if not size.isdigit():
+        return Array(element, None)
+    if not 0 < len(size) <= 10 or int(size) == 0:
+        raise BagError(f"the bag's message definition has an array of {size:.20} elements")
+    return Array(element, int(size))
 
 
 def leaf_fields(kind: MessageType, prefix: str = "") -> list[str]:

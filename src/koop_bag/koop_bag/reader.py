@@ -6,14 +6,14 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, MetadataIndex, Schema, Statistics
 
 from koop_bag.errors import BagError
 from koop_bag.mcap_scan import McapFile, Place, inner_places
+from koop_bag.metadata import custom_of, parse_map
 
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel id, sequence, log time, publish time; the serialized message follows."""
@@ -111,13 +111,14 @@ class BagReader:
 
     def custom_data(self) -> dict[str, str]:
         """The bag's `custom_data`, from the file itself or else from `metadata.yaml`."""
-        text = self.notes.get("rosbag2", {}).get("serialized_metadata")
-        described: Any = yaml.safe_load(text) if text else None
+        text = self.notes.get("rosbag2", {}).get("serialized_metadata", "")
+        described = parse_map(text, "metadata record")
         description = self.files[0].parent / "metadata.yaml"
-        if described is None and description.is_file():
-            outer = yaml.safe_load(description.read_text(encoding="utf-8")) or {}
-            described = outer.get("rosbag2_bagfile_information")
-        return dict((described or {}).get("custom_data") or {})
+        if not described and description.is_file():
+            text = description.read_text(encoding="utf-8", errors="replace")
+            inner = parse_map(text, "metadata.yaml").get("rosbag2_bagfile_information")
+            described = inner if isinstance(inner, dict) else {}
+        return custom_of(described)
 
     def topic(self, name: str) -> Topic:
         """One topic, or an error that names those that are there."""
@@ -149,6 +150,8 @@ class BagReader:
             for opcode, at, length in inner_places(records):
                 if opcode != Opcode.MESSAGE:
                     continue
+                if length < fixed:
+                    raise BagError(f"{self.path} is damaged: a message record is cut short")
                 channel, sequence, log_time, publish_time = unpack(records, at)
                 if channel in names and begin <= log_time < stop:
                     yield RawMessage(
@@ -284,7 +287,7 @@ def _read_summary(contents: FileContents) -> bool:
 def _note(contents: FileContents, place: Place, data: bytes) -> None:
     file = contents.file
     if place.opcode == Opcode.MESSAGE:
-        channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(data)
+        channel, _, log_time, _ = file.unpack(MESSAGE_HEAD, data, place.start)
         contents.counts[channel] = contents.counts.get(channel, 0) + 1
         contents.start = min(contents.start, log_time)
         contents.end = max(contents.end, log_time)
@@ -309,7 +312,8 @@ def _message_records(file: McapFile, start: int, end: int) -> Iterator[bytes]:
             yield bytes(loose)
             loose.clear()
         if place.opcode == Opcode.CHUNK:
-            first, last = _CHUNK_TIMES.unpack(file.content(place._replace(length=16)))
+            head = file.content(place._replace(length=min(place.length, _CHUNK_TIMES.size)))
+            first, last = file.unpack(_CHUNK_TIMES, head, place.start)
             if first < end and last >= start:
                 yield file.chunk_records(place)
         elif place.opcode == Opcode.DATA_END:

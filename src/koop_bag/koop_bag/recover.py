@@ -4,13 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from koop_bag.errors import BagError
+from koop_bag.errors import BagError, BagWriteError
 from koop_bag.mcap_scan import McapFile, Place, inner_places
-from koop_bag.metadata import OfferedQos
+from koop_bag.metadata import custom_of, parse_map, parse_qos
 from koop_bag.reader import MESSAGE_HEAD, find_files
 from koop_bag.schema import MessageSchema
 from koop_bag.writer import BagWriter, WriterOptions
@@ -63,6 +62,24 @@ def _copy_file(
 ) -> None:
     schemas: dict[int, Schema] = {}
     numbers: dict[int, int] = {}  # this file's channel -> the new bag's
+
+    def copy(opcode: int, data: bytes, where: int) -> None:
+        if opcode == Opcode.MESSAGE:
+            old, sequence, log_time, publish_time = file.unpack(MESSAGE_HEAD, data, where)
+            message = data[MESSAGE_HEAD.size :]
+            writer.write(numbers[old], log_time, publish_time, message, sequence or None)
+            report.messages += 1
+        elif opcode == Opcode.SCHEMA:
+            schema = file.parse_bytes(Schema, data, where)
+            schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = file.parse_bytes(Channel, data, where)
+            if channel.topic not in channels:
+                channels[channel.topic] = _add_topic(writer, channel, schemas[channel.schema_id])
+            numbers[channel.id] = channels[channel.topic]
+        elif opcode == Opcode.METADATA:
+            _keep_note(writer, file.parse_bytes(Metadata, data, where))
+
     end = 0
     for place in file.places():
         end = place.start + place.length
@@ -71,58 +88,45 @@ def _copy_file(
             break
         try:
             for opcode, data in _records(file, place):
-                if opcode == Opcode.MESSAGE:
-                    old, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(data)
-                    message = data[MESSAGE_HEAD.size :]
-                    writer.write(numbers[old], log_time, publish_time, message, sequence or None)
-                    report.messages += 1
-                elif opcode == Opcode.SCHEMA:
-                    schema = file.parse_bytes(Schema, data, place.start)
-                    schemas[schema.id] = schema
-                elif opcode == Opcode.CHANNEL:
-                    channel = file.parse_bytes(Channel, data, place.start)
-                    if channel.topic not in channels:
-                        channels[channel.topic] = _add_topic(
-                            writer, channel, schemas[channel.schema_id]
-                        )
-                    numbers[channel.id] = channels[channel.topic]
-                elif opcode == Opcode.METADATA:
-                    _keep_note(writer, file.parse_bytes(Metadata, data, place.start))
-        except (_UnreadableError, KeyError):
+                try:
+                    copy(opcode, data, place.start)
+                except BagWriteError:
+                    raise
+                except (BagError, KeyError):  # KeyError: of a channel whose record was damaged
+                    report.damaged_records += 1
+        except BagWriteError:
+            raise
+        except BagError:
             report.damaged_records += 1
     report.torn_bytes += file.size - end
     file.close()
-
-
-class _UnreadableError(Exception):
-    pass
 
 
 def _records(file: McapFile, place: Place) -> Iterator[tuple[int, bytes]]:
     if place.opcode != Opcode.CHUNK:
         yield place.opcode, file.content(place)
         return
-    try:
-        records = file.chunk_records(place)
-    except BagError as error:
-        raise _UnreadableError from error
+    records = file.chunk_records(place)
     for opcode, start, length in inner_places(records):
         yield opcode, records[start : start + length]
 
 
 def _add_topic(writer: BagWriter, channel: Channel, schema: Schema) -> int:
     definition = MessageSchema(
-        schema.name, schema.data.decode(), channel.metadata.get("topic_type_hash", "")
+        schema.name,
+        schema.data.decode("utf-8", "replace"),
+        channel.metadata.get("topic_type_hash", ""),
     )
-    listed = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []
-    return writer.add_topic(
-        channel.topic, definition, [OfferedQos.from_map(item) for item in listed]
-    )
+    try:
+        qos = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
+    except BagError:  # the messages matter more
+        qos = []
+    return writer.add_topic(channel.topic, definition, qos)
 
 
 def _keep_note(writer: BagWriter, note: Metadata) -> None:
     if note.name != "rosbag2":
         writer.add_note(note.name, note.metadata)
         return
-    described = yaml.safe_load(note.metadata.get("serialized_metadata", "")) or {}
-    writer.custom_data.update(described.get("custom_data") or {})
+    described = parse_map(note.metadata.get("serialized_metadata", ""), "metadata record")
+    writer.custom_data.update(custom_of(described))

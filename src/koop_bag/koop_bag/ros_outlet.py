@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from typing import Any
 
-import yaml
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import (
@@ -17,7 +16,7 @@ from rclpy.qos import (
 )
 
 from koop_bag.errors import BagError
-from koop_bag.metadata import OfferedQos
+from koop_bag.metadata import OfferedQos, parse_qos
 from koop_bag.reader import Topic
 from koop_bag.ros_topics import message_class
 from koop_bag.schema import load_schema
@@ -94,8 +93,7 @@ class Outlet:
 
 def recorded_qos(topic: Topic) -> list[OfferedQos]:
     """Return the QoS that the recorded publishers offered."""
-    listed = yaml.safe_load(topic.metadata.get("offered_qos_profiles", "")) or []
-    return [OfferedQos.from_map(item) for item in listed]
+    return parse_qos(topic.metadata.get("offered_qos_profiles", ""))
 
 
 def qos_profile(offered: list[OfferedQos]) -> QoSProfile:

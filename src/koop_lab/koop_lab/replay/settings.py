@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from koop_bag.metadata import parse_map
 from koop_bag.reader import BagReader
 from koop_lab.parameters import NODES, ROS_OWN
 from koop_node.config import NodeConfig
@@ -52,11 +52,11 @@ def recorded_values(
     for folder in (Path(path), Path(path).parent):
         if not text and (folder / "parameters.yaml").is_file():
             text = (folder / "parameters.yaml").read_text(encoding="utf-8")
-    base, content = namespace.rstrip("/"), yaml.safe_load(text) if text else None
+    base, content = namespace.rstrip("/"), parse_map(text, "record of parameters")
     found: dict[str, dict[str, Any]] = {}
     for node in nodes:
-        section = (content or {}).get(f"{base}/{node}")
-        if section:
+        section = content.get(f"{base}/{node}")
+        if isinstance(section, dict) and isinstance(section.get("ros__parameters"), dict):
             found[node] = _own_parameters(node, section["ros__parameters"])
     return found
 
