@@ -211,12 +211,13 @@ def _entries(raw: bytes) -> dict[str, NDArray[Any]]:
     except ValueError as error:
         if "allow_pickle" in str(error):
             raise ModelError("holds pickled objects, which could run code") from None
-        raise ModelError(f"damaged ({error})") from None
+        raise ModelError(f"damaged ({_short(str(error))})") from None
     except Exception as error:  # zipfile and npy headers fail in many ways on arbitrary bytes
-        raise ModelError(f"truncated, damaged or no model file ({error})") from None
+        words = _short(str(error))
+        raise ModelError(f"truncated, damaged or no model file ({words})") from None
     for name, entry in entries.items():
         if not isinstance(entry, np.ndarray):  # numpy hands out an entry without its mark as bytes
-            raise ModelError(f"damaged: its entry '{name}' is no array")
+            raise ModelError(f"damaged: its entry {name[:60]!a} is no array")
     return entries
 
 
@@ -229,12 +230,15 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise ModelError("is no Koopman model file")
     if meta.get("version") != VERSION:
-        raise ModelError(f"has format version {meta.get('version')}, this program reads {VERSION}")
+        raise ModelError(
+            f"has format version {_short(meta.get('version'))}, this program reads {VERSION}"
+        )
     for name in _ARRAYS:
         if name not in entries:
             raise ModelError(f"has no entry '{name}'")
     observables, dt, state_names, provenance = _described(meta)
-    sizes = {"p": observables.p, "N": int(np.sum(entries["kept"] == 1))}
+    modes = int(entries["kept"].sum()) if entries["kept"].dtype == np.bool_ else observables.p
+    sizes = {"p": observables.p, "N": modes}
     if sizes["N"] == 0:
         raise ModelError("keeps no mode")
     for name, (dtype, axes) in _ARRAYS.items():
@@ -256,7 +260,7 @@ def _described(meta: dict[str, Any]) -> tuple[Monomials, float, tuple[str, ...],
     try:
         described = meta["observables"]
         if described["kind"] != "monomials":
-            raise ModelError(f"has unknown observables {described['kind']!r}")
+            raise ModelError(f"has unknown observables {_short(described['kind'])}")
         n, degree, dt = int(described["n"]), int(described["degree"]), float(meta["dt"])
         state_names = tuple(str(name) for name in meta["state_names"])
         provenance = dict(meta["provenance"])
@@ -276,6 +280,12 @@ def _text(entries: dict[str, NDArray[Any]], name: str) -> str:
         return entries[name].tobytes().decode()
     except UnicodeDecodeError:
         raise ModelError(f"its entry '{name}' is no text") from None
+
+
+def _short(value: object) -> str:
+    """Return a value out of a file as a few characters of one line."""
+    words = ascii(value)
+    return words if len(words) <= 80 else f"{words[:77]}..."
 
 
 def _json(meta: dict[str, Any]) -> str:

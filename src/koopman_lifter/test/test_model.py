@@ -154,3 +154,22 @@ def test_an_entry_that_is_no_array_is_refused(model, tmp_path):
             target.writestr(name, b"no array" if name == "K.npy" else source.read(name))
     with pytest.raises(ModelError, match="its entry 'K' is no array"):
         load(bad)
+
+
+@pytest.mark.parametrize(
+    "version", ["\x1b[31m\n", "\ud800", "x" * 5000, ["x"] * 5000], ids=range(4)
+)
+def test_a_refusal_is_one_line_whatever_the_file_says_of_itself(tmp_path, version):
+    """Found by fuzzing: the file's own words reached the terminal."""
+    with pytest.raises(ModelError, match="has format version") as caught:
+        load(rewritten(tmp_path, meta={"version": version}))
+    words = str(caught.value)
+    assert words.isprintable()
+    assert len(words) < 500
+
+
+@pytest.mark.parametrize("kind", ["V8", "U3", "f8"])
+def test_marks_of_another_type_are_refused(tmp_path, kind):
+    """Found by fuzzing: numpy compares no structures."""
+    with pytest.raises(ModelError, match="'kept' is"):
+        load(rewritten(tmp_path, kept=np.zeros(10, kind)))
