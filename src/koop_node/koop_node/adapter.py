@@ -13,7 +13,7 @@ class StepCounter:
 
     With stamps, the step grows by the whole number of periods between two of them, so that a lost
     message is a gap in the steps; jitter and a drifting clock don't add up, for only neighbours are
-    compared. Without stamps (all zero) every message is the next step.
+    compared. A message without a stamp (zero) is the next step.
 
     Parameters
     ----------
@@ -28,11 +28,13 @@ class StepCounter:
 
     def next(self, stamp: float) -> int:
         """Return the step of a message with this stamp [s]."""
+        if stamp == 0.0 or self._stamp == 0.0:  # there is nothing to compare
+            self._step += 1
+            self._stamp = stamp or (self._stamp and self._stamp + self._dt)
+            return self._step
         since = stamp - self._stamp
         periods = round(min(max(since / self._dt, -1e15), 1e15))
-        if self._step < 0 or stamp == 0.0:
-            self._step += 1
-        elif since < 0.0 and periods >= -WINDOW:  # overtaken; the newest one stays the reference
+        if since < 0.0 and periods >= -WINDOW:  # overtaken; the newest one stays the reference
             return max(0, self._step + min(periods, -1))
         elif since < 0.0:
             self._step = 0  # the source started again
@@ -51,6 +53,6 @@ class StateAdapter:
 
     def convert(self, message: Any) -> tuple[int, list[float]]:
         """Return the step and the state, NaN where the message has no such number."""
-        header = getattr(message, "header", None)
-        stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec if header is not None else 0.0
-        return self._steps.next(stamp), [read_field(path, message) for path in self._fields]
+        stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
+        seconds = stamp.sec + 1e-9 * stamp.nanosec if hasattr(stamp, "nanosec") else 0.0
+        return self._steps.next(seconds), [read_field(path, message) for path in self._fields]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+from numbers import Real
 from typing import Any, NamedTuple
 
 from koop_node.config import ConfigError
@@ -109,7 +110,7 @@ def check_fields(fields: tuple[Path, ...], message: Any) -> None:
                     break  # not known before the first message
                 value = value[index]
         else:
-            if not isinstance(value, int | float):
+            if not isinstance(value, Real):
                 raise ConfigError(f"{type(message).__name__}: '{name}' is no number")
 
 
@@ -123,7 +124,7 @@ def read_field(path: Path, message: Any) -> float:
                 value = value[index]  # type: ignore[index]
             except (IndexError, TypeError, KeyError):
                 return math.nan
-    return float(value) if isinstance(value, int | float) else math.nan
+    return float(value) if isinstance(value, Real) else math.nan
 
 
 def _has(message: Any, name: str) -> bool:

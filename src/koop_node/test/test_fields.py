@@ -3,6 +3,7 @@
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from koop_node.adapter import StateAdapter, StepCounter
@@ -61,6 +62,14 @@ def test_numbers_are_read_and_what_is_none_is_nan():
         assert math.isnan(read_field(parse_field(text), sample))
 
 
+def test_an_array_of_fixed_length_holds_numbers_too():
+    """Messages hold such arrays in numpy's types; found by fuzzing: all was NaN but float64."""
+    for kind in (np.float32, np.float64, np.uint8, np.int32):
+        sample = message(gyro=np.array([0, 1], kind))
+        check_fields((parse_field("gyro[1]"),), sample)
+        assert read_field(parse_field("gyro[1]"), sample) == 1.0
+
+
 def test_fields_are_checked_before_the_first_message():
     empty = message(position=[], twist=SimpleNamespace(x=0.0), name="")
     check_fields((parse_field("position[3]"), parse_field("twist.x")), empty)
@@ -90,6 +99,12 @@ def test_without_stamps_every_message_is_the_next_step():
     assert steps([0.0] * 4) == [0, 1, 2, 3]
 
 
+def test_a_source_that_stamps_only_some_messages_makes_no_gaps():
+    """As a driver before it knows the time, which counted as billions of lost messages."""
+    assert steps([0.0, 0.0, 1e9, 1e9 + DT, 1e9 + 3 * DT]) == [0, 1, 2, 3, 5]
+    assert steps([1e9, 1e9 + DT, 0.0, 1e9 + 3 * DT]) == [0, 1, 2, 3]
+
+
 def test_the_adapter_makes_states():
     adapter = StateAdapter(parse_source("/js:position[0],velocity[0]"), DT)
     assert adapter.convert(message(9.0, position=[1.0], velocity=[2.0])) == (0, [1.0, 2.0])
@@ -97,3 +112,9 @@ def test_the_adapter_makes_states():
     assert step == 2
     assert values[0] == 1.0
     assert math.isnan(values[1])
+
+
+@pytest.mark.parametrize("header", [None, SimpleNamespace(), SimpleNamespace(stamp=5.0)])
+def test_a_header_of_another_kind_is_no_stamp(header):
+    adapter = StateAdapter(parse_source("/js:x"), DT)
+    assert adapter.convert(SimpleNamespace(header=header, x=1.0)) == (0, [1.0])

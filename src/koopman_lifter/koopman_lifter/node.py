@@ -139,8 +139,9 @@ class LifterNode(ManagedNode):
             return
         step, x = self._adapter.convert(message)
         state = MeasuredState(step=step, x=x)
-        if hasattr(message, "header"):
-            state.header = message.header
+        header = getattr(message, "header", None)
+        if isinstance(header, type(state.header)):  # a package may have a header of its own
+            state.header = header
         self._state_publisher.publish(state)
         self._on_state(state)
 
