@@ -166,12 +166,14 @@ def step(
     Returns
     -------
     r, y_out : float
-        Cost and instantaneous energy; r is NaN where y_out is not finite.
+        Cost and instantaneous energy; r is NaN where either is not finite.
     state : DetectorState
-        Detector after this sample; unchanged where y_out is not finite.
+        Detector after this sample; unchanged where r is NaN: a filter never forgets an infinity.
     """
     y_out = energy(source, lifting, x, z)
     if not math.isfinite(y_out):
         return math.nan, y_out, state
     r, after = detect(p, state, y_out)
+    if not math.isfinite(r):
+        return math.nan, y_out, state
     return r, y_out, after
