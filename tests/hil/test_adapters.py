@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from koop_msgs.msg import Cost, MeasuredState
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
@@ -37,6 +38,26 @@ def test_a_standard_message_is_lifted_like_a_state(start, probe, kind):
     rig.publish(message_type())  # too short: a state that can't be used
     probe.spin_until(lambda: len(costs) > 5, "the answer")
     assert math.isnan(costs[5].r)
+
+
+def test_a_rig_that_is_faster_than_the_model_is_told_so(start, probe):
+    start("koopman_lifter", "-r", "__ns:=/rig", state_source="joints:position[0],velocity[0]")
+    reports = probe.collect(DiagnosticArray, "/diagnostics")
+    probe.collect(Cost, "/rig/cost")
+    rig = probe.publisher(JointState, "/rig/joints")
+    k = 0
+
+    def told():
+        nonlocal k
+        message = JointState(position=[3.0], velocity=[4.0])
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(k * 1_000_000, 10**9)
+        rig.publish(message)
+        k += 1
+        return any(
+            "faster than one message in dt = 0.005 s" in r.status[0].message for r in reports
+        )
+
+    probe.spin_until(told, "the warning")
 
 
 def start_reference(start, probe, states):

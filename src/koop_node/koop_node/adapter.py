@@ -19,12 +19,18 @@ class StepCounter:
     ----------
     dt : float
         Time between two steps [s].
+
+    Attributes
+    ----------
+    early : int
+        Messages that came less than half a step after the one before: the source is faster.
     """
 
     def __init__(self, dt: float) -> None:
         self._dt = dt
         self._step = -1
         self._stamp = 0.0
+        self.early = 0
 
     def next(self, stamp: float) -> int:
         """Return the step of a message with this stamp [s]."""
@@ -40,6 +46,7 @@ class StepCounter:
             self._step = 0  # the source started again
         elif since > 0.0:
             self._step += max(periods, 1)
+            self.early += periods == 0
         self._stamp = stamp
         return self._step
 
@@ -50,6 +57,11 @@ class StateAdapter:
     def __init__(self, source: Source, dt: float) -> None:
         self._fields = source.fields
         self._steps = StepCounter(dt)
+
+    @property
+    def early(self) -> int:
+        """How many messages came much sooner than a step after the one before."""
+        return self._steps.early
 
     def convert(self, message: Any) -> tuple[int, list[float]]:
         """Return the step and the state, NaN where the message has no such number."""

@@ -90,6 +90,16 @@ def test_steps_follow_the_stamps_over_jitter_drift_and_losses():
     assert steps([100.0, 100.005, 100.020, 100.025]) == [0, 1, 4, 5]
 
 
+def test_a_source_faster_than_the_steps_is_noticed_and_jitter_is_not():
+    counter = StepCounter(DT)
+    for k in range(1000):
+        counter.next(100.0 + k * DT + (0.002 if k % 2 else 0.0))
+    assert counter.early == 0
+    for k in range(1000):
+        counter.next(200.0 + k * DT / 4)
+    assert counter.early == 999
+
+
 def test_repeated_overtaken_and_restarted_stamps():
     assert steps([50.0, 50.005, 50.005, 50.015, 50.010, 50.020]) == [0, 1, 1, 3, 2, 4]
     assert steps([50.0, 50.005, 1.0, 1.005]) == [0, 1, 0, 1]

@@ -16,7 +16,7 @@ from koop_node.adapter import StateAdapter
 from koop_node.config import NodeConfig
 from koop_node.fields import check_fields
 from koop_node.main import run
-from koop_node.managed import LAX, OK, QOS, ManagedNode, message_type
+from koop_node.managed import LAX, OK, QOS, WARN, ManagedNode, message_type
 from koop_node.stream import LATE, NEXT, REPEAT, RESTART, StreamMonitor
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
@@ -93,7 +93,14 @@ class LifterNode(ManagedNode):
         values = {"cost": self.parameters[LifterConfig].cost, "model_id": self._answer_id}
         if self._input.step is None:
             return OK, "no state yet", values
-        return OK, "lifting", {"step": self._answer.step, "r": self._answer.r, **values}
+        early, taken = self._adapter.early if self._adapter else 0, self._input.count
+        too_fast = early - self._early > (taken - self._taken) / 2
+        self._early, self._taken = early, taken
+        values |= {"step": self._answer.step, "r": self._answer.r}
+        if too_fast:
+            dt = self.parameters[LifterConfig].dt
+            return WARN, f"'{self._topic}' is faster than one message in dt = {dt:g} s", values
+        return OK, "lifting", values
 
     def _loaded(self, path: Path, config: LifterConfig) -> KoopmanModel:
         model = load(path)
@@ -119,6 +126,8 @@ class LifterNode(ManagedNode):
     def _adapt(self, config: LifterConfig) -> None:
         """Prepare for a rig that speaks another message than MeasuredState."""
         self._state_publisher: Any = None
+        self._adapter: StateAdapter | None = None
+        self._early = self._taken = 0
         self._topic, self._type, self._callback = "state", MeasuredState, self._on_state
         if config.foreign is not None:
             self._topic, self._type = config.foreign.topic, message_type(config.state_type)
@@ -135,7 +144,7 @@ class LifterNode(ManagedNode):
 
     def _on_foreign(self, message: Any) -> None:
         """Publish what a rig measured as 'state', for recording and replay, and answer it."""
-        if not self.active:
+        if not self.active or self._adapter is None:
             return
         step, x = self._adapter.convert(message)
         state = MeasuredState(step=step, x=x)
