@@ -1,4 +1,4 @@
-"""Every path in the viewer layouts is a field of the message on that topic."""
+"""What viewers are configured with is there: fields of messages, names of nodes."""
 
 import json
 import re
@@ -6,6 +6,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from rosbags.typesys import get_types_from_msg
 
 SRC = Path(__file__).parents[2] / "src"
@@ -81,3 +82,17 @@ def test_the_layouts_are_installed():
 
     for name in ("plotjuggler.xml", "foxglove.json"):
         assert (get_package_share_path("koop_bringup") / "layouts" / name).is_file()
+
+
+@pytest.mark.parametrize("namespace", ["", "/fleet/loop_1"])
+def test_the_aggregator_puts_every_node_into_one_group(namespace):
+    text = (SRC / "koop_bringup" / "config" / "aggregator.yaml").read_text()
+    settings = yaml.safe_load(text)["analyzers"]["ros__parameters"]
+    groups = {name: group for name, group in settings.items() if isinstance(group, dict)}
+    for group in groups.values():  # the aggregator ends at a parameter of another type
+        assert type(group["timeout"]) is float
+        assert type(group.get("num_items", 0)) is int
+    for node in ("vdp_plant", "koopman_lifter", "relay_esc", "recorder", "player"):
+        name = f"{namespace}/{node}"
+        matching = [g for g in groups.values() if any(part in name for part in g["contains"])]
+        assert len(matching) == 1, name
