@@ -1,20 +1,16 @@
 """What can go wrong with a bag. Each message says what happened and what to do about it."""
 
-_LONGEST = 800  # characters
+from koop_node.config import one_line
 
 
 class BagError(Exception):
     """A bag that is absent, foreign or damaged, or a request that it cannot answer.
 
-    Its text is one line that can be printed whatever names the bag holds: other characters are
-    written as in Python, and what is too long is cut.
+    Its text is one line that can be printed whatever names the bag holds.
     """
 
     def __str__(self) -> str:
-        words = super().__str__()
-        if not words.isprintable():
-            words = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
-        return words if len(words) <= _LONGEST else f"{words[: _LONGEST - 3]}..."
+        return one_line(super().__str__())
 
 
 class BagWriteError(BagError):

@@ -12,9 +12,26 @@ from dataclasses import Field, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
 
+_LONGEST = 800  # characters of an error
+
+
+def one_line(text: str) -> str:
+    """Return a text as one line that can be printed, whatever it quotes; too long ones are cut.
+
+    >>> one_line("unknown\\n  fault '\\x1b[31m'")
+    "unknown fault '\\\\x1b[31m'"
+    """
+    if not text.isprintable():
+        words = " ".join(text.split())
+        text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+
 
 class ConfigError(ValueError):
     """A configuration value that cannot be used; says which, why and what is allowed."""
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
 
 
 @dataclass(frozen=True)
@@ -112,7 +129,10 @@ def _converted(value: Any, default: Any) -> Any:
     if type(value) is wanted:
         return value
     if wanted is float and isinstance(value, Real) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            return math.inf  # which the check refuses
     if wanted is int and isinstance(value, Integral) and not isinstance(value, bool):
         return int(value)
     raise TypeError(f"expected {wanted.__name__}, got {value!r} ({type(value).__name__})")
@@ -125,6 +145,8 @@ def _check(name: str, value: Any, spec: Spec) -> None:
             if spec.choices and element not in spec.choices:
                 raise ConfigError(f"{name} = {element!r}: must be {spec.constraint}")
         elif not isinstance(element, bool):
+            if isinstance(element, int) and abs(element) >= 2**63:
+                raise ConfigError(f"{name}: an integer of more than 64 bits")
             if not math.isfinite(element):
                 raise ConfigError(f"{name} = {element}: must be a finite number")
             if not spec.low <= element <= spec.high:

@@ -37,6 +37,9 @@ def test_what_yaml_and_numpy_write_is_converted():
     [
         ({"gain": 11.0}, "gain = 11: must be 0 to 10 1/s"),
         ({"gain": float("inf")}, "gain = inf: must be a finite number"),
+        ({"gain": 10**400}, "gain = inf: must be a finite number"),
+        ({"count": 10**400}, "count: an integer of more than 64 bits"),
+        ({"mode": "\x1b[31m\n"}, "mode = '\\x1b[31m\\n': must be one of a, b"),
         ({"gain": True}, "gain: expected float, got True (bool)"),
         ({"gain": None}, "gain: expected float, got None (NoneType)"),
         ({"count": 0}, "count = 0: must be at least 1"),

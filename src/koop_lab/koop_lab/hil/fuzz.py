@@ -23,6 +23,7 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
+import yaml
 
 from koop_bag.columns import read_columns
 from koop_bag.config import RecorderConfig
@@ -33,7 +34,7 @@ from koop_bag.recover import recover
 from koop_bag.schema import load_schema
 from koop_bag.writer import BagWriter
 from koop_lab.hil import faults, scenario
-from koop_lab.hil.mutate import BagMaker, ModelMaker, cdr, mutate, text
+from koop_lab.hil.mutate import BagMaker, ModelMaker, cdr, mutate, text, tree
 from koop_node.adapter import StateAdapter
 from koop_node.config import ConfigError
 from koop_node.fields import check_fields, check_type, parse_source
@@ -191,7 +192,11 @@ def targets(folder: Path) -> dict[str, tuple[Trial, tuple[type[Exception], ...]]
     yaml_file = folder / "fuzzed.yaml"
 
     def read_scenario(rng: Random) -> None:
-        yaml_file.write_bytes(mutate(content.encode(), rng))
+        if rng.random() < 0.3:
+            yaml_file.write_bytes(mutate(content.encode(), rng))
+        else:
+            words = yaml.safe_dump(tree(yaml.safe_load(content), rng), allow_unicode=True)
+            yaml_file.write_text(words, errors="replace")
         scenario.read(yaml_file)
 
     return {
@@ -248,7 +253,8 @@ def _source(message: Any, rng: Random) -> str:
             if not hasattr(value, "get_fields_and_field_types"):
                 break
         fields.append(words[1:])
-    return f"{rng.choice(('/a', 'a/b', '~/a', '', 'a b'))}:{','.join(fields)}"
+    topic = rng.choice(("/a", "a/b", "~/a", "a", "/a_1/b")) if rng.random() < 0.95 else "a b"
+    return f"{topic}:{','.join(fields)}"
 
 
 def _topics() -> dict[str, tuple[str, str, bytes]]:
@@ -313,7 +319,7 @@ def main(args: argparse.Namespace) -> int:
             )
             for finding in outcome.findings[:10]:
                 print(f"    {finding}")
-            for answer, count in outcome.answers.most_common() if args.answers else ():
+            for answer, count in outcome.answers.most_common(30) if args.answers else ():
                 print(f"{count / outcome.inputs:8.2%} {answer}")
     return 1 if found else 0
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -127,10 +126,10 @@ def read(path: Path) -> Scenario:
             raise ConfigError("is too large for a scenario")
         content = yaml.safe_load(path.read_text())
         return parse(path.stem, content, path.parent)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
-        raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
+        raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
 
 
 def parse(name: str, content: Any, folder: Path) -> Scenario:
@@ -194,7 +193,8 @@ def _event(item: Any, folder: Path) -> Event:
 
 
 def _seconds(value: Any, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    if not known or not -1e15 < value < 1e15:
         raise ConfigError(f"{name}: {value!r} is no number")
     return float(value)
 
