@@ -2,6 +2,8 @@
 
 import math
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -251,6 +253,28 @@ def test_the_model_is_replaced_at_run_time_or_refused(lifter, probe, tmp_path):
     after = lifter(2, x=x)
     assert after.model_id != before.model_id
     assert after.y_out != before.y_out
+
+
+FIRST_STATE = """
+import rclpy
+from koop_msgs.msg import MeasuredState
+from koopman_lifter import cost
+from koopman_lifter.node import LifterNode
+
+rclpy.init()
+node = LifterNode()
+node.trigger_configure()
+compiled = list(cost.step.signatures)
+node.trigger_activate()
+node._on_state(MeasuredState(step=0, x=[1.0, 2.0]))
+assert cost.step.signatures == compiled, "the first state was compiled for"
+"""
+
+
+def test_the_first_state_waits_for_no_compilation(own_domain):
+    """In a process of its own: what other tests have compiled would hide it."""
+    done = subprocess.run([sys.executable, "-c", FIRST_STATE], stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_an_inactive_lifter_is_silent(lifter, probe):

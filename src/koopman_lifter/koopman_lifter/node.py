@@ -197,7 +197,7 @@ class LifterNode(ManagedNode):
 
     def _compile(self) -> None:
         """Compile the kernel for the types that messages bring, before the first sample."""
-        x = np.frombuffer(np.zeros(self._model.observables.n).tobytes())
+        x = np.frombuffer(MeasuredState(x=[0.0] * self._model.observables.n).x)
         for state in (cost.initial(), cost.resume(self._state)):
             cost.step(self._source, self._lifting, self._detector, state, x, self._z)
 
