@@ -82,15 +82,15 @@ def run_kernel(
 ) -> int:
     """Run the loop for ``theta.size`` steps and fill the four arrays; return the steps done.
 
-    Fewer than asked for are done only if the state stops being finite.
+    Fewer than asked for are done only if the state or its cost stops being finite.
     """
     z = np.empty(lifting.parent.shape[0])
     state = np.empty(2)
     applied = relay_state.theta
     for k in range(theta.shape[0]):
         state[0], state[1] = dynamics.measure(plant, k, x, y)
-        r[k], y_out, detector_state = cost.step(source, lifting, detector, detector_state, state, z)
-        if not np.isfinite(y_out):
+        r[k], _, detector_state = cost.step(source, lifting, detector, detector_state, state, z)
+        if not np.isfinite(r[k]):
             return k
         relay_state = relay.step(esc, relay_state, r[k])
         measured[k, 0] = state[0]

@@ -166,14 +166,14 @@ def step(
     Returns
     -------
     r, y_out : float
-        Cost and instantaneous energy; r is NaN where either is not finite.
+        Cost and instantaneous energy; r is NaN where y_out or its square is not finite.
     state : DetectorState
-        Detector after this sample; unchanged where r is NaN: a filter never forgets an infinity.
+        Detector after this sample; unchanged where r is NaN.
     """
     y_out = energy(source, lifting, x, z)
     if not math.isfinite(y_out):
         return math.nan, y_out, state
     r, after = detect(p, state, y_out)
-    if not math.isfinite(r):
+    if not math.isfinite(r):  # an infinite low-pass filter would stay so for ever
         return math.nan, y_out, state
     return r, y_out, after

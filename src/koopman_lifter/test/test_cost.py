@@ -60,6 +60,7 @@ def test_an_unusable_state_costs_nan_and_leaves_the_detector_alone():
     z = np.empty(model.observables.p)
     arguments = (cost.LIFTED, model.lifting(), config.detector_params())
     before = cost.step(*arguments, cost.initial(), np.array([1.0, 2.0]), z)[2]
+    # of the last one the energy is finite, its square is not
     for bad in ([np.nan, 0.0], [np.inf, 0.0], [1e200, 0.0], [1e30, 0.0]):
         r, _, after = cost.step(*arguments, before, np.array(bad), z)
         assert math.isnan(r)

@@ -86,11 +86,11 @@ def run_kernel(
             state[1] += exposure.added[k, 1]
         if exposure.lost.shape[0] == 0 or not exposure.lost[k]:
             y_out = cost.energy(sensing.source, sensing.lifting, state, z)
-            if not math.isfinite(y_out):
-                return k
             if sensing.logarithm:
                 y_out = math.log(max(y_out, FLOOR))
             now_r, detector_state = cost.detect(sensing.detector, detector_state, y_out)
+            if not math.isfinite(now_r):
+                return k
             if kind == RELAY:
                 relay_state = relay.step(control.relay, relay_state, now_r)
                 now_theta = relay_state.theta
