@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from numba import njit
 
-from koop_node.config import ConfigError, parameter, validate
+from koop_node.config import parameter, validate
 from relay_esc.config import EscConfig
 from relay_esc.relay import dwell_samples
 
@@ -69,8 +69,6 @@ class AdaptiveConfig:
 
     def __post_init__(self) -> None:
         validate(self)
-        if self.step_ratio > 1.0:
-            raise ConfigError(f"step_ratio = {self.step_ratio:g}: must be at most 1")
 
     def params(self, esc: EscConfig) -> AdaptiveParams:
         """Return the values that :func:`step` takes."""
