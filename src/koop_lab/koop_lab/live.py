@@ -10,7 +10,8 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -46,6 +47,18 @@ def executable(package: str, name: str) -> Path:
     return path
 
 
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ignore Ctrl-C and its like: who presses it twice would leave the nodes behind, running."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(number, signal.SIG_IGN) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
 class NodeProcess:
     """One node in a process of its own, its output in a log file."""
 
@@ -67,6 +80,7 @@ class NodeProcess:
         """Return the exit code, or None while the process runs."""
         return self.process.poll()
 
+    @uninterrupted()
     def stop(self) -> int:
         """Ask the process to end, wait, kill it if it does not; return the exit code."""
         if self.process.poll() is None:
@@ -235,6 +249,7 @@ class LiveLoop:
     def _start(self, node: str, arguments: list[str]) -> None:
         self._nodes[node] = NodeProcess(node, arguments, self.folder / "logs" / f"{node}.log")
 
+    @uninterrupted()
     def _stop_all(self) -> dict[str, int]:
         """Stop the sources before the recorder, so that it records all that they said."""
         return {node: process.stop() for node, process in reversed(self._nodes.items())}

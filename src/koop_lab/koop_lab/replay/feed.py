@@ -18,7 +18,14 @@ from tqdm import tqdm
 
 from koop_bag.reader import BagReader
 from koop_lab import parameters
-from koop_lab.live import EXECUTABLES, START_TIMEOUT, LiveError, NodeProcess, executable
+from koop_lab.live import (
+    EXECUTABLES,
+    START_TIMEOUT,
+    LiveError,
+    NodeProcess,
+    executable,
+    uninterrupted,
+)
 from koop_lab.replay.plan import Plan, Stretch
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER
@@ -57,8 +64,9 @@ def replay_live(
             finally:
                 feeder.close()
         finally:
-            for process in nodes.values():
-                process.stop()
+            with uninterrupted():
+                for process in nodes.values():
+                    process.stop()
 
 
 def _parameter_file(folder: Path, plan: Plan) -> Path:
