@@ -170,8 +170,11 @@ def _compare_field(
         same = np.array([x == y or (x != x and y != y) for x, y in zip(a, b, strict=True)], bool)
         distance = np.where(same, 0.0, np.nan)
     else:
-        # unsigned and bool values have no difference of their own
-        distance = np.abs(a.astype(np.float64) - b.astype(np.float64))
+        if a.dtype == b.dtype and a.dtype.kind in "iu":
+            # in integers: a float holds a stamp of today to 256 ns only
+            distance = np.where(a > b, a - b, b - a).astype(np.float64)
+        else:
+            distance = np.abs(a.astype(np.float64) - b.astype(np.float64))
         same = (a == b) | ((a != a) & (b != b)) | (distance <= tolerance)
     if same.all():
         return None

@@ -3,6 +3,7 @@
 import argparse
 import json
 import signal
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -145,6 +146,18 @@ def test_differences_are_counted_and_the_first_and_the_largest_are_told(write, k
 
 def _with_step(data, k):
     return data[:20] + k.to_bytes(8, "little") + data[28:]  # the frame id is empty
+
+
+def test_stamps_of_today_differ_by_a_nanosecond(write, koop, messages):
+    def stamped(nanosec):  # after the encapsulation
+        data = messages.loop("/cost", 0)
+        return data[:4] + struct.pack("<iI", 1_700_000_000, nanosec) + data[12:]
+
+    a, b = (write(name, [("/cost", 0, stamped(n))]) for name, n in (("a", 7), ("b", 8)))
+    code, text, _ = koop("diff", a, b, "--topic", "/cost")
+    assert code == 1
+    assert "header.stamp: 1 differ" in text
+    assert "largest difference 1 at step 0" in text
 
 
 def test_repeated_and_missing_steps_do_not_shift_the_comparison(write, koop):
