@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 from koop_bag import run_folder
@@ -177,15 +178,9 @@ class RecorderNode(ManagedNode):
         if self._writer is None:
             return
         writer, self._writer = self._writer, None
-        for topic in self._topics.values():
-            topic.match()
-            if not topic.channel and topic.offered and not writer.closed:
-                # a topic with publishers that stayed silent is part of the record
-                writer.add_topic(topic.name, topic.schema, topic.offered)
         lost = self._lost()
-        writer.custom_data.update(self._custom_data())
         try:
-            writer.close()
+            self._complete(writer)
         except BagWriteError as error:
             self._fail(str(error))
             return
@@ -195,6 +190,16 @@ class RecorderNode(ManagedNode):
             f"lost messages: {losses or 'none'}"
         )
         self._report_ends()
+
+    def _complete(self, writer: BagWriter) -> None:
+        """Write what is only known at the end, and close."""
+        for topic in self._topics.values():
+            topic.match()
+            if not topic.channel and topic.offered:
+                # a topic with publishers that stayed silent is part of the record
+                writer.add_topic(topic.name, topic.schema, topic.offered)
+        writer.custom_data.update(self._custom_data())
+        writer.close()
 
     def _report_ends(self) -> None:
         """Say what no gap shows: that the record of a topic begins late or ends early."""
@@ -228,7 +233,10 @@ class RecorderNode(ManagedNode):
         try:
             action()
         except BagWriteError as error:
-            self._writer = None
+            writer, self._writer = self._writer, None
+            if writer is not None and not writer.closed:  # what failed lies beside the bag
+                with suppress(BagWriteError):
+                    self._complete(writer)
             self._fail(str(error))
 
     def _fail(self, problem: str) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import platform
 import secrets
-import shutil
 import subprocess
 import time
 from collections.abc import Mapping
@@ -97,11 +96,15 @@ def keep_model(folder: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str
         path = Path(str(values.get("model") or "")).expanduser()
         if not values.get("model") or not path.is_file():
             continue
+        try:
+            content = path.read_bytes()
+        except OSError:
+            continue
         target = folder / "model" / path.name
         try:
             target.parent.mkdir(exist_ok=True)
-            shutil.copyfile(path, target)
-            kept[path.name] = hashlib.sha256(target.read_bytes()).hexdigest()
+            target.write_bytes(content)
+            kept[path.name] = hashlib.sha256(content).hexdigest()
         except OSError as error:
             raise BagWriteError(f"cannot keep the model {path}: {error.strerror}") from error
     return kept

@@ -199,6 +199,27 @@ def test_a_full_disk_ends_the_recorder_with_an_error_and_the_bag_is_safe(tmp_pat
     assert found == list(range(len(found)))
 
 
+def test_a_model_that_cannot_be_read_is_left_out_of_the_record(tmp_path, messages):
+    with Recorder(tmp_path / "run") as recorder, Talker(model="/proc/self/mem") as talker:
+        publishers = talker.publishers(LOOP)
+        path = tmp_path / "run" / "parameters.yaml"
+        talker.spin_until(lambda: path.exists() and "talker" in path.read_text(), "parameters")
+        publish(publishers, messages.loop, range(20))
+        recorder.stop()
+        assert recorder.process.returncode == 0, recorder.output()
+    assert steps(tmp_path / "run") == list(range(20))
+
+
+def test_what_cannot_be_written_beside_the_bag_ends_the_recorder_and_the_bag_is_whole(tmp_path):
+    (tmp_path / "run" / "parameters.yaml").mkdir(parents=True)
+    with Recorder(tmp_path / "run") as recorder:
+        assert recorder.end() == 1
+        assert "cannot write" in recorder.output()
+        assert "Traceback" not in recorder.output()
+    with BagReader(tmp_path / "run") as reader:
+        assert reader.complete
+
+
 def test_publishers_of_any_reliability_are_heard(tmp_path, messages):
     qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
     with Recorder(tmp_path / "run") as recorder, Talker() as talker:
