@@ -1,6 +1,7 @@
 """Recovery of torn and damaged bags; the result is judged by `rosbags`."""
 
 import itertools
+import random
 
 import pytest
 import yaml
@@ -48,6 +49,46 @@ def test_only_the_damaged_chunk_is_given_up_and_the_gap_shows(write_loop, tmp_pa
     gaps = [b - a for a, b in itertools.pairwise(numbers) if b - a > 1]
     assert len(gaps) == 1
     assert len(numbers) + gaps[0] - 1 == 600
+
+
+def test_a_topic_whose_schema_is_damaged_is_given_up_and_the_others_are_kept(write_loop, tmp_path):
+    path = write_loop(n=50) / "run_0.mcap"
+    data = path.read_bytes()
+    name = data.index(b"koop_msgs/msg/MeasuredState")
+    # the length of the name, before it, now reaches far beyond the record
+    path.write_bytes(data[: name - 4] + b"\xff\xff\xff\x7f" + data[name:])
+    report = recover(path, tmp_path / "saved")
+    assert report.messages == 150
+    assert report.damaged_records > 0
+    with BagReader(tmp_path / "saved") as reader:
+        assert {topic.name for topic in reader.topics} == {"/cost", "/theta", "/truth"}
+
+
+def test_any_damage_leaves_a_whole_bag_or_an_error(write_loop, tmp_path):
+    """As `koop fuzz` does, on the way that it does not take."""
+    data = (write_loop(n=20, compression="none") / "run_0.mcap").read_bytes()
+    for seed in range(300):
+        path = tmp_path / "damaged.mcap"
+        rng = random.Random(seed)
+        changed = bytearray(data)
+        for _ in range(4):
+            changed[rng.randrange(len(changed))] = rng.randrange(256)
+        path.write_bytes(changed)
+        target = tmp_path / f"saved{seed}"
+        try:
+            recover(path, target)
+        except BagError:
+            assert not target.exists()
+            continue
+        with BagReader(target) as reader:
+            assert reader.complete
+
+
+def test_a_file_of_another_kind_is_refused_before_anything_is_written(tmp_path):
+    (tmp_path / "notes.mcap").write_text("not a bag")
+    with pytest.raises(BagError, match="not an MCAP file"):
+        recover(tmp_path / "notes.mcap", tmp_path / "saved")
+    assert not (tmp_path / "saved").exists()
 
 
 def test_a_bag_of_several_files_is_recovered_as_one(write_loop, tmp_path):
