@@ -123,7 +123,10 @@ class PlayerNode(ManagedNode):
             self._clock_outlet.jump()
             if self._gate is not None:
                 self._gate.forget()
-            self._playback.seek(self._log_time(config.position), now)
+            try:
+                self._playback.seek(self._log_time(config.position), now)
+            except BagError as error:
+                self._give_up(error)
         self._go_on()
 
     def samples(self) -> int:
@@ -238,9 +241,13 @@ class PlayerNode(ManagedNode):
             return
         now = time.monotonic()
         until = now + SLICE
-        while now < until and (message := playback.take(now)) is not None:
-            self._publish(message)
-            now = time.monotonic()
+        try:
+            while now < until and (message := playback.take(now)) is not None:
+                self._publish(message)
+                now = time.monotonic()
+        except BagError as error:
+            self._give_up(error)
+            return
         if playback.finished:
             self._end()
             return
@@ -277,6 +284,11 @@ class PlayerNode(ManagedNode):
             outlet.wait_for_listeners(FAREWELL)
         self.get_logger().info(f"done: {self.samples()} messages")
         self.finish(0)
+
+    def _give_up(self, error: BagError) -> None:
+        """End at a place of the bag that cannot be read."""
+        self.get_logger().error(str(error))
+        self.finish(1)
 
     def _on_answered(self) -> None:
         if self._playback is not None:

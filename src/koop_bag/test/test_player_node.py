@@ -89,6 +89,18 @@ def test_a_recording_of_a_playback_is_the_recording(write_loop, tmp_path):
             assert second == [padded(data) for data in first]
 
 
+def test_a_damaged_chunk_ends_the_player_with_one_line(write_loop):
+    bag = write_loop(n=2000)
+    path = bag / "run_0.mcap"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with Player(bag, pace="fast", wait_for="none") as player:
+        assert player.end() == 1
+        assert "damaged" in player.output()
+        assert "Traceback" not in player.output()
+
+
 @pytest.mark.parametrize(("options", "rate"), [({}, 1.0), ({"pace": "scaled", "rate": 4.0}, 4.0)])
 def test_time_passes_at_the_rate(write_loop, options, rate):
     bag = write_loop(n=401)  # 2 s
