@@ -171,7 +171,8 @@ def offered_qos(profile: QoSProfile) -> OfferedQos:
 
     def span(duration: Duration) -> tuple[int, int] | None:
         seconds, nanoseconds = divmod(duration.nanoseconds, 1_000_000_000)
-        return None if not 0 < seconds < _NO_LIMIT else (seconds, nanoseconds)
+        limited = duration.nanoseconds > 0 and seconds < _NO_LIMIT
+        return (seconds, nanoseconds) if limited else None
 
     return OfferedQos(
         reliability=word(profile.reliability, "reliable"),

@@ -221,7 +221,8 @@ def test_what_cannot_be_written_beside_the_bag_ends_the_recorder_and_the_bag_is_
 
 
 def test_publishers_of_any_reliability_are_heard(tmp_path, messages):
-    qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+    deadline = Duration(seconds=0.1)
+    qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT, deadline=deadline)
     with Recorder(tmp_path / "run") as recorder, Talker() as talker:
         # matched only once the recorder has seen what is offered
         publish(talker.publishers({"/state": LOOP["/state"]}, qos), messages.loop, range(20))
@@ -231,6 +232,8 @@ def test_publishers_of_any_reliability_are_heard(tmp_path, messages):
     with BagReader(tmp_path / "run") as reader:
         offered = yaml.safe_load(reader.topic("/state").metadata["offered_qos_profiles"])
     assert [profile["reliability"] for profile in offered] == ["best_effort"]
+    assert offered[0]["deadline"] == {"sec": 0, "nsec": 100_000_000}
+    assert offered[0]["lifespan"]["sec"] == 9223372036  # none
 
 
 def test_all_topics_of_the_namespace_are_recorded_and_no_others(tmp_path, messages):
