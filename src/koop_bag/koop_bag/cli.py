@@ -81,9 +81,6 @@ def _set(parser: argparse.ArgumentParser, action: Action) -> None:
         except BagError as error:
             print(f"koop bag {args.action}: error: {error}", file=sys.stderr)
             return 2
-        except BrokenPipeError:  # `| head` has seen enough
-            sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
-            return 0
 
     parser.set_defaults(func=guarded)
 

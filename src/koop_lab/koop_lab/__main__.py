@@ -1,8 +1,13 @@
 """``python -m koop_lab`` is ``koop``."""
 
+import signal
 import sys
 
-from koop_lab.cli import main
-
 if __name__ == "__main__":
+    # The imports take a second. Until main() takes it over, Ctrl-C ends the process without a
+    # traceback, unless it was started with Ctrl-C ignored.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from koop_lab.cli import main
+
     sys.exit(main())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 from importlib import import_module
@@ -42,13 +43,21 @@ def parser() -> argparse.ArgumentParser:
 def main(argv: list[str] | None = None) -> int:
     """Run a command; bad input ends in one line on stderr and exit code 2."""
     args = parser().parse_args(argv)
+    if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:  # see koop_lab.__main__
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     # a closed terminal or a supervisor's stop must end the nodes that were started, as Ctrl-C does
     signal.signal(signal.SIGTERM, _interrupt)
     signal.signal(signal.SIGHUP, _interrupt)
     try:
-        return int(args.func(args))
-    except (ValueError, OSError, ArithmeticError, BagError, LiveError) as error:
-        print(f"koop {args.command}: error: {error}", file=sys.stderr)
+        code = int(args.func(args))
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # `| head` has seen enough
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
+        return 0
+    except (ValueError, OSError, ArithmeticError, MemoryError, BagError, LiveError) as error:
+        words = [args.command, *(getattr(args, name, "") for name in ("action", "benchmark"))]
+        print(f"koop {' '.join(filter(None, words))}: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -46,6 +46,7 @@ def register(commands: Any) -> None:
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 if the loop ran, whether or not it converged."""
     parameters = with_pace(parameters_from(args), args.pace, args.time_scale)
+    parameters.load_model()  # one that cannot be used is said before anything is started
     folder = args.out or default_folder("demo")
     print(
         f"{parameters.pace.duration:g} s of the {parameters.lifter.cost} cost at pace "

@@ -6,6 +6,7 @@ import argparse
 
 from koop_lab import parameters
 from koop_lab.parameters import LoopParameters
+from koop_node.config import ConfigError
 
 
 def add_loop_options(parser: argparse.ArgumentParser, duration: float) -> None:
@@ -31,7 +32,7 @@ def loop_parameters(args: argparse.Namespace) -> LoopParameters:
     Raises
     ------
     koop_node.config.ConfigError
-        If the parameter file or a value cannot be used.
+        If the parameter file or a value cannot be used, or the run has no two steps to judge.
     """
     values = parameters.read(args.params) if args.params else {}
     values = parameters.changed(
@@ -44,4 +45,7 @@ def loop_parameters(args: argparse.Namespace) -> LoopParameters:
         ("relay_esc", "theta_initial", args.theta),
         ("vdp_plant", "duration", args.duration),
     )
-    return parameters.make(values)
+    made = parameters.make(values)
+    if made.pace.duration < 2 * made.plant.dt:
+        raise ConfigError("--duration must cover at least two steps")
+    return made

@@ -109,7 +109,10 @@ def _bag_training(args: argparse.Namespace) -> BagTraining:
         if getattr(args, name) is not None
     }
     if args.horizons is not None:
-        given["horizons"] = tuple(int(text) for text in args.horizons.split(","))
+        try:
+            given["horizons"] = tuple(int(text) for text in args.horizons.split(","))
+        except ValueError:
+            raise ValueError(f"--horizons {args.horizons}: write steps, such as 1,10,50") from None
     if args.names is not None:
         given["names"] = tuple(args.names.split(","))
     state = StateSpec.parse(args.state or "/state:x")

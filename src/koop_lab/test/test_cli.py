@@ -1,6 +1,9 @@
 """The commands as a user types them."""
 
 import json
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -43,22 +46,56 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        (["simulate", "--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
+        (["simulate", "--model", "nowhere.npz"], "simulate: error: nowhere.npz: cannot be read"),
         (["simulate", "--params", "nowhere.yaml"], "nowhere.yaml: cannot be read as YAML"),
         (["simulate", "--theta", "9"], "relay_esc: theta_initial = 9 must lie within"),
         (["simulate", "--duration", "-1"], "duration = -1: must be 0 to 1e+09 s"),
         (["simulate", "--duration", "0"], "--duration must cover at least two steps"),
+        (["demo", "--duration", "0"], "--duration must cover at least two steps"),
+        (["demo", "--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
         (["demo", "--time-scale", "2"], "--time-scale needs --pace scaled"),
         (["inspect", "pyproject.toml"], "truncated, damaged or no model file"),
         (["train", "--degree", "0"], "degree = 0: must be 1 to 8"),
+        (["train", "bag", "--horizons", "1,x"], "--horizons 1,x: write steps"),
+        (["replay", "recordings/golden/run", "--offline", "--set", "relay_esc.dwell=["], "in YAML"),
+        (["bag", "metrics", "nowhere"], "koop bag metrics: error: there is no bag nowhere"),
     ],
 )
 def test_bad_input_ends_in_one_line_and_exit_code_2(argv, message, capsys):
     assert main(argv) == 2
     error = capsys.readouterr().err
-    assert error.startswith(f"koop {argv[0]}: error: ")
+    assert error.startswith(f"koop {argv[0]}")
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_a_run_that_does_not_fit_into_memory_ends_in_one_line(monkeypatch, capsys):
+    def simulate(*_):
+        raise MemoryError("Unable to allocate 2.91 TiB")
+
+    monkeypatch.setattr("koop_lab.simulate_command.simulate", simulate)
+    assert main(["simulate", "--duration", "1e9"]) == 2
+    assert capsys.readouterr().err == "koop simulate: error: Unable to allocate 2.91 TiB\n"
+
+
+def test_a_reader_that_has_seen_enough_is_no_error():
+    command = [sys.executable, "-m", "koop_lab", "inspect"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 0
+
+
+def test_ctrl_c_before_the_imports_are_done_is_no_traceback():
+    command = [sys.executable, "-X", "importtime", "-m", "koop_lab", "inspect"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        for line in process.stderr:
+            if "numpy._core" in line:  # imported by all that koop_lab is made of
+                process.send_signal(signal.SIGINT)
+                break
+        rest = process.stderr.read()
+    assert process.returncode == -signal.SIGINT
+    assert "Traceback" not in rest
 
 
 def test_every_command_has_help():

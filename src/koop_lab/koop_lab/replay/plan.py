@@ -129,7 +129,10 @@ def _given(params: str | None, model: str | None, settings: Iterable[str]) -> Va
                 f"--set {text}: write {CONTROLLER[0]}.PARAMETER=VALUE or "
                 f"{CONTROLLER[1]}.PARAMETER=VALUE"
             )
-        given.setdefault(node, {})[parameter] = yaml.safe_load(value)
+        try:
+            given.setdefault(node, {})[parameter] = yaml.safe_load(value)
+        except yaml.YAMLError:
+            raise ConfigError(f"--set {text}: '{value}' is no value in YAML") from None
     if model is not None:
         given.setdefault("koopman_lifter", {})["model"] = model
     parameters.make({node: given.get(node, {}) for node in CONTROLLER})  # names what is wrong
