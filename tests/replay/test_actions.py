@@ -8,7 +8,7 @@ import pytest
 from koop_msgs.msg import ControlInput, MeasuredState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from koop_lab.cli import main
 from koop_lab.replay.recording import read_recording
@@ -115,6 +115,30 @@ def test_an_eventful_run_is_replayed_bit_for_bit(eventful, how, capfd):
     assert "theta  identical bit for bit in all 280 steps" in printed
     assert "2 states of a step asked again are left out" in printed
     assert "from step 130 on, as recorded: koopman_lifter cost = raw" in printed
+
+
+def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp_path, capfd):
+    folder = tmp_path / "run"
+    recorder = start("recorder", output=folder)
+    start("relay_esc", recorders=1, step_size=0.01)  # one direction: no flip so soon
+    lifter = start("koopman_lifter", recorders=1)
+    rig = Rig(probe)
+    rig.swing(range(40))
+    assert probe.call(Trigger, "/relay_esc/reset", Trigger.Request()).success
+    rig.swing(range(40, 80))
+    assert lifter.stop() == 0
+    count = rig.publisher.get_subscription_count
+    probe.spin_until(lambda: count() == 1, "the lifter to be gone")
+    start("koopman_lifter", recorders=1)
+    probe.spin_until(lambda: count() == 2, "the lifter to be back")
+    rig.swing(range(80, 120))
+    recorder.process.send_signal(signal.SIGINT)
+    assert recorder.process.wait(20.0) == 0
+    assert main(["replay", str(folder), "--offline"]) == 1
+    printed = capfd.readouterr().out
+    assert "to 2 at step 40: the controller was reset" in printed
+    assert "the recorded cost is 0 at step 80: the lifter was started anew" in printed
+    assert printed.count("anew") == 2
 
 
 def test_what_the_user_sets_outlasts_a_recorded_change(eventful, capfd):

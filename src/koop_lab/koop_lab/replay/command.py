@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import Plan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
 from koop_lab.table import table
+
+SHOWN = 10  # places where a node began anew
 
 
 def register(commands: Any) -> None:
@@ -96,8 +99,34 @@ def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[
             f"the recording begins in mid-run (the first cost is {recording.r[0]:.6g}, not 0): "
             "what the filters held before it is not in the bag"
         )
-    elif (first := results[0].first) is not None and first[1] == 0.0:
-        lines.append(
-            f"the recorded cost is 0 at step {first[0]}: the lifter was started anew there"
-        )
-    return lines
+    return lines + begun_anew(recording, plan)
+
+
+def begun_anew(recording: Recording, plan: Plan) -> list[str]:
+    """Say where recorded answers show that a node began anew, which a replay does not.
+
+    A cost of exactly 0 in mid-run is the detector's first answer. Theta moves by a relay step at
+    the most, unless it is set back.
+    """
+    changed = {change.index for stretch in plan.stretches for change in stretch.changed}
+    lines = []
+    rows = np.flatnonzero(recording.has_r)
+    for before, k in pairwise(rows):
+        on = recording.step[k] > recording.step[before] and k not in changed
+        if on and recording.r[k] == 0.0 and recording.r[before] > 0.0:
+            lines.append(
+                f"the recorded cost is 0 at step {recording.step[k]}: the lifter was started anew "
+                "there, which is not replayed"
+            )
+    largest = max(stretch.parameters.esc.step_size for stretch in plan.stretches)
+    rows = np.flatnonzero(recording.has_theta)
+    jumps = np.abs(np.diff(recording.theta[rows])) > largest * (1.0 + 1e-6)  # beyond any rounding
+    for i in np.flatnonzero(jumps & ~np.append(False, jumps[:-1])):  # a ramp is one jump
+        before, k = rows[i], rows[i + 1]
+        if k not in changed:
+            lines.append(
+                f"the recorded theta jumps from {recording.theta[before]:.6g} to "
+                f"{recording.theta[k]:.6g} at step {recording.step[k]}: the controller was reset "
+                "or started anew there, which is not replayed"
+            )
+    return lines[:SHOWN]
