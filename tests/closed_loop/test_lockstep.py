@@ -7,8 +7,8 @@ import pytest
 
 from koop_lab.live import LiveError, LiveLoop
 from koop_lab.loop import simulate
-from koop_lab.parameters import make
-from koop_lab.recorded import read_run, recorded_parameters
+from koop_lab.parameters import make, read
+from koop_lab.recorded import read_run
 
 
 def lockstep(folder, steps, **changes):
@@ -51,7 +51,7 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(tmp_path, steps, chan
     assert run.lost == {"state": 0, "cost": 0, "theta": 0, "truth": 0}
     assert np.ptp(run.theta) > 0.1  # the controller did act
     # what the recorder found out about the nodes is what they were given
-    recorded = recorded_parameters(tmp_path)
+    recorded = make(read(tmp_path / "parameters.yaml"))
     assert (recorded.plant, recorded.lifter, recorded.esc) == (
         parameters.plant,
         parameters.lifter,

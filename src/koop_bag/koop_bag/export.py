@@ -15,8 +15,6 @@ from koop_bag.errors import BagError
 from koop_bag.extent import Extent, measure
 from koop_bag.reader import BagReader
 
-FORMATS = ("csv", "parquet")
-
 
 def export(
     bag: BagReader,

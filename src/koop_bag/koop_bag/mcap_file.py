@@ -1,7 +1,6 @@
 """One MCAP file being written: chunks through to the disk, then the summary."""
 
 import errno
-import os
 import struct
 import zlib
 from collections.abc import Mapping
@@ -92,10 +91,6 @@ class McapFileWriter:
     def abandon(self) -> None:
         """Close without a summary."""
         self._file.close()
-
-    def sync(self) -> None:
-        """Wait until the disk has what was written, so that it survives a loss of power too."""
-        os.fdatasync(self._file.fileno())
 
     def _closing_records(self) -> bytes:
         out = bytearray(encode(DataEnd(data_section_crc=0)))

@@ -166,10 +166,6 @@ class BagWriter:
         self._notes[name] = dict(values)
         self._guarded(lambda: self._file.add_metadata(name, values))
 
-    def sync(self) -> None:
-        """Wait until the disk has what was written."""
-        self._file.sync()
-
     def close(self) -> None:
         """Write the last chunk, the summary and `metadata.yaml`. A second call does nothing."""
         if self.closed:

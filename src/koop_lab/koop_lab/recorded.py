@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from koop_bag.columns import read_columns
 from koop_bag.losses import count_losses
 from koop_bag.reader import BagReader
-from koop_lab.parameters import LoopParameters, make, read
 
 FIELDS = {
     "state": ["step", "x"],
@@ -105,8 +104,3 @@ def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
         float(seconds[-1]),
         seconds,
     )
-
-
-def recorded_parameters(folder: Path) -> LoopParameters:
-    """Return the parameters of the nodes as the recorder found them."""
-    return make(read(folder / "parameters.yaml"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import yaml
@@ -187,8 +186,3 @@ def _stretches(used: Values, changes: Iterable[Change], size: int) -> tuple[Stre
             )
         stretches.append(Stretch(begin, end, made, tuple(at[begin])))
     return tuple(stretches)
-
-
-def model_file(plan: Plan) -> Path:
-    """Return the model file of the first state."""
-    return plan.stretches[0].parameters.model.path
