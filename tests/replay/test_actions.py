@@ -117,6 +117,15 @@ def test_an_eventful_run_is_replayed_bit_for_bit(eventful, how, capfd):
     assert "from step 130 on, as recorded: koopman_lifter cost = raw" in printed
 
 
+def test_an_eventful_run_has_metrics_and_a_plot(eventful, tmp_path, capfd):
+    """Among its states are one of one value and one of three."""
+    assert main(["bag", "metrics", str(eventful), "--theta-star", "1.5"]) == 0
+    printed, error = capfd.readouterr()
+    assert "x[1]" in printed, error
+    assert "x[2]" not in printed
+    assert main(["bag", "plot", str(eventful), "--out", str(tmp_path / "run.png")]) == 0
+
+
 def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp_path, capfd):
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.columns import read_columns
+from koop_bag.columns import Columns, read_columns
+from koop_bag.errors import BagError
+from koop_bag.extent import measure
 from koop_bag.losses import count_losses
 from koop_bag.reader import BagReader
 
@@ -58,6 +60,21 @@ class RecordedRun:
         return np.asarray(self.step * dt, dtype=np.float64)
 
 
+def _columns(bag: BagReader, topic: str, wanted: list[str]) -> Columns:
+    """Read a topic; a state of another length than most, which has no use, is a row of NaN."""
+    try:
+        return read_columns(bag, topic, wanted)
+    except BagError:
+        if "x" not in wanted:
+            raise
+    elements = [name for name in measure(bag, topic).fields if name.startswith("x[")]
+    columns = read_columns(bag, topic, [*(name for name in wanted if name != "x"), *elements])
+    x = np.stack([columns.pop(name) for name in elements], axis=1).astype(np.float64)
+    n = int(np.median((~np.isnan(x)).sum(axis=1)))
+    x[~np.isnan(x[:, n:]).all(axis=1)] = np.nan
+    return {**columns, "x": x[:, :n]}
+
+
 def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
     """Read the loop's four topics from a bag.
 
@@ -74,7 +91,7 @@ def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
         for name, wanted in FIELDS.items():
             topic = f"{namespace.rstrip('/')}/{name}"
             if topic in present:
-                columns[name] = read_columns(reader, topic, [*wanted, "log_time"])
+                columns[name] = _columns(reader, topic, [*wanted, "log_time"])
     for name in ("state", "cost", "theta"):
         if name not in columns or columns[name]["step"].size == 0:
             raise ValueError(
@@ -84,6 +101,8 @@ def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
     common = np.unique(steps["state"])
     for values in steps.values():
         common = np.intersect1d(common, values)
+    if not common.size:
+        raise ValueError(f"{bag}: no step has a state, a cost and a theta")
 
     def at(name: str, field: str) -> NDArray[np.float64]:
         # the first message of a step counts: a repeated one is the same answer again
