@@ -253,6 +253,10 @@ def test_the_model_is_replaced_at_run_time_or_refused(lifter, probe, tmp_path):
     after = lifter(2, x=x)
     assert after.model_id != before.model_id
     assert after.y_out != before.y_out
+    # trained again into the same file
+    train(PlantConfig(), TrainingConfig(trajectories=5, duration=10.0, modes=4)).save(other)
+    assert set_parameters(probe, "koopman_lifter", model=str(other)).successful
+    assert lifter(3, x=x).model_id not in (before.model_id, after.model_id)
 
 
 FIRST_STATE = """

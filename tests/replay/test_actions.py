@@ -12,6 +12,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from koop_lab.cli import main
 from koop_lab.replay.recording import read_recording
+from koop_lab.train import TrainingConfig, train
+from vdp_plant.config import PlantConfig
 
 
 class Rig:
@@ -52,6 +54,16 @@ class Rig:
         assert self.probe.call(SetBool, "/relay_esc/hold", SetBool.Request(data=data)).success
 
 
+def wait_until_known(probe, folder):
+    """What was changed before the recorder asked for the parameters is not known."""
+    known = folder / "parameters.yaml"
+    wanted = {"/relay_esc:", "/koopman_lifter:"}
+    probe.spin_until(
+        lambda: known.exists() and wanted <= set(known.read_text().split()),
+        "the recorder to know the parameters",
+    )
+
+
 @pytest.fixture
 def eventful(start, probe, tmp_path):
     """A recording with everything that can happen to the controller; returns its folder."""
@@ -62,15 +74,7 @@ def eventful(start, probe, tmp_path):
         start("koopman_lifter", recorders=1),
     ]
     rig = Rig(probe)
-    known = folder / "parameters.yaml"  # what was changed before the recorder asked is not known
-    probe.spin_until(
-        lambda: (
-            {"/relay_esc:", "/koopman_lifter:"} <= set(known.read_text().split())
-            if known.exists()
-            else False
-        ),
-        "the recorder to know the parameters",
-    )
+    wait_until_known(probe, folder)
     rig.swing(range(40))
     rig(40, (math.nan, 1.0))
     rig(41, (1.0, 2.0, 3.0))
@@ -117,6 +121,26 @@ def test_an_eventful_run_is_replayed_bit_for_bit(eventful, how, capfd):
     assert "from step 130 on, as recorded: koopman_lifter cost = raw" in printed
 
 
+def test_a_model_that_was_replaced_is_replaced_again(start, probe, tmp_path, capfd):
+    other = tmp_path / "other.npz"
+    train(PlantConfig(), TrainingConfig(trajectories=5, duration=10.0)).save(other)
+    folder = tmp_path / "run"
+    recorder = start("recorder", output=folder)
+    start("relay_esc", recorders=1, dwell=0.05, step_size=0.01)
+    start("koopman_lifter", recorders=1)
+    rig = Rig(probe)
+    wait_until_known(probe, folder)
+    rig.swing(range(40))
+    rig.set("koopman_lifter", "model", str(other))
+    rig.swing(range(40, 80))
+    recorder.process.send_signal(signal.SIGINT)
+    assert recorder.process.wait(20.0) == 0
+    assert main(["replay", str(folder), "--offline"]) == 0, capfd.readouterr()
+    printed = capfd.readouterr().out
+    assert "from step 40 on, as recorded: koopman_lifter model =" in printed
+    assert "r      identical bit for bit in all 80 steps" in printed
+
+
 def test_an_eventful_run_has_metrics_and_a_plot(eventful, tmp_path, capfd):
     """Among its states are one of one value and one of three."""
     assert main(["bag", "metrics", str(eventful), "--theta-star", "1.5"]) == 0
@@ -132,6 +156,7 @@ def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp
     start("relay_esc", recorders=1, step_size=0.01)  # one direction: no flip so soon
     lifter = start("koopman_lifter", recorders=1)
     rig = Rig(probe)
+    wait_until_known(probe, folder)
     rig.swing(range(40))
     assert probe.call(Trigger, "/relay_esc/reset", Trigger.Request()).success
     rig.swing(range(40, 80))

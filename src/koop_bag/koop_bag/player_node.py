@@ -104,7 +104,7 @@ class PlayerNode(ManagedNode):
         if self._gate is not None:
             self._gate.close()
 
-    def check_parameters(self, configs: dict[type, Any]) -> None:
+    def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
         new, old = configs[PlayerConfig], self.parameters[PlayerConfig]
         if new.rate != old.rate and old.pace != "scaled":
             raise ValueError(f"rate: it counts at the pace scaled, this is {old.pace}")

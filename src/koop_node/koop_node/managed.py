@@ -82,8 +82,8 @@ class ManagedNode(LifecycleNode):
     def cleanup(self) -> None:
         """Release what :meth:`configure` made."""
 
-    def check_parameters(self, configs: dict[type, Any]) -> None:
-        """Raise ValueError to refuse changed configurations."""
+    def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
+        """Raise ValueError to refuse changed configurations; ``names`` were set."""
 
     def parameters_changed(self, names: set[str]) -> None:
         """Take changed configurations into use."""

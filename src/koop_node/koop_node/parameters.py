@@ -32,8 +32,8 @@ class Parameters:
         Dataclasses made with ``koop_node.config.parameter``. A field name that several of them
         share is one ROS parameter.
     check : callable
-        ``check(changed)`` is called with a new value of every configuration, by class, before it
-        is taken; it raises ValueError to refuse it.
+        ``check(changed, names)`` is called with a new value of every configuration, by class, and
+        the names that were set, before it is taken; it raises ValueError to refuse it.
     changed : callable
         ``changed(names)`` is called after new values were taken.
 
@@ -47,7 +47,7 @@ class Parameters:
         self,
         node: Node,
         config_classes: Iterable[type],
-        check: Callable[[dict[type, Any]], None],
+        check: Callable[[dict[type, Any], set[str]], None],
         changed: Callable[[set[str]], None],
     ) -> None:
         self._classes = tuple(config_classes)
@@ -92,7 +92,7 @@ class Parameters:
         try:
             values = self._values(self._configs) | {p.name: p.value for p in parameters}
             pending = self._build(values)
-            self._check(pending)
+            self._check(pending, {p.name for p in parameters})
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self._pending = pending

@@ -32,7 +32,7 @@ class LifterNode(ManagedNode):
     """
 
     def __init__(self) -> None:
-        self._candidate: tuple[Path, KoopmanModel] | None = None
+        self._candidate: KoopmanModel | None = None
         self._subscription: Any = None
         super().__init__("koopman_lifter", LifterConfig, ModelConfig)
 
@@ -68,16 +68,15 @@ class LifterNode(ManagedNode):
         if self._state_publisher is not None:
             self.destroy_publisher(self._state_publisher)
 
-    def check_parameters(self, configs: dict[type, Any]) -> None:
-        path = configs[ModelConfig].path
-        if path != self.parameters[ModelConfig].path:
-            self._candidate = (path, self._loaded(path, configs[LifterConfig]))
+    def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
+        if "model" in names:  # the same path, too: there may be another model in the file by now
+            self._candidate = self._loaded(configs[ModelConfig].path, configs[LifterConfig])
 
     def parameters_changed(self, names: set[str]) -> None:
         if self.lifecycle_state in ("unconfigured", "configuring"):
             return
         if "model" in names and self._candidate is not None:
-            self._use(self._candidate[1])
+            self._use(self._candidate)
             self._state = cost.initial()
             self.get_logger().info(f"model is now {self._model.model_id}")
         if "cost" in names:  # another quantity: its difference to the last sample means nothing

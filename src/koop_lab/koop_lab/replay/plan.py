@@ -84,7 +84,8 @@ def make_plan(
     given = _given(params, model, settings)
     notes, recorded = _known(recording.values)
     first = recording.first_model
-    models = Models(recording.path, str(recorded["koopman_lifter"].get("model", "")))
+    named = [recorded["koopman_lifter"], *(change.values for change in recording.changes)]
+    models = Models(recording.path, *(str(values.get("model", "")) for values in named))
     if not recording.values:
         notes.append(
             "the bag holds no parameters: the defaults are assumed to be the recorded ones"
