@@ -10,6 +10,9 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from std_srvs.srv import SetBool, Trigger
 
+from koop_bag.reader import BagReader
+from koop_bag.schema import load_schema
+from koop_bag.writer import BagWriter
 from koop_lab.cli import main
 from koop_lab.replay.recording import read_recording
 from koop_lab.train import TrainingConfig, train
@@ -139,6 +142,27 @@ def test_a_model_that_was_replaced_is_replaced_again(start, probe, tmp_path, cap
     printed = capfd.readouterr().out
     assert "from step 40 on, as recorded: koopman_lifter model =" in printed
     assert "r      identical bit for bit in all 80 steps" in printed
+
+
+@pytest.mark.parametrize("kept", [(), ("relay_esc",)])
+def test_a_switch_whose_event_was_not_recorded_is_seen_in_the_costs(eventful, kept, tmp_path):
+    """As in a bag of another recorder, or of one that knew the node a moment too late."""
+    whole = read_recording(eventful)
+    with BagReader(eventful) as bag, BagWriter(tmp_path / "bag") as writer:
+        writer.custom_data.update(bag.custom_data())
+        channels = {}
+        for message in bag.messages():
+            event = message.topic == "/parameter_events"
+            if event and not any(name.encode() in message.data for name in kept):
+                continue
+            if message.topic not in channels:
+                schema = load_schema(bag.topic(message.topic).type_name)
+                channels[message.topic] = writer.add_topic(message.topic, schema)
+            channel = channels[message.topic]
+            writer.write(channel, message.log_time, message.publish_time, message.data)
+    found = read_recording(tmp_path / "bag")
+    switches = [change for change in whole.changes if "cost" in change.values]
+    assert [change for change in found.changes if change.node == "koopman_lifter"] == switches
 
 
 def test_an_eventful_run_has_metrics_and_a_plot(eventful, tmp_path, capfd):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -94,7 +95,7 @@ def recorded_changes(
         By node, when its answers were sent [ns]; 0 where there is none.
     source, model : ndarray, shape (M,)
         Recorded source, above 1 where there is none, and model of the cost; they say when it was
-        switched in a bag without parameter events.
+        switched where the event of that was not recorded.
     """
     changes: list[Change] = []
     names = {number: name for name, number in SOURCES.items()}
@@ -103,13 +104,14 @@ def recorded_changes(
         later = np.flatnonzero(answered[event.node] > event.sent)
         if event.changed and later.size:
             changes.append(Change(int(later[0]), event.node, event.changed))
-    if not recorded:
-        other = (source[1:] != source[:-1]) | (model[1:] != model[:-1])
-        for k in np.flatnonzero(other & (source[1:] < len(names))) + 1:
-            own = {"cost": names[int(source[k])]}
-            if model[k] != model[k - 1]:
-                own["model"] = str(model[k])
-            changes.append(Change(int(k), "koopman_lifter", own))
+    told = {change.index for change in changes if {"cost", "model"} & set(change.values)}
+    for before, k in pairwise(np.flatnonzero(source < len(names)).tolist()):
+        if k in told or (source[k], model[k]) == (source[before], model[before]):
+            continue
+        own = {"cost": names[int(source[k])]}
+        if model[k] != model[before]:
+            own["model"] = str(model[k])
+        changes.append(Change(k, "koopman_lifter", own))
     return tuple(sorted(changes, key=lambda change: change.index))
 
 
