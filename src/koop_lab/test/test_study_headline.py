@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from koop_lab.loop import LoopResult, simulate
+from koop_lab.study import over_dds
 from koop_lab.study.case import Case, override
 from koop_lab.study.experiments import read
 from koop_lab.study.headline import compare, headline, headlines
@@ -88,3 +89,12 @@ def test_another_seed_is_another_run(offline: LoopResult) -> None:
         replace(PlantConfig(), seed=1), LifterConfig(cost="raw"), EscConfig(), None, 2000
     )
     assert {item.column for item in compare(offline, columns(other))} >= {"measured", "r"}
+
+
+def test_a_run_that_was_broken_off_is_not_taken_for_the_run(tmp_path: Path) -> None:
+    (tmp_path / "bag").symlink_to(EXPERIMENTS.parent / "recordings" / "golden" / "run" / "bag")
+    short = headline("golden", Case(cost="raw", duration=10.0))
+    assert over_dds._run(short, tmp_path).step.size == short.steps == 2000
+    longer = headline("golden", Case(cost="raw", duration=20.0))
+    with pytest.raises(ValueError, match="the first 2000 of 4000 steps"):
+        over_dds._run(longer, tmp_path)

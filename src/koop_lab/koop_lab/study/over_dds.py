@@ -80,8 +80,15 @@ def repeat(experiments: list[Experiment], out: Path) -> bool:
 
 
 def _run(run: Headline, folder: Path) -> RecordedRun:
-    """Run a headline with the nodes; a recording that is there already is not made again."""
-    if not (folder / "bag" / "metadata.yaml").exists():
+    """Run a headline with the nodes; a recording that is there already is not made again.
+
+    Raises
+    ------
+    ValueError
+        If it was broken off.
+    """
+    made = not (folder / "bag").exists()
+    if made:
         folder.mkdir(parents=True, exist_ok=True)
         model = ModelConfig()
         if run.model is not None:
@@ -100,4 +107,10 @@ def _run(run: Headline, folder: Path) -> RecordedRun:
                 bar.update(round(progress.step * run.plant.dt) - bar.n)
 
             loop.run(show)
-    return read_run(folder / "bag")
+    recorded = read_run(folder / "bag")
+    if not made and recorded.step.size < run.steps:
+        raise ValueError(
+            f"{folder} holds the first {recorded.step.size} of {run.steps} steps of a run that was "
+            "broken off: remove it to run it again"
+        )
+    return recorded
