@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import random
 import re
@@ -133,6 +134,7 @@ def record_load(
             time.sleep(stall)
             recorder.process.send_signal(signal.SIGCONT)
         last: dict[str, float] = {}
+        cpu = math.nan  # of a load that is over within the second that is left out
         while said := _progress(load):
             last = said
             if "elapsed" not in said:
