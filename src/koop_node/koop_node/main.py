@@ -20,7 +20,10 @@ POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside
 
 
 def set_dds_profile() -> None:
-    """Let Fast DDS notice a loss in 10 ms; to be called before DDS starts in this process."""
+    """Let Fast DDS notice a loss in 10 ms and never wait for a host that is gone.
+
+    To be called before DDS starts in this process.
+    """
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(files("koop_node") / "fastdds.xml"))
 
 
