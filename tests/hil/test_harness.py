@@ -1,5 +1,6 @@
 """The pure parts of the harness: scenario files, faults, reports, fuzzing."""
 
+import json
 import math
 from pathlib import Path
 from xml.etree import ElementTree
@@ -7,8 +8,9 @@ from xml.etree import ElementTree
 import pytest
 
 from koop_lab.hil import faults, fuzz, report
+from koop_lab.hil.command import scenario_files
 from koop_lab.hil.faults import Channel
-from koop_lab.hil.scenario import parse, read
+from koop_lab.hil.scenario import parse, read, write
 from koop_lab.hil.verdict import Verdict
 from koop_node.config import ConfigError
 
@@ -75,6 +77,9 @@ def test_a_fault_that_is_none_is_refused(text):
         ({"events": [{"kill": "recorder"}]}, "kill: one of plant"),
         ({"events": [{"inject": {"state": False}}]}, "YAML wants 'off' quoted"),
         ({"events": [{"inject": {"cost": "off"}}]}, "into state or theta"),
+        ({"remote": "recorder"}, "remote = 'recorder': must be one of"),
+        ({"events": [{"cut": "link"}]}, "there is a link only if 'remote'"),
+        ({"remote": "plant", "events": [{"cut": "plant"}]}, "cut: link, not 'plant'"),
         ({"limits": {"tail": 1}}, "limits has no tail"),
         ({"levels": {"relay_esc": "BAD"}}, "must be WARN, ERROR or STALE"),
         ({"pace": "lockstep", "events": [{"kill": "plant"}]}, "without events"),
@@ -83,6 +88,21 @@ def test_a_fault_that_is_none_is_refused(text):
 def test_a_scenario_that_means_nothing_is_refused(content, message):
     with pytest.raises(ConfigError, match=message):
         parse("name", content, Path("."))
+
+
+@pytest.mark.parametrize("path", scenario_files(), ids=lambda path: path.stem)
+def test_a_written_scenario_is_read_as_the_same(path, tmp_path):
+    scenario = read(path)
+    copy = tmp_path / path.name
+    write(scenario, copy)
+    assert read(copy) == scenario
+
+
+def test_the_link_is_cut_for_a_time():
+    content = {"remote": "plant", "events": [{"at": 20, "for": 8, "cut": "link"}]}
+    scenario = parse("name", content, Path("."))
+    assert scenario.setting.remote == "plant"
+    assert str(scenario.events[0]) == "cut link for 8 s"
 
 
 def test_a_scenario_file_cannot_make_objects(tmp_path):
@@ -96,14 +116,23 @@ def test_verdicts_are_written_as_junit_and_as_a_table(tmp_path):
     good = Verdict("a", "fine", [], 0.1, 0.0, 0.5, 3.0)
     bad = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, 2.0, failures=["tail_error = 0.9 < & >"])
     file = tmp_path / "junit.xml"
-    report.write_junit([good, bad], file)
+    not_here = Verdict("c", "", [], skipped="needs <root>")
+    report.write_junit([good, bad, not_here], file)
     suite = ElementTree.parse(file).getroot()
-    assert (suite.get("tests"), suite.get("failures")) == ("2", "1")
-    assert [case.get("name") for case in suite] == ["a", "b"]
+    assert [suite.get(key) for key in ("tests", "failures", "skipped")] == ["3", "1", "1"]
+    assert [case.get("name") for case in suite] == ["a", "b", "c"]
     assert suite[1].find("failure").get("message") == "tail_error = 0.9 < & >"
-    rows = report.table([good, bad]).splitlines()
+    assert suite[2].find("skipped").get("message") == "needs <root>"
+    rows = report.table([good, bad, not_here]).splitlines()
     assert rows[2].startswith("| a | fine | 0.10 | 0.0 s | 0.50 | whole | OK | passed |")
     assert "**failed**" in rows[3]
+    assert rows[4] == "| c |  | | | | | | skipped: needs <root> |"
+
+
+def test_a_verdict_comes_back_from_json():
+    verdict = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, 2.0, round_trip=(1.0, 2.0))
+    verdict.levels, verdict.failures = {"plant": ["OK"]}, ["tail_error = 0.9"]
+    assert Verdict.from_dict(json.loads(json.dumps(verdict.as_dict()))) == verdict
 
 
 @pytest.mark.parametrize("name", ["model", "bag", "fields", "words", "scenario"])

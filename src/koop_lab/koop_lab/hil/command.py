@@ -12,6 +12,7 @@ from typing import Any
 
 from koop_bag.errors import BagError
 from koop_lab.hil import report
+from koop_lab.hil.apart import VERDICT, run_apart
 from koop_lab.hil.scenario import Scenario, read
 from koop_lab.hil.verdict import Verdict
 from koop_node.config import ConfigError
@@ -73,8 +74,10 @@ def main(args: argparse.Namespace) -> int:
         report.write_junit(verdicts, args.junit)
     if args.table:
         args.table.write_text(report.table(verdicts[-len(scenarios) :]))
-    failed = sum(not verdict.passed for verdict in verdicts)
-    print(f"\n{len(verdicts) - failed} passed, {failed} failed; recordings in {out}/")
+    failed = sum(bool(verdict.failures) for verdict in verdicts)
+    skipped = sum(bool(verdict.skipped) for verdict in verdicts)
+    passed = f"{len(verdicts) - failed - skipped} passed, {failed} failed, {skipped} skipped"
+    print(f"\n{passed}; recordings in {out}/")
     return 1 if failed else 0
 
 
@@ -110,13 +113,19 @@ def record_exercise(scenario: Scenario, folder: Path, duration: float) -> Path:
 
 def run(scenario: Scenario, folder: Path) -> Verdict:
     """Run one scenario, judge it and write ``verdict.json`` beside its recording."""
-    from koop_lab.hil.runner import Supervisor
-    from koop_lab.hil.verdict import judge
-    from koop_lab.live import LiveError
-
     if (folder / "bag").exists():
         raise ConfigError(f"{folder} holds a recording already: choose another --out")
     folder.mkdir(parents=True, exist_ok=True)
+    verdict = (run_apart if scenario.setting.remote else run_here)(scenario, folder)
+    (folder / VERDICT).write_text(json.dumps(verdict.as_dict(), indent=1) + "\n")
+    return verdict
+
+
+def run_here(scenario: Scenario, folder: Path) -> Verdict:
+    """Run one scenario on the host of this process and judge it."""
+    from koop_lab.hil.runner import Supervisor
+    from koop_lab.hil.verdict import judge
+    from koop_lab.live import LiveError
 
     def show(t: float, text: str) -> None:
         if sys.stderr.isatty():
@@ -126,8 +135,6 @@ def run(scenario: Scenario, folder: Path) -> Verdict:
 
     try:
         record = Supervisor(scenario, folder, show).run()
-        verdict = judge(scenario, record, folder / "bag")
+        return judge(scenario, record, folder / "bag")
     except (LiveError, BagError) as error:  # one bad scenario doesn't end the others
-        verdict = Verdict(scenario.name, scenario.setting.description, [], failures=[str(error)])
-    (folder / "verdict.json").write_text(json.dumps(verdict.as_dict(), indent=1) + "\n")
-    return verdict
+        return Verdict(scenario.name, scenario.setting.description, [], failures=[str(error)])

@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 from koop_lab import parameters as loop_parameters
+from koop_lab.hil.hosts import BOUND, OtherHost
 from koop_lab.hil.scenario import Scenario
-from koop_lab.live import NodeProcess
+from koop_lab.live import EXECUTABLES, NodeProcess, executable
 
 ORDER = ("recorder", "relay_esc", "koopman_lifter", "wire", "plant")  # listeners first
 
@@ -31,12 +32,21 @@ class Processes:
         What to run.
     controlled : bool
         Whether lifter and controller are started too.
+    other_host : OtherHost, optional
+        Where the scenario's remote process runs.
     """
 
-    def __init__(self, folder: Path, scenario: Scenario, controlled: bool = True) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        scenario: Scenario,
+        controlled: bool = True,
+        other_host: OtherHost | None = None,
+    ) -> None:
         self._folder = folder
         self._controlled = controlled
         self._scenario = scenario
+        self._other_host = other_host
         self._running: dict[str, NodeProcess] = {}
         self.exit_codes: list[tuple[str, int]] = []
         self._parameter_file = folder / "logs" / "given_parameters.yaml"
@@ -62,6 +72,10 @@ class Processes:
         log = self._folder / "logs" / f"{name}.log"
         arguments, command = self._command(name)
         node = "vdp_plant" if name == "plant" else name
+        if self._other_host is not None:
+            there = name == self._scenario.setting.remote
+            command = command or [str(executable(*EXECUTABLES[node]))]
+            command = [*(self._other_host.words if there else ()), *BOUND, *command]
         self._running[name] = NodeProcess(node, arguments, log, command)
 
     def kill(self, name: str) -> None:

@@ -16,6 +16,8 @@ HEAD = (
 
 def line(verdict: Verdict) -> str:
     """Return one verdict as a line."""
+    if verdict.skipped:
+        return f"{verdict.name:<24} skipped: {verdict.skipped}"
     state = "passed" if verdict.passed else "FAILED"
     return (
         f"{verdict.name:<24} {state}  mean |theta - theta*| {verdict.tail_error:.2f} at the end, "
@@ -42,6 +44,9 @@ def table(verdicts: Sequence[Verdict]) -> str:
         happens = "; ".join(v.events) or v.description
         recording = f"{v.unrecorded} missing" if v.unrecorded else "whole"
         verdict = "passed" if v.passed else "**failed**: " + "; ".join(v.failures)
+        if v.skipped:
+            rows.append(f"| {v.name} | {happens} | | | | | | skipped: {v.skipped} |")
+            continue
         rows.append(
             f"| {v.name} | {happens} | {v.tail_error:.2f} | {v.wrong_for:.1f} s | "
             f"{v.wrong_by:.2f} | {recording} | {levels or 'OK'} | {verdict} |"
@@ -56,7 +61,8 @@ def write_junit(verdicts: Iterable[Verdict], path: Path) -> None:
         "testsuite",
         name="koop.hil",
         tests=str(len(verdicts)),
-        failures=str(sum(not verdict.passed for verdict in verdicts)),
+        failures=str(sum(bool(verdict.failures) for verdict in verdicts)),
+        skipped=str(sum(bool(verdict.skipped) for verdict in verdicts)),
         errors="0",
         time=f"{sum(verdict.wall_time for verdict in verdicts):.3f}",
     )
@@ -68,6 +74,9 @@ def write_junit(verdicts: Iterable[Verdict], path: Path) -> None:
             name=verdict.name,
             time=f"{verdict.wall_time:.3f}",
         )
+        if verdict.skipped:
+            ElementTree.SubElement(case, "skipped", message=verdict.skipped)
+            continue
         properties = ElementTree.SubElement(case, "properties")
         for name in ("tail_error", "wrong_for", "wrong_by", "unrecorded"):
             ElementTree.SubElement(

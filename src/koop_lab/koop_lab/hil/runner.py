@@ -6,9 +6,11 @@ import heapq
 import itertools
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from koop_lab.hil.hosts import OtherHost, other_host
 from koop_lab.hil.processes import Processes
 from koop_lab.hil.scenario import Event, Scenario
 from koop_lab.live import START_TIMEOUT, LiveError, Monitor
@@ -57,6 +59,7 @@ class Supervisor:
         self._folder = folder
         self._progress = progress
         self._record = RunRecord()
+        self._other_host: OtherHost | None = None
 
     def run(self) -> RunRecord:
         """Run the scenario to its end.
@@ -66,13 +69,16 @@ class Supervisor:
         LiveError
             If the loop doesn't start.
         """
-        monitor = Monitor()
-        try:
-            with Processes(self._folder, self._scenario) as processes:
-                self._wait_for_start(monitor, processes)
-                self._play(monitor, processes)
-        finally:
-            monitor.close()
+        with ExitStack() as stack:
+            if self._scenario.setting.remote:  # before the monitor: DDS looks for devices once
+                self._other_host = stack.enter_context(other_host())
+            monitor = Monitor()
+            stack.callback(monitor.close)
+            processes = stack.enter_context(
+                Processes(self._folder, self._scenario, other_host=self._other_host)
+            )
+            self._wait_for_start(monitor, processes)
+            self._play(monitor, processes)
         for name, code in processes.exit_codes:
             if code != 0:
                 self._record.crashed.append(f"{name}: exit code {code}")
@@ -138,6 +144,9 @@ class Supervisor:
                 processes.start(event.what)
         elif event.action == "pause":
             processes.pause(event.what, not over)
+        elif event.action == "cut":
+            assert self._other_host is not None  # the scenario would have been refused
+            self._other_host.cut(not over)
         elif event.action == "intrude":
             processes.end_intrusion() if over else processes.intrude(event.what)
         elif event.action == "inject":

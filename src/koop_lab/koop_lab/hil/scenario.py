@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from koop_lab.hil import faults
 from koop_node.config import ConfigError, parameter, validate
 
 NODES = ("plant", "koopman_lifter", "relay_esc")
-ACTIONS = ("inject", "kill", "pause", "intrude", "set")
+ACTIONS = ("inject", "kill", "pause", "intrude", "set", "cut")
 MAX_BYTES = 1 << 16
 
 
@@ -27,9 +27,10 @@ class Event:
         Begin and length [s] of simulated time.
     action : str
         ``inject`` a fault into ``state`` or ``theta``; ``kill`` a node and start it again;
-        ``pause`` a process; ``intrude`` with a second controller; ``set`` parameters.
+        ``pause`` a process; ``intrude`` with a second controller; ``set`` parameters; ``cut`` the
+        link between the hosts.
     what : object
-        ``{topic: fault}``, a node, a theta, or ``{node: {parameter: value}}``.
+        ``{topic: fault}``, a node, a theta, ``{node: {parameter: value}}`` or ``link``.
     """
 
     at: float
@@ -91,6 +92,7 @@ class Setting:
     theta_initial: float = parameter(2.0, "theta at the begin", low=-100.0, high=100.0)
     model: str = parameter("", "model file, relative to the scenario; empty: the shipped one")
     seed: int = parameter(0, "seed of the plant", low=0, high=2**31 - 1)
+    remote: str = parameter("", "what runs on another host; empty: nothing", choices=("", *NODES))
 
     def __post_init__(self) -> None:
         validate(self)
@@ -154,14 +156,29 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     setting = Setting(**given)
     if setting.pace == "lockstep" and (events or setting.plant != "vdp_plant"):
         raise ConfigError("pace: lockstep is for vdp_plant, and without events")
+    happens = tuple(_event(item, folder) for item in events)
+    if not setting.remote and any(event.action == "cut" for event in happens):
+        raise ConfigError("cut: there is a link only if 'remote' names what runs on another host")
     return Scenario(
         name,
         setting,
         {str(node): _mapping(values, str(node)) for node, values in parameters.items()},
-        tuple(_event(item, folder) for item in events),
+        happens,
         Limits(**limits),
         {str(node): level for node, level in levels.items()},
     )
+
+
+def write(scenario: Scenario, path: Path) -> None:
+    """Write a scenario file; what is read from it is the same scenario."""
+    content = {
+        **asdict(scenario.setting),
+        "parameters": scenario.parameters,
+        "events": [{"at": e.at, "for": e.lasts, e.action: e.what} for e in scenario.events],
+        "limits": asdict(scenario.limits),
+        "levels": scenario.levels,
+    }
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
 
 
 def _event(item: Any, folder: Path) -> Event:
@@ -182,6 +199,9 @@ def _event(item: Any, folder: Path) -> Event:
     elif action in ("kill", "pause"):
         if what not in NODES:
             raise ConfigError(f"{action}: one of {', '.join(NODES)}, not {what!r}")
+    elif action == "cut":
+        if what != "link":
+            raise ConfigError(f"cut: link, not {what!r}")
     elif action == "intrude":
         what = _seconds(what, "intrude")
     else:

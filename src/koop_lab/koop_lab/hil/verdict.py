@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,8 @@ class Verdict:
         Levels reported on /diagnostics.
     failures : list of str
         What did not hold; empty if the scenario passed.
+    skipped : str
+        Why the scenario cannot run here; empty if it ran.
     """
 
     name: str
@@ -59,15 +61,25 @@ class Verdict:
     round_trip: tuple[float, float] = (math.nan, math.nan)
     levels: dict[str, list[str]] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
+    skipped: str = ""
 
     @property
     def passed(self) -> bool:
-        """True if all limits held."""
-        return not self.failures
+        """True if the scenario ran and all limits held."""
+        return not self.failures and not self.skipped
 
     def as_dict(self) -> dict[str, Any]:
         """Return the verdict in JSON terms."""
         return {**asdict(self), "passed": self.passed}
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Verdict:
+        """Return the verdict that :meth:`as_dict` gave, also after it was written as JSON."""
+        names = {item.name for item in fields(cls)}
+        verdict = cls(**{key: value for key, value in content.items() if key in names})
+        first, last = verdict.round_trip
+        verdict.round_trip = (first, last)
+        return verdict
 
 
 def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:

@@ -1,0 +1,109 @@
+"""Two hosts on one machine: the link between them is cut, and nothing of them stays behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from koop_bag.columns import read_columns
+from koop_bag.config import LOOP_TOPICS
+from koop_bag.reader import BagReader
+from koop_lab.hil import hosts
+from koop_lab.hil.command import find, main, run
+from koop_lab.hil.hosts import HostsError, entrance
+from koop_lab.hil.scenario import Limits, read
+
+CUT = 8.0  # [s] of simulated time in the scenario
+
+
+@pytest.fixture
+def two_hosts():
+    """Skip the test where two hosts cannot be made."""
+    try:
+        entrance()
+    except HostsError as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_the_plant_runs_on_while_the_link_is_cut_and_no_step_is_lost(two_hosts, tmp_path):
+    scenario = read(find("link-cut"))
+    setting = replace(scenario.setting, duration=40.0)
+    limits = Limits(tail_error=1e3)  # converging takes longer than this
+    verdict = run(replace(scenario, setting=setting, limits=limits), tmp_path)
+    assert verdict.passed, verdict.failures
+    with BagReader(tmp_path / "bag") as bag:
+        for topic in LOOP_TOPICS:
+            steps = read_columns(bag, f"/{topic}", ["step"])["step"]
+            assert set(np.diff(steps.astype(int))) == {1}, topic
+        applied = read_columns(bag, "/truth", ["theta_applied"])["theta_applied"]
+    # Longest time without a change: all of the cut, up to a second for a busy machine. A publisher
+    # that waits for a host that is gone would stop the plant instead, and its time with it.
+    changes = np.flatnonzero(np.diff(applied))
+    assert np.diff(changes).max() * 0.005 > CUT - 1.0 * setting.time_scale
+    assert changes[-1] > applied.size - 400  # and theta moved again, up to the last 2 s
+
+
+def processes_with(mark):
+    """Return the processes in whose environment a mark was set."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (folder / "environ").read_bytes():
+                found.append(folder)
+        except OSError:  # ended meanwhile, or another user's
+            continue
+    return found
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_nothing_stays_behind_however_a_run_ends(two_hosts, tmp_path, number):
+    mark = f"KOOP_TEST_MARK={tmp_path}"
+    command = [sys.executable, "-m", "koop_lab", "hil", "two-hosts", "--out", tmp_path / "out"]
+    environment = {**os.environ, **dict([mark.split("=")])}
+    koop = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
+    log = tmp_path / "out" / "two-hosts" / "logs" / "plant.log"
+    wait_until(lambda: log.is_file(), "the plant to start")
+    assert len({os.readlink(folder / "ns" / "net") for folder in processes_with(mark)}) == 4
+    koop.send_signal(number)
+    koop.wait()
+    wait_until(lambda: not processes_with(mark), "all processes to end")
+
+
+def wait_until(condition, what):
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline, f"waited 30 s in vain for {what}"
+        time.sleep(0.05)
+
+
+def test_where_two_hosts_cannot_be_made_the_scenario_is_skipped(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(hosts, "OWN", ("false",))  # every way in is refused
+    out, junit = tmp_path / "out", tmp_path / "junit.xml"
+    assert main(arguments("link-cut", "--out", str(out), "--junit", str(junit))) == 0
+    printed = capsys.readouterr().out
+    assert "link-cut                 skipped: two hosts on one machine need" in printed
+    assert "0 passed, 0 failed, 1 skipped" in printed
+    assert '<skipped message="two hosts on one machine need' in junit.read_text()
+
+
+def test_a_missing_tool_is_named(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(HostsError, match=r"need 'ip' \(iproute2\)"):
+        entrance()
+
+
+def arguments(*words):
+    """Return what the command line gives the command."""
+    from koop_lab.cli import parser
+
+    return parser().parse_args(["hil", *words])
