@@ -24,6 +24,7 @@ from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
 from koop_bag.chunk import ChunkBuffer, encode
 from koop_bag.errors import BagWriteError, DiskFullError
 
+_BLOCK = 1 << 16  # [B] of records that are packed together
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -39,7 +40,7 @@ class McapFileWriter:
         self.size = 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunks: list[bytes] = []
+        self._chunks = _Packed()
         self._metadata: list[bytes] = []
         self._counts: dict[int, int] = {}
         self._start, self._end = 2**63 - 1, 0
@@ -66,7 +67,6 @@ class McapFileWriter:
         """Write a chunk with its message indexes."""
         data, index = chunk.encode(self.size)
         self._append(data)
-        # Kept encoded: an hour of small chunks is then a few megabytes instead of as many objects.
         self._chunks.append(encode(index))
         for channel, count in chunk.counts().items():
             self._counts[channel] += count
@@ -99,8 +99,8 @@ class McapFileWriter:
         offsets: list[McapRecord] = []
 
         def group(opcode: Opcode, records: list[bytes]) -> None:
-            if records:
-                data = b"".join(records)
+            data = b"".join(records)
+            if data:
                 start = summary_start + len(summary)
                 offsets.append(
                     SummaryOffset(group_opcode=opcode, group_start=start, group_length=len(data))
@@ -110,7 +110,7 @@ class McapFileWriter:
         group(Opcode.SCHEMA, [encode(item) for item in self._schemas])
         group(Opcode.CHANNEL, [encode(item) for item in self._channels])
         group(Opcode.STATISTICS, [encode(self._statistics())])
-        group(Opcode.CHUNK_INDEX, self._chunks)
+        group(Opcode.CHUNK_INDEX, self._chunks.blocks())
         group(Opcode.METADATA_INDEX, self._metadata)
         offset_start = summary_start + len(summary)
         summary += b"".join(encode(item) for item in offsets)
@@ -129,7 +129,7 @@ class McapFileWriter:
             attachment_count=0,
             channel_count=len(self._channels),
             channel_message_counts={channel: n for channel, n in self._counts.items() if n},
-            chunk_count=len(self._chunks),
+            chunk_count=self._chunks.count,
             message_count=count,
             message_end_time=self._end,
             message_start_time=self._start if count else 0,
@@ -154,3 +154,23 @@ class McapFileWriter:
                 ) from error
             raise BagWriteError(f"cannot write {where}: {error.strerror}") from error
         self.size += done
+
+
+class _Packed:
+    """Records that wait for the summary, compressed: ten chunks a second are not to be seen."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._packed: list[bytes] = []
+        self._loose = bytearray()
+
+    def append(self, record: bytes) -> None:
+        self.count += 1
+        self._loose += record
+        if len(self._loose) >= _BLOCK:
+            self._packed.append(zlib.compress(self._loose))
+            self._loose.clear()
+
+    def blocks(self) -> list[bytes]:
+        """All records in their order."""
+        return [*map(zlib.decompress, self._packed), bytes(self._loose)]
