@@ -127,13 +127,12 @@ def record_load(
     recorder = _start_recorder(folder, **parameters)
     load = _start_load(rate, seconds)
     try:
-        _progress(load)  # the first second has passed
+        last = _progress(load)  # the first second has passed
         begin, used = time.monotonic(), _cpu_time(recorder)
         if stall:
             recorder.process.send_signal(signal.SIGSTOP)
             time.sleep(stall)
             recorder.process.send_signal(signal.SIGCONT)
-        last: dict[str, float] = {}
         cpu = math.nan  # of a load that is over within the second that is left out
         while said := _progress(load):
             last = said
