@@ -132,7 +132,7 @@ class Playback:
         self.passes = 0
         self.lateness = 0.0
         """How long after its time the last message went out [s]."""
-        self._paused = False
+        self._started = self._paused = False
         self._stepping = False
         self._position = begin
         self._timeline.set(begin, 0.0)
@@ -142,11 +142,13 @@ class Playback:
 
     def start(self, now: float) -> None:
         """Begin, or go on where :meth:`stop` was called; a pause stays one."""
+        self._started = True
         if not self._paused:
             self._timeline.run(now)
 
     def stop(self, now: float) -> None:
         """Stand still until :meth:`start`."""
+        self._started = False
         self._timeline.stop(now)
 
     @property
@@ -164,7 +166,8 @@ class Playback:
         if self._paused:
             self._paused = self._stepping = False
             self._timeline.set(self.position(now), now)
-            self._timeline.run(now)
+            if self._started:
+                self._timeline.run(now)
 
     def step(self) -> bool:
         """Play one step of a paused playback; return False if it is not paused."""

@@ -67,6 +67,16 @@ def test_every_message_goes_out_at_its_time(rate):
         assert (now - 100.0) * rate == pytest.approx((m.log_time - BEGIN) * 1e-9, abs=1e-6 * rate)
 
 
+def test_a_pause_that_ends_before_the_start_lets_no_time_pass():
+    messages = loop_messages(20)
+    playing = playback(messages)
+    playing.pause(0.0)
+    playing.resume(50.0)  # who listens has not come yet
+    playing.start(100.0)
+    assert drain(playing, 100.0) == messages[:1]
+    assert playing.wait(100.0) == pytest.approx(0.001)
+
+
 def test_equal_times_keep_the_order_of_the_file():
     messages = [message(topic, k, bytes([i])) for k in range(3) for i, topic in enumerate("bacd")]
     assert list(in_time_order(messages)) == messages
