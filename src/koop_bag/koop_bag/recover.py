@@ -51,9 +51,10 @@ def recover(
         raise BagError(f"{source} holds only empty files: there is nothing to recover")
     report = Recovery()
     channels: dict[str, int] = {}
+    opened = [McapFile(path) for path in files]  # refused before anything is written
     with BagWriter(target, options) as writer:
-        for path in files:
-            _copy_file(McapFile(path), writer, channels, report)
+        for file in opened:
+            _copy_file(file, writer, channels, report)
     return report
 
 
@@ -87,17 +88,17 @@ def _copy_file(
             end = file.size
             break
         try:
-            for opcode, data in _records(file, place):
-                try:
-                    copy(opcode, data, place.start)
-                except BagWriteError:
-                    raise
-                except (BagError, KeyError):  # KeyError: of a channel whose record was damaged
-                    report.damaged_records += 1
-        except BagWriteError:
-            raise
+            records = list(_records(file, place))
         except BagError:
             report.damaged_records += 1
+            continue
+        for opcode, data in records:
+            try:
+                copy(opcode, data, place.start)
+            except BagWriteError:
+                raise
+            except (BagError, KeyError):  # KeyError: of a channel whose record was damaged
+                report.damaged_records += 1
     report.torn_bytes += file.size - end
     file.close()
 
