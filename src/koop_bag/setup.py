@@ -18,8 +18,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "recorder = koop_bag.node:main",
-            "player = koop_bag.player_node:main",
+            "recorder = koop_bag.executable:recorder",
+            "player = koop_bag.executable:player",
         ]
     },
 )

@@ -17,5 +17,5 @@ setup(
     maintainer_email="maintainers@koop.invalid",
     description="Koopman lifting: observables, EDMD, modes, model file, cost; and a thin node.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["lifter = koopman_lifter.node:main"]},
+    entry_points={"console_scripts": ["lifter = koopman_lifter.executable:main"]},
 )

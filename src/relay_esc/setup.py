@@ -16,5 +16,5 @@ setup(
     maintainer_email="maintainers@koop.invalid",
     description="Relay extremum-seeking control: pure kernel and a thin node.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["esc = relay_esc.node:main"]},
+    entry_points={"console_scripts": ["esc = relay_esc.executable:main"]},
 )

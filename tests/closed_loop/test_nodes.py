@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -104,6 +105,17 @@ def test_a_signal_ends_the_node_with_exit_code_0(start, probe, tmp_path, node, n
     process.process.send_signal(number)
     assert ended(process) == 0
     print(f"{node} ended {time.monotonic() - asked:.2f} s after the signal")
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_ctrl_c_during_the_imports_is_a_clean_end_too(start, node):
+    process = start(node)
+    maps = Path(f"/proc/{process.process.pid}/maps")
+    while "_rclpy" not in maps.read_text():  # the messages and numba come after it
+        assert process.poll() is None
+    process.process.send_signal(signal.SIGINT)
+    assert ended(process) == 0
+    assert process.last_lines() == ""
 
 
 def test_ctrl_c_that_comes_again_and_again_is_still_a_clean_end(start, probe):

@@ -47,6 +47,7 @@ def test_the_policy_covers_all_that_the_nodes_say_hear_serve_and_ask(start, prob
         start(node, use_sim_time="true")
     costs = probe.collect(Cost, "cost")
     probe.spin_until(lambda: costs, "the loop")
+    probe.spin_until(lambda: set(probe.node.get_node_names()) >= NODES, "all nodes in the graph")
     heard = {"/state", "/cost", "/theta", "/truth", "/clock", "/relay_esc/transition_event"}
 
     def names(question, node):

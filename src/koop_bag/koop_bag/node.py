@@ -246,5 +246,5 @@ class RecorderNode(ManagedNode):
 
 
 def main() -> None:
-    """Entry point of ``ros2 run koop_bag recorder``."""
+    """Run the node until it is told to stop."""
     sys.exit(run(RecorderNode))

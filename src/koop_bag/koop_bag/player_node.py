@@ -319,5 +319,5 @@ class PlayerNode(ManagedNode):
 
 
 def main() -> None:
-    """Entry point of ``ros2 run koop_bag player``."""
+    """Run the node until it is told to stop."""
     sys.exit(run(PlayerNode))

@@ -202,5 +202,5 @@ class LifterNode(ManagedNode):
 
 
 def main() -> None:
-    """Entry point of ``ros2 run koopman_lifter lifter``."""
+    """Run the node until it is told to stop."""
     sys.exit(run(LifterNode))

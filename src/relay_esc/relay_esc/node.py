@@ -147,5 +147,5 @@ def _compile(config: EscConfig) -> None:
 
 
 def main() -> None:
-    """Entry point of ``ros2 run relay_esc esc``."""
+    """Run the node until it is told to stop."""
     sys.exit(run(EscNode))

@@ -270,5 +270,5 @@ def _nanoseconds(t: float) -> Time:
 
 
 def main() -> None:
-    """Entry point of ``ros2 run vdp_plant plant``."""
+    """Run the node until it is told to stop."""
     sys.exit(run(PlantNode))

@@ -1,0 +1,13 @@
+"""What ``ros2 run koop_bag recorder`` and ``... player`` start."""
+
+from koop_node.start import start
+
+
+def recorder() -> None:
+    """Start the recorder."""
+    start("koop_bag.node")
+
+
+def player() -> None:
+    """Start the player."""
+    start("koop_bag.player_node")

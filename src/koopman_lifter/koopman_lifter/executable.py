@@ -1,0 +1,8 @@
+"""What ``ros2 run koopman_lifter lifter`` starts."""
+
+from koop_node.start import start
+
+
+def main() -> None:
+    """Start the node."""
+    start("koopman_lifter.node")

@@ -1,0 +1,8 @@
+"""What ``ros2 run relay_esc esc`` starts."""
+
+from koop_node.start import start
+
+
+def main() -> None:
+    """Start the node."""
+    start("relay_esc.node")

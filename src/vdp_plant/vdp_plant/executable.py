@@ -1,0 +1,8 @@
+"""What ``ros2 run vdp_plant plant`` starts."""
+
+from koop_node.start import start
+
+
+def main() -> None:
+    """Start the node."""
+    start("vdp_plant.node")
