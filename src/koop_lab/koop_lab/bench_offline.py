@@ -157,11 +157,11 @@ def time_c(program: Path, loop: Loop, rounds: int) -> tuple[float, NDArray[np.fl
     """Return the best time [s] of the C loop, and theta of every 1000th step."""
     lifting = no_lifting() if loop.model is None else loop.model.lifting()
     rows, p = lifting.projector.shape
-    plant = loop.plant.params()
+    plant, detector = loop.plant.params(), loop.lifter.detector_params()
     numbers = [
         STEPS, rounds, EVERY, *initial_state(loop.plant), loop.esc.theta_initial,
         *plant[: plant._fields.index("integrator")],
-        *loop.lifter.detector_params(), *loop.esc.params(),
+        detector.alpha_hp, detector.alpha_lp, *loop.esc.params(),
         loop.lifter.source, p, rows, *lifting.parent, *lifting.factor, *lifting.projector.ravel(),
     ]  # fmt: skip
     text = "\n".join(repr(float(number)) for number in numbers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -40,6 +41,12 @@ class LifterConfig:
     )
     omega_l: float = parameter(
         0.3, "corner frequency of the detector's low-pass filter", unit="rad/s", low=1e-6, high=1e6
+    )
+    y_out_max: float = parameter(
+        0.0,
+        "largest y_out that is believed: a state beyond it, such as a sensor's spike, is unusable "
+        "(r = NaN, theta is held); some 10 times the largest y_out of a good recording; 0: any",
+        low=0.0,
     )
     dt: float = parameter(
         0.005, "sampling time of the state", unit="s", low=1e-6, high=1.0, read_only=True
@@ -83,7 +90,8 @@ class LifterConfig:
 
     def detector_params(self) -> DetectorParams:
         """Return the values that ``koopman_lifter.cost.detect`` takes."""
-        return detector_params(self.omega_h, self.omega_l, self.dt)
+        y_max = self.y_out_max or sys.float_info.max
+        return detector_params(self.omega_h, self.omega_l, self.dt, y_max)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ which costs as much as the arithmetic.
 from __future__ import annotations
 
 import math
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -45,10 +46,19 @@ class Lifting(NamedTuple):
 
 
 class DetectorParams(NamedTuple):
-    """Filter coefficients exp(-omega dt) of the amplitude detector [-]."""
+    """Scalars of the amplitude detector.
+
+    Attributes
+    ----------
+    alpha_hp, alpha_lp : float
+        Filter coefficients exp(-omega dt) [-].
+    y_max : float
+        Largest y_out that is believed; finite.
+    """
 
     alpha_hp: float
     alpha_lp: float
+    y_max: float
 
 
 class DetectorState(NamedTuple):
@@ -60,9 +70,11 @@ class DetectorState(NamedTuple):
     primed: bool
 
 
-def detector_params(omega_h: float, omega_l: float, dt: float) -> DetectorParams:
-    """Return the coefficients for corner frequencies [rad/s] and a sampling time [s]."""
-    return DetectorParams(math.exp(-omega_h * dt), math.exp(-omega_l * dt))
+def detector_params(
+    omega_h: float, omega_l: float, dt: float, y_max: float = sys.float_info.max
+) -> DetectorParams:
+    """Return the scalars for corner frequencies [rad/s], a sampling time [s] and a limit."""
+    return DetectorParams(math.exp(-omega_h * dt), math.exp(-omega_l * dt), y_max)
 
 
 def initial() -> DetectorState:
@@ -166,12 +178,12 @@ def step(
     Returns
     -------
     r, y_out : float
-        Cost and instantaneous energy; r is NaN where y_out or its square is not finite.
+        Cost and instantaneous energy; r is NaN where y_out is above y_max, or r not finite.
     state : DetectorState
         Detector after this sample; unchanged where r is NaN.
     """
     y_out = energy(source, lifting, x, z)
-    if not math.isfinite(y_out):
+    if not y_out <= p.y_max:  # nor if it is NaN
         return math.nan, y_out, state
     r, after = detect(p, state, y_out)
     if not math.isfinite(r):  # an infinite low-pass filter would stay so for ever

@@ -190,7 +190,7 @@ class LifterNode(ManagedNode):
         if x.shape[0] != n:
             problem = f"state has {x.shape[0]} values, the model {self._answer_id} needs {n}"
         else:
-            problem = f"state {x.tolist()} is not finite or too large"
+            problem = f"state {x.tolist()} is not finite or its y_out too large"
         self._input.reject(f"step {self._answer.step}: {problem}")
         self.get_logger().error(self._input.problem, throttle_duration_sec=1.0)
 

@@ -67,6 +67,25 @@ def test_an_unusable_state_costs_nan_and_leaves_the_detector_alone():
         assert after == before
 
 
+def test_a_spike_beyond_the_limit_is_unusable_and_leaves_no_trace():
+    model, z = load(shipped_model()), np.empty(10)
+    x = 10.0 * np.random.default_rng(0).standard_normal((4000, 2))
+    spiked = np.insert(x, 2000, [300.0, 0.0], axis=0)
+
+    def costs(states, **given):
+        params, state, found = LifterConfig(**given).detector_params(), cost.initial(), []
+        for row in states:
+            r, _, state = cost.step(cost.LIFTED, model.lifting(), params, state, row, z)
+            found.append(r)
+        return np.array(found)
+
+    limit = 10.0 * max(cost.energy(cost.LIFTED, model.lifting(), row, z) for row in x)
+    free, limited = costs(spiked), costs(spiked, y_out_max=limit)
+    assert np.isnan(limited[2000])
+    assert np.array_equal(np.delete(limited, 2000), costs(x))
+    assert free[2001:].min() > 100.0 * limited[:2000].max()  # else r only falls, for seconds
+
+
 def test_after_a_silence_the_cost_goes_on_from_where_it_was():
     params = cost.detector_params(20.0, 0.3, 0.005)
     state = cost.initial()
