@@ -8,6 +8,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.qos import qos_profile_parameter_events
+
 from koop_bag import run_folder
 from koop_bag.config import COMMON_TOPICS, LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.errors import BagError, BagWriteError
@@ -57,6 +60,12 @@ class RecorderNode(ManagedNode):
         except BagError as error:
             raise ValueError(str(error)) from error
         self._collector = ParameterCollector(self, self.get_namespace())
+        self._events = self.create_subscription(
+            ParameterEvent,
+            "/parameter_events",
+            self._on_parameter_event,
+            qos_profile_parameter_events,
+        )
         self._tickers = (
             self.steady_timer(config.poll_period, self._poll),
             self.steady_timer(LOOK_PERIOD, self._look_around),
@@ -78,6 +87,7 @@ class RecorderNode(ManagedNode):
         for timer in self._tickers:
             self.destroy_timer(timer)
         self._collector.close()
+        self.destroy_subscription(self._events)
         for topic in self._topics.values():
             self.destroy_subscription(topic.subscription)
         self._topics = {}
@@ -214,8 +224,22 @@ class RecorderNode(ManagedNode):
         """Write what is known of the nodes beside the bag and, to outlive a crash, into it."""
         assert self._writer is not None
         run_folder.write_parameters(self._folder, self._collector.values)
-        self._models = run_folder.keep_model(self._folder, self._collector.values)
+        self._models |= run_folder.keep_model(self._folder, self._collector.values)
         self._writer.add_note("koop", self._custom_data())
+
+    def _on_parameter_event(self, event: ParameterEvent) -> None:
+        """Keep a model that a node changes to: the one from its first parameters is not enough."""
+        names = {p.name: p.value.string_value for p in event.changed_parameters}
+        within = event.node.startswith(self.get_namespace().rstrip("/") + "/")
+        if self._writer is None or not within or not names.get("model"):
+            return
+        writer, folder = self._writer, self._folder
+
+        def keep() -> None:
+            self._models |= run_folder.keep_model(folder, {event.node: names})
+            writer.add_note("koop", self._custom_data())
+
+        self._guarded(keep)
 
     def _custom_data(self) -> dict[str, str]:
         return {

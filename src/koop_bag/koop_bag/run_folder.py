@@ -86,6 +86,8 @@ def git_revision(where: Path) -> str:
 def keep_model(folder: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Copy the file that a node's parameter `model` names into `model/`.
 
+    Another file of the same name, from another folder or of another time, is kept beside it.
+
     Returns
     -------
     dict of str to str
@@ -100,11 +102,14 @@ def keep_model(folder: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str
             content = path.read_bytes()
         except OSError:
             continue
+        digest = hashlib.sha256(content).hexdigest()
         target = folder / "model" / path.name
         try:
             target.parent.mkdir(exist_ok=True)
+            if target.is_file() and target.read_bytes() != content:
+                target = target.with_name(f"{path.stem}-{digest[:12]}{path.suffix}")
             target.write_bytes(content)
-            kept[path.name] = hashlib.sha256(content).hexdigest()
+            kept[target.name] = digest
         except OSError as error:
             raise BagWriteError(f"cannot keep the model {path}: {error.strerror}") from error
     return kept

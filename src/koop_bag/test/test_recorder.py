@@ -17,6 +17,7 @@ from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 
@@ -101,6 +102,26 @@ def test_the_folder_of_a_run_holds_parameters_model_and_versions(tmp_path, messa
     assert yaml.safe_load(custom["parameters"]) == parameters
     digest = hashlib.sha256(b"a model").hexdigest()
     assert yaml.safe_load(custom["models"]) == {"vdp.npz": digest}
+
+
+def test_a_model_that_a_node_changes_to_is_kept_too(tmp_path):
+    first, second = tmp_path / "vdp.npz", tmp_path / "other" / "vdp.npz"
+    second.parent.mkdir()
+    first.write_bytes(b"a model")
+    second.write_bytes(b"another model")
+    kept = tmp_path / "run" / "model"
+    digest = hashlib.sha256(b"another model").hexdigest()
+    with Recorder(tmp_path / "run") as recorder, Talker("lifter", model=str(first)) as talker:
+        talker.publishers(LOOP)
+        talker.spin_until((kept / "vdp.npz").is_file, "the model to be kept")
+        talker.node.set_parameters([Parameter("model", value=str(second))])
+        talker.spin_until((kept / f"vdp-{digest[:12]}.npz").is_file, "the second to be kept")
+        recorder.stop()
+    assert (kept / "vdp.npz").read_bytes() == b"a model"
+    assert (kept / f"vdp-{digest[:12]}.npz").read_bytes() == b"another model"
+    with BagReader(tmp_path / "run") as reader:
+        names = yaml.safe_load(reader.custom_data()["models"])
+    assert set(names) == {"vdp.npz", f"vdp-{digest[:12]}.npz"}
 
 
 def test_lost_steps_are_counted_while_recording_and_at_the_end(tmp_path, messages):
