@@ -114,7 +114,8 @@ def test_a_scenario_file_cannot_make_objects(tmp_path):
 
 def test_verdicts_are_written_as_junit_and_as_a_table(tmp_path):
     good = Verdict("a", "fine", [], 0.1, 0.0, 0.5, 3.0)
-    bad = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, 2.0, failures=["tail_error = 0.9 < & >"])
+    failures = ["tail_error = 0.9 < & >", "plant:\nover"]
+    bad = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, 2.0, failures=failures)
     file = tmp_path / "junit.xml"
     not_here = Verdict("c", "", [], skipped="needs <root>")
     report.write_junit([good, bad, not_here], file)
@@ -125,7 +126,7 @@ def test_verdicts_are_written_as_junit_and_as_a_table(tmp_path):
     assert suite[2].find("skipped").get("message") == "needs <root>"
     rows = report.table([good, bad, not_here]).splitlines()
     assert rows[2].startswith("| a | fine | 0.10 | 0.0 s | 0.50 | whole | OK | passed |")
-    assert "**failed**" in rows[3]
+    assert rows[3].endswith("**failed**: tail_error = 0.9 < & >; plant: over |")
     assert rows[4] == "| c |  | | | | | | skipped: needs <root> |"
 
 

@@ -44,6 +44,8 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 if every scenario passed, 1 if one failed."""
+    if args.repeat < 1:
+        raise ConfigError("--repeat: at least 1")
     known = scenario_files()
     if args.list:
         for path in known:

@@ -43,7 +43,7 @@ def table(verdicts: Sequence[Verdict]) -> str:
         )
         happens = "; ".join(v.events) or v.description
         recording = f"{v.unrecorded} missing" if v.unrecorded else "whole"
-        verdict = "passed" if v.passed else "**failed**: " + "; ".join(v.failures)
+        verdict = "passed" if v.passed else "**failed**: " + " ".join("; ".join(v.failures).split())
         if v.skipped:
             rows.append(f"| {v.name} | {happens} | | | | | | skipped: {v.skipped} |")
             continue
