@@ -196,6 +196,15 @@ def test_what_cannot_change_is_read_only(start, probe):
     assert "read-only" in refused.reason
 
 
+def test_limits_can_be_narrowed_past_the_first_theta_if_it_moves_too(start, probe):
+    start("relay_esc")
+    refused = set_parameters(probe, "relay_esc", theta_max=0.0)
+    assert "theta_initial = 2 must lie within" in refused.reason
+    assert set_parameters(probe, "relay_esc", theta_max=0.0, theta_initial=-2.0).successful
+    answer = probe.call(Trigger, "/relay_esc/reset", Trigger.Request())
+    assert answer.message.startswith("theta is -2 again")
+
+
 def test_descriptors_carry_range_and_unit(start, probe):
     start("relay_esc")
     request = DescribeParameters.Request(names=["tau_f", "objective", "dt"])

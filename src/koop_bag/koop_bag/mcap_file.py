@@ -4,6 +4,7 @@ import errno
 import struct
 import zlib
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -144,8 +145,9 @@ class McapFileWriter:
             while done < len(view):  # a raw write may take only a part
                 done += self._file.write(view[done:])
         except OSError as error:
-            self._file.truncate(self.size)
-            self._file.seek(self.size)
+            with suppress(OSError):  # if the device is gone, so is the chance to tidy up
+                self._file.truncate(self.size)
+                self._file.seek(self.size)
             where = f"{self.path} ({self.size} bytes are safe)"
             if error.errno in _FULL:
                 raise DiskFullError(

@@ -18,6 +18,7 @@ from koop_lab.recorded import RecordedRun
 from koopman_lifter.model import KoopmanModel
 
 FLOOR = -60.0  # [dB] below the largest value, where the colours of the spectrogram end
+SPARSE = 10  # steps a state, above which a gap is no gap any more
 POWER = 0.999  # share of the power that the frequency axis shows
 TRANSIENT = 0.04  # share of the run that the axes of state and cost need not fit
 
@@ -89,11 +90,16 @@ def draw_spectrogram(
     usable = np.isfinite(y)
     axis.set_ylabel(f"frequency of {name} [Hz]")
     axis.set_xlabel("time [s]")
-    if usable.sum() < 64:
-        axis.text(0.5, 0.5, "too short for a spectrogram", ha="center", transform=axis.transAxes)
+    known, problem = step[usable], ""
+    if known.size < 64:
+        problem = "too short for a spectrogram"
+    elif known[-1] - known[0] > SPARSE * known.size:
+        problem = "too much is missing for a spectrogram"
+    if problem:
+        axis.text(0.5, 0.5, problem, ha="center", transform=axis.transAxes)
         return
-    grid = np.arange(step[usable][0], step[usable][-1] + 1)
-    even = np.interp(grid, step[usable], y[usable])
+    grid = np.arange(known[0], known[-1] + 1)
+    even = np.interp(grid, known, y[usable])
     length = min(grid.size, max(64, 2 ** int(np.log2(grid.size / 8))), 4096)
     frequency, time, power = spectrogram(
         even, 1.0 / dt, nperseg=length, noverlap=length * 3 // 4, detrend="linear"

@@ -50,7 +50,7 @@ class EscConfig:
         "minimise", "what the controller does with the cost", choices=("minimise", "maximise")
     )
     theta_initial: float = parameter(
-        2.0, "theta before the first flip", low=-1e6, high=1e6, read_only=True
+        2.0, "theta at the start and after a reset", low=-1e6, high=1e6
     )
     epsilon_initial: int = parameter(
         1, "first relay sign: 1 moves theta down, -1 up", low=-1, high=1, read_only=True

@@ -25,9 +25,10 @@ NUMERICAL = {  # package: files whose code decides results
     relay_esc: ("config.py", "relay.py"),
     koopman_lifter: ("config.py", "cost.py", "edmd.py", "model.py", "modes.py", "observables.py"),
     koop_lab: (
-        "metrics.py", "train.py", "study/adaptive.py", "study/case.py", "study/kernel.py",
-        "study/learning.py", "study/maps.py", "study/perturbation.py", "study/run.py",
-        "study/scenario.py", "study/variants.py", "study/work.py",
+        "contrast.py", "loop.py", "metrics.py", "train.py",
+        "study/adaptive.py", "study/case.py", "study/kernel.py", "study/learning.py",
+        "study/maps.py", "study/perturbation.py", "study/run.py", "study/scenario.py",
+        "study/variants.py", "study/work.py",
     ),
 }  # fmt: skip
 
