@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,6 @@ from koop_lab.study.runner import run_all
 from koop_lab.study.units import Store
 
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
-LIMIT = 180.0  # [s] that the quick study may take
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 # The report in a frame as wide as a phone or a desk, and what it looks like there.
 FRAME = """<!DOCTYPE html><body><iframe id="f" style="width:{width}px;height:900px;border:0"
@@ -53,7 +51,6 @@ class Quick:
     """A finished quick study."""
 
     out: Path
-    seconds: float
     printed: str
     sections: list[Section]
 
@@ -61,21 +58,14 @@ class Quick:
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
     out = tmp_path_factory.mktemp("study")
-    begin = time.monotonic()
     done = subprocess.run(
         [sys.executable, "-m", "koop_lab", "study", "--quick", "--out", str(out),
          "--experiments", str(EXPERIMENTS)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    seconds = time.monotonic() - begin
     assert done.returncode == 0, done.stderr
     sections = run_all(read_folder(EXPERIMENTS, True), Store(out / "units"), 1)
-    return Quick(out, seconds, done.stdout, sections)
-
-
-@pytest.mark.slow
-def test_the_quick_study_ends_within_three_minutes(quick: Quick) -> None:
-    assert quick.seconds < LIMIT
+    return Quick(out, done.stdout, sections)
 
 
 @pytest.mark.slow
