@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
+from koop_bag.reader import BagReader
+from koop_bag.schema import load_schema
+from koop_bag.writer import BagWriter
 from koop_lab.bag_report import read, register_bag_commands
+from koop_lab.recorded import read_run
 from koop_lab.report_plot import plot_report
 
+LOOP = {
+    "/state": "koop_msgs/msg/MeasuredState",
+    "/cost": "koop_msgs/msg/Cost",
+    "/theta": "koop_msgs/msg/ControlInput",
+}
 RUN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
 
 
@@ -38,6 +47,29 @@ def test_the_metrics_are_those_of_the_recorded_theta(capsys):
     other = json.loads(capsys.readouterr().out)
     assert other["iae_theta"] == pytest.approx(0.005 * np.abs(theta - 2.0).sum(), rel=1e-9)
     assert other["e_r_ss"] is None  # r* belongs to the plant's own theta*
+
+
+def test_of_a_plant_that_was_started_again_the_longest_run_counts(tmp_path, capsys):
+    with BagReader(RUN / "bag") as reader:
+        messages = [m for m in reader.messages() if m.topic in LOOP]
+    step = {topic: 0 for topic in LOOP}
+    with BagWriter(tmp_path / "bag") as writer:
+        channels = {
+            topic: writer.add_topic(topic, load_schema(kind)) for topic, kind in LOOP.items()
+        }
+        for message in messages:  # 500 steps, then the plant is killed
+            if step[message.topic] < 500:
+                writer.write(channels[message.topic], message.log_time, 0, message.data)
+                step[message.topic] += 1
+        for message in messages:
+            writer.write(channels[message.topic], message.log_time + 10**10, 0, message.data)
+    again, whole = read_run(tmp_path / "bag"), read_run(RUN / "bag")
+    assert (again.passes, whole.passes) == (2, 1)
+    for name in ("step", "measured", "r", "theta"):
+        assert np.array_equal(getattr(again, name), getattr(whole, name)), name
+    assert command("metrics", tmp_path / "bag", "--theta-star", "-3") == 0
+    printed = capsys.readouterr().out
+    assert "the steps begin 2 times: this is the longest run, to step 1999" in printed
 
 
 def test_the_table_shows_every_signal(capsys):

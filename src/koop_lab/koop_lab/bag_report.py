@@ -162,7 +162,14 @@ def metrics_main(args: argparse.Namespace) -> int:
     print(signal_table(run))
     lost = ", ".join(f"{count} on {topic}" for topic, count in signals.lost.items() if count)
     print(f"\n{signals.counts['state']} states, {_rate(signals):.1f} /s; lost: {lost or 'none'}")
+    _say_passes(signals)
     return 0
+
+
+def _say_passes(signals: RecordedRun) -> None:
+    if signals.passes > 1:
+        end = signals.step[-1]
+        print(f"the steps begin {signals.passes} times: this is the longest run, to step {end}")
 
 
 def _rate(signals: RecordedRun) -> float:
@@ -182,4 +189,5 @@ def plot_main(args: argparse.Namespace) -> int:
         theta_star = run.parameters.plant.theta_star
     plot_report(out, run.signals, run.dt, run.model, theta_star, f"{args.run}")
     print(f"written to {out}")
+    _say_passes(run.signals)
     return 0

@@ -14,6 +14,7 @@ from koop_bag.errors import BagError
 from koop_bag.extent import measure
 from koop_bag.losses import count_losses
 from koop_bag.reader import BagReader
+from koop_lab.replay.recording import MAX_STEP, keys
 
 FIELDS = {
     "state": ["step", "x"],
@@ -26,6 +27,9 @@ FIELDS = {
 @dataclass(frozen=True)
 class RecordedRun:
     """Signals of a recorded loop, one row a step that all topics have.
+
+    Where steps begin anew within the bag, as of a plant that was started again, the signals are
+    those of the longest pass.
 
     Attributes
     ----------
@@ -43,6 +47,8 @@ class RecordedRun:
         Wall-clock time from the first to the last state [s].
     state_time : ndarray, shape (K,)
         Receive time of every state [s], from the first.
+    passes : int
+        How often the steps of the states begin.
     """
 
     step: NDArray[np.int64]
@@ -54,6 +60,7 @@ class RecordedRun:
     counts: dict[str, int]
     duration: float
     state_time: NDArray[np.float64]
+    passes: int
 
     def t(self, dt: float) -> NDArray[np.float64]:
         """Return t_k = k dt [s], shape (M,)."""
@@ -98,22 +105,25 @@ def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
                 f"{bag}: no messages on '{name}', this is no recording of a closed loop"
             )
     steps = {name: column["step"].astype(np.int64) for name, column in columns.items()}
-    common = np.unique(steps["state"])
-    for values in steps.values():
+    known = {name: keys(values)[1] for name, values in steps.items()}
+    common = np.unique(known["state"])
+    passes = int(common[-1] // MAX_STEP)
+    for values in known.values():
         common = np.intersect1d(common, values)
     if not common.size:
         raise ValueError(f"{bag}: no step has a state, a cost and a theta")
+    common = common[common // MAX_STEP == np.bincount(common // MAX_STEP).argmax()]
 
     def at(name: str, field: str) -> NDArray[np.float64]:
         # the first message of a step counts: a repeated one is the same answer again
-        unique, first = np.unique(steps[name], return_index=True)
+        unique, first = np.unique(known[name], return_index=True)
         chosen: NDArray[np.float64] = columns[name][field][first[np.searchsorted(unique, common)]]
         return chosen
 
     stamps = columns["state"]["log_time"].astype(np.int64)
     seconds = (stamps - stamps[0]) * 1e-9
     return RecordedRun(
-        common,
+        common % MAX_STEP,
         at("state", "x"),
         at("truth", "x") if "truth" in columns else np.empty((common.size, 0)),
         at("cost", "r"),
@@ -122,4 +132,5 @@ def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
         {name: values.size for name, values in steps.items()},
         float(seconds[-1]),
         seconds,
+        passes,
     )

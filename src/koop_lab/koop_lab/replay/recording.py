@@ -196,10 +196,7 @@ class _Messages:
     def __init__(self, columns: Columns | None) -> None:
         self._columns = columns or {"step": np.empty(0, np.int64)}
         self.step = self._columns["step"].astype(np.int64)
-        if self.step.size and not 0 <= self.step.min() <= self.step.max() < MAX_STEP:
-            raise ValueError("a step is no count of steps: the recording is damaged")
-        self.kind = _kinds(self.step)
-        self.key = np.cumsum(self.kind == RESTART) * MAX_STEP + self.step
+        self.kind, self.key = keys(self.step)
         heard = np.flatnonzero((self.kind != REPEAT) & (self.kind != LATE))
         self._heard = heard[np.argsort(self.key[heard], kind="stable")]
         self._sorted = self.key[self._heard]
@@ -217,11 +214,19 @@ class _Messages:
         return np.where(self._sorted[place] == key, found, absent)
 
 
-def _kinds(step: NDArray[np.int64]) -> NDArray[np.int8]:
-    """Return what a StreamMonitor says about each message, silences left aside."""
+def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+    """Return what a StreamMonitor says about each message, and pass and step in one number.
+
+    Raises
+    ------
+    ValueError
+        If a step is none.
+    """
+    if step.size and not 0 <= step.min() <= step.max() < MAX_STEP:
+        raise ValueError("a step is no count of steps: the recording is damaged")
     kinds = np.full(step.size, NEXT, np.int8)
     kinds[:1] = RESTART
     if (np.diff(step) <= 0).any():
         monitor = StreamMonitor("", 0.0, 0.0)
         kinds[:] = [monitor.take(number, 0.0, 0.0) for number in step.tolist()]
-    return kinds
+    return kinds, np.cumsum(kinds == RESTART) * MAX_STEP + step
