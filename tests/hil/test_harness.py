@@ -105,6 +105,11 @@ def test_the_link_is_cut_for_a_time():
     assert str(scenario.events[0]) == "cut link for 8 s"
 
 
+def test_an_event_names_a_file_without_its_folder():
+    event = parse("name", {"events": [{"set": {"lifter": {"model": "a.npz"}}}]}, Path("/x")).events
+    assert str(event[0]) == "set lifter: model = a.npz"
+
+
 def test_a_scenario_file_cannot_make_objects(tmp_path):
     file = tmp_path / "bad.yaml"
     file.write_text("description: !!python/object/apply:os.system ['true']\n")

@@ -41,7 +41,7 @@ class Event:
     def __str__(self) -> str:
         what = self.what
         if isinstance(what, dict):
-            what = ", ".join(f"{key}: {value}" for key, value in what.items())
+            what = ", ".join(f"{key}: {_in_words(value)}" for key, value in what.items())
         lasts = f" for {self.lasts:g} s" if self.lasts else ""
         return f"{self.action} {what}{lasts}"
 
@@ -210,6 +210,17 @@ def _event(item: Any, folder: Path) -> Event:
             if "model" in values:
                 values["model"] = str((folder / str(values["model"])).resolve())
     return Event(at, lasts, action, what)
+
+
+def _in_words(value: Any) -> str:
+    """Return a fault, or parameters; of a file its name, for its folder is a matter of the machine.
+
+    >>> _in_words({"model": "/home/me/a.npz"})
+    'model = a.npz'
+    """
+    if isinstance(value, dict):
+        return ", ".join(f"{name} = {Path(str(given)).name}" for name, given in value.items())
+    return str(value)
 
 
 def _seconds(value: Any, name: str) -> float:
