@@ -171,20 +171,16 @@ class Monitor:
             raise LiveError(f"{node} refuses: {future.result().result.reason}")
 
     def theta_publisher(self, topic: str) -> Any:
-        """Return a publisher of control inputs: an intruder in the loop."""
+        """Return a publisher of control inputs, for a plant without a controller."""
         from koop_msgs.msg import ControlInput
 
         return self._node.create_publisher(ControlInput, topic, 10)
 
     def publish_theta(self, publisher: Any, theta: float) -> None:
-        """Publish a control input as a foreign controller would, with steps of its own."""
+        """Publish a control input, with steps of the clock: there is no cost to answer."""
         from koop_msgs.msg import ControlInput
 
         publisher.publish(ControlInput(step=time.monotonic_ns() // 5_000_000, theta=theta))
-
-    def end_publisher(self, publisher: Any) -> None:
-        """Take an intruder out of the loop."""
-        self._node.destroy_publisher(publisher)
 
     def close(self) -> None:
         """Leave the DDS domain."""
