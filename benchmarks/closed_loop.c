@@ -1,6 +1,6 @@
 /* The offline closed loop in C, the yardstick of `koop bench offline`.
  *
- * The same operations in the same order as koop_lab.loop.run_kernel: measure, lift, project, detect,
+ * The same operations in the same order as koop_loop.loop.run_kernel: measure, lift, project, detect,
  * relay, Runge-Kutta step. Reads numbers from standard input in the order of main(), runs the loop
  * once to touch the memory and `rounds` times against the clock, prints the best time in seconds on
  * the first line, then theta of every `every`-th step with all digits.

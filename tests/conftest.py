@@ -90,7 +90,7 @@ def probe(own_domain: None) -> Iterator[Probe]:
 @pytest.fixture
 def start(own_domain: None, tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Start nodes by name: ``start("relay_esc", dwell=0.0)``; they are stopped after the test."""
-    from koop_lab.live import NodeProcess
+    from koop_lab.live.loop import NodeProcess
 
     running = []
 

@@ -6,7 +6,6 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"koop_lab.study": ["page.js", "page.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
@@ -15,7 +14,7 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="Offline closed loop, training, experiments, plots and the koop command line.",
+    description="The koop commands: demo, train, replay, plots, benchmarks.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["koop = koop_lab.cli:main"]},
+    entry_points={"console_scripts": ["koop = koop_lab.cli.main:main"]},
 )

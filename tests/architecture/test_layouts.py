@@ -11,7 +11,12 @@ from rosbags.typesys import get_types_from_msg
 
 SRC = Path(__file__).parents[2] / "src"
 LAYOUTS = SRC / "koop_bringup" / "layouts"
-TYPES = {"state": "MeasuredState", "cost": "Cost", "theta": "ControlInput", "truth": "PlantTruth"}
+TYPES = {
+    "state": "MeasuredState",
+    "cost": "Cost",
+    "theta": "ControlInput",
+    "ground_truth": "PlantTruth",
+}
 STATES = 2
 
 

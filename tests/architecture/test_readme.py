@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from ament_index_python.packages import get_package_prefix
 
-from koop_lab.cli import main, parser
-from koop_lab.parameters import NODES
+from koop_lab.cli.main import main, parser
+from koop_loop.parameters import NODES
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()

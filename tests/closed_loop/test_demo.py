@@ -9,8 +9,8 @@ import time
 
 import pytest
 
-from koop_bag.reader import BagReader
-from koop_lab.recorded import read_run
+from koop_bag.bag.reader import BagReader
+from koop_lab.recorded.run import read_run
 
 TIMEOUT = 60.0  # [s] to start four processes on a busy machine
 
@@ -46,7 +46,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path):
     metrics = json.loads((folder / "metrics.json").read_text())
     for name in ("iae_theta", "ise_theta", "t_theta", "e_r_ss", "rate_hz", "real_time_factor"):
         assert name in metrics
-    assert metrics["lost"] == {"state": 0, "cost": 0, "theta": 0, "truth": 0}
+    assert metrics["lost"] == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
     assert metrics["real_time_factor"] == pytest.approx(metrics["rate_hz"] * 0.005)
     assert (folder / "plot.png").read_bytes().startswith(b"\x89PNG")
     for name in ("parameters.yaml", "versions.yaml", "model/vdp.npz", "bag/metadata.yaml"):

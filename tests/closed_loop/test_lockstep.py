@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from koop_lab.live import LiveError, LiveLoop
-from koop_lab.loop import simulate
-from koop_lab.parameters import make, read
-from koop_lab.recorded import read_run
+from koop_lab.live.loop import LiveError, LiveLoop
+from koop_lab.recorded.run import read_run
+from koop_loop.loop import simulate
+from koop_loop.parameters import make, read
 
 
 def lockstep(folder, steps, **changes):
@@ -24,7 +24,7 @@ def lockstep(folder, steps, **changes):
 def assert_identical(run, result):
     np.testing.assert_array_equal(run.step, result.step)
     np.testing.assert_array_equal(run.measured, result.measured)
-    np.testing.assert_array_equal(run.truth, result.truth)
+    np.testing.assert_array_equal(run.ground_truth, result.ground_truth)
     np.testing.assert_array_equal(run.r, result.r)
     np.testing.assert_array_equal(run.theta, result.theta)
 
@@ -48,7 +48,7 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(tmp_path, steps, chan
     model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
     result = simulate(parameters.plant, parameters.lifter, parameters.esc, model, steps)
     assert_identical(run, result)
-    assert run.lost == {"state": 0, "cost": 0, "theta": 0, "truth": 0}
+    assert run.lost == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
     assert np.ptp(run.theta) > 0.1  # the controller did act
     # what the recorder found out about the nodes is what they were given
     recorded = make(read(tmp_path / "parameters.yaml"))
@@ -75,7 +75,7 @@ def test_every_message_is_decoded_by_readers_that_no_one_here_wrote(tmp_path):
     np.testing.assert_array_equal([m.x for m in decoded["/state"]], run.measured)
     np.testing.assert_array_equal([m.r for m in decoded["/cost"]], run.r)
     np.testing.assert_array_equal([m.theta for m in decoded["/theta"]], run.theta)
-    np.testing.assert_array_equal([m.x for m in decoded["/truth"]], run.truth)
+    np.testing.assert_array_equal([m.x for m in decoded["/ground_truth"]], run.ground_truth)
     (file,) = (tmp_path / "bag").glob("*.mcap")
     others = {}
     with file.open("rb") as stream:
@@ -95,11 +95,11 @@ def test_simulated_time_is_stamped_and_the_truth_says_which_theta_acted(tmp_path
     parameters, run = lockstep(tmp_path, 300, relay_esc={"step_size": 0.01})
     with AnyReader([tmp_path / "bag"]) as reader:
         of = {c.topic: c for c in reader.connections}
-        truth = [
-            reader.deserialize(raw, of["/truth"].msgtype)
-            for _, _, raw in reader.messages([of["/truth"]])
+        ground_truth = [
+            reader.deserialize(raw, of["/ground_truth"].msgtype)
+            for _, _, raw in reader.messages([of["/ground_truth"]])
         ]
-    for k, message in enumerate(truth):
+    for k, message in enumerate(ground_truth):
         stamp = message.header.stamp
         assert stamp.sec * 10**9 + stamp.nanosec == round(k * 0.005 * 1e9)
         applied = parameters.plant.theta_initial if k == 0 else run.theta[k - 1]

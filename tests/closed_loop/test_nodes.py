@@ -16,8 +16,8 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
 from std_srvs.srv import SetBool, Trigger
 
-from koop_lab.parameters import make
-from koop_lab.train import TrainingConfig, train
+from koop_loop.parameters import make
+from koop_loop.training import TrainingConfig, train
 from vdp_plant.config import PlantConfig
 
 NODES = ("vdp_plant", "koopman_lifter", "relay_esc", "recorder")
@@ -359,7 +359,7 @@ def test_another_cost_is_no_change_of_the_cost(esc):
     esc(1, r=0.9, source=Cost.RAW)
     other = esc(2, r=1e12, source=Cost.LIFTED, model_id="0123456789ab")
     assert other.epsilon == ControlInput.DECREASE
-    assert other.hp == 0.0
+    assert other.cost_rise_filtered == 0.0
 
 
 # -- plant --------------------------------------------------------------------------------------
@@ -383,7 +383,7 @@ def test_the_plant_ends_after_its_duration_and_publishes_the_clock(start, probe)
     from rosgraph_msgs.msg import Clock
 
     states, clocks = probe.collect(MeasuredState, "state"), probe.collect(Clock, "/clock")
-    truths = probe.collect(PlantTruth, "truth")
+    ground_truths = probe.collect(PlantTruth, "ground_truth")
     process = start(
         "vdp_plant", pace="scaled", time_scale=4.0, duration=0.5, publish_clock="true", recorders=0
     )
@@ -391,7 +391,7 @@ def test_the_plant_ends_after_its_duration_and_publishes_the_clock(start, probe)
     assert assert_ends
     assert process.poll() == 0
     assert [s.step for s in states] == list(range(100))
-    probe.spin_until(lambda: len(truths) > 90, "the truth")
+    probe.spin_until(lambda: len(ground_truths) > 90, "the ground_truth")
     stamps = np.array([c.clock.sec * 10**9 + c.clock.nanosec for c in clocks])
     assert (np.diff(stamps) >= 5_000_000).all()
 
@@ -409,7 +409,7 @@ def test_a_diverging_plant_says_so(start, probe):
 def test_the_defaults_of_the_nodes_are_the_paper_s_file(tmp_path):
     from ament_index_python.packages import get_package_share_path
 
-    from koop_lab.parameters import read
+    from koop_loop.parameters import read
 
     paper = make(read(get_package_share_path("koop_bringup") / "config" / "paper.yaml"))
     default = make({})

@@ -16,7 +16,7 @@ def test_a_standard_message_is_lifted_like_a_state(start, probe, kind):
         "JointState": ("/joint_states:position[0],velocity[0]", "sensor_msgs/msg/JointState"),
         "Float64MultiArray": ("/adc:data[2],data[0]", "std_msgs/msg/Float64MultiArray"),
     }[kind]
-    start("koopman_lifter", state_source=given[0], state_type=given[1])
+    start("koopman_lifter", input_fields=given[0], input_type=given[1])
     costs, states = probe.collect(Cost, "cost"), probe.collect(MeasuredState, "state")
     message_type = {"JointState": JointState, "Float64MultiArray": Float64MultiArray}[kind]
     topic = given[0].split(":")[0]
@@ -41,7 +41,7 @@ def test_a_standard_message_is_lifted_like_a_state(start, probe, kind):
 
 
 def test_a_rig_that_is_faster_than_the_model_is_told_so(start, probe):
-    start("koopman_lifter", "-r", "__ns:=/rig", state_source="joints:position[0],velocity[0]")
+    start("koopman_lifter", "-r", "__ns:=/rig", input_fields="joints:position[0],velocity[0]")
     reports = probe.collect(DiagnosticArray, "/diagnostics")
     probe.collect(Cost, "/rig/cost")
     rig = probe.publisher(JointState, "/rig/joints")
@@ -84,11 +84,11 @@ def test_the_controller_also_speaks_a_plain_number(start, probe):
 @pytest.mark.parametrize(
     ("parameters", "code", "message"),
     [
-        ({"state_source": "/joint_states"}, 2, "is no source: write topic:field,field"),
-        ({"state_source": "/js:effort"}, 1, "JointState: 'effort' needs an index"),
-        ({"state_source": "/js:torque[0]"}, 1, "JointState has no field 'torque'"),
-        ({"state_source": "/js:x", "state_type": "no_msgs/msg/No"}, 1, "is not installed"),
-        ({"state_source": "/js:x", "state_type": "os"}, 2, "'os' is no message type"),
+        ({"input_fields": "/joint_states"}, 2, "is no source: write topic:field,field"),
+        ({"input_fields": "/js:effort"}, 1, "JointState: 'effort' needs an index"),
+        ({"input_fields": "/js:torque[0]"}, 1, "JointState has no field 'torque'"),
+        ({"input_fields": "/js:x", "input_type": "no_msgs/msg/No"}, 1, "is not installed"),
+        ({"input_fields": "/js:x", "input_type": "os"}, 2, "'os' is no message type"),
     ],
 )
 def test_a_source_that_cannot_be_is_refused_in_one_line(start, parameters, code, message):

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_bag.columns import read_columns
-from koop_bag.config import LOOP_TOPICS
-from koop_bag.reader import BagReader
-from koop_lab.hil import hosts
-from koop_lab.hil.command import find, main, run
-from koop_lab.hil.hosts import HostsError, entrance
-from koop_lab.hil.scenario import Limits, read
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
+from koop_bag.recorder.config import LOOP_TOPICS
+from koop_hil import hosts
+from koop_hil.command import find, main, run
+from koop_hil.hosts import HostsError, entrance
+from koop_hil.scenario import Limits, read
 
 CUT = 8.0  # [s] of simulated time in the scenario
 
@@ -43,7 +43,7 @@ def test_the_plant_runs_on_while_the_link_is_cut_and_no_step_is_lost(two_hosts, 
         for topic in LOOP_TOPICS:
             steps = read_columns(bag, f"/{topic}", ["step"])["step"]
             assert set(np.diff(steps.astype(int))) == {1}, topic
-        applied = read_columns(bag, "/truth", ["theta_applied"])["theta_applied"]
+        applied = read_columns(bag, "/ground_truth", ["theta_applied"])["theta_applied"]
     # Longest time without a change: all of the cut, up to a second for a busy machine. A publisher
     # that waits for a host that is gone would stop the plant instead, and its time with it.
     changes = np.flatnonzero(np.diff(applied))
@@ -104,6 +104,6 @@ def test_a_missing_tool_is_named(monkeypatch, tmp_path):
 
 def arguments(*words):
     """Return what the command line gives the command."""
-    from koop_lab.cli import parser
+    from koop_lab.cli.main import parser
 
     return parser().parse_args(["hil", *words])

@@ -7,8 +7,8 @@ import os
 
 import pytest
 
-from koop_lab.hil.command import find, run, scenario_files
-from koop_lab.hil.scenario import read
+from koop_hil.command import find, run, scenario_files
+from koop_hil.scenario import read
 
 NAMES = [path.stem for path in scenario_files()]
 JUDGED = NAMES if os.environ.get("KOOP_HIL") == "all" else ["rig-other", "kill-lifter"]

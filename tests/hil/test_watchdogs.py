@@ -47,35 +47,35 @@ def reports(probe):
 
 def test_the_plant_holds_theta_then_applies_the_safe_one_and_follows_again(start, probe, reports):
     probe.collect(MeasuredState, "state")
-    truth = probe.collect(PlantTruth, "truth")
+    ground_truth = probe.collect(PlantTruth, "ground_truth")
     theta = probe.node.create_publisher(ControlInput, "theta", 10)
     start("vdp_plant", theta_timeout=0.5, theta_safe_timeout=1.5, theta_safe=-1.0, theta_rate=100.0)
-    probe.spin_until(lambda: truth and theta.get_subscription_count(), "the plant")
+    probe.spin_until(lambda: ground_truth and theta.get_subscription_count(), "the plant")
     theta.publish(ControlInput(step=0, theta=3.0))
-    probe.spin_until(lambda: truth[-1].theta_applied == 3.0, "theta to act")
-    begin = truth[-1].step
-    probe.spin_until(lambda: truth[-1].theta_applied == -1.0, "the safe theta")
-    held = [t.theta_applied for t in truth if begin <= t.step]
+    probe.spin_until(lambda: ground_truth[-1].theta_applied == 3.0, "theta to act")
+    begin = ground_truth[-1].step
+    probe.spin_until(lambda: ground_truth[-1].theta_applied == -1.0, "the safe theta")
+    held = [t.theta_applied for t in ground_truth if begin <= t.step]
     # 1.5 s are 300 steps; the ramp at 100 /s takes 8 of them
     assert 250 < sum(value == 3.0 for value in held) < 350
     assert max(abs(b - a) for a, b in pairwise(held)) <= 0.5 + 1e-12
     values = reports.wait("/vdp_plant", STALE, "nothing on 'theta'")
     assert (values["theta watchdog"], values["command"]) == ("stale", "safe")
     theta.publish(ControlInput(step=1, theta=2.0))
-    probe.spin_until(lambda: truth[-1].theta_applied == 2.0, "theta to act again")
+    probe.spin_until(lambda: ground_truth[-1].theta_applied == 2.0, "theta to act again")
 
 
 def test_the_plant_enforces_its_own_bounds_and_refuses_what_is_no_number(start, probe, reports):
     probe.collect(MeasuredState, "state")
-    truth = probe.collect(PlantTruth, "truth")
+    ground_truth = probe.collect(PlantTruth, "ground_truth")
     theta = probe.node.create_publisher(ControlInput, "theta", 10)
-    start("vdp_plant", theta_low=-4.0, theta_high=4.0)
-    probe.spin_until(lambda: truth and theta.get_subscription_count(), "the plant")
+    start("vdp_plant", theta_min=-4.0, theta_max=4.0)
+    probe.spin_until(lambda: ground_truth and theta.get_subscription_count(), "the plant")
     theta.publish(ControlInput(step=0, theta=1e9))
-    probe.spin_until(lambda: truth[-1].theta_applied == 4.0, "the upper bound")
+    probe.spin_until(lambda: ground_truth[-1].theta_applied == 4.0, "the upper bound")
     theta.publish(ControlInput(step=1, theta=math.nan))
     reports.wait("/vdp_plant", ERROR, "theta = nan")
-    assert truth[-1].theta_applied == 4.0
+    assert ground_truth[-1].theta_applied == 4.0
 
 
 def test_silence_is_stale_and_a_second_publisher_is_an_error(start, probe, reports):
@@ -127,7 +127,7 @@ def test_the_controller_starts_anew_after_a_silence_without_turning(start, probe
     after = answers[-150:]
     assert after[0].theta == before.theta
     assert {a.epsilon for a in after} == {before.epsilon}
-    assert after[0].hp == 0.0
+    assert after[0].cost_rise_filtered == 0.0
     send(range(1150, 1300), lambda k: 50.0 + 1e-6 * k)  # still rising when the dwell time is over
     assert answers[-1].epsilon == -before.epsilon
 

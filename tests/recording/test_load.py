@@ -10,10 +10,10 @@ import time
 
 import pytest
 
-from koop_bag.columns import read_columns
-from koop_bag.config import LOOP_TOPICS
-from koop_bag.reader import BagReader
-from koop_lab.bench_record import LIMIT, kill_recorders, record_load, reported_losses
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
+from koop_bag.recorder.config import LOOP_TOPICS
+from koop_lab.bench.record import LIMIT, kill_recorders, record_load, reported_losses
 
 pytestmark = pytest.mark.ros
 
@@ -37,7 +37,7 @@ def test_at_ten_times_the_rate_and_stalled_every_loss_is_reported(tmp_path):
 def test_what_a_stalled_recorder_missed_at_the_end_comes_within_a_second(start, tmp_path):
     # Fast DDS would tell a reader what it lacks every 3 s; a run may end before
     recorder = start("recorder", output=tmp_path / "run")
-    command = [sys.executable, "-m", "koop_lab.load", "2000", "1.3"]
+    command = [sys.executable, "-m", "koop_lab.bench.load", "2000", "1.3"]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as load:
         load.stdout.readline()  # a second has passed
         recorder.process.send_signal(signal.SIGSTOP)
@@ -60,7 +60,7 @@ def test_a_killed_recorder_lacks_a_fifth_of_a_second_at_most(tmp_path):
 
 def test_gaps_and_early_ends_add_up():
     log = """3 messages, 9 bytes in /x; lost messages: 12 on /state, 3 on /cost
-    /truth ends 7 steps before the loop does
+    /ground_truth ends 7 steps before the loop does
     /state begins at step 100, not at 0"""
     assert reported_losses(log) == 122
     assert reported_losses("lost messages: none") == 0

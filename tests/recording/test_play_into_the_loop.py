@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from koop_bag.diff import compare
-from koop_bag.reader import BagReader
+from koop_bag.bag.diff import compare
+from koop_bag.bag.reader import BagReader
 
 pytestmark = pytest.mark.ros
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
@@ -23,13 +23,13 @@ def test_played_in_lockstep_lifter_and_controller_answer_as_recorded(start, tmp_
     recorder = start("recorder", output=tmp_path / "run")
     for node in ("relay_esc", "koopman_lifter"):
         start(node, "--params-file", str(file))
-    options = ["--pace", "lockstep", "--wait-for", "state:2 truth"]
+    options = ["--pace", "lockstep", "--wait-for", "state:2 ground_truth"]
     command = [sys.executable, "-m", "koop_lab", "bag", "play", str(GOLDEN), *options]
     player = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert player.returncode == 0, player.stderr
     assert recorder.stop() == 0
     with BagReader(GOLDEN) as golden, BagReader(tmp_path / "run") as played:
         found = {item.topic: item for item in compare(golden, played)}
-    for topic in ("/state", "/cost", "/theta", "/truth"):
+    for topic in ("/state", "/cost", "/theta", "/ground_truth"):
         assert found[topic].identical, found[topic]
         assert found[topic].compared == 2000

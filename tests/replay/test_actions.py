@@ -10,12 +10,12 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from std_srvs.srv import SetBool, Trigger
 
-from koop_bag.reader import BagReader
-from koop_bag.schema import load_schema
-from koop_bag.writer import BagWriter
-from koop_lab.cli import main
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.writer import BagWriter
+from koop_bag.cdr.schema import load_schema
+from koop_lab.cli.main import main
 from koop_lab.replay.recording import read_recording
-from koop_lab.train import TrainingConfig, train
+from koop_loop.training import TrainingConfig, train
 from vdp_plant.config import PlantConfig
 
 

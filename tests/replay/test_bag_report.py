@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from koop_bag.reader import BagReader
-from koop_bag.schema import load_schema
-from koop_bag.writer import BagWriter
-from koop_lab.bag_report import read, register_bag_commands
-from koop_lab.recorded import read_run
-from koop_lab.report_plot import plot_report
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.writer import BagWriter
+from koop_bag.cdr.schema import load_schema
+from koop_lab.plots.report import plot_report
+from koop_lab.recorded.report import read, register_bag_commands
+from koop_lab.recorded.run import read_run
 
 LOOP = {
     "/state": "koop_msgs/msg/MeasuredState",
@@ -42,7 +42,7 @@ def test_the_metrics_are_those_of_the_recorded_theta(capsys):
     assert result["ise_theta"] == pytest.approx(0.005 * (error**2).sum(), rel=1e-9)
     assert result["t_theta"] == pytest.approx(0.005 * np.argmax(error < 0.1))
     assert result["e_r_ss"] > 0.0
-    assert result["lost"] == {"state": 0, "cost": 0, "theta": 0, "truth": 0}
+    assert result["lost"] == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
     assert command("metrics", RUN, "--json", "--theta-star", "2") == 0
     other = json.loads(capsys.readouterr().out)
     assert other["iae_theta"] == pytest.approx(0.005 * np.abs(theta - 2.0).sum(), rel=1e-9)

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import yaml
 
-from koop_bag.reader import BagReader
-from koop_bag.schema import load_schema
-from koop_bag.writer import BagWriter
-from koop_lab.cli import main
-from koop_lab.train import TrainingConfig, train
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.writer import BagWriter
+from koop_bag.cdr.schema import load_schema
+from koop_lab.cli.main import main
+from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import shipped_model
 from vdp_plant.config import PlantConfig
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_lab.cli import main
+from koop_lab.cli.main import main
 from koop_lab.replay.recording import read_recording
 
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden"

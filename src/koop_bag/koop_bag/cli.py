@@ -11,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from koop_bag.config import RecorderConfig
 from koop_bag.errors import BagError
-from koop_bag.player_config import PlayerConfig
+from koop_bag.player.config import PlayerConfig
+from koop_bag.recorder.config import RecorderConfig
 from koop_node.config import spec_of
 
 Action = Callable[[argparse.Namespace], int]
@@ -89,8 +89,8 @@ def _set(parser: argparse.ArgumentParser, action: Action) -> None:
 
 
 def _info(args: argparse.Namespace) -> int:
-    from koop_bag.info import as_text, describe
-    from koop_bag.reader import BagReader
+    from koop_bag.bag.info import as_text, describe
+    from koop_bag.bag.reader import BagReader
 
     with BagReader(args.bag) as reader:
         info = describe(reader)
@@ -102,8 +102,8 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _recover(args: argparse.Namespace) -> int:
-    from koop_bag.reader import BagReader
-    from koop_bag.recover import recover
+    from koop_bag.bag.reader import BagReader
+    from koop_bag.bag.recover import recover
 
     target = args.target or _beside(args.bag, "recovered")
     report = recover(args.bag, target)
@@ -116,9 +116,9 @@ def _recover(args: argparse.Namespace) -> int:
 
 
 def _diff(args: argparse.Namespace) -> int:
-    from koop_bag.config import is_common
-    from koop_bag.diff import compare
-    from koop_bag.reader import BagReader
+    from koop_bag.bag.diff import compare
+    from koop_bag.bag.reader import BagReader
+    from koop_bag.recorder.config import is_common
 
     same = True
     with BagReader(args.a) as a, BagReader(args.b) as b:
@@ -151,8 +151,8 @@ def _diff(args: argparse.Namespace) -> int:
 
 
 def _export(args: argparse.Namespace) -> int:
-    from koop_bag.export import export
-    from koop_bag.reader import BagReader
+    from koop_bag.bag.export import export
+    from koop_bag.bag.reader import BagReader
 
     def warn(text: str) -> None:
         print(f"koop bag export: {text}", file=sys.stderr)

@@ -5,9 +5,9 @@ from koop_node.start import start
 
 def recorder() -> None:
     """Start the recorder."""
-    start("koop_bag.node")
+    start("koop_bag.recorder.node")
 
 
 def player() -> None:
     """Start the player."""
-    start("koop_bag.player_node")
+    start("koop_bag.player.node")

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from koop_bag.schema import load_schema
-from koop_bag.writer import BagWriter, WriterOptions
+from koop_bag.bag.writer import BagWriter, WriterOptions
+from koop_bag.cdr.schema import load_schema
 from koop_node.domain import free_domain
 
 sys.path.insert(0, str(Path(__file__).parent))  # helpers of these tests; pytest adds no folder

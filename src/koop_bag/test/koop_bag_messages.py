@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from koop_bag.schema import load_schema
+from koop_bag.cdr.schema import load_schema
 
 LOOP = {
     "/state": "koop_msgs/msg/MeasuredState",
     "/cost": "koop_msgs/msg/Cost",
     "/theta": "koop_msgs/msg/ControlInput",
-    "/truth": "koop_msgs/msg/PlantTruth",
+    "/ground_truth": "koop_msgs/msg/PlantTruth",
 }
 START = 1_700_000_000_000_000_000  # [ns]
 PERIOD = 5_000_000  # [ns]
@@ -49,7 +49,7 @@ class Messages:
         elif topic == "/cost":
             fields |= {"r": k * 1.5, "y_out": k * 2.0, "source": k % 2, "model_id": model_id}
         elif topic == "/theta":
-            fields |= {"theta": -k / 7, "epsilon": 1 - 2 * (k % 2), "hp": k / 3}
+            fields |= {"theta": -k / 7, "epsilon": 1 - 2 * (k % 2), "cost_rise_filtered": k / 3}
             fields |= {"saturated": k % 3 == 0, "holding": k % 5 == 0}
         else:
             fields |= {"x": np.array([k, k * 2.0]), "theta_applied": k / 9, "epsilon0": k / 11}

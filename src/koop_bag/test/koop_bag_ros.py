@@ -17,9 +17,9 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 
+from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
-from koop_bag.reader import BagReader
-from koop_bag.ros_topics import message_class
+from koop_bag.recorder.topics import message_class
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -17,13 +17,13 @@ from koop_bag_ros import Talker, publish, wait_until
 from rosbags.highlevel import AnyReader
 
 from koop_bag import cli
-from koop_bag.diff import compare
+from koop_bag.bag.diff import compare
+from koop_bag.bag.losses import early_ends
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.writer import BagWriter
+from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
-from koop_bag.losses import early_ends
-from koop_bag.player_config import PlayerConfig
-from koop_bag.reader import BagReader
-from koop_bag.schema import load_schema
-from koop_bag.writer import BagWriter
+from koop_bag.player.config import PlayerConfig
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tm
         channels = {t: writer.add_topic(t, load_schema(kind)) for t, kind in LOOP.items()}
         for k in [*range(10), *range(13, 21), 20]:
             for topic, channel in channels.items():
-                if topic != "/truth" or k < 10:
+                if topic != "/ground_truth" or k < 10:
                     now = START + k * PERIOD
                     writer.write(channel, now, now, messages.loop(topic, k, model_id="abc"))
         writer.custom_data["parameters"] = "/esc:\n  ros__parameters:\n    gain: 2.5\n"
@@ -86,7 +86,7 @@ def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tm
         "first": 0,
         "last": 20,
     }
-    assert topics["/truth"]["rate"] == pytest.approx(200.0)
+    assert topics["/ground_truth"]["rate"] == pytest.approx(200.0)
     _, text, _ = koop("info", folder)
     assert "ends at step 9, 11 before the loop" in text
 
@@ -105,8 +105,8 @@ def test_info_of_a_torn_bag_tells_the_remedy(write_loop, koop):
 
 
 def test_a_topic_that_ends_early_is_no_gap_but_still_lacks_something():
-    assert early_ends({"/a/state": 99, "/a/truth": 90, "/b/state": 5, "/a/theta": 98}) == {
-        "/a/truth": 9
+    assert early_ends({"/a/state": 99, "/a/ground_truth": 90, "/b/state": 5, "/a/theta": 98}) == {
+        "/a/ground_truth": 9
     }
     assert early_ends({}) == {}
 
@@ -283,8 +283,8 @@ def test_elements_that_a_message_lacks_are_empty(tmp_path, messages, koop):
 MEASURE = """
 import resource, sys
 from pathlib import Path
-from koop_bag.export import export
-from koop_bag.reader import BagReader
+from koop_bag.bag.export import export
+from koop_bag.bag.reader import BagReader
 with BagReader(sys.argv[1]) as reader:
     export(reader, Path(sys.argv[2]), "parquet")
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)

@@ -13,11 +13,11 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_types_from_msg
 
-from koop_bag.columns import iter_columns, list_fields, read_columns, read_tables
+from koop_bag.bag.columns import iter_columns, list_fields, read_columns, read_tables
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.writer import BagWriter
+from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
-from koop_bag.reader import BagReader
-from koop_bag.schema import load_schema
-from koop_bag.writer import BagWriter
 
 
 @pytest.fixture
@@ -78,8 +78,15 @@ def test_the_loops_messages_with_frame_ids_and_model_ids_of_any_length(
     fields = {
         "/state": ["step", "x", "x[1]", "header.stamp", "header.stamp.nanosec", "header.frame_id"],
         "/cost": ["model_id", "source", "y_out", "r", "step"],
-        "/theta": ["holding", "saturated", "epsilon", "hp", "theta", "header.stamp.sec"],
-        "/truth": ["epsilon0", "theta_applied", "x", "step"],
+        "/theta": [
+            "holding",
+            "saturated",
+            "epsilon",
+            "cost_rise_filtered",
+            "theta",
+            "header.stamp.sec",
+        ],
+        "/ground_truth": ["epsilon0", "theta_applied", "x", "step"],
     }
     check(write_bag(LOOP[topic], data), fields[topic])
 
@@ -203,8 +210,10 @@ def value_of(kind, length, rng):
 
 def test_columns_come_in_batches_that_add_up(write_loop):
     with BagReader(write_loop(n=3000)) as reader:
-        whole = read_columns(reader, "/truth", ["step", "x", "log_time"])
-        parts = list(iter_columns(reader, "/truth", ["step", "x", "log_time"], batch_bytes=50_000))
+        whole = read_columns(reader, "/ground_truth", ["step", "x", "log_time"])
+        parts = list(
+            iter_columns(reader, "/ground_truth", ["step", "x", "log_time"], batch_bytes=50_000)
+        )
     assert len(parts) > 10
     for name, column in whole.items():
         assert np.array_equal(np.concatenate([part[name] for part in parts]), column)
@@ -221,7 +230,7 @@ def test_several_topics_are_read_in_one_pass(write_loop):
 
 
 def test_files_of_one_bag_may_number_their_channels_differently(tmp_path, messages):
-    for number, order in enumerate((["/state", "/truth"], ["/truth", "/state"])):
+    for number, order in enumerate((["/state", "/ground_truth"], ["/ground_truth", "/state"])):
         with open(tmp_path / f"bag_{number}.mcap", "wb") as stream:
             writer = Writer(stream)
             writer.start("ros2")
@@ -235,9 +244,11 @@ def test_files_of_one_bag_may_number_their_channels_differently(tmp_path, messag
                     writer.add_message(channel, now, data, now)
             writer.finish()
     with BagReader(tmp_path) as reader:
-        tables = read_tables(reader, {"/state": ["step", "x"], "/truth": ["step", "epsilon0"]})
+        tables = read_tables(
+            reader, {"/state": ["step", "x"], "/ground_truth": ["step", "epsilon0"]}
+        )
     assert tables["/state"]["x"][:, 0].tolist() == [k + 0.25 for k in range(10)]
-    assert tables["/truth"]["epsilon0"].tolist() == [k / 11 for k in range(10)]
+    assert tables["/ground_truth"]["epsilon0"].tolist() == [k / 11 for k in range(10)]
 
 
 def test_an_element_beyond_the_end_of_an_array_is_nan(write_bag, messages):
@@ -301,8 +312,8 @@ def test_a_field_of_the_message_may_be_named_like_a_stored_one(tmp_path):
 
 MEASURE = """
 import resource, sys
-from koop_bag.columns import iter_columns
-from koop_bag.reader import BagReader
+from koop_bag.bag.columns import iter_columns
+from koop_bag.bag.reader import BagReader
 total = 0.0
 with BagReader(sys.argv[1]) as reader:
     for columns in iter_columns(reader, "/state", ["step", "x"]):

@@ -9,12 +9,12 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk, Metadata
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from koop_bag.columns import read_columns
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.info import as_text, describe
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.recover import recover
+from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
-from koop_bag.info import as_text, describe
-from koop_bag.reader import BagReader
-from koop_bag.recover import recover
-from koop_bag.schema import load_schema
 
 pytestmark = pytest.mark.timeout(60)  # without its limits a reader takes minutes, or for ever
 

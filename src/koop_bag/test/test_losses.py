@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from koop_bag.losses import StepCounter, StepReport, count_losses
+from koop_bag.bag.losses import StepCounter, StepReport, count_losses
 
 CASES = {
     "nothing": ([], StepReport()),

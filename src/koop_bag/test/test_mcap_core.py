@@ -12,7 +12,7 @@ import pytest
 from koop_bag_messages import LOOP
 from rosbags.highlevel import AnyReader
 
-from koop_bag.writer import BagWriter
+from koop_bag.bag.writer import BagWriter
 
 HERE = Path(__file__).parent / "mcap_core"
 GOLDEN = Path(__file__).parents[3] / "recordings" / "golden" / "run" / "bag"

@@ -5,9 +5,9 @@ import random
 
 import pytest
 
-from koop_bag.player import Playback, Timeline, in_time_order
-from koop_bag.player_config import PlayerConfig, default_topics, parse_counts, parse_remap
-from koop_bag.reader import RawMessage
+from koop_bag.bag.reader import RawMessage
+from koop_bag.player.config import PlayerConfig, default_topics, parse_counts, parse_remap
+from koop_bag.player.playback import Playback, Timeline, in_time_order
 from koop_node.config import ConfigError
 
 BEGIN = 1_700_000_000_000_000_000
@@ -234,9 +234,9 @@ def test_stopped_and_started_again_it_goes_on_where_it_was():
 
 
 def test_topics_that_live_nodes_publish_are_not_played_unless_chosen():
-    present = ["/rig/state", "/rig/cost", "/rig/theta", "/rig/truth", "/rosout", "/clock"]
+    present = ["/rig/state", "/rig/cost", "/rig/theta", "/rig/ground_truth", "/rosout", "/clock"]
     assert default_topics(present, lockstep=False) == present[:4]
-    assert default_topics(present, lockstep=True) == ["/rig/state", "/rig/truth"]
+    assert default_topics(present, lockstep=True) == ["/rig/state", "/rig/ground_truth"]
 
 
 def test_options_in_words():

@@ -14,12 +14,12 @@ from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
-from koop_bag.metadata import OfferedQos
-from koop_bag.reader import BagReader
-from koop_bag.ros_topics import message_class
-from koop_bag.schema import MessageSchema, load_schema
-from koop_bag.step_peek import step_of
-from koop_bag.writer import BagWriter
+from koop_bag.bag.metadata import OfferedQos
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.writer import BagWriter
+from koop_bag.cdr.schema import MessageSchema, load_schema
+from koop_bag.cdr.step_peek import step_of
+from koop_bag.recorder.topics import message_class
 
 pytestmark = pytest.mark.ros
 
@@ -117,10 +117,10 @@ def test_time_passes_at_the_rate(write_loop, options, rate):
 def test_lockstep_asks_for_the_next_theta_only_after_the_last(write_loop):
     bag = write_loop(n=1000)
     with Player(bag, pace="lockstep") as player, Talker() as talker:
-        found = listen(talker, ["/cost", "/truth"])
+        found = listen(talker, ["/cost", "/ground_truth"])
         answered = answer_states(talker)
         assert finish(player, talker) == 0, player.output()
-        talker.spin_until(lambda: len(found["/truth"]) == 1000, "the rest")
+        talker.spin_until(lambda: len(found["/ground_truth"]) == 1000, "the rest")
     assert answered == list(range(1000))
     assert not found["/cost"]  # the live loop's, not the bag's
 
@@ -160,14 +160,14 @@ def test_in_lockstep_silence_is_an_error_that_names_step_and_topic(write_loop):
 
 def test_pause_step_seek_and_resume(write_loop):
     bag = write_loop(n=1000)  # 5 s
-    with Player(bag, topics="state truth", paused=True) as player, Talker() as talker:
-        found = listen(talker, ["/state", "/truth"])
+    with Player(bag, topics="state ground_truth", paused=True) as player, Talker() as talker:
+        found = listen(talker, ["/state", "/ground_truth"])
         steps = lambda: [step_of(data) for data in found["/state"]]  # noqa: E731
         trigger = lambda: talker.call(Trigger, "/player/step", Trigger.Request())  # noqa: E731
         wait_until(lambda: "playing" in player.output(), "the player to start")
         for k in range(3):
             assert trigger().success
-            talker.spin_until(lambda: len(found["/truth"]) > k, "a step")  # noqa: B023
+            talker.spin_until(lambda: len(found["/ground_truth"]) > k, "a step")  # noqa: B023
         # the two topics are two readers: either may be served first
         talker.spin_until(lambda: steps() == [0, 1, 2], "the states of three steps")
         assert set_parameter(talker, "position", 2.5).successful
@@ -179,7 +179,7 @@ def test_pause_step_seek_and_resume(write_loop):
         assert set_parameter(talker, "position", 4.5).successful
         assert talker.call(SetBool, "/player/pause", SetBool.Request(data=False)).success
         assert finish(player, talker) == 0
-        talker.spin_until(lambda: len(found["/truth"]) == 104, "the rest")
+        talker.spin_until(lambda: len(found["/ground_truth"]) == 104, "the rest")
         talker.spin_until(lambda: len(found["/state"]) == 104, "the rest of the states")
         assert steps() == [0, 1, 2, 500, *range(900, 1000)]
         assert "Traceback" not in player.output()

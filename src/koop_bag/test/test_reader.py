@@ -4,10 +4,10 @@ import pytest
 from koop_bag_messages import LOOP, PERIOD, START
 from mcap.writer import CompressionType, Writer
 
-from koop_bag.columns import read_columns
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
+from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
-from koop_bag.reader import BagReader
-from koop_bag.schema import load_schema
 
 
 def test_messages_come_back_as_they_were_written(write_loop, messages):
@@ -30,9 +30,9 @@ def test_messages_come_back_as_they_were_written(write_loop, messages):
 def test_topics_and_times_can_be_chosen(write_loop):
     with BagReader(write_loop(n=200)) as reader:
         begin, end = START + 10 * PERIOD, START + 20 * PERIOD
-        found = list(reader.messages(["/cost", "/truth"], begin, end))
+        found = list(reader.messages(["/cost", "/ground_truth"], begin, end))
         assert len(found) == 20
-        assert {m.topic for m in found} == {"/cost", "/truth"}
+        assert {m.topic for m in found} == {"/cost", "/ground_truth"}
         with pytest.raises(BagError, match=r"no topic /stat; it has /state, /cost"):
             list(reader.messages(["/stat"]))
 
@@ -145,7 +145,7 @@ def test_an_empty_bag_is_a_bag(write_loop):
 
 def test_a_damaged_index_is_an_error_of_the_bag_and_nothing_else(tmp_path):
     """Offsets and lengths that fuzzing made up once ended in MemoryError or OverflowError."""
-    from koop_bag.mcap_scan import McapFile, Place
+    from koop_bag.mcap.file_reader import McapFile, Place
 
     file = tmp_path / "a.mcap"
     file.write_bytes(b"\x89MCAP0\r\n" + bytes(100))

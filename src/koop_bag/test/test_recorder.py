@@ -21,11 +21,11 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 
-from koop_bag.columns import read_columns
-from koop_bag.losses import count_losses
-from koop_bag.reader import BagReader
-from koop_bag.recover import recover
-from koop_bag.ros_topics import message_class
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.losses import count_losses
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.recover import recover
+from koop_bag.recorder.topics import message_class
 
 pytestmark = pytest.mark.ros
 

@@ -7,11 +7,11 @@ import pytest
 import yaml
 from rosbags.highlevel import AnyReader
 
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.recover import recover
+from koop_bag.bag.writer import BagWriter
+from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
-from koop_bag.reader import BagReader
-from koop_bag.recover import recover
-from koop_bag.schema import load_schema
-from koop_bag.writer import BagWriter
 
 
 def test_a_torn_bag_becomes_a_whole_one_with_the_same_messages(write_loop, tmp_path, rng):
@@ -61,11 +61,11 @@ def test_a_topic_whose_schema_is_damaged_is_given_up_and_the_others_are_kept(wri
     assert report.messages == 150
     assert report.damaged_records > 0
     with BagReader(tmp_path / "saved") as reader:
-        assert {topic.name for topic in reader.topics} == {"/cost", "/theta", "/truth"}
+        assert {topic.name for topic in reader.topics} == {"/cost", "/theta", "/ground_truth"}
 
 
 def test_any_damage_leaves_a_whole_bag_or_an_error(write_loop, tmp_path):
-    """As `koop fuzz` does, on the way that it does not take."""
+    """As the fuzzer does, on the way that it does not take."""
     data = (write_loop(n=20, compression="none") / "run_0.mcap").read_bytes()
     for seed in range(300):
         path = tmp_path / "damaged.mcap"

@@ -4,8 +4,8 @@ import pytest
 from koop_bag_messages import LOOP
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
-from koop_bag.schema import load_schema
 
 COMMON = (
     "sensor_msgs/msg/JointState",

@@ -19,11 +19,11 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from koop_bag.bag.metadata import OfferedQos
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.writer import BagWriter, WriterOptions
+from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError, BagWriteError
-from koop_bag.metadata import OfferedQos
-from koop_bag.reader import BagReader
-from koop_bag.schema import load_schema
-from koop_bag.writer import BagWriter, WriterOptions
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -198,8 +198,8 @@ def test_wrong_options_and_a_closed_bag_are_refused(write_loop, tmp_path):
 FILL = """
 import resource, signal, sys
 from koop_bag.errors import DiskFullError
-from koop_bag.schema import load_schema
-from koop_bag.writer import BagWriter, WriterOptions
+from koop_bag.cdr.schema import load_schema
+from koop_bag.bag.writer import BagWriter, WriterOptions
 limit = int(sys.argv[2])
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 writer = BagWriter(sys.argv[1], WriterOptions(compression="none"))

@@ -1,1 +1,1 @@
-"""Offline closed loop, training, experiments, plots and the koop command line."""
+"""The koop commands: demo, train, replay, plots, benchmarks."""

@@ -8,6 +8,6 @@ if __name__ == "__main__":
     # traceback, unless it was started with Ctrl-C ignored.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from koop_lab.cli import main
+    from koop_lab.cli.main import main
 
     sys.exit(main())

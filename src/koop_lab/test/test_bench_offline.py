@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_lab.bench_offline import Loop, compile_c, time_c, time_kernel
-from koop_lab.train import TrainingConfig, train
+from koop_lab.bench.offline import Loop, compile_c, time_c, time_kernel
+from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import LifterConfig
 from vdp_plant.config import PlantConfig
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from koop_lab.cli import main, parser
-from koop_lab.parameters import make, read, write
+from koop_lab.cli.main import main, parser
+from koop_loop.parameters import make, read, write
 from koop_node.config import ConfigError
 
 
@@ -20,7 +20,7 @@ def test_simulate_writes_signals_metrics_and_a_plot(tmp_path, capsys):
     assert main(["simulate", *given]) == 0
     metrics = json.loads(capsys.readouterr().out)
     with np.load(out, allow_pickle=False) as run:
-        assert run["x"].shape == run["truth"].shape == (30_000, 2)
+        assert run["x"].shape == run["ground_truth"].shape == (30_000, 2)
         assert run["step"].tolist() == list(range(30_000))
         logged = run["t"] >= 100.0
         assert metrics["iae_theta"] == pytest.approx(
@@ -73,7 +73,7 @@ def test_a_run_that_does_not_fit_into_memory_ends_in_one_line(monkeypatch, capsy
     def simulate(*_):
         raise MemoryError("Unable to allocate 2.91 TiB")
 
-    monkeypatch.setattr("koop_lab.simulate_command.simulate", simulate)
+    monkeypatch.setattr("koop_lab.cli.simulate.simulate", simulate)
     assert main(["simulate", "--duration", "1e9"]) == 2
     assert capsys.readouterr().err == "koop simulate: error: Unable to allocate 2.91 TiB\n"
 

@@ -10,16 +10,16 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.linalg import expm
 
-from koop_lab.bench_memory import STORED, peak_of_training, write_states
-from koop_lab.cli import main
-from koop_lab.contrast import WINDOW
-from koop_lab.identify.forecast import Forecast
+from koop_lab.bench.memory import STORED, peak_of_training, write_states
+from koop_lab.cli.main import main
 from koop_lab.identify.from_bags import BagTraining, joined, train_from_bags
 from koop_lab.identify.samples import Batch, StateSpec
 from koop_lab.identify.segments import WAYS, Cutter, Cutting
+from koopman_lifter.contrast import WINDOW
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import build, load
 from koopman_lifter.observables import Monomials
+from koopman_lifter.prediction import Forecast
 
 DT = 0.02
 A = np.array([[-0.1, 2.0], [-2.0, -0.1]])  # a damped oscillation, 2 rad/s

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from koop_lab.live import NodeProcess
+from koop_lab.live.loop import NodeProcess
 
 # Ends when it is told to, and until then lets its parent be told once more.
 ENDS_LATE = """

@@ -22,12 +22,12 @@ from koop_node.stream import StreamMonitor
 
 # A writer keeps this many samples for a reader that was not scheduled for a while; the oldest are
 # lost after that. In lockstep, at 4 kHz, a depth of 100 lost 2 % of a run to a busy machine.
-QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 
 # Matches any writer: drivers often offer best effort only.
-LAX = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
-__all__ = ["ERROR", "LAX", "OK", "QOS", "STALE", "WARN", "ManagedNode", "message_type"]
+__all__ = ["BEST_EFFORT", "ERROR", "OK", "RELIABLE", "STALE", "WARN", "ManagedNode", "message_type"]
 
 
 def message_type(name: str) -> Any:

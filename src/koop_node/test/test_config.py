@@ -60,7 +60,7 @@ def test_what_cannot_be_used_is_refused_by_name(values, message):
 def test_every_parameter_of_the_loop_is_described():
     from dataclasses import fields
 
-    from koop_lab.parameters import NODES
+    from koop_loop.parameters import NODES
 
     for classes in NODES.values():
         for cls in classes:

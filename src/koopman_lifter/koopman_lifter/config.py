@@ -61,27 +61,27 @@ class LifterConfig:
         high=1e6,
     )
 
-    state_source: str = parameter(
+    input_fields: str = parameter(
         "",
         "for a rig that speaks another message: topic:field,field, for example "
         "/joint_states:position[0],velocity[0]; the node then publishes 'state' itself; empty: "
         "the rig publishes 'state'",
         read_only=True,
     )
-    state_type: str = parameter(
-        "sensor_msgs/msg/JointState", "message type of state_source", read_only=True
+    input_type: str = parameter(
+        "sensor_msgs/msg/JointState", "message type of input_fields", read_only=True
     )
 
     def __post_init__(self) -> None:
         validate(self)
-        check_type(self.state_type)
-        if self.state_source:
-            parse_source(self.state_source)
+        check_type(self.input_type)
+        if self.input_fields:
+            parse_source(self.input_fields)
 
     @property
     def foreign(self) -> Source | None:
         """Where the state comes from if not from the topic 'state'."""
-        return parse_source(self.state_source) if self.state_source else None
+        return parse_source(self.input_fields) if self.input_fields else None
 
     @property
     def source(self) -> int:

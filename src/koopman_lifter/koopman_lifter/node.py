@@ -16,7 +16,7 @@ from koop_node.adapter import StateAdapter
 from koop_node.config import NodeConfig
 from koop_node.fields import check_fields
 from koop_node.main import run
-from koop_node.managed import LAX, OK, QOS, WARN, ManagedNode, message_type
+from koop_node.managed import BEST_EFFORT, OK, RELIABLE, WARN, ManagedNode, message_type
 from koop_node.stream import LATE, NEXT, REPEAT, RESTART, StreamMonitor
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
@@ -45,7 +45,7 @@ class LifterNode(ManagedNode):
         self.inputs = (self._input,)
         self._take_config()
         self._compile()
-        self._publisher = self.create_publisher(Cost, "cost", QOS)
+        self._publisher = self.create_publisher(Cost, "cost", RELIABLE)
         self._adapt(config)
         self.get_logger().info(
             f"model {self._model.model_id}: {self._model.observables.p} observables, "
@@ -129,16 +129,19 @@ class LifterNode(ManagedNode):
         self._early = self._taken = 0
         self._topic, self._type, self._callback = "state", MeasuredState, self._on_state
         if config.foreign is not None:
-            self._topic, self._type = config.foreign.topic, message_type(config.state_type)
+            self._topic, self._type = config.foreign.topic, message_type(config.input_type)
             check_fields(config.foreign.fields, self._type())
             self._adapter = StateAdapter(config.foreign, config.dt)
             self._callback = self._on_foreign
-            self._state_publisher = self.create_publisher(MeasuredState, "state", QOS)
+            self._state_publisher = self.create_publisher(MeasuredState, "state", RELIABLE)
         self._input.topic = self._topic
 
     def _listen(self) -> None:
         self._subscription = self.create_subscription(
-            self._type, self._topic, self._callback, QOS if self._type is MeasuredState else LAX
+            self._type,
+            self._topic,
+            self._callback,
+            RELIABLE if self._type is MeasuredState else BEST_EFFORT,
         )
 
     def _on_foreign(self, message: Any) -> None:

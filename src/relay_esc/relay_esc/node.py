@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from koop_node.config import NodeConfig
 from koop_node.main import run
-from koop_node.managed import OK, QOS, WARN, ManagedNode
+from koop_node.managed import OK, RELIABLE, WARN, ManagedNode
 from koop_node.stream import LATE, NEXT, REPEAT, StreamMonitor
 from relay_esc import relay
 from relay_esc.config import EscConfig
@@ -42,9 +42,9 @@ class EscNode(ManagedNode):
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
         _compile(config)
-        self._publisher = self.create_publisher(ControlInput, "theta", QOS)
+        self._publisher = self.create_publisher(ControlInput, "theta", RELIABLE)
         topic = config.command_topic
-        self._command = self.create_publisher(Float64, topic, QOS) if topic else None
+        self._command = self.create_publisher(Float64, topic, RELIABLE) if topic else None
         self._own_services = [
             self.create_service(Trigger, "~/reset", self._on_reset),
             self.create_service(SetBool, "~/hold", self._on_hold),
@@ -93,7 +93,7 @@ class EscNode(ManagedNode):
         return (WARN, "holding theta", values) if answer.holding else (OK, "seeking", values)
 
     def _listen(self) -> None:
-        self._subscription = self.create_subscription(Cost, "cost", self._on_cost, QOS)
+        self._subscription = self.create_subscription(Cost, "cost", self._on_cost, RELIABLE)
 
     def _on_cost(self, cost: Cost) -> None:
         stamp = cost.header.stamp
@@ -121,7 +121,7 @@ class EscNode(ManagedNode):
         answer.step = cost.step
         answer.theta = relay.slew(answer.theta, state.theta, self._largest_change)
         answer.epsilon = state.epsilon
-        answer.hp = state.hp
+        answer.cost_rise_filtered = state.cost_rise_filtered
         answer.saturated = relay.saturated(self._params, answer.theta)
         answer.holding = holding
 

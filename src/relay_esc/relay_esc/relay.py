@@ -53,7 +53,7 @@ class RelayState(NamedTuple):
         Last control input [theta].
     epsilon : int
         Relay sign; +1 moves theta down, -1 up.
-    hp : float
+    cost_rise_filtered : float
         Filtered cost change, in units of r; positive means that the cost gets worse.
     r_previous : float
         Last cost.
@@ -65,7 +65,7 @@ class RelayState(NamedTuple):
 
     theta: float
     epsilon: int
-    hp: float
+    cost_rise_filtered: float
     r_previous: float
     since_flip: int
     primed: bool
@@ -88,7 +88,12 @@ def initial(theta: float, epsilon: int) -> RelayState:
 def hold(state: RelayState) -> RelayState:
     """Keep theta and the filter; the next cost is no jump."""
     return RelayState(
-        state.theta, state.epsilon, state.hp, state.r_previous, state.since_flip, False
+        state.theta,
+        state.epsilon,
+        state.cost_rise_filtered,
+        state.r_previous,
+        state.since_flip,
+        False,
     )
 
 
@@ -117,16 +122,20 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
         State after this sample; ``theta`` is the control input to apply.
     """
     if not state.primed:
-        return RelayState(state.theta, state.epsilon, state.hp, r, state.since_flip, True)
-    hp = p.alpha * state.hp + (1.0 - p.alpha) * (p.sense * (r - state.r_previous))
+        return RelayState(
+            state.theta, state.epsilon, state.cost_rise_filtered, r, state.since_flip, True
+        )
+    cost_rise_filtered = p.alpha * state.cost_rise_filtered + (1.0 - p.alpha) * (
+        p.sense * (r - state.r_previous)
+    )
     epsilon = state.epsilon
     since_flip = state.since_flip + 1
-    if hp > 0.0 and since_flip >= p.dwell_samples:
+    if cost_rise_filtered > 0.0 and since_flip >= p.dwell_samples:
         epsilon = -epsilon
         since_flip = 0
     theta = state.theta - p.step_size * epsilon
     theta = min(max(theta, p.theta_min), p.theta_max)
-    return RelayState(theta, epsilon, hp, r, since_flip, True)
+    return RelayState(theta, epsilon, cost_rise_filtered, r, since_flip, True)
 
 
 @njit(cache=True)

@@ -23,7 +23,7 @@ def run(config: EscConfig, costs, state=None):
 def test_a_hand_computed_sequence():
     """dt = 1, tau_f = 1 / ln 2 (alpha = 1/2), k = 1, dwell 2 s, theta from 0, epsilon from +1.
 
-    r       hp                                  since flip   epsilon  theta
+    r       cost_rise_filtered                                  since flip   epsilon  theta
     4       0 (primes)                          0            +1       0
     6       (6-4)/2 = 1 > 0, dwell 1 < 2        1            +1       -1
     6       1/2 + 0 = 0.5 > 0, dwell 2: flip    2 -> 0       -1       0
@@ -40,7 +40,9 @@ def test_a_hand_computed_sequence():
     assert [s.theta for s in states] == [0, -1, 0, 1, 2, 1, 0, 1]
     assert [s.epsilon for s in states] == [1, 1, -1, -1, -1, 1, 1, -1]
     np.testing.assert_allclose(
-        [s.hp for s in states], [0, 1, 0.5, -0.75, -0.375, 1.8125, 0.90625, 0.453125], atol=1e-15
+        [s.cost_rise_filtered for s in states],
+        [0, 1, 0.5, -0.75, -0.375, 1.8125, 0.90625, 0.453125],
+        atol=1e-15,
     )
 
 
@@ -49,7 +51,9 @@ def test_the_filter_is_scipy_s():
     r = np.random.default_rng(1).normal(size=500).cumsum()
     alpha = config.params().alpha
     expected = lfilter([1 - alpha, -(1 - alpha)], [1, -alpha], r - r[0])
-    np.testing.assert_allclose([s.hp for s in run(config, r)], expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        [s.cost_rise_filtered for s in run(config, r)], expected, rtol=1e-9, atol=1e-12
+    )
 
 
 def test_the_paper_s_ramp_crosses_five_units_in_75_seconds_when_the_cost_falls():
@@ -125,7 +129,7 @@ def test_an_answer_is_held_anew_or_the_next_step():
     assert relay.respond(params, state, math.nan, False, False) == (relay.hold(state), True)
     anew, holding = relay.respond(params, state, 9.0, True, False)
     assert not holding
-    assert (anew.theta, anew.epsilon, anew.hp, anew.primed) == (
+    assert (anew.theta, anew.epsilon, anew.cost_rise_filtered, anew.primed) == (
         state.theta, state.epsilon, 0.0, True,
     )  # fmt: skip
 
@@ -149,10 +153,14 @@ def test_a_held_filter_goes_on_from_where_it_was():
     for r, asked in ((math.nan, False), (math.inf, False), (0.4, True)):
         held, holding = relay.respond(config.params(), before, r, False, asked)
         assert holding
-        assert (held.theta, held.hp, held.epsilon) == (before.theta, before.hp, before.epsilon)
+        assert (held.theta, held.cost_rise_filtered, held.epsilon) == (
+            before.theta,
+            before.cost_rise_filtered,
+            before.epsilon,
+        )
     after, _ = relay.respond(config.params(), held, 1e9, False, False)  # a jump while blind
     assert after.epsilon == before.epsilon
-    assert after.hp == before.hp
+    assert after.cost_rise_filtered == before.cost_rise_filtered
 
 
 def test_theta_changes_no_faster_than_its_rate_limit():

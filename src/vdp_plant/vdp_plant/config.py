@@ -73,8 +73,8 @@ class PlantConfig:
     theta_initial: float = parameter(
         2.0, "theta before the controller's first answer", low=-100.0, high=100.0, read_only=True
     )
-    theta_low: float = parameter(-100.0, "lower bound of the actuator", low=-100.0, high=100.0)
-    theta_high: float = parameter(100.0, "upper bound of the actuator", low=-100.0, high=100.0)
+    theta_min: float = parameter(-100.0, "lower bound of the actuator", low=-100.0, high=100.0)
+    theta_max: float = parameter(100.0, "upper bound of the actuator", low=-100.0, high=100.0)
     theta_rate: float = parameter(
         0.0, "largest rate of the actuator; 0: no limit", unit="1/s", low=0.0, high=1e6
     )
@@ -93,10 +93,10 @@ class PlantConfig:
             raise ConfigError(
                 f"initial_state has {len(self.initial_state)} values: must be [x, y] or empty"
             )
-        if not self.theta_low <= self.theta_initial <= self.theta_high:
+        if not self.theta_min <= self.theta_initial <= self.theta_max:
             raise ConfigError(
                 f"theta_initial = {self.theta_initial:g} must lie within "
-                f"[theta_low, theta_high] = [{self.theta_low:g}, {self.theta_high:g}]"
+                f"[theta_min, theta_max] = [{self.theta_min:g}, {self.theta_max:g}]"
             )
 
     def params(self) -> PlantParams:
@@ -118,8 +118,8 @@ class PlantConfig:
             self.interference_phase_2,
             self.dt,
             INTEGRATORS[self.integrator],
-            self.theta_low,
-            self.theta_high,
+            self.theta_min,
+            self.theta_max,
             self.theta_rate if self.theta_rate > 0.0 else math.inf,
         )
 

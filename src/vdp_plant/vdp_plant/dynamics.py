@@ -42,8 +42,8 @@ class PlantParams(NamedTuple):
     interference_phase_2: float
     dt: float
     integrator: int
-    theta_low: float
-    theta_high: float
+    theta_min: float
+    theta_max: float
     theta_rate: float
 
 
@@ -131,7 +131,7 @@ def actuate(p: PlantParams, applied: float, theta: float) -> float:
         Commanded theta.
     """
     most = p.theta_rate * p.dt
-    theta = min(max(theta, p.theta_low), p.theta_high)
+    theta = min(max(theta, p.theta_min), p.theta_max)
     return min(max(theta, applied - most), applied + most)
 
 

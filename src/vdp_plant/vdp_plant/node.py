@@ -1,4 +1,4 @@
-"""ROS node of the plant: ``theta`` in, ``state`` and ``truth`` out, at one of three paces."""
+"""ROS node of the plant: ``theta`` in, ``state`` and ``ground_truth`` out, at three paces."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 
 from koop_node.config import NodeConfig
 from koop_node.main import run
-from koop_node.managed import ERROR, OK, QOS, WARN, ManagedNode
+from koop_node.managed import ERROR, OK, RELIABLE, WARN, ManagedNode
 from koop_node.stream import LATE, StreamMonitor
 from vdp_plant import dynamics
 from vdp_plant.config import RESENDS, PaceConfig, PlantConfig
@@ -58,18 +58,18 @@ class PlantNode(ManagedNode):
         self._cost_probe: Any = None
         self._started = False
         self._compile()
-        self._state_message, self._truth_message = MeasuredState(), PlantTruth()
-        self._state_publisher = self.create_publisher(MeasuredState, "state", QOS)
-        self._truth_publisher = self.create_publisher(PlantTruth, "truth", QOS)
+        self._state_message, self._ground_truth_message = MeasuredState(), PlantTruth()
+        self._state_publisher = self.create_publisher(MeasuredState, "state", RELIABLE)
+        self._ground_truth_publisher = self.create_publisher(PlantTruth, "ground_truth", RELIABLE)
         self._clock_publisher = (
-            self.create_publisher(Clock, "/clock", QOS) if pace.publish_clock else None
+            self.create_publisher(Clock, "/clock", RELIABLE) if pace.publish_clock else None
         )
         callback = self._on_theta_lockstep if self._lockstep else self._on_theta
-        self._subscription = self.create_subscription(ControlInput, "theta", callback, QOS)
+        self._subscription = self.create_subscription(ControlInput, "theta", callback, RELIABLE)
 
     def activate(self) -> None:
         recorders = self.parameters[NodeConfig].recorders
-        needed = {self._state_publisher: 1 + recorders, self._truth_publisher: recorders}
+        needed = {self._state_publisher: 1 + recorders, self._ground_truth_publisher: recorders}
         self.when_matched(needed, self._start)
 
     def deactivate(self) -> None:
@@ -80,7 +80,11 @@ class PlantNode(ManagedNode):
     def cleanup(self) -> None:
         self._end_probe()
         self.destroy_subscription(self._subscription)
-        for publisher in (self._state_publisher, self._truth_publisher, self._clock_publisher):
+        for publisher in (
+            self._state_publisher,
+            self._ground_truth_publisher,
+            self._clock_publisher,
+        ):
             if publisher is not None:
                 self.destroy_publisher(publisher)
 
@@ -143,13 +147,13 @@ class PlantNode(ManagedNode):
         state.x = array("d", dynamics.measure(params, k, x, y))
         self._sent[k % ROUND_TRIPS] = time.monotonic()
         self._state_publisher.publish(state)
-        truth = self._truth_message
-        truth.header = header
-        truth.step = k
-        truth.x = array("d", (x, y))
-        truth.theta_applied = self._theta_applied
-        truth.epsilon0 = dynamics.damping(params, k * params.dt)
-        self._truth_publisher.publish(truth)
+        ground_truth = self._ground_truth_message
+        ground_truth.header = header
+        ground_truth.step = k
+        ground_truth.x = array("d", (x, y))
+        ground_truth.theta_applied = self._theta_applied
+        ground_truth.epsilon0 = dynamics.damping(params, k * params.dt)
+        self._ground_truth_publisher.publish(ground_truth)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=_nanoseconds(k * params.dt)))
 
@@ -168,7 +172,7 @@ class PlantNode(ManagedNode):
 
     def _end_of_run(self) -> None:
         self.deactivate()
-        for publisher in (self._state_publisher, self._truth_publisher):
+        for publisher in (self._state_publisher, self._ground_truth_publisher):
             publisher.wait_for_all_acked(Duration(seconds=1.0))
         self.get_logger().info(f"done: {self._k} steps, {self._late} late ticks")
         self.finish(0)
@@ -233,7 +237,7 @@ class PlantNode(ManagedNode):
         self._answered = time.monotonic()
         self._asked_again += 1
         if self._cost_probe is None:
-            self._cost_probe = self.create_subscription(Cost, "cost", self._on_cost_probe, QOS)
+            self._cost_probe = self.create_subscription(Cost, "cost", self._on_cost_probe, RELIABLE)
         self.get_logger().warning(
             f"no theta for step {self._k} in {timeout:g} s: sending the state again "
             f"({self._asked_again} of {RESENDS})"

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.reader import BagReader
-from koop_lab.contrast import Moments, with_contrast
-from koop_lab.identify.forecast import Forecast
+from koop_bag.bag.reader import BagReader
 from koop_lab.identify.samples import STEP, Batch, StateSpec, batches, sha256, state_names
 from koop_lab.identify.segments import Cutter, Cutting, Piece
 from koop_lab.replay.settings import recorded_values
+from koopman_lifter.contrast import Moments, with_contrast
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
+from koopman_lifter.prediction import Forecast
 
 GAPS = 3.0  # a pause of more than so many usual periods, or Dt, is a gap
 
@@ -47,7 +47,8 @@ class BagTraining:
     names : tuple of str
         Names of the states; empty: from the fields.
     contrast : bool
-        Whether the cost is the contrast of strong and weak oscillation (koop_lab.contrast) in place
+        Whether the cost is the contrast of strong and weak oscillation
+        (koopman_lifter.contrast) in place
         of the energy of the dominant modes.
     """
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.columns import LOG_TIME, iter_columns, list_fields
-from koop_bag.reader import BagReader, find_files
+from koop_bag.bag.columns import LOG_TIME, iter_columns, list_fields
+from koop_bag.bag.reader import BagReader, find_files
 
 STAMP, STEP = "header.stamp", "step"
 

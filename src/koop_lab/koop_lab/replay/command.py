@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from koop_lab.cli.table import table
 from koop_lab.replay.compare import Comparison, compare
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import Plan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
-from koop_lab.table import table
 
 SHOWN = 10  # places where a node began anew
 

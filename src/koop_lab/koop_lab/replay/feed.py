@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from koop_bag.reader import BagReader
-from koop_lab import parameters
-from koop_lab.live import (
+from koop_bag.bag.reader import BagReader
+from koop_lab.live.loop import (
     EXECUTABLES,
     START_TIMEOUT,
     LiveError,
@@ -29,6 +28,7 @@ from koop_lab.live import (
 from koop_lab.replay.plan import Plan, Stretch
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER
+from koop_loop import parameters
 from koop_node.domain import free_domain
 
 TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
@@ -47,7 +47,7 @@ def replay_live(
 
     Raises
     ------
-    koop_lab.live.LiveError
+    koop_lab.live.loop.LiveError
         If a node ends, does not answer or refuses a parameter.
     """
     with tempfile.TemporaryDirectory(prefix="koop-replay-") as name:

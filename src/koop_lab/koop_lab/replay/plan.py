@@ -8,15 +8,15 @@ from typing import Any
 
 import yaml
 
-from koop_lab import parameters
-from koop_lab.parameters import LoopParameters
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER, Change, Models, known_parameters
+from koop_loop import parameters
+from koop_loop.parameters import LoopParameters
 from koop_node.config import ConfigError
 from koopman_lifter.model import load
 
 Values = dict[str, dict[str, Any]]
-OWN_TOPICS = {"koopman_lifter": {"state_source": ""}, "relay_esc": {"command_topic": ""}}
+OWN_TOPICS = {"koopman_lifter": {"input_fields": ""}, "relay_esc": {"command_topic": ""}}
 """A rig with messages of its own: what the lifter made of them is recorded as `state`."""
 
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.columns import Columns, read_columns, read_tables
-from koop_bag.reader import BagReader
+from koop_bag.bag.columns import Columns, read_columns, read_tables
+from koop_bag.bag.reader import BagReader
 from koop_lab.replay.settings import Change, first_values, recorded_changes, recorded_values
 from koop_node.stream import LATE, NEXT, REPEAT, RESTART, StreamMonitor
 from koopman_lifter.config import SOURCES

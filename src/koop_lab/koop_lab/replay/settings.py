@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.metadata import parse_map
-from koop_bag.reader import BagReader
-from koop_lab.parameters import NODES, ROS_OWN
+from koop_bag.bag.metadata import parse_map
+from koop_bag.bag.reader import BagReader
+from koop_loop.parameters import NODES, ROS_OWN
 from koop_node.config import NodeConfig
 from koopman_lifter.config import SOURCES, shipped_model
 from koopman_lifter.model import KoopmanModel, ModelError, load

@@ -1,0 +1,1 @@
+"""A bag: folder, metadata, topics; read, written, recovered, compared, exported."""

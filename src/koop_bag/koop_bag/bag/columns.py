@@ -1,0 +1,202 @@
+"""Fields of a topic as numpy arrays, without decoding one message after the other."""
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from koop_bag.bag.reader import MESSAGE_HEAD, BagReader
+from koop_bag.cdr.definition import Struct, leaf_fields, parse_definition
+from koop_bag.cdr.gather import Bytes, Offsets, at_every_byte, decode
+from koop_bag.cdr.layout import LayoutFinder
+from koop_bag.errors import BagError
+from koop_bag.mcap.file_reader import RECORD_HEAD
+
+Columns = dict[str, NDArray[Any]]
+
+LOG_TIME, PUBLISH_TIME, SEQUENCE = "log_time", "publish_time", "sequence"
+"""Columns that every topic has: when received and sent [ns since the epoch], and the number in the
+recording. A field of a message that has such a name is written with a dot before it."""
+
+BATCH_BYTES = 8 << 20
+"""How much of a bag is held at once [B]: enough that the cost per batch vanishes, whatever the
+bag's size.
+"""
+
+_RECORD = struct.Struct("<BQH")  # opcode, length, and the channel if it is a message
+STORED: dict[str, tuple[int, str]] = {
+    SEQUENCE: (2, "<u4"),
+    LOG_TIME: (6, "<u8"),
+    PUBLISH_TIME: (14, "<u8"),
+}
+"""Where the columns that every topic has lie in a message record, and their type."""
+
+
+def list_fields(bag: BagReader, topic: str) -> list[str]:
+    """The fields of a topic that can be read as columns."""
+    return _names(definition_of(bag, topic))
+
+
+def read_columns(bag: BagReader, topic: str, fields: Sequence[str] | None = None) -> Columns:
+    """One topic as arrays.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The bag.
+    topic : str
+        Its full name.
+    fields : sequence of str, optional
+        Numeric fields (`step`), nested ones (`header.stamp.sec`), times (`header.stamp`, as int64
+        nanoseconds), arrays (`x`, shape (n, length); the length must be the same in all messages),
+        elements (`position[0]`), strings (as an object array), and `log_time`, `publish_time`,
+        `sequence`. Default: all that can be read.
+
+    Returns
+    -------
+    dict of str to ndarray
+        By field, each with n rows in the order of recording. An element beyond the end of its array
+        is NaN.
+
+    Raises
+    ------
+    BagError
+        If there is no such topic or field, or if a message does not fit its definition.
+    """
+    return read_tables(bag, {topic: fields})[topic]
+
+
+def read_tables(
+    bag: BagReader, tables: Mapping[str, Sequence[str] | None], batch_bytes: int = BATCH_BYTES
+) -> dict[str, Columns]:
+    """Several topics in one pass over the bag: `{topic: fields}` to `{topic: columns}`."""
+    parts: dict[str, list[Columns]] = {topic: [] for topic in tables}
+    for topic, columns in iter_tables(bag, tables, batch_bytes):
+        parts[topic].append(columns)
+    joined: dict[str, Columns] = {}
+    for topic, fields in tables.items():
+        batches = parts.pop(topic) or [_Table(bag, topic, fields).empty()]
+        joined[topic] = {
+            name: _join(name, [batch.pop(name) for batch in batches]) for name in list(batches[0])
+        }
+    return joined
+
+
+def iter_columns(
+    bag: BagReader, topic: str, fields: Sequence[str] | None = None, batch_bytes: int = BATCH_BYTES
+) -> Iterator[Columns]:
+    """`read_columns` in batches: the memory needed does not grow with the bag."""
+    for _, columns in iter_tables(bag, {topic: fields}, batch_bytes):
+        yield columns
+
+
+def iter_tables(
+    bag: BagReader, tables: Mapping[str, Sequence[str] | None], batch_bytes: int = BATCH_BYTES
+) -> Iterator[tuple[str, Columns]]:
+    """`read_tables` in batches of (topic, columns)."""
+    decoders = {topic: _Table(bag, topic, fields) for topic, fields in tables.items()}
+    return iter_decoded(bag, decoders, batch_bytes)
+
+
+class Decoder(Protocol):
+    """Makes something of the messages of one topic that lie in a buffer."""
+
+    def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
+        """Columns of the message records whose content starts at `starts`."""
+
+
+def iter_decoded(
+    bag: BagReader, decoders: Mapping[str, Decoder], batch_bytes: int = BATCH_BYTES
+) -> Iterator[tuple[str, Columns]]:
+    """What the decoders make of their topics, in batches."""
+    pending: list[bytes] = []
+    names: dict[int, str] = {}
+    size = 0
+    for records, channels in bag.blocks(decoders):
+        if pending and (
+            size >= batch_bytes or channels != names
+        ):  # another file may number its channels otherwise
+            yield from _decode_batch(b"".join(pending), names, decoders)
+            pending, size = [], 0
+        names = channels
+        pending.append(records)
+        size += len(records)
+    if pending:
+        yield from _decode_batch(b"".join(pending), names, decoders)
+
+
+class _Table:
+    """The wanted columns of one topic."""
+
+    def __init__(self, bag: BagReader, topic: str, fields: Sequence[str] | None) -> None:
+        root = definition_of(bag, topic)
+        self.fields = tuple(_names(root) if fields is None else fields)
+        self._finder = LayoutFinder(root, tuple(name for name in self.fields if name not in STORED))
+        self._topic = topic
+
+    def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
+        """Columns of the message records whose content starts at `starts`."""
+        fixed = MESSAGE_HEAD.size
+        try:
+            columns = decode(buffer, starts + fixed, sizes - fixed, self._finder)
+        except BagError as error:
+            raise BagError(f"topic {self._topic}: {error}") from error
+        for name, (offset, dtype) in STORED.items():
+            if name in self.fields:
+                columns[name] = at_every_byte(buffer, np.dtype(dtype))[starts + offset]
+        return {name: columns[name] for name in self.fields}
+
+    def empty(self) -> Columns:
+        """The columns of a topic without messages."""
+        return {name: np.empty(0) for name in self.fields}
+
+
+def _decode_batch(
+    records: bytes, names: dict[int, str], tables: Mapping[str, Decoder]
+) -> Iterator[tuple[str, Columns]]:
+    places: dict[int, list[int]] = {number: [] for number in names}
+    # The one loop over messages: opcode, length and channel in one step, no call but the unpacking.
+    unpack, head, message = _RECORD.unpack_from, RECORD_HEAD.size, int(Opcode.MESSAGE)
+    position, last = 0, len(records) - _RECORD.size
+    while position <= last:
+        opcode, length, channel = unpack(records, position)
+        position += head
+        if position + length > len(records):
+            break
+        if opcode == message and channel in places:
+            places[channel] += (position, length)
+        position += length
+    buffer = np.frombuffer(records, np.uint8)
+    for number, found in places.items():
+        if found:
+            where = np.array(found, np.int64)
+            yield names[number], tables[names[number]].decode(buffer, where[::2], where[1::2])
+
+
+def _join(name: str, arrays: list[NDArray[Any]]) -> NDArray[Any]:
+    shapes = sorted({array.shape[1:] for array in arrays})
+    if len(shapes) > 1:
+        lengths = " and ".join(str(shape[0]) for shape in shapes)
+        raise BagError(
+            f"'{name}' has {lengths} elements in different messages: "
+            f"choose elements, such as {name}[0]"
+        )
+    return np.concatenate(arrays)
+
+
+def _names(root: Struct) -> list[str]:
+    return [f".{name}" if name in STORED else name for name in leaf_fields(root)]
+
+
+def definition_of(bag: BagReader, topic: str) -> Struct:
+    """The message type of a topic, as the bag defines it."""
+    info = bag.topic(topic)
+    if info.encoding != "cdr" or not info.definition:
+        raise BagError(
+            f"topic {topic} ('{info.encoding}') has no ROS 2 message definition: "
+            "only its raw messages can be read"
+        )
+    return parse_definition(info.type_name, info.definition)

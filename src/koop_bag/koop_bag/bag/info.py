@@ -1,0 +1,152 @@
+"""What a bag holds, in the terms of its user."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from koop_bag.bag.columns import LOG_TIME, iter_tables, list_fields
+from koop_bag.bag.losses import StepCounter, StepReport, early_ends
+from koop_bag.bag.metadata import parse_map
+from koop_bag.bag.reader import BagReader, Topic
+from koop_bag.cdr.schema import MessageSchema
+from koop_bag.cdr.step_peek import has_step
+
+
+@dataclass
+class TopicInfo:
+    """One topic.
+
+    Attributes
+    ----------
+    name, type_name : str
+        Name and type.
+    count : int
+        Messages.
+    rate : float or None
+        Messages a second between the first and the last; None for fewer than two.
+    steps : StepReport or None
+        What the steps say about losses; None for types without a step.
+    """
+
+    name: str
+    type_name: str
+    count: int
+    rate: float | None = None
+    steps: StepReport | None = None
+
+
+@dataclass
+class BagInfo:
+    """One bag; the attributes are those that `koop bag info` prints."""
+
+    path: str
+    files: list[str]
+    size: int
+    complete: bool
+    start: float
+    duration: float
+    messages: int
+    topics: list[TopicInfo] = field(default_factory=list)
+    model_ids: list[str] = field(default_factory=list)
+    custom: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters by node, as they were recorded."""
+        nodes = parse_map(self.custom.get("parameters", ""), "record of parameters")
+        return {
+            str(name): node.get("ros__parameters", {})
+            for name, node in nodes.items()
+            if isinstance(node, dict)
+        }
+
+
+def describe(bag: BagReader) -> BagInfo:
+    """Read a bag through, in memory that does not grow with it."""
+    info = BagInfo(
+        str(bag.path),
+        [str(path) for path in bag.files],
+        bag.size,
+        bag.complete,
+        bag.start_time * 1e-9,
+        bag.duration,
+        bag.message_count,
+        custom=bag.custom_data() or bag.notes.get("koop", {}),
+    )
+    counters: dict[str, StepCounter] = {}
+    fields: dict[str, list[str]] = {}
+    for topic in bag.topics:
+        if topic.encoding == "cdr" and topic.definition:
+            fields[topic.name] = [LOG_TIME]
+            if has_step(MessageSchema(topic.type_name, topic.definition, "")):
+                fields[topic.name].append("step")
+                counters[topic.name] = StepCounter()
+            if "model_id" in list_fields(bag, topic.name):
+                fields[topic.name].append("model_id")
+    spans: dict[str, tuple[int, int]] = {}
+    models: dict[str, None] = {}
+    for name, columns in iter_tables(bag, fields):
+        times = columns[LOG_TIME]
+        begin, end = spans.get(name, (2**64, 0))
+        spans[name] = (min(begin, int(times.min())), max(end, int(times.max())))
+        if name in counters:
+            counters[name].add_many(columns["step"])
+        models |= dict.fromkeys(columns.get("model_id", ()))
+    for topic in bag.topics:
+        info.topics.append(_topic_info(topic, spans.get(topic.name), counters.get(topic.name)))
+    info.model_ids = [model for model in models if model]
+    return info
+
+
+def _topic_info(
+    topic: Topic, span: tuple[int, int] | None, counter: StepCounter | None
+) -> TopicInfo:
+    rate = None
+    if span is not None and span[1] > span[0]:
+        rate = (topic.count - 1) / ((span[1] - span[0]) * 1e-9)
+    report = counter.report() if counter and topic.count else None
+    return TopicInfo(topic.name, topic.type_name, topic.count, rate, report)
+
+
+def as_text(info: BagInfo, with_parameters: bool = False) -> str:
+    """The description for people."""
+    begin = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(info.start))
+    state = "complete" if info.complete else "torn: `koop bag recover` makes a whole bag of it"
+    per_message = f", {info.size / info.messages:.1f} B a message" if info.messages else ""
+    lines = [
+        f"bag       {info.path} ({state})",
+        f"files     {len(info.files)}, {info.size} B{per_message}",
+        f"time      {begin}, {info.duration:.3f} s",
+        f"messages  {info.messages}",
+    ]
+    if info.model_ids:
+        lines.append(f"model     {', '.join(info.model_ids)}")
+    if revision := info.custom.get("git_revision"):
+        lines.append(f"revision  {revision}")
+    if info.parameters:
+        lines.append(f"nodes     {', '.join(info.parameters)}")
+    width = max((len(topic.name) for topic in info.topics), default=5)
+    lines += ["", f"{'topic':<{width}}  {'messages':>9}  {'Hz':>8}  {'lost':>6}  type"]
+    ends = early_ends({t.name: t.steps.last for t in info.topics if t.steps is not None})
+    for topic in info.topics:
+        rate = "-" if topic.rate is None else f"{topic.rate:.1f}"
+        lost = "-" if topic.steps is None else str(topic.steps.lost)
+        lines.append(
+            f"{topic.name:<{width}}  {topic.count:>9}  {rate:>8}  {lost:>6}  "
+            f"{topic.type_name}{_remarks(topic.steps, ends.get(topic.name, 0))}"
+        )
+    if with_parameters:
+        lines += ["", info.custom.get("parameters", "no parameters were recorded").rstrip()]
+    return "\n".join(lines)
+
+
+def _remarks(steps: StepReport | None, missing: int) -> str:
+    if steps is None:
+        return ""
+    found = [f"begins at step {steps.first}"] if steps.first else []
+    found += [f"{steps.duplicates} sent again"] if steps.duplicates else []
+    found += [f"{steps.backward} steps back"] if steps.backward else []
+    found += [f"ends at step {steps.last}, {missing} before the loop"] if missing else []
+    return f" ({', '.join(found)})" if found else ""

@@ -1,0 +1,263 @@
+"""Writes a rosbag2 bag (ROS 2 Jazzy, MCAP): a folder of `<name>_N.mcap` and `metadata.yaml`."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+import zstandard
+from mcap.records import Channel, Schema
+
+from koop_bag.bag.metadata import FileRecord, OfferedQos, TopicRecord, bag_map, dump
+from koop_bag.cdr.schema import MessageSchema
+from koop_bag.errors import BagError, BagWriteError
+from koop_bag.mcap.chunk import ChunkBuffer, Row
+from koop_bag.mcap.file_writer import McapFileWriter
+
+
+@dataclass(frozen=True)
+class WriterOptions:
+    """How a bag is written.
+
+    Attributes
+    ----------
+    compression : str
+        `none` or `zstd`.
+    chunk_bytes : int
+        A chunk goes to disk when it holds this much [B].
+    chunk_seconds : float
+        ... or when its first message is this old [s]: what a killed recorder can lose at low rates.
+    split_bytes, split_seconds : float
+        Start the next file when this one is that large [B] or covers that much time [s]. 0: never.
+    """
+
+    compression: str = "zstd"
+    chunk_bytes: int = 64 * 1024
+    chunk_seconds: float = 0.1
+    split_bytes: int = 0
+    split_seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.compression not in ("none", "zstd"):
+            raise BagError(f"compression '{self.compression}' is not offered: none or zstd")
+        if (
+            self.chunk_bytes < 1024
+            or min(self.chunk_seconds, self.split_bytes, self.split_seconds) < 0
+        ):
+            raise BagError("chunk_bytes must be at least 1024, and no size or duration negative")
+
+
+class BagWriter:
+    """A bag being recorded.
+
+    Parameters
+    ----------
+    folder : path
+        The bag's folder; created, must not hold a bag yet. Its name is the bag's name.
+    options : WriterOptions
+        Compression, chunks, splitting.
+
+    Notes
+    -----
+    After a `BagWriteError` the bag is closed: everything up to the last complete chunk is on the
+    disk, with a summary if there was room for it.
+    """
+
+    def __init__(self, folder: str | Path, options: WriterOptions | None = None) -> None:
+        self.folder = Path(folder)
+        self.options = options or WriterOptions()
+        self.custom_data: dict[str, str] = {}
+        """Written into `metadata.yaml` and into the file when the bag is closed."""
+        self.topics: list[TopicRecord] = []
+        self._channels: list[tuple[Schema, Channel]] = []
+        self._sequences: dict[int, int] = {}
+        self._notes: dict[str, dict[str, str]] = {}
+        self._files: list[FileRecord] = []
+        self._closed_bytes = 0
+        self.closed = False
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise BagWriteError(
+                f"cannot create the folder {self.folder}: {error.strerror}"
+            ) from error
+        if any(self.folder.glob("*.mcap")):
+            raise BagWriteError(
+                f"{self.folder} already holds a bag: choose another folder, nothing is overwritten"
+            )
+        self._chunk = _chunk_buffer(self.options)
+        self._file = self._open_file()
+
+    @property
+    def bytes_written(self) -> int:
+        """Bytes on the disk so far."""
+        return self._closed_bytes + self._file.size
+
+    @property
+    def path(self) -> Path:
+        """The file being written."""
+        return self._file.path
+
+    def add_topic(
+        self, name: str, schema: MessageSchema, qos: Sequence[OfferedQos] = (OfferedQos(),)
+    ) -> int:
+        """Announce a topic; returns the channel that its messages are written to."""
+        self._check_open()
+        if any(topic.name == name for topic in self.topics):
+            raise BagError(f"topic {name} is already in the bag")
+        topic = TopicRecord(name, schema.name, schema.type_hash, tuple(qos))
+        known = next((s for s, _ in self._channels if s.name == schema.name), None)
+        number = len({s.id for s, _ in self._channels}) + 1
+        entry = known or Schema(
+            id=number, data=schema.text.encode(), encoding="ros2msg", name=schema.name
+        )
+        channel = Channel(
+            id=len(self._channels) + 1,
+            topic=name,
+            message_encoding="cdr",
+            metadata={
+                "offered_qos_profiles": topic.qos_text(),
+                "topic_type_hash": schema.type_hash,
+            },
+            schema_id=entry.id,
+        )
+        self._guarded(lambda: self._file.add_channel(entry, channel))
+        self.topics.append(topic)
+        self._channels.append((entry, channel))
+        self._sequences[channel.id] = 0
+        return len(self._channels)
+
+    def write(
+        self,
+        channel: int,
+        log_time: int,
+        publish_time: int,
+        data: bytes,
+        sequence: int | None = None,
+    ) -> None:
+        """Write one serialized message; times in nanoseconds since the epoch.
+
+        Without a `sequence` the numbers of a channel count on, beginning at 1.
+        """
+        if sequence is not None:
+            self._sequences[channel] = sequence - 1
+        self.write_many(((log_time, channel, publish_time, data),))
+
+    def write_many(self, rows: Iterable[Row]) -> None:
+        """Write messages in the order in which they were received."""
+        self._check_open()
+        source = iter(rows)
+        while self._chunk.add(source, self._sequences):
+            self._write_chunk()
+
+    def flush(self) -> None:
+        """Put the chunk in progress on the disk."""
+        if not self.closed and self._chunk.size:
+            self._write_chunk()
+
+    def flush_due(self, now: int) -> None:
+        """Put the chunk in progress on the disk if its time is up; `now` in ns since the epoch."""
+        if self._chunk.is_due(now):
+            self.flush()
+
+    def add_note(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record at once, so that it outlives a crash."""
+        self._check_open()
+        self._notes[name] = dict(values)
+        self._guarded(lambda: self._file.add_metadata(name, values))
+
+    def close(self) -> None:
+        """Write the last chunk, the summary and `metadata.yaml`. A second call does nothing."""
+        if self.closed:
+            return
+        self.flush()
+        self._guarded(self._finish_file)
+        self.closed = True
+        self._write_description()
+
+    def __enter__(self) -> "BagWriter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _open_file(self) -> McapFileWriter:
+        file = McapFileWriter(self.folder / f"{self.folder.name}_{len(self._files)}.mcap")
+        self._files.append(FileRecord(file.path.name))
+        for schema, channel in self._channels:
+            file.add_channel(schema, channel)
+        for name, values in self._notes.items():
+            file.add_metadata(name, values)
+        return file
+
+    def _write_chunk(self) -> None:
+        chunk, file = self._chunk, self._file
+        self._guarded(lambda: file.add_chunk(chunk))
+        counts = chunk.counts()
+        for channel, count in counts.items():
+            self.topics[channel - 1].count += count
+        record = self._files[-1]
+        record.cover(file.last_start, file.last_end, sum(counts.values()))
+        chunk.clear()
+        options = self.options
+        too_large = options.split_bytes and file.size >= options.split_bytes
+        too_long = (
+            options.split_seconds and record.end - record.start >= options.split_seconds * 1e9
+        )
+        if too_large or too_long:
+            self._guarded(self._next_file)
+
+    def _next_file(self) -> None:
+        self._finish_file()
+        self._closed_bytes += self._file.size
+        self._file = self._open_file()
+
+    def _finish_file(self) -> None:
+        self._file.add_metadata("rosbag2", {"serialized_metadata": dump(self._description())})
+        self._file.finish()
+
+    def _description(self) -> dict[str, object]:
+        return bag_map(self.topics, self._files, self.custom_data)
+
+    def _write_description(self) -> None:
+        path = self.folder / "metadata.yaml"
+        text = dump({"rosbag2_bagfile_information": self._description()})
+        try:
+            path.write_text(text, encoding="utf-8")
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            raise BagWriteError(
+                f"cannot write {path}: {error.strerror}; `koop bag recover` makes it again"
+            ) from error
+
+    def _guarded(self, action: Callable[[], None]) -> None:
+        """Do a write; if it fails, close the bag as well as the disk allows before raising."""
+        try:
+            action()
+        except BagWriteError:
+            self.closed = True
+            self._chunk.clear()
+            try:
+                self._finish_file()
+                self._write_description()
+            except (BagWriteError, ValueError):
+                # no room for the summary either, or the file is closed already
+                self._file.abandon()
+            raise
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise BagWriteError(f"the bag {self.folder} is closed")
+
+
+def _chunk_buffer(options: WriterOptions) -> ChunkBuffer:
+    age = int(options.chunk_seconds * 1e9)
+    if options.compression == "none":
+        return ChunkBuffer(None, "", options.chunk_bytes, age)
+    # One context for all chunks: setting one up costs more than compressing a small chunk.
+    return ChunkBuffer(zstandard.ZstdCompressor(level=1).compress, "zstd", options.chunk_bytes, age)

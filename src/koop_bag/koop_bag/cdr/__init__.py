@@ -1,0 +1,1 @@
+"""Serialized messages: definitions, layouts, fields without decoding."""

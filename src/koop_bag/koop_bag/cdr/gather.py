@@ -1,0 +1,116 @@
+"""Takes fields out of many serialized messages at once."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_bag.cdr.layout import ENCAPSULATION, Layout, LayoutFinder, Span
+from koop_bag.errors import BagError
+
+_LITTLE_ENDIAN_CDR = 0x0100  # bytes 00 01
+_MAX_GROUPS = 64
+"""After so many layouts in a batch, looking for messages of equal layout costs more than it saves.
+"""
+
+Bytes = NDArray[np.uint8]
+Offsets = NDArray[np.int64]
+
+
+def at_every_byte(buffer: Bytes, dtype: "np.dtype[Any]") -> NDArray[Any]:
+    """The buffer seen as one value per byte offset, so that values at any, unaligned, offsets are
+    plain indexing.
+    """
+    values: NDArray[Any] = np.ndarray(
+        (max(0, len(buffer) - dtype.itemsize + 1),), dtype, buffer, strides=(1,)
+    )
+    return values
+
+
+def decode(
+    buffer: Bytes, starts: Offsets, sizes: Offsets, finder: LayoutFinder
+) -> dict[str, NDArray[Any]]:
+    """Columns of messages that lie in a buffer.
+
+    Parameters
+    ----------
+    buffer : ndarray of uint8
+        Holds the messages.
+    starts, sizes : ndarray of int64, shape (n,)
+        Where each begins, encapsulation included, and its length [B].
+    finder : LayoutFinder
+        Type and fields.
+    """
+    if (sizes < ENCAPSULATION).any():
+        raise BagError("a message is cut short: it lacks even the mark of its encoding")
+    heads = at_every_byte(buffer, np.dtype("<u2"))[starts]
+    if (heads != _LITTLE_ENDIAN_CDR).any():
+        raise BagError("a message is not in little-endian CDR; other encodings are not supported")
+    columns = _Columns(len(starts))
+    groups = 0
+    for size in np.unique(sizes):
+        todo = np.flatnonzero(sizes == size)
+        while todo.size:
+            begin = int(starts[todo[0]])
+            layout = finder.find(buffer[begin : begin + int(size)].tobytes())
+            groups += 1
+            same = _matching(buffer, starts, todo, layout) if groups < _MAX_GROUPS else todo[:1]
+            # An element beyond the end of its array has no span.
+            for name, span in layout.spans.items():
+                values = _take(buffer, starts[same], span) if span else np.full(same.size, np.nan)
+                columns.put(name, same, values)
+            todo = todo[1:] if same.size == 1 else np.setdiff1d(todo, same, assume_unique=True)
+    return columns.arrays
+
+
+def _matching(buffer: Bytes, starts: Offsets, candidates: Offsets, layout: Layout) -> Offsets:
+    words = at_every_byte(buffer, np.dtype("<u4"))
+    for offset, value in layout.guards:
+        candidates = candidates[words[starts[candidates] + offset] == value]
+    return candidates
+
+
+def _take(buffer: Bytes, starts: Offsets, span: Span) -> NDArray[Any]:
+    where = starts + span.offset
+    if span.dtype.kind == "V":
+        seconds = at_every_byte(buffer, np.dtype("<i4"))[where].astype(np.int64)
+        nanoseconds = at_every_byte(buffer, np.dtype("<u4"))[where + 4]
+        return np.asarray(seconds * 1_000_000_000 + nanoseconds)
+    if span.dtype.kind == "S":
+        return _strings(buffer, where, span.count or 0)
+    if span.count is not None:
+        where = where[:, None] + np.arange(span.count) * span.dtype.itemsize
+    if span.dtype.kind == "b":  # any byte but 0 is true, also for a careless sender
+        return np.asarray(buffer[where] != 0)
+    return np.asarray(at_every_byte(buffer, span.dtype)[where])
+
+
+def _strings(buffer: Bytes, where: Offsets, size: int) -> NDArray[Any]:
+    if size == 0:
+        return np.full(len(where), "", dtype=object)
+    raw = at_every_byte(buffer, np.dtype(f"V{size}"))[where]
+    values, index = np.unique(raw, return_inverse=True)
+    texts = np.array([value.tobytes().decode("utf-8", "replace") for value in values], dtype=object)
+    return np.asarray(texts[index.reshape(-1)])
+
+
+class _Columns:
+    """Columns filled group by group."""
+
+    def __init__(self, n: int) -> None:
+        self._n = n
+        self.arrays: dict[str, NDArray[Any]] = {}
+
+    def put(self, name: str, rows: Offsets, values: NDArray[Any]) -> None:
+        column = self.arrays.get(name)
+        if column is None:
+            column = self.arrays[name] = np.empty((self._n, *values.shape[1:]), values.dtype)
+        if column.shape[1:] != values.shape[1:]:
+            lengths = f"{column.shape[1]} and {values.shape[1]}"
+            raise BagError(
+                f"'{name}' has {lengths} elements in different messages: "
+                f"choose elements, such as {name}[0]"
+            )
+        if column.dtype != values.dtype:  # NaN for some, numbers or strings for others
+            column = self.arrays[name] = column.astype(np.result_type(column.dtype, values.dtype))
+        column[rows] = values

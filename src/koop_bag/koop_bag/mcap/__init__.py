@@ -1,0 +1,1 @@
+"""One MCAP file: written through to the disk, read whole or torn."""

@@ -1,0 +1,1 @@
+"""The player: a bag's messages out again, at one of four paces."""

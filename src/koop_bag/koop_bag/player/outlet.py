@@ -1,0 +1,125 @@
+"""Publishers of the player: the recorded bytes go out as they are."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+from koop_bag.bag.metadata import OfferedQos, parse_qos
+from koop_bag.bag.reader import Topic
+from koop_bag.cdr.schema import load_schema
+from koop_bag.errors import BagError
+from koop_bag.recorder.topics import message_class
+
+DEPTH = 1000
+"""Messages that a writer keeps at least. Discovery doesn't tell a recorder the depth that was
+offered, and a player may be faster than what it replaces."""
+
+UNACKNOWLEDGED = 500
+"""Messages after which a player without a clock waits for those who listen."""
+
+STUCK = 2.0
+"""A listener that has not acknowledged everything for so long [s] holds nobody up any more."""
+
+
+class Outlet:
+    """One topic being played.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Owner of the publisher.
+    topic : Topic
+        Topic of the bag.
+    name : str
+        Name under which it is published.
+
+    Raises
+    ------
+    BagError
+        If its messages cannot be published as they are: another encoding, a type that is not
+        installed, or one that is installed in another version than the recorded one.
+    """
+
+    def __init__(self, node: Node, topic: Topic, name: str) -> None:
+        if topic.encoding != "cdr":
+            raise BagError(f"{topic.name} is encoded as '{topic.encoding}', not as cdr")
+        installed = load_schema(topic.type_name).type_hash
+        recorded = topic.metadata.get("topic_type_hash", "")
+        if installed and recorded and installed != recorded:
+            raise BagError(
+                f"{topic.name} was recorded with another version of {topic.type_name} than the "
+                "one that is installed"
+            )
+        self.topic = topic.name
+        self.count = 0
+        self.publisher: Any = node.create_publisher(
+            message_class(topic.type_name), name, qos_profile(recorded_qos(topic))
+        )
+        self._unacknowledged = 0
+        self._stuck = False
+
+    def publish(self, data: bytes) -> None:
+        """Publish a serialized message."""
+        self.publisher.publish(data)
+        self.count += 1
+
+    def publish_acknowledged(self, data: bytes) -> None:
+        """Publish, and now and then wait until those who listen reliably have what was sent."""
+        self.publish(data)
+        self._unacknowledged += 1
+        if self._unacknowledged >= UNACKNOWLEDGED and not self._stuck:
+            self._stuck = not self.wait_for_listeners(STUCK)
+            self._unacknowledged = 0
+
+    def wait_for_listeners(self, timeout: float) -> bool:
+        """Wait until all that was sent is acknowledged; return whether it is."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            if self.publisher.wait_for_all_acked(Duration(seconds=0.1)):
+                return True
+        return False
+
+
+def recorded_qos(topic: Topic) -> list[OfferedQos]:
+    """Return the QoS that the recorded publishers offered."""
+    return parse_qos(topic.metadata.get("offered_qos_profiles", ""))
+
+
+def qos_profile(offered: list[OfferedQos]) -> QoSProfile:
+    """Return one profile that suits everybody who listened to any of the recorded publishers.
+
+    A publisher that offers more than is asked for still matches, so the strongest of each policy
+    is taken; a deadline or lifespan only if all had the same.
+    """
+    profiles = offered or [OfferedQos()]
+    first = profiles[0]
+
+    def common(name: str) -> Duration:
+        values = {getattr(item, name) for item in profiles}
+        span = values.pop() if len(values) == 1 else None
+        return Duration() if span is None else Duration(seconds=span[0], nanoseconds=span[1])
+
+    reliable = any(item.reliability == "reliable" for item in profiles)
+    kept = any(item.durability == "transient_local" for item in profiles)
+    everything = first.history == "keep_all"
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL if everything else HistoryPolicy.KEEP_LAST,
+        depth=max(DEPTH, *(item.depth for item in profiles)),
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+        deadline=common("deadline"),
+        lifespan=common("lifespan"),
+        # the player is alive as long as its process: what 'automatic' asserts
+        liveliness=LivelinessPolicy.AUTOMATIC,
+    )

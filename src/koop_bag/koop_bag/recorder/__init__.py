@@ -1,0 +1,1 @@
+"""The recorder: every topic of a run into a bag."""

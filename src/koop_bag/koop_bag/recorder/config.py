@@ -1,0 +1,102 @@
+"""Configuration of the recorder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from koop_bag.bag.writer import WriterOptions
+from koop_node.config import ConfigError, parameter, validate
+
+LOOP_TOPICS = {
+    "state": "koop_msgs/msg/MeasuredState",
+    "cost": "koop_msgs/msg/Cost",
+    "theta": "koop_msgs/msg/ControlInput",
+    "ground_truth": "koop_msgs/msg/PlantTruth",
+}
+"""Topics of a loop, relative to its namespace."""
+
+COMMON_TOPICS = {
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "/parameter_events": "rcl_interfaces/msg/ParameterEvent",
+    "/rosout": "rcl_interfaces/msg/Log",
+}
+"""Topics that every node of a system shares: what they reported, which parameters changed."""
+
+
+def is_common(topic: str) -> bool:
+    """Whether every node publishes a topic by itself, so that it says nothing about the loop."""
+    return topic in COMMON_TOPICS or topic == "/clock" or topic.endswith("/transition_event")
+
+
+@dataclass(frozen=True)
+class RecorderConfig:
+    """What is recorded, and how.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a value has the wrong type or is out of range.
+    """
+
+    output: str = parameter(
+        "", "folder of the run; empty: a new one under recordings/", read_only=True
+    )
+    topics: str = parameter(
+        "",
+        "topics to record, separated by spaces, each as name or name:pkg/msg/Type (a type known "
+        "in advance is subscribed to at once); empty: the loop's topics, those that all nodes "
+        "share, and every other topic of the namespace as it appears",
+        read_only=True,
+    )
+    compression: str = parameter(
+        "zstd", "compression of the file's chunks", choices=("none", "zstd"), read_only=True
+    )
+    split_size: float = parameter(
+        0.0, "start a new file at this size; 0: never", unit="MB", low=0.0, read_only=True
+    )
+    split_duration: float = parameter(
+        0.0, "start a new file after this time; 0: never", unit="s", low=0.0, read_only=True
+    )
+    queue: int = parameter(
+        10000,
+        "messages of one topic that may wait to be written: how long a stall is survived",
+        low=10,
+        high=1000000,
+        read_only=True,
+    )
+    poll_period: float = parameter(
+        0.02,
+        "how often waiting messages are fetched; receive times do not depend on it",
+        unit="s",
+        low=0.001,
+        high=0.1,
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        wanted_topics(self.topics)
+
+    def writer_options(self) -> WriterOptions:
+        """Return how the bag is written."""
+        return WriterOptions(
+            compression=self.compression,
+            split_bytes=int(self.split_size * 1e6),
+            split_seconds=self.split_duration,
+        )
+
+
+def wanted_topics(text: str) -> dict[str, str]:
+    """Return the chosen topics with their types, empty where the type is not known in advance.
+
+    >>> wanted_topics("state /imu:sensor_msgs/msg/Imu /joint_states")["/imu"]
+    'sensor_msgs/msg/Imu'
+    """
+    chosen: dict[str, str] = {}
+    known = LOOP_TOPICS | COMMON_TOPICS
+    for item in text.replace(",", " ").split():
+        name, _, type_name = item.partition(":")
+        if not name or (type_name and type_name.count("/") != 2):
+            raise ConfigError(f"topics: '{item}' is neither a name nor name:pkg/msg/Type")
+        chosen[name] = type_name or known.get(name, "")
+    return chosen

@@ -1,0 +1,274 @@
+"""ROS node of the recorder: every topic of a run into an MCAP bag."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from typing import Any
+
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.qos import qos_profile_parameter_events
+
+from koop_bag.bag.losses import early_ends
+from koop_bag.bag.metadata import OfferedQos, dump
+from koop_bag.bag.writer import BagWriter
+from koop_bag.errors import BagError, BagWriteError
+from koop_bag.recorder import run_folder
+from koop_bag.recorder.config import COMMON_TOPICS, LOOP_TOPICS, RecorderConfig, wanted_topics
+from koop_bag.recorder.parameters import ParameterCollector
+from koop_bag.recorder.topics import RecordedTopic, fetch
+from koop_node.main import run
+from koop_node.managed import ERROR, OK, WARN, ManagedNode
+
+LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
+QUIET = 0.05  # [s] without a message after which a run that was stopped has said everything
+PATIENCE = 0.5  # [s] and no longer than this
+
+
+class RecorderNode(ManagedNode):
+    """Records while it is active.
+
+    A failing disk ends the recording and this node, with exit code 1; no other node notices.
+    """
+
+    def __init__(self) -> None:
+        self._topics: dict[str, RecordedTopic] = {}
+        self._writer: BagWriter | None = None
+        self._problem = ""
+        super().__init__("recorder", RecorderConfig)
+
+    @property
+    def subscriptions(self) -> Iterator[Any]:
+        """The subscriptions that the executor serves: not those that are polled."""
+        polled = {id(topic.subscription) for topic in self._topics.values()}
+        return (item for item in super().subscriptions if id(item) not in polled)
+
+    # -- lifecycle ----------------------------------------------------------------------------
+
+    def configure(self) -> None:
+        config = self.parameters[RecorderConfig]
+        self._recording = False
+        self._refused: set[str] = set()
+        self._models: dict[str, str] = {}
+        try:
+            self._folder = run_folder.make_run_folder(config.output)
+            self._versions = run_folder.write_versions(self._folder)
+            self._writer = BagWriter(self._folder / "bag", config.writer_options())
+            self._subscribe_in_advance(config)
+        except BagError as error:
+            raise ValueError(str(error)) from error
+        self._collector = ParameterCollector(self, self.get_namespace())
+        self._events = self.create_subscription(
+            ParameterEvent,
+            "/parameter_events",
+            self._on_parameter_event,
+            qos_profile_parameter_events,
+        )
+        self._tickers = (
+            self.steady_timer(config.poll_period, self._poll),
+            self.steady_timer(LOOK_PERIOD, self._look_around),
+        )
+        self.get_logger().info(f"recording to {self._folder}")
+
+    def activate(self) -> None:
+        # What already waits is recorded: publishers begin as soon as the subscriptions exist.
+        self._recording = True
+
+    def deactivate(self) -> None:
+        self._poll()
+        self._recording = False
+        if self._writer is not None:
+            self._guarded(self._writer.flush)
+
+    def cleanup(self) -> None:
+        self._finish_bag()
+        for timer in self._tickers:
+            self.destroy_timer(timer)
+        self._collector.close()
+        self.destroy_subscription(self._events)
+        for topic in self._topics.values():
+            self.destroy_subscription(topic.subscription)
+        self._topics = {}
+
+    def close(self) -> None:
+        if self._writer is not None and self.active:
+            self._fetch_the_last()
+        super().close()
+        self._finish_bag()
+
+    def samples(self) -> int:
+        return sum(topic.count for topic in self._topics.values())
+
+    def diagnose(self) -> tuple[bytes, str, Mapping[str, object]]:
+        if self._writer is None:
+            return (ERROR, self._problem, {}) if self._problem else (OK, "", {})
+        lost = self._lost()
+        values = {
+            "messages": self.samples(),
+            "bytes": self._writer.bytes_written,
+            "file": str(self._writer.path),
+            **{f"lost {name}": count for name, count in lost.items()},
+        }
+        total = sum(lost.values())
+        return (WARN, f"{total} messages lost", values) if total else (OK, "recording", values)
+
+    # -- topics -------------------------------------------------------------------------------
+
+    def _subscribe_in_advance(self, config: RecorderConfig) -> None:
+        """Subscribe before there are publishers: they wait for it before their first message."""
+        chosen = wanted_topics(config.topics) or LOOP_TOPICS | COMMON_TOPICS
+        self._awaited = {
+            self.resolve_topic_name(name): type_name for name, type_name in chosen.items()
+        }
+        self._take_all = not config.topics.strip()
+        for name, type_name in self._awaited.items():
+            if type_name:
+                self._add_topic(name, type_name)
+
+    def _look_around(self) -> None:
+        """Find what is new in the graph: topics, publishers with another QoS, nodes."""
+        if self._writer is None:
+            return
+        prefix = self.get_namespace().rstrip("/") + "/"
+        for name, types in self.get_topic_names_and_types():
+            in_reach = name in self._awaited or (self._take_all and name.startswith(prefix))
+            if name not in self._topics and in_reach and self.count_publishers(name):
+                self._awaited.setdefault(name, "")
+                self._try_topic(name, types[0])
+        for topic in self._topics.values():
+            topic.match()
+        if self._collector.look():
+            self._guarded(self._keep_parameters)
+
+    def _try_topic(self, name: str, type_name: str) -> None:
+        try:
+            self._add_topic(name, type_name)
+        except BagError as error:
+            if name not in self._refused:
+                self._refused.add(name)
+                self.get_logger().warning(f"{name} is not recorded: {error}")
+
+    def _add_topic(self, name: str, type_name: str) -> None:
+        queue = self.parameters[RecorderConfig].queue
+        self._topics[name] = RecordedTopic(self, name, type_name, queue, self._announce)
+
+    def _announce(self, topic: RecordedTopic) -> int:
+        assert self._writer is not None
+        return self._writer.add_topic(topic.name, topic.schema, topic.offered or (OfferedQos(),))
+
+    # -- writing ------------------------------------------------------------------------------
+
+    def _poll(self) -> None:
+        if self._writer is None:
+            return
+        if self._recording:
+            self._guarded(self._write_waiting)
+        else:
+            for topic in self._topics.values():
+                topic.skip()
+
+    def _write_waiting(self) -> None:
+        assert self._writer is not None
+        self._writer.write_many(fetch(self._topics.values()))
+        self._writer.flush_due(time.time_ns())
+
+    def _fetch_the_last(self) -> None:
+        """Go on until nothing comes any more: those who were stopped too are still sending."""
+        begin = last = time.monotonic()
+        count = self.samples()
+        while time.monotonic() - begin < PATIENCE and time.monotonic() - last < QUIET:
+            self._poll()
+            if self.samples() > count:
+                count, last = self.samples(), time.monotonic()
+            time.sleep(0.005)
+
+    def _finish_bag(self) -> None:
+        if self._writer is None:
+            return
+        writer, self._writer = self._writer, None
+        lost = self._lost()
+        try:
+            self._complete(writer)
+        except BagWriteError as error:
+            self._fail(str(error))
+            return
+        losses = ", ".join(f"{count} on {name}" for name, count in lost.items() if count)
+        self.get_logger().info(
+            f"{self.samples()} messages, {writer.bytes_written} bytes in {writer.folder}; "
+            f"lost messages: {losses or 'none'}"
+        )
+        self._report_ends()
+
+    def _complete(self, writer: BagWriter) -> None:
+        """Write what is only known at the end, and close."""
+        for topic in self._topics.values():
+            topic.match()
+            if not topic.channel and topic.offered:
+                # a topic with publishers that stayed silent is part of the record
+                writer.add_topic(topic.name, topic.schema, topic.offered)
+        writer.custom_data.update(self._custom_data())
+        writer.close()
+
+    def _report_ends(self) -> None:
+        """Say what no gap shows: that the record of a topic begins late or ends early."""
+        counters = {t.name: t.peek.counter for t in self._topics.values() if t.peek and t.count}
+        for name, counter in counters.items():
+            if counter.first:
+                self.get_logger().warning(f"{name} begins at step {counter.first}, not at 0")
+        for name, missing in early_ends({n: c.last for n, c in counters.items()}).items():
+            self.get_logger().warning(f"{name} ends {missing} steps before the loop does")
+
+    def _keep_parameters(self) -> None:
+        """Write what is known of the nodes beside the bag and, to outlive a crash, into it."""
+        assert self._writer is not None
+        run_folder.write_parameters(self._folder, self._collector.values)
+        self._models |= run_folder.keep_model(self._folder, self._collector.values)
+        self._writer.add_note("koop", self._custom_data())
+
+    def _on_parameter_event(self, event: ParameterEvent) -> None:
+        """Keep a model that a node changes to: the one from its first parameters is not enough."""
+        names = {p.name: p.value.string_value for p in event.changed_parameters}
+        within = event.node.startswith(self.get_namespace().rstrip("/") + "/")
+        if self._writer is None or not within or not names.get("model"):
+            return
+        writer, folder = self._writer, self._folder
+
+        def keep() -> None:
+            self._models |= run_folder.keep_model(folder, {event.node: names})
+            writer.add_note("koop", self._custom_data())
+
+        self._guarded(keep)
+
+    def _custom_data(self) -> dict[str, str]:
+        return {
+            "parameters": run_folder.parameter_text(self._collector.values),
+            "versions": dump(self._versions),
+            "git_revision": self._versions["git_revision"],
+            "models": dump(self._models),
+        }
+
+    def _lost(self) -> dict[str, int]:
+        return {t.name: t.peek.counter.lost for t in self._topics.values() if t.peek is not None}
+
+    def _guarded(self, action: Callable[[], None]) -> None:
+        """Write; a disk that fails ends the recording, not the loop."""
+        try:
+            action()
+        except BagWriteError as error:
+            writer, self._writer = self._writer, None
+            if writer is not None and not writer.closed:  # what failed lies beside the bag
+                with suppress(BagWriteError):
+                    self._complete(writer)
+            self._fail(str(error))
+
+    def _fail(self, problem: str) -> None:
+        self._problem = problem
+        self.get_logger().error(problem)
+        self.finish(1)
+
+
+def main() -> None:
+    """Run the node until it is told to stop."""
+    sys.exit(run(RecorderNode))

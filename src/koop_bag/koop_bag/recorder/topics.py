@@ -1,0 +1,191 @@
+"""Raw subscriptions of the recorder, fetched by polling.
+
+An executor wakes up for every single message. A recorder has no hurry: it lets messages gather in
+the subscription's queue and takes them all every few milliseconds, at less than half the cost.
+The time of reception comes from DDS and does not depend on when a message is fetched.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from importlib import import_module
+from operator import itemgetter
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from koop_bag.bag.metadata import OfferedQos
+from koop_bag.cdr.schema import MessageSchema, load_schema
+from koop_bag.cdr.step_peek import StepPeek, has_step
+from koop_bag.errors import BagError
+from koop_bag.mcap.chunk import Row
+
+_AT_ONCE = 2000
+"""Messages taken from one topic before the next one has its turn."""
+
+
+_NO_LIMIT = 9223372036  # [s] how DDS says 'no limit'
+
+
+class RecordedTopic:
+    """One topic being recorded.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Owner of the subscription; its executor must not get to see it.
+    name, type_name : str
+        Full name and type of the topic.
+    queue : int
+        Messages that may wait.
+    announce : callable
+        Gives the topic a channel of the bag when its first message has come. Not before: only then
+        it is known which QoS its publishers offer.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        name: str,
+        type_name: str,
+        queue: int,
+        announce: Callable[[RecordedTopic], int],
+    ) -> None:
+        self.name = name
+        self.schema: MessageSchema = load_schema(type_name)
+        self.channel = 0
+        """The bag's channel; 0 until it is announced."""
+        self.count = 0
+        self.offered: tuple[OfferedQos, ...] = ()
+        """QoS of the publishers seen."""
+        self.peek = StepPeek() if has_step(self.schema) else None
+        self._announce = announce
+        self._node = node
+        self._type = message_class(self.schema.name)
+        self._queue = queue
+        self._wanted = (ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+        self.subscription = self._subscribe()
+
+    def take(self, taken: list[Taken]) -> None:
+        """Append the messages that wait."""
+        take, kind = self.subscription.handle.take_message, self._type
+        append = taken.append
+        for _ in range(_AT_ONCE):
+            item = take(kind, True)
+            if item is None:
+                return
+            data, info = item
+            # Not every DDS says when it received a message.
+            received = info["received_timestamp"] or time.time_ns()
+            append((received, self, info["source_timestamp"], data))
+
+    def skip(self) -> None:
+        """Forget the messages that wait; the steps skipped are no loss."""
+        skipped: list[Taken] = []
+        self.take(skipped)
+        if skipped and self.peek is not None:
+            self.peek.counter.interrupt()
+
+    def open_channel(self) -> int:
+        """Announce the topic in the bag."""
+        self.match()
+        self.channel = self._announce(self)
+        return self.channel
+
+    def match(self) -> None:
+        """Follow the QoS that the publishers offer, so that none of them is incompatible."""
+        infos = self._node.get_publishers_info_by_topic(self.name)
+        if not infos:
+            return
+        profiles = [info.qos_profile for info in infos]
+        self.offered = tuple(dict.fromkeys(offered_qos(profile) for profile in profiles))
+        reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+        kept = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+        wanted = (
+            ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+        )
+        if wanted != self._wanted:
+            self._wanted = wanted
+            self._node.destroy_subscription(self.subscription)
+            self.subscription = self._subscribe()
+
+    def _subscribe(self) -> Any:
+        reliability, durability = self._wanted
+        profile = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=self._queue,
+            reliability=reliability,
+            durability=durability,
+        )
+        return self._node.create_subscription(
+            self._type,
+            self.name,
+            _never,
+            profile,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+
+Taken = tuple[int, RecordedTopic, int, bytes]
+"""Receive time [ns], topic, send time [ns], serialized message."""
+
+
+def fetch(topics: Iterable[RecordedTopic]) -> list[Row]:
+    """Take what waits on all topics, in the order of reception, and count it."""
+    taken: list[Taken] = []
+    for topic in topics:
+        topic.take(taken)
+    taken.sort(key=itemgetter(0))
+    rows: list[Row] = []
+    for received, topic, sent, data in taken:
+        topic.count += 1
+        if topic.peek is not None:
+            topic.peek.see(data)
+        rows.append((received, topic.channel or topic.open_channel(), sent, data))
+    return rows
+
+
+def message_class(type_name: str) -> Any:
+    """Return the Python class of a message type."""
+    package, _, name = type_name.partition("/msg/")
+    try:
+        return getattr(import_module(f"{package}.msg"), name)
+    except (ImportError, AttributeError) as error:
+        raise BagError(
+            f"{type_name} has no Python class: build the package and source it"
+        ) from error
+
+
+def offered_qos(profile: QoSProfile) -> OfferedQos:
+    """Return a publisher's QoS in the bag's terms."""
+
+    def word(policy: Any, default: str) -> str:
+        name = str(policy.name).lower()
+        return default if name in ("unknown", "system_default", "best_available") else name
+
+    def span(duration: Duration) -> tuple[int, int] | None:
+        seconds, nanoseconds = divmod(duration.nanoseconds, 1_000_000_000)
+        limited = duration.nanoseconds > 0 and seconds < _NO_LIMIT
+        return (seconds, nanoseconds) if limited else None
+
+    return OfferedQos(
+        reliability=word(profile.reliability, "reliable"),
+        durability=word(profile.durability, "volatile"),
+        # Discovery does not tell these two; rosbag2 writes what a subscription would start with.
+        history=word(profile.history, "keep_last"),
+        depth=profile.depth,
+        liveliness=word(profile.liveliness, "automatic"),
+        deadline=span(profile.deadline),
+        lifespan=span(profile.lifespan),
+        liveliness_lease_duration=span(profile.liveliness_lease_duration),
+    )
+
+
+def _never(message: bytes) -> None:
+    raise AssertionError("recorded topics are polled, not executed")

@@ -1,0 +1,143 @@
+"""A second host on one machine: namespaces with a network and shared memory of their own.
+
+Each host has a virtual cable to a switch, which is a namespace too; pulled out there, both hosts
+see what they would see of a real one: no carrier. Nothing has a name outside: the kernel drops the
+namespaces, and the devices in them, with the last process inside, however it ended. Shared memory
+must be apart as well, for DDS takes it where it can and no cut would stop it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from koop_lab.live.loop import LiveError
+
+HOSTS = {"koop0": "198.18.0.1/30", "koop1": "198.18.0.2/30"}  # kept free for tests (RFC 2544)
+HERE, THERE = HOSTS
+TOOLS = {
+    "ip": "iproute2",
+    **dict.fromkeys(("mount", "nsenter", "setpriv", "unshare"), "util-linux"),
+}
+BOUND = ("setpriv", "--pdeathsig=TERM")  # before a command: it ends with who started it
+OWN = ("unshare", "--net", "--mount", "sh", "-ec")
+SETUP = 'mount -t tmpfs tmpfs /dev/shm; ip link set lo up; exec "$@"'
+SWITCH = "ip link add switch type bridge mcast_snooping 0; ip link set switch up"
+TRIAL = f"ip link add {HERE} type veth peer name {THERE}; {SWITCH}"
+
+
+class HostsError(RuntimeError):
+    """A second host cannot be made here; the message says why."""
+
+
+def entrance() -> list[str]:
+    """Return the words before a command that give it a host of its own.
+
+    Namespaces alone where that is permitted, to root; else a user namespace around them, in which
+    a user may do so.
+
+    Raises
+    ------
+    HostsError
+        If a tool is missing or the system refuses.
+    """
+    for tool, package in TOOLS.items():
+        if shutil.which(tool) is None:
+            raise HostsError(f"two hosts on one machine need '{tool}' ({package})")
+    said = ""
+    for user in ((), ("--user", "--map-root-user")):
+        words = [OWN[0], *user, *OWN[1:], SETUP, "sh"]
+        # in the trial, too, the second host is made inside the first
+        trial = subprocess.run(
+            [*words, *OWN, f"{TRIAL}; {SETUP}", "sh", "true"], capture_output=True, text=True
+        )
+        if trial.returncode == 0:
+            return words
+        said = (trial.stderr.strip().splitlines() or [f"exit code {trial.returncode}"])[-1]
+    raise HostsError(f"two hosts on one machine need network namespaces: {said}")
+
+
+def environment() -> dict[str, str]:
+    """Return the environment in which nodes find those of other hosts."""
+    own = {name: value for name, value in os.environ.items() if name != "ROS_LOCALHOST_ONLY"}
+    # a rig's own default is the loopback; an empty text is that of Cyclone DDS, all of the network
+    return {**own, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "CYCLONEDDS_URI": ""}
+
+
+class Namespace:
+    """A network and shared memory that no other process shares; a context manager."""
+
+    def __enter__(self) -> Namespace:
+        # 'cat' holds it while nothing else runs there, and ends when this process does
+        self._keeper = subprocess.Popen(
+            [*OWN, SETUP, "sh", "sh", "-c", "echo ready; exec cat"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+        )
+        assert self._keeper.stdout is not None
+        if not self._keeper.stdout.readline():
+            self.__exit__()
+            raise LiveError("no further network namespace can be made")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._keeper.kill()
+        self._keeper.communicate()
+
+    @property
+    def pid(self) -> int:
+        """A process in it."""
+        return self._keeper.pid
+
+    @property
+    def words(self) -> list[str]:
+        """The words before a command that let it run there."""
+        enter = ["nsenter", f"--target={self.pid}", "--net", "--mount"]
+        return [*enter, "env", f"--chdir={os.getcwd()}"]
+
+
+class OtherHost:
+    """The host at the other end of the link.
+
+    Parameters
+    ----------
+    switch, host : Namespace
+        What is between the hosts, and the other host itself.
+    """
+
+    def __init__(self, switch: Namespace, host: Namespace) -> None:
+        self._switch = switch
+        self.words = host.words  # before a command that is to run there
+
+    def cut(self, apart: bool) -> None:
+        """Pull both cables out of the switch, or put them in again."""
+        for device in HOSTS:
+            _run(self._switch.words, f"ip link set {device} {'down' if apart else 'up'}")
+
+
+@contextmanager
+def other_host() -> Iterator[OtherHost]:
+    """Make another host that is linked to this one; to be used inside the :func:`entrance`.
+
+    Raises
+    ------
+    koop_lab.live.loop.LiveError
+        If the system refuses.
+    """
+    with Namespace() as switch, Namespace() as host:
+        _run(switch.words, SWITCH)
+        for words, (device, address) in zip(([], host.words), HOSTS.items(), strict=True):
+            cable = f"ip link add {device} type veth peer name {device} netns {switch.pid}"
+            _run(words, f"{cable}; ip address add {address} dev {device}; ip link set {device} up")
+            _run(switch.words, f"ip link set {device} master switch up")
+        yield OtherHost(switch, host)
+
+
+def _run(words: list[str], script: str) -> None:
+    done = subprocess.run([*words, "sh", "-ec", script], capture_output=True, text=True)
+    if done.returncode != 0:
+        raise LiveError(f"'{script}' failed: {done.stderr.strip()}")

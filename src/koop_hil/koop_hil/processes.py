@@ -1,0 +1,169 @@
+"""The processes of a scenario: started, killed, paused, started again, and none left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+from koop_hil import installed
+from koop_hil.hosts import BOUND, OtherHost
+from koop_hil.scenario import Scenario
+from koop_lab.live.loop import EXECUTABLES, NodeProcess, executable
+from koop_loop import parameters as loop_parameters
+
+ORDER = ("recorder", "relay_esc", "koopman_lifter", "wire", "plant")  # listeners first
+
+
+def rig_script() -> Path:
+    """Return the stand-in for hardware, a program that imports nothing of this workspace."""
+    return installed("rigs") / "rig.py"
+
+
+class Processes:
+    """The nodes of one scenario run; a context manager.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run: bag, logs, parameters.
+    scenario : Scenario
+        What to run.
+    controlled : bool
+        Whether lifter and controller are started too.
+    other_host : OtherHost, optional
+        Where the scenario's remote process runs.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        scenario: Scenario,
+        controlled: bool = True,
+        other_host: OtherHost | None = None,
+    ) -> None:
+        self._folder = folder
+        self._controlled = controlled
+        self._scenario = scenario
+        self._other_host = other_host
+        self._running: dict[str, NodeProcess] = {}
+        self.exit_codes: list[tuple[str, int]] = []
+        self._parameter_file = folder / "logs" / "given_parameters.yaml"
+
+    def __enter__(self) -> Processes:
+        self._parameter_file.parent.mkdir(parents=True, exist_ok=True)
+        loop_parameters.write(self._given(), self._parameter_file)
+        try:
+            for name in ORDER:
+                wanted = self._scenario.wired if name == "wire" else True
+                if name in ("recorder", "plant") or (self._controlled and wanted):
+                    self.start(name)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start(self, name: str) -> None:
+        """Start a process of the scenario."""
+        log = self._folder / "logs" / f"{name}.log"
+        arguments, command = self._command(name)
+        node = "vdp_plant" if name == "plant" else name
+        if self._other_host is not None:
+            there = name == self._scenario.setting.remote
+            command = command or [str(executable(*EXECUTABLES[node]))]
+            command = [*(self._other_host.words if there else ()), *BOUND, *command]
+        self._running[name] = NodeProcess(node, arguments, log, command)
+
+    def kill(self, name: str) -> None:
+        """End a process as a power cut would."""
+        process = self._running.pop(name)
+        process.process.kill()
+        process.stop()
+
+    def intrude(self, theta: float) -> None:
+        """Start a second controller that wants another theta."""
+        arguments = ["--ros-args", "-r", "__node:=intruder", "-p", f"theta_initial:={theta}"]
+        log = self._folder / "logs" / "intruder.log"
+        self._running["intruder"] = NodeProcess(
+            "relay_esc", [*arguments, "-p", "step_size:=0.0"], log
+        )
+
+    def end_intrusion(self) -> None:
+        """Stop the second controller."""
+        self._running.pop("intruder").stop()
+
+    def pause(self, name: str, paused: bool) -> None:
+        """Stop a process in its tracks or let it go on."""
+        self._running[name].process.send_signal(signal.SIGSTOP if paused else signal.SIGCONT)
+
+    def dead(self) -> list[str]:
+        """Return the processes that ended on their own."""
+        return [name for name, process in self._running.items() if process.poll() is not None]
+
+    def memory(self) -> dict[str, float]:
+        """Return the resident memory of every process [MB]."""
+        sizes = {}
+        for name, process in self._running.items():
+            try:
+                pages = Path(f"/proc/{process.process.pid}/statm").read_text().split()[1]
+            except (OSError, IndexError):
+                continue
+            sizes[name] = int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
+        return sizes
+
+    def last_lines(self, name: str) -> str:
+        """Return the end of a process's output."""
+        return self._running[name].last_lines()
+
+    def close(self) -> None:
+        """Stop all, the sources before the recorder."""
+        for name in ("intruder", *reversed(ORDER)):
+            if name in self._running:
+                process = self._running.pop(name)
+                process.process.send_signal(signal.SIGCONT)
+                self.exit_codes.append((name, process.stop()))
+
+    def _given(self) -> dict[str, dict[str, object]]:
+        setting = self._scenario.setting
+        given: dict[str, dict[str, object]] = {
+            "vdp_plant": {
+                "pace": setting.pace,
+                "time_scale": setting.time_scale,
+                "theta_initial": setting.theta_initial,
+                "seed": setting.seed,
+            },
+            "koopman_lifter": {"model": setting.model} if setting.model else {},
+            "relay_esc": {"theta_initial": setting.theta_initial},
+            "wire": {"time_scale": setting.time_scale},
+        }
+        for node, values in self._scenario.parameters.items():
+            given.setdefault(node, {}).update(values)
+        for values in given.values():
+            values["recorders"] = 1
+        return given
+
+    def _command(self, name: str) -> tuple[list[str], list[str] | None]:
+        setting, wired = self._scenario.setting, self._scenario.wired
+        if name == "recorder":
+            return ["--ros-args", "-p", f"output:={self._folder}"], None
+        ros = ["--ros-args", "--params-file", str(self._parameter_file)]
+        if name == "wire":
+            return ros, [sys.executable, "-m", "koop_hil.fault_injector"]
+        if name != "plant":
+            return ros, None
+        if setting.plant == "vdp_plant":
+            remap = ["-r", "state:=rig/state", "-r", "theta:=rig/theta"] if wired else []
+            return ros + remap, None
+        options = {
+            "scale": setting.time_scale,
+            "theta-initial": setting.theta_initial,
+            "readers": 2 if self._controlled else 1,
+            "seed": setting.seed,
+            **({"state": "rig/state", "theta": "rig/theta"} if wired else {}),
+        }
+        words = [f"--{key}={value}" for key, value in options.items()]
+        return [setting.plant, *words], [sys.executable, str(rig_script())]

@@ -1,0 +1,242 @@
+"""Scenario files: a plant, what happens to the loop and when, and what must hold afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from koop_hil import faults
+from koop_node.config import ConfigError, parameter, validate
+
+NODES = ("plant", "koopman_lifter", "relay_esc")
+ACTIONS = ("inject", "kill", "pause", "intrude", "set", "cut")
+MAX_BYTES = 1 << 16
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happens to the loop.
+
+    Attributes
+    ----------
+    at, lasts : float
+        Begin and length [s] of simulated time.
+    action : str
+        ``inject`` a fault into ``state`` or ``theta``; ``kill`` a node and start it again;
+        ``pause`` a process; ``intrude`` with a second controller; ``set`` parameters; ``cut`` the
+        link between the hosts.
+    what : object
+        ``{topic: fault}``, a node, a theta, ``{node: {parameter: value}}`` or ``link``.
+    """
+
+    at: float
+    lasts: float
+    action: str
+    what: Any
+
+    def __str__(self) -> str:
+        what = self.what
+        if isinstance(what, dict):
+            what = ", ".join(f"{key}: {_in_words(value)}" for key, value in what.items())
+        lasts = f" for {self.lasts:g} s" if self.lasts else ""
+        return f"{self.action} {what}{lasts}"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What must hold at the end; theta is what acted on the plant."""
+
+    tail_error: float = parameter(
+        0.6, "mean |theta - theta*| over the last 30 %", low=0.0, high=1e3
+    )
+    wrong: float = parameter(
+        1.5, "|theta - theta*| that counts as wrong; the relay's own cycle is 1", low=0.0, high=1e3
+    )
+    wrong_for: float = parameter(
+        1e9, "how long theta may be wrong from the first event on", unit="s", low=0.0
+    )
+    memory_slope: float = parameter(
+        1e9, "growth of a node's memory over the second half", unit="MB/h", low=0.0
+    )
+    unrecorded: int = parameter(
+        0, "messages that the recording may lack: those on their way when a node was killed", low=0
+    )
+    wrong_by: float = parameter(1e9, "how far theta may be off from the first event on", low=0.0)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Plant and pace of a scenario."""
+
+    description: str = parameter("", "what is shown")
+    plant: str = parameter("vdp_plant", "vdp_plant, or the name of a rig (koop_hil/rigs)")
+    theta_star: float = parameter(-3.0, "optimal theta", low=-1e3, high=1e3)
+    pace: str = parameter(
+        "scaled",
+        "scaled, or lockstep: as fast as the machine allows, without events",
+        choices=("scaled", "lockstep"),
+    )
+    time_scale: float = parameter(
+        1.0, "simulated per real time; 1 is real time", low=0.01, high=100.0
+    )
+    duration: float = parameter(
+        60.0, "simulated time from the first state", unit="s", low=1.0, high=1e5
+    )
+    theta_initial: float = parameter(2.0, "theta at the begin", low=-100.0, high=100.0)
+    model: str = parameter("", "model file, relative to the scenario; empty: the shipped one")
+    seed: int = parameter(0, "seed of the plant", low=0, high=2**31 - 1)
+    remote: str = parameter("", "what runs on another host; empty: nothing", choices=("", *NODES))
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One scenario file."""
+
+    name: str
+    setting: Setting
+    parameters: dict[str, dict[str, Any]]
+    events: tuple[Event, ...]
+    limits: Limits
+    levels: dict[str, str]
+
+    @property
+    def wired(self) -> bool:
+        """Whether a wire stands between plant and controller."""
+        return any(event.action == "inject" for event in self.events)
+
+
+def read(path: Path) -> Scenario:
+    """Read a scenario file.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If it cannot be read or says something that has no meaning; names file and entry.
+    """
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ConfigError("is too large for a scenario")
+        content = yaml.safe_load(path.read_text())
+        return parse(path.stem, content, path.parent)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
+        raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
+
+
+def parse(name: str, content: Any, folder: Path) -> Scenario:
+    """Return the scenario that the content of a file describes."""
+    top = _mapping(content, "a scenario")
+    setting_names = {item.name for item in fields(Setting)}
+    own = {"parameters", "events", "limits", "levels"}
+    _refuse_unknown(top, setting_names | own, "a scenario")
+    given = {key: value for key, value in top.items() if key in setting_names}
+    if given.get("model"):
+        given["model"] = str((folder / str(given["model"])).resolve())
+    limits = _mapping(top.get("limits", {}), "limits")
+    _refuse_unknown(limits, {item.name for item in fields(Limits)}, "limits")
+    parameters = _mapping(top.get("parameters", {}), "parameters")
+    events = top.get("events", [])
+    if not isinstance(events, list):
+        raise ConfigError("events must be a list")
+    levels = _mapping(top.get("levels", {}), "levels")
+    for node, level in levels.items():
+        if level not in ("WARN", "ERROR", "STALE"):
+            raise ConfigError(f"levels: {node} must be WARN, ERROR or STALE")
+    setting = Setting(**given)
+    if setting.pace == "lockstep" and (events or setting.plant != "vdp_plant"):
+        raise ConfigError("pace: lockstep is for vdp_plant, and without events")
+    happens = tuple(_event(item, folder) for item in events)
+    if not setting.remote and any(event.action == "cut" for event in happens):
+        raise ConfigError("cut: there is a link only if 'remote' names what runs on another host")
+    return Scenario(
+        name,
+        setting,
+        {str(node): _mapping(values, str(node)) for node, values in parameters.items()},
+        happens,
+        Limits(**limits),
+        {str(node): level for node, level in levels.items()},
+    )
+
+
+def write(scenario: Scenario, path: Path) -> None:
+    """Write a scenario file; what is read from it is the same scenario."""
+    content = {
+        **asdict(scenario.setting),
+        "parameters": scenario.parameters,
+        "events": [{"at": e.at, "for": e.lasts, e.action: e.what} for e in scenario.events],
+        "limits": asdict(scenario.limits),
+        "levels": scenario.levels,
+    }
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def _event(item: Any, folder: Path) -> Event:
+    given = _mapping(item, "an event")
+    _refuse_unknown(given, {"at", "for", *ACTIONS}, "an event")
+    actions = [key for key in given if key in ACTIONS]
+    if len(actions) != 1:
+        raise ConfigError(f"an event has one of {', '.join(ACTIONS)}: {given}")
+    at, lasts = (_seconds(given.get(key, 0.0), key) for key in ("at", "for"))
+    action, what = actions[0], given[actions[0]]
+    if action == "inject":
+        for topic, text in _mapping(what, "inject").items():
+            if topic not in ("state", "theta"):
+                raise ConfigError(f"inject: into state or theta, not '{topic}'")
+            if not isinstance(text, str):
+                raise ConfigError(f"inject: {topic}: {text!r} is no text: YAML wants 'off' quoted")
+            faults.parse(text)
+    elif action in ("kill", "pause"):
+        if what not in NODES:
+            raise ConfigError(f"{action}: one of {', '.join(NODES)}, not {what!r}")
+    elif action == "cut":
+        if what != "link":
+            raise ConfigError(f"cut: link, not {what!r}")
+    elif action == "intrude":
+        what = _seconds(what, "intrude")
+    else:
+        what = {node: _mapping(v, "set") for node, v in _mapping(what, "set").items()}
+        for values in what.values():
+            if "model" in values:
+                values["model"] = str((folder / str(values["model"])).resolve())
+    return Event(at, lasts, action, what)
+
+
+def _in_words(value: Any) -> str:
+    """Return a fault, or parameters; of a file its name, for its folder is a matter of the machine.
+
+    >>> _in_words({"model": "/home/me/a.npz"})
+    'model = a.npz'
+    """
+    if isinstance(value, dict):
+        return ", ".join(f"{name} = {Path(str(given)).name}" for name, given in value.items())
+    return str(value)
+
+
+def _seconds(value: Any, name: str) -> float:
+    known = isinstance(value, int | float) and not isinstance(value, bool)
+    if not known or not -1e15 < value < 1e15:
+        raise ConfigError(f"{name}: {value!r} is no number")
+    return float(value)
+
+
+def _mapping(value: Any, name: str) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"{name} must be a mapping, not {value!r:.60}")
+    return {str(key): item for key, item in value.items()}
+
+
+def _refuse_unknown(given: Mapping[str, Any], known: set[str], name: str) -> None:
+    unknown = sorted(set(given) - known)
+    if unknown:
+        raise ConfigError(f"{name} has no {', '.join(unknown)}; it has {', '.join(sorted(known))}")

@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_hil"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"koop_hil": ["scenarios/*.yaml", "soak/*.yaml", "models/*.npz", "rigs/*.py"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="Hardware in the loop: scenarios with faults on the real nodes, verdicts.",
+    license="Apache-2.0",
+)

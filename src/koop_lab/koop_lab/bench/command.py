@@ -1,0 +1,17 @@
+"""``koop bench``: measurements that print ratios against a baseline of the same run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from koop_lab.bench import loop, memory, offline, realtime, record
+
+BENCHMARKS = (loop, memory, offline, realtime, record)
+
+
+def register(commands: Any) -> None:
+    """Add the command, with one subcommand a benchmark, to the subparsers of ``koop``."""
+    parser = commands.add_parser("bench", help="measure this machine against a baseline")
+    benchmarks = parser.add_subparsers(dest="benchmark", metavar="BENCHMARK", required=True)
+    for module in BENCHMARKS:
+        module.register(benchmarks)

@@ -1,0 +1,73 @@
+"""``koop bench loop``: lockstep rate of the loop beside a bare rclpy chain of the same messages."""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from koop_lab.live.demo import with_pace
+from koop_lab.live.loop import LiveLoop, Progress
+from koop_lab.recorded.run import read_run
+from koop_loop.parameters import make
+
+
+def register(benchmarks: Any) -> None:
+    """Add the benchmark to the subparsers of ``koop bench``."""
+    parser = benchmarks.add_parser("loop", help="lockstep rate against a bare rclpy chain")
+    parser.add_argument("--steps", type=int, default=20_000, help="steps of each measurement")
+    parser.add_argument("--rounds", type=int, default=3, help="measurements, bare and loop in turn")
+    parser.set_defaults(func=main)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Entry point; returns the exit code."""
+    ratios = []
+    print(
+        f"{args.steps} steps a round; bare: a -> b -> c -> a, three rclpy processes, same message "
+        "types, Fast DDS as it comes"
+    )
+    for number in range(args.rounds):
+        bare = bare_rate(args.steps)
+        loop = loop_rate(args.steps)
+        ratios.append(loop / bare)
+        print(
+            f"round {number + 1}: bare {bare:.0f} /s, loop while recording {loop:.0f} /s, "
+            f"ratio {loop / bare:.2f}",
+            flush=True,
+        )
+    print(f"median ratio {sorted(ratios)[len(ratios) // 2]:.2f}")
+    return 0
+
+
+def loop_rate(steps: int) -> float:
+    """Return the lockstep rate [1/s] of plant, lifter, controller and recorder."""
+    parameters = make({"vdp_plant": {"duration": steps * 0.005}})
+    with tempfile.TemporaryDirectory() as folder:
+        with LiveLoop(Path(folder), with_pace(parameters, "lockstep", None)) as loop:
+            loop.run(_ignore)
+        run = read_run(Path(folder) / "bag")
+    return (run.counts["state"] - 1) / run.duration
+
+
+def bare_rate(steps: int) -> float:
+    """Return the rate [1/s] of the bare chain."""
+    command = [sys.executable, "-m", "koop_lab.bench.bare_chain"]
+    others = [subprocess.Popen([*command, role]) for role in ("b", "c")]
+    try:
+        done = subprocess.run(
+            [*command, "a", str(steps)], check=True, capture_output=True, text=True, timeout=300
+        )
+    finally:
+        for process in others:
+            process.terminate()
+        for process in others:
+            process.wait()
+    return float(done.stdout.split()[-1])
+
+
+def _ignore(progress: Progress) -> None:
+    """Watch without showing anything."""

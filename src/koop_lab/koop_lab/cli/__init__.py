@@ -1,0 +1,1 @@
+"""The ``koop`` command line and what its commands share."""

@@ -1,0 +1,51 @@
+"""Command-line options that several commands share."""
+
+from __future__ import annotations
+
+import argparse
+
+from koop_loop import parameters
+from koop_loop.parameters import LoopParameters
+from koop_node.config import ConfigError
+
+
+def add_loop_options(parser: argparse.ArgumentParser, duration: float) -> None:
+    """Add the options that choose an experiment: parameter file, cost, model, seed, duration."""
+    parser.add_argument("--params", metavar="FILE", help="ROS 2 parameter file of the nodes")
+    parser.add_argument("--cost", choices=("lifted", "raw"), help="cost that the controller sees")
+    parser.add_argument("--model", metavar="FILE", help="Koopman model (default: the shipped one)")
+    parser.add_argument("--seed", type=int, help="seed of the plant's initial state")
+    parser.add_argument("--integrator", choices=("rk4", "euler"), help="one step of the plant")
+    parser.add_argument("--theta", type=float, metavar="THETA", help="initial theta")
+    parser.add_argument(
+        "--duration",
+        type=float,
+        default=duration,
+        metavar="S",
+        help=f"simulated time in seconds (default {duration:g}, as in the paper)",
+    )
+
+
+def loop_parameters(args: argparse.Namespace) -> LoopParameters:
+    """Return the parameters that the options of :func:`add_loop_options` describe.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the parameter file or a value cannot be used, or the run has no two steps to judge.
+    """
+    values = parameters.read(args.params) if args.params else {}
+    values = parameters.changed(
+        values,
+        ("koopman_lifter", "cost", args.cost),
+        ("koopman_lifter", "model", args.model),
+        ("vdp_plant", "seed", args.seed),
+        ("vdp_plant", "integrator", args.integrator),
+        ("vdp_plant", "theta_initial", args.theta),
+        ("relay_esc", "theta_initial", args.theta),
+        ("vdp_plant", "duration", args.duration),
+    )
+    made = parameters.make(values)
+    if made.pace.duration < 2 * made.plant.dt:
+        raise ConfigError("--duration must cover at least two steps")
+    return made

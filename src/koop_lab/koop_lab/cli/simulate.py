@@ -1,0 +1,86 @@
+"""``koop simulate``: the experiment offline, on the same kernels as the nodes."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from koop_lab.cli.options import add_loop_options, loop_parameters
+from koop_lab.cli.table import metrics_table
+from koop_loop.loop import LoopResult, simulate
+from koop_loop.metrics import PAPER_DURATION, Metrics, evaluate
+from koop_loop.parameters import LoopParameters
+from koop_loop.static_map import optimal_cost
+
+
+def register(commands: Any) -> None:
+    """Add the command to the subparsers of ``koop``."""
+    parser = commands.add_parser("simulate", help="run the experiment offline, without ROS")
+    add_loop_options(parser, duration=PAPER_DURATION)
+    parser.add_argument("--out", type=Path, metavar="FILE.npz", help="write the signals")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the run (png, svg, pdf)")
+    parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
+    parser.set_defaults(func=main)
+
+
+def run(parameters: LoopParameters) -> tuple[LoopResult, Metrics]:
+    """Run the loop and compute its metrics, with r* from the static map."""
+    model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
+    steps = round(parameters.pace.duration / parameters.plant.dt)
+    result = simulate(parameters.plant, parameters.lifter, parameters.esc, model, steps)
+    metrics = evaluate(
+        result.t,
+        result.theta,
+        result.r,
+        parameters.plant.theta_star,
+        optimal_cost(parameters, model),
+    )
+    return result, metrics
+
+
+def main(args: argparse.Namespace) -> int:
+    """Entry point; returns the exit code."""
+    parameters = loop_parameters(args)
+    started = time.perf_counter()
+    result, metrics = run(parameters)
+    elapsed = time.perf_counter() - started
+    if args.out is not None:
+        save(args.out, result, parameters)
+    if args.plot is not None:
+        from koop_lab.plots.paper import plot_run  # matplotlib takes half a second to import
+
+        plot_run(
+            args.plot,
+            result.t,
+            result.ground_truth,
+            result.r,
+            result.theta,
+            parameters.plant.theta_star,
+            f"Offline, {parameters.lifter.cost} cost, seed {parameters.plant.seed}",
+        )
+    if args.json:
+        print(json.dumps(metrics.as_dict(), indent=1))
+    else:
+        print(metrics_table(metrics, parameters.lifter.cost))
+        print(f"{result.theta.size} steps in {elapsed:.2f} s, r* included")
+    return 0
+
+
+def save(path: Path, result: LoopResult, parameters: LoopParameters) -> None:
+    """Write the signals and the parameters (as JSON text) to an ``.npz`` file."""
+    with open(path, "wb") as file:
+        np.savez(
+            file,
+            step=result.step,
+            t=result.t,
+            x=result.measured,
+            ground_truth=result.ground_truth,
+            r=result.r,
+            theta=result.theta,
+            parameters=np.array(json.dumps(parameters.as_ros())),
+        )

@@ -1,0 +1,69 @@
+"""Plain-text tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from koop_loop.metrics import PAPER, Metrics
+from koopman_lifter.model import KoopmanModel
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return an aligned table; the first column is left-aligned, the others right-aligned."""
+    lines = [list(header), *map(list, rows)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+
+    def join(line: Sequence[str]) -> str:
+        cells = [cell.rjust(width) for cell, width in zip(line, widths, strict=True)]
+        cells[0] = line[0].ljust(widths[0])
+        return "  ".join(cells).rstrip()
+
+    rule = "  ".join("-" * width for width in widths)
+    return "\n".join([join(lines[0]), rule, *map(join, lines[1:])])
+
+
+def mode_table(model: KoopmanModel) -> str:
+    """Return the modes as in table 2 of the paper, with their energies."""
+    rows = []
+    for value, energy, kept in zip(model.eigenvalues, model.energies, model.kept, strict=True):
+        sign = "-" if value.imag < 0 else "+"
+        rows.append(
+            [
+                f"{value.real:.6f} {sign} {abs(value.imag):.6f}j",
+                f"{abs(value):.6f}",
+                f"{energy:.3e}",
+                "Yes" if kept else "No",
+            ]
+        )
+    return table(["eigenvalue", "|lambda|", "energy E_j", "selected"], rows)
+
+
+def forecast_table(model: KoopmanModel) -> str:
+    """Return the prediction errors of a model on held-out data, as shares of the deviation."""
+    header = ["steps ahead", "time [s]", *model.state_names]
+    rows = []
+    for item in model.provenance["forecast"]:
+        pairs = zip(item["error"], item["no_change"], strict=True)
+        cells = [f"{error:.4f} ({unchanged:.4f})" for error, unchanged in pairs]
+        rows.append([str(item["steps"]), f"{item['steps'] * model.dt:g}", *cells])
+    return (
+        "error on the held-out data over the state's standard deviation "
+        "(in brackets: predicting no change)\n" + table(header, rows)
+    )
+
+
+def metrics_table(metrics: Metrics, cost: str) -> str:
+    """Return the metrics of a run beside the paper's (table 4)."""
+    paper = PAPER[cost]
+    rows = [
+        ["IAE_theta [s]", f"{metrics.iae_theta:.1f}", f"{paper.iae_theta:.1f}"],
+        ["ISE_theta [s]", f"{metrics.ise_theta:.1f}", f"{paper.ise_theta:.1f}"],
+        ["T_theta [s]", _optional(metrics.t_theta, ".1f", "never"), f"{paper.t_theta:.0f}"],
+        ["e_r_ss", _optional(metrics.e_r_ss, ".4f", "-"), f"{paper.e_r_ss:.4f}"],
+        ["mean |theta - theta*|, last 30 %", f"{metrics.tail_error:.3f}", "-"],
+    ]
+    return table([f"{cost} cost", "this run", "paper"], rows)
+
+
+def _optional(value: float | None, form: str, absent: str) -> str:
+    return absent if value is None else format(value, form)

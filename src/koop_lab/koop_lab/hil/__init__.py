@@ -1,1 +1,0 @@
-"""Hardware in the loop: scenarios with faults on the real nodes, and their verdicts."""

@@ -1,0 +1,176 @@
+"""``koop train`` and ``koop inspect``: make a Koopman model, look at one."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from koop_lab.cli.table import forecast_table, mode_table
+from koop_lab.identify.from_bags import BagTraining, train_from_bags
+from koop_lab.identify.samples import StateSpec
+from koop_lab.identify.segments import WAYS
+from koop_loop import parameters
+from koop_loop.training import TrainingConfig, train
+from koopman_lifter.config import shipped_model
+from koopman_lifter.model import KoopmanModel, load
+from vdp_plant.config import PlantConfig
+
+SIMULATION = ("params", "trajectories", "duration", "seed", "integrator", "clean")
+BAGS = ("state", "names", "dt", "way", "gap", "held_out", "horizons")
+
+
+def register(commands: Any) -> None:
+    """Add both commands to the subparsers of ``koop``."""
+    default = TrainingConfig()
+    parser = commands.add_parser(
+        "train", help="learn a Koopman model from bags or from simulated trajectories"
+    )
+    parser.add_argument(
+        "bags", nargs="*", type=Path, metavar="BAG", help="recordings to learn from"
+    )
+    parser.add_argument("--out", type=Path, default=Path("model.npz"), metavar="FILE.npz")
+    parser.add_argument("--degree", type=int, default=default.degree)
+    parser.add_argument("--modes", type=int, default=default.modes, metavar="N")
+    parser.add_argument(
+        "--contrast",
+        action="store_true",
+        help="in place of the most energetic modes, the direction in which strongly oscillating "
+        "stretches of data differ most from weakly oscillating ones (the study's best cost)",
+    )
+    _add_bag_options(parser.add_argument_group("from bags"))
+    group = parser.add_argument_group("without a bag: the simulated plant")
+    group.add_argument("--params", metavar="FILE", help="ROS 2 parameter file of the plant")
+    group.add_argument("--trajectories", type=int, help=f"default {default.trajectories}")
+    group.add_argument("--duration", type=float, metavar="S", help=f"default {default.duration:g}")
+    group.add_argument("--seed", type=int, help=f"default {default.seed}")
+    group.add_argument("--integrator", choices=("rk4", "euler"))
+    group.add_argument(
+        "--clean", action="store_const", const=True, help="train without the interference"
+    )
+    parser.set_defaults(func=train_main)
+
+    parser = commands.add_parser("inspect", help="show a Koopman model")
+    parser.add_argument("model", nargs="?", type=Path, help="model file (default: the shipped one)")
+    parser.set_defaults(func=inspect_main)
+
+
+def _add_bag_options(group: Any) -> None:
+    group.add_argument(
+        "--state",
+        metavar="/TOPIC:FIELDS",
+        help="numeric fields, such as /joint_states:position[0],velocity[0] (default /state:x)",
+    )
+    group.add_argument("--names", metavar="A,B", help="names of the states")
+    group.add_argument("--dt", type=float, metavar="S", help="default: the recorded loop's")
+    group.add_argument(
+        "--resample",
+        dest="way",
+        choices=("auto", *WAYS),
+        help="from messages to states one dt apart: 'steps' as they are, neighbours by their field "
+        "step; 'linear' between stamps; 'zoh' the last message before; 'none' as they are, "
+        "whatever the stamps say. Default auto: steps where they fit, else linear",
+    )
+    group.add_argument(
+        "--gap", type=float, metavar="S",
+        help="longest pause that is bridged (default: 3 usual periods, at least 3 dt)",
+    )  # fmt: skip
+    group.add_argument(
+        "--held-out", type=float, metavar="SHARE",
+        help="share of the data that is only tested on (default 0.2)",
+    )  # fmt: skip
+    group.add_argument(
+        "--horizons", metavar="N,N", help="steps ahead of the test (default 1,10,50,200)"
+    )
+
+
+def train_main(args: argparse.Namespace) -> int:
+    """Entry point of ``koop train``; returns the exit code."""
+    unfit = [
+        name for name in (SIMULATION if args.bags else BAGS) if getattr(args, name) is not None
+    ]
+    if unfit:
+        option = "resample" if unfit[0] == "way" else unfit[0].replace("_", "-")
+        raise ValueError(
+            f"--{option} is for training {'without a bag' if args.bags else 'on bags'}"
+        )
+    model = train_from_bags(args.bags, _bag_training(args)) if args.bags else _simulated(args)
+    model.save(args.out)
+    print(describe(model))
+    print(f"written to {args.out}")
+    return 0
+
+
+def _bag_training(args: argparse.Namespace) -> BagTraining:
+    given: dict[str, Any] = {
+        name: getattr(args, name)
+        for name in ("dt", "way", "gap", "held_out")
+        if getattr(args, name) is not None
+    }
+    if args.horizons is not None:
+        try:
+            given["horizons"] = tuple(int(text) for text in args.horizons.split(","))
+        except ValueError:
+            raise ValueError(f"--horizons {args.horizons}: write steps, such as 1,10,50") from None
+    if args.names is not None:
+        given["names"] = tuple(args.names.split(","))
+    state = StateSpec.parse(args.state or "/state:x")
+    return BagTraining(state, degree=args.degree, modes=args.modes, contrast=args.contrast, **given)
+
+
+def _simulated(args: argparse.Namespace) -> KoopmanModel:
+    plant = parameters.make(parameters.read(args.params)).plant if args.params else PlantConfig()
+    if args.integrator is not None:
+        plant = replace(plant, integrator=args.integrator)
+    given = {
+        name: getattr(args, name)
+        for name in ("trajectories", "duration", "seed")
+        if getattr(args, name) is not None
+    }
+    config = TrainingConfig(degree=args.degree, modes=args.modes, corrupted=not args.clean, **given)
+    return train(plant, config, args.contrast)
+
+
+def inspect_main(args: argparse.Namespace) -> int:
+    """Entry point of ``koop inspect``; returns the exit code."""
+    path = args.model or shipped_model()
+    print(f"{path}\n{describe(load(path))}")
+    return 0
+
+
+def describe(model: KoopmanModel) -> str:
+    """Return a model in words: identity, observables, training data, modes."""
+    names = " ".join(model.observables.names(model.state_names))
+    kept, asked = int(model.kept.sum()), model.provenance.get("modes_asked")
+    lines = [
+        f"model {model.model_id}, dt = {model.dt:g} s, states {', '.join(model.state_names)}",
+        f"{model.observables.p} observables: {names}",
+        *origin(model.provenance),
+        "",
+        mode_table(model),
+        "",
+    ]
+    variant = model.provenance.get("variant", "lifted")
+    if variant != "lifted":
+        lines.append(f"the cost is not that of these modes but '{variant}' (see koop study)")
+    elif asked is not None and asked != kept:
+        lines.append(f"{kept} modes kept where {asked} were asked for: no complex pair is split")
+    else:
+        lines.append(f"{kept} modes kept, by energy")
+    if model.provenance.get("forecast"):
+        lines += ["", forecast_table(model)]
+    return "\n".join(lines)
+
+
+def origin(provenance: dict[str, Any]) -> list[str]:
+    """Return in words what a model was trained on."""
+    plain = {k: v for k, v in sorted(provenance.items()) if not isinstance(v, list)}
+    lines = ["trained on " + ", ".join(f"{key} {value}" for key, value in plain.items())]
+    for bag in provenance.get("bags", []):
+        lines.append(
+            f"  {bag['name']} ({bag['sha256'][:12]}): {bag['states']} states in {bag['stretches']} "
+            f"stretches, {bag['pairs']} pairs ({bag['way']})"
+            + (f", {bag['not_finite']} not finite" if bag["not_finite"] else "")
+        )
+    return lines

@@ -1,0 +1,1 @@
+"""The loop as real node processes over DDS."""

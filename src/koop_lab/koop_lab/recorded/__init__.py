@@ -1,0 +1,1 @@
+"""Recorded runs: as arrays, as metrics, as a page."""

@@ -1,0 +1,1 @@
+"""The closed loop as a pure function: kernel, parameters, metrics, static map, training."""

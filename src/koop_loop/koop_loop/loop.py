@@ -1,0 +1,188 @@
+"""The closed loop offline: the nodes' kernels composed in one compiled function, without ROS.
+
+The order of events is that of the nodes in lockstep. At step k the plant publishes x'(t_k), the
+lifter answers with r_k, the relay with theta_k, and the plant then advances with theta_k.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig
+from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
+from koopman_lifter.model import KoopmanModel
+from koopman_lifter.observables import Monomials
+from relay_esc import relay
+from relay_esc.config import EscConfig
+from relay_esc.relay import RelayParams, RelayState
+from vdp_plant import dynamics
+from vdp_plant.config import PlantConfig
+from vdp_plant.dynamics import PlantParams
+
+
+class LoopDiverged(ArithmeticError):
+    """The plant's state left the finite numbers; the message says when."""
+
+
+@dataclass(frozen=True)
+class LoopResult:
+    """Signals of one closed loop, one row a step.
+
+    Attributes
+    ----------
+    dt : float
+        Step [s]; step k is at t = k dt.
+    measured : ndarray, shape (M, 2)
+        x'(t_k).
+    ground_truth : ndarray, shape (M, 2)
+        x(t_k).
+    r : ndarray, shape (M,)
+        Cost.
+    theta : ndarray, shape (M,)
+        Control input.
+    """
+
+    dt: float
+    measured: NDArray[np.float64]
+    ground_truth: NDArray[np.float64]
+    r: NDArray[np.float64]
+    theta: NDArray[np.float64]
+
+    @property
+    def step(self) -> NDArray[np.int64]:
+        """Step index k, shape (M,)."""
+        return np.arange(self.theta.size)
+
+    @property
+    def t(self) -> NDArray[np.float64]:
+        """Time [s], shape (M,)."""
+        return np.asarray(self.step * self.dt, dtype=np.float64)
+
+
+@njit(cache=True)
+def run_kernel(
+    plant: PlantParams,
+    source: int,
+    lifting: Lifting,
+    detector: DetectorParams,
+    detector_state: DetectorState,
+    esc: RelayParams,
+    relay_state: RelayState,
+    x: float,
+    y: float,
+    measured: NDArray[np.float64],
+    ground_truth: NDArray[np.float64],
+    r: NDArray[np.float64],
+    theta: NDArray[np.float64],
+) -> int:
+    """Run the loop for ``theta.size`` steps and fill the four arrays; return the steps done.
+
+    Fewer than asked for are done only if the state or its cost stops being finite.
+    """
+    z = np.empty(lifting.parent.shape[0])
+    state = np.empty(2)
+    applied = relay_state.theta
+    for k in range(theta.shape[0]):
+        state[0], state[1] = dynamics.measure(plant, k, x, y)
+        r[k], _, detector_state = cost.step(source, lifting, detector, detector_state, state, z)
+        if not np.isfinite(r[k]):
+            return k
+        relay_state = relay.step(esc, relay_state, r[k])
+        measured[k, 0] = state[0]
+        measured[k, 1] = state[1]
+        ground_truth[k, 0] = x
+        ground_truth[k, 1] = y
+        theta[k] = relay_state.theta
+        applied = dynamics.actuate(plant, applied, relay_state.theta)
+        x, y = dynamics.step(plant, k, x, y, applied)
+    return len(theta)
+
+
+def no_lifting() -> Lifting:
+    """Return a placeholder for the raw cost, which needs no model."""
+    observables = Monomials(2, 1)
+    return Lifting(observables.parent, observables.factor, np.zeros((1, observables.p)))
+
+
+def initial_state(plant: PlantConfig) -> tuple[float, float]:
+    """Return the plant's [x(0), y(0)]: as configured, else drawn from the seed."""
+    x, y = plant.initial_state or dynamics.initial_state(plant.seed)
+    return float(x), float(y)
+
+
+def simulate(
+    plant: PlantConfig,
+    lifter: LifterConfig,
+    esc: EscConfig,
+    model: KoopmanModel | None,
+    steps: int,
+) -> LoopResult:
+    """Run a closed loop offline.
+
+    Parameters
+    ----------
+    plant, lifter, esc
+        The configurations that the three nodes would have.
+    model : KoopmanModel or None
+        Needed for the lifted cost only.
+    steps : int
+        Number of control steps.
+
+    Raises
+    ------
+    ValueError
+        If the lifted cost has no model, or the model or the step sizes do not fit together.
+    LoopDiverged
+        If the plant's state stops being finite.
+    """
+    check_fit(plant, lifter, esc, model)
+    lifting = model.lifting() if model is not None else no_lifting()
+    x, y = initial_state(plant)
+    measured, ground_truth = np.empty((steps, 2)), np.empty((steps, 2))
+    r, theta = np.empty(steps), np.empty(steps)
+    done = run_kernel(
+        plant.params(),
+        lifter.source,
+        lifting,
+        lifter.detector_params(),
+        cost.initial(),
+        esc.params(),
+        esc.initial(),
+        x,
+        y,
+        measured,
+        ground_truth,
+        r,
+        theta,
+    )
+    if done < steps:
+        raise LoopDiverged(
+            f"the plant diverged at t = {done * plant.dt:g} s: "
+            "use the rk4 integrator or a smaller dt"
+        )
+    return LoopResult(plant.dt, measured, ground_truth, r, theta)
+
+
+def check_fit(
+    plant: PlantConfig, lifter: LifterConfig, esc: EscConfig, model: KoopmanModel | None
+) -> None:
+    """Raise ValueError unless the three configurations and the model belong together."""
+    if not plant.dt == lifter.dt == esc.dt:
+        raise ValueError(f"dt differs: plant {plant.dt}, lifter {lifter.dt}, esc {esc.dt} s")
+    if plant.theta_initial != esc.theta_initial:
+        raise ValueError(
+            f"theta_initial differs: plant {plant.theta_initial}, esc {esc.theta_initial}"
+        )
+    if model is None:
+        if lifter.cost == "lifted":
+            raise ValueError("the lifted cost needs a model")
+        return
+    if model.observables.n != 2:
+        raise ValueError(f"the model is for {model.observables.n} states, the plant has 2")
+    if model.dt != plant.dt:
+        raise ValueError(f"the model was trained at dt = {model.dt} s, the loop runs at {plant.dt}")

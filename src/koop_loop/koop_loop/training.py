@@ -1,0 +1,117 @@
+"""Training data from simulated trajectories (paper section 3.2; table 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from koop_node.config import parameter, validate
+from koopman_lifter.contrast import Moments, with_contrast
+from koopman_lifter.edmd import Gram
+from koopman_lifter.model import KoopmanModel, build
+from koopman_lifter.observables import Monomials
+from vdp_plant import dynamics
+from vdp_plant.config import PlantConfig
+from vdp_plant.dynamics import PlantParams
+
+STATE_NAMES = ("x", "y")
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """What the paper trains on: trajectories at a random, fixed theta from a random state."""
+
+    trajectories: int = parameter(100, "number of simulated trajectories", low=1, high=100_000)
+    duration: float = parameter(100.0, "length of one trajectory", unit="s", low=0.1, high=1e5)
+    theta_low: float = parameter(-5.0, "lower end of theta", low=-100.0, high=100.0)
+    theta_high: float = parameter(5.0, "upper end of theta", low=-100.0, high=100.0)
+    degree: int = parameter(3, "largest degree of the monomials", low=1, high=8)
+    modes: int = parameter(8, "number N of modes to keep", low=1, high=4096)
+    corrupted: bool = parameter(True, "train on x' (with interference) as the paper does")
+    seed: int = parameter(0, "seed of theta and the initial states", low=0, high=2**31 - 1)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+@njit(cache=True)
+def trajectory_kernel(
+    plant: PlantParams, x: float, y: float, theta: float, states: NDArray[np.float64]
+) -> bool:
+    """Fill ``states``, shape (2, M), with x'(t_k) at constant theta; False if it diverges."""
+    for k in range(states.shape[1]):
+        states[0, k], states[1, k] = dynamics.measure(plant, k, x, y)
+        x, y = dynamics.step(plant, k, x, y, theta)
+        if not (np.isfinite(x) and np.isfinite(y)):
+            return False
+    return True
+
+
+def trajectories(
+    plant: PlantConfig, config: TrainingConfig
+) -> Iterator[NDArray[np.float64] | None]:
+    """Simulate the training trajectories one after the other.
+
+    Yields
+    ------
+    ndarray, shape (2, M + 1), or None
+        x'(t_k) of one trajectory, in a buffer that the next one reuses; None if it diverged.
+    """
+    if not config.corrupted:
+        plant = replace(plant, interference_amplitude_1=0.0, interference_amplitude_2=0.0)
+    rng = np.random.default_rng(config.seed)
+    states = np.empty((2, round(config.duration / plant.dt) + 1))
+    for _ in range(config.trajectories):
+        theta = rng.uniform(config.theta_low, config.theta_high)
+        x, y = rng.uniform(-3.0, 3.0, size=2)
+        yield states if trajectory_kernel(plant.params(), x, y, theta, states) else None
+
+
+def simulated_gram(
+    plant: PlantConfig, config: TrainingConfig, moments: Moments | None = None
+) -> tuple[Gram, int]:
+    """Simulate the training trajectories and sum them up, also in ``moments`` where given.
+
+    Returns
+    -------
+    gram : Gram
+        Sums over all snapshot pairs; no pair spans two trajectories.
+    dropped : int
+        Trajectories left out because they diverged.
+    """
+    gram = Gram.empty(Monomials(2, config.degree))
+    dropped = 0
+    for states in trajectories(plant, config):
+        if states is None:
+            dropped += 1
+        else:
+            gram.add_trajectory(states)
+            if moments is not None:
+                moments.add_trajectory(states)
+    return gram, dropped
+
+
+def train(plant: PlantConfig, config: TrainingConfig, contrast: bool = False) -> KoopmanModel:
+    """Train a model on simulated trajectories, for the paper's cost or for ``contrast``.
+
+    Raises
+    ------
+    ValueError
+        If the surviving trajectories cannot determine the model.
+    """
+    moments = Moments(2) if contrast else None
+    gram, dropped = simulated_gram(plant, config, moments)
+    provenance: dict[str, Any] = {
+        "source": "simulation",
+        "integrator": plant.integrator,
+        "dropped": dropped,
+        **{name: getattr(config, name) for name in config.__dataclass_fields__},
+        **({"variant": "contrast"} if contrast else {}),
+    }
+    model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance)
+    return with_contrast(model, *moments.result()) if moments is not None else model

@@ -1,0 +1,19 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_loop"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="The closed loop as a pure function, shared by all tools.",
+    license="Apache-2.0",
+)

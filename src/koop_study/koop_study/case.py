@@ -1,0 +1,150 @@
+"""One case of the study: every configuration of a closed loop, and how a seed varies it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from koop_loop.training import TrainingConfig
+from koop_node.config import ConfigError
+from koop_study.controllers.adaptive import AdaptiveConfig
+from koop_study.controllers.perturbation import PerturbationConfig
+from koop_study.kernel import CONTROLLERS
+from koop_study.learning import learn
+from koop_study.scenario import ScenarioConfig
+from koop_study.variants import COSTS, make
+from koopman_lifter.config import LifterConfig
+from koopman_lifter.model import KoopmanModel
+from relay_esc.config import EscConfig
+from vdp_plant.config import PlantConfig
+
+
+@dataclass(frozen=True)
+class Case:
+    """A closed loop: which cost, which controller, and all of their configurations.
+
+    Attributes
+    ----------
+    cost : str
+        ``raw`` or one of the lifted costs of :mod:`koop_study.variants`.
+    controller : str
+        ``relay`` (the paper's), ``adaptive`` or ``perturbation``.
+    duration : float
+        Length of the run [s].
+    """
+
+    cost: str = "lifted"
+    controller: str = "relay"
+    duration: float = 2500.0
+    plant: PlantConfig = field(default_factory=PlantConfig)
+    lifter: LifterConfig = field(default_factory=LifterConfig)
+    esc: EscConfig = field(default_factory=EscConfig)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
+    adaptive: AdaptiveConfig = field(default_factory=AdaptiveConfig)
+    perturbation: PerturbationConfig = field(default_factory=PerturbationConfig)
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("cost", COSTS), ("controller", tuple(CONTROLLERS))):
+            if getattr(self, name) not in allowed:
+                raise ConfigError(
+                    f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}"
+                )
+        if not 0.0 < self.duration <= 1e6:
+            raise ConfigError(f"duration = {self.duration}: must be above 0 and at most 1e6 s")
+
+    @property
+    def steps(self) -> int:
+        """Number of control steps."""
+        return round(self.duration / self.plant.dt)
+
+
+PARTS = {item.name for item in fields(Case)} - {"cost", "controller", "duration"}
+
+
+def override(case: Case, settings: Mapping[str, Any]) -> Case:
+    """Return ``case`` with settings such as ``{"esc.dwell": 5.0, "cost": "raw"}``.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a name is unknown (the nearest known one is named) or a value is refused.
+    """
+    changes: dict[str, Any] = {}
+    parts: dict[str, dict[str, Any]] = {}
+    for path, value in settings.items():
+        check_path(path)
+        part, _, name = path.partition(".")
+        if name:
+            parts.setdefault(part, {})[name] = value
+        else:
+            changes[part] = value
+    for part, values in parts.items():
+        try:
+            changes[part] = replace(getattr(case, part), **values)
+        except ConfigError as error:
+            raise ConfigError(f"{part}.{error}") from None
+    return replace(case, **changes)
+
+
+def check_path(path: str) -> None:
+    """Raise ConfigError unless ``path`` names a setting of a :class:`Case`."""
+    if path not in known_paths():
+        near = difflib.get_close_matches(path, known_paths(), n=1, cutoff=0.5)
+        raise ConfigError(
+            f"unknown setting '{path}'" + (f": did you mean '{near[0]}'?" if near else "")
+        )
+
+
+@lru_cache(maxsize=1)
+def known_paths() -> tuple[str, ...]:
+    """Every setting by name: ``cost``, ``plant.mu``, ``esc.dwell`` and so on."""
+    case = Case()
+    parts = [f"{part}.{f.name}" for part in sorted(PARTS) for f in fields(getattr(case, part))]
+    return ("cost", "controller", "duration", *parts)
+
+
+def seeded(case: Case, seed: int) -> Case:
+    """Return ``case`` with everything that chance decides drawn from ``seed``.
+
+    That is the initial state, the trajectories that the model is trained on and the phases of the
+    interference. Seeds pair: every cost and every setting sees the same draws for the same seed.
+    """
+    phases = np.random.default_rng([seed, 0]).uniform(0.0, 2.0 * np.pi, 2)
+    plant = replace(
+        case.plant,
+        seed=seed,
+        interference_phase_1=float(phases[0]),
+        interference_phase_2=float(phases[1]),
+    )
+    return replace(case, plant=plant, training=replace(case.training, seed=seed))
+
+
+def model_of(case: Case) -> KoopmanModel | None:
+    """Return the model that the case's cost needs, trained now or remembered; None for raw.
+
+    The training plant has the paper's phases of the interference: a recording made earlier knows
+    nothing of the phase that a run will meet.
+    """
+    if case.cost == "raw":
+        return None
+    plant = replace(
+        case.plant,
+        seed=0,
+        initial_state=(),
+        theta_initial=PlantConfig.theta_initial,
+        interference_phase_1=0.0,
+        interference_phase_2=0.0,
+    )
+    channels = replace(
+        ScenarioConfig(),
+        interference_gain_y=case.scenario.interference_gain_y,
+        interference_lag_y=case.scenario.interference_lag_y,
+    )
+    learned = learn(plant, channels, case.training)
+    return make(case.cost, learned, plant.dt, case.training.modes)

@@ -1,0 +1,1 @@
+"""Controllers that the study compares with the paper's relay."""

@@ -1,0 +1,1 @@
+"""The kinds of experiments and the files that declare them."""

@@ -1,0 +1,116 @@
+"""Experiment ``closed_loop``: the paper's closed-loop figures and table 4."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from koop_loop.metrics import LOGGING_START, PAPER
+from koop_study import maps
+from koop_study.report.document import Claim, Column, Figure, Panel, Section, Series, Table
+from koop_study.workers.units import Unit
+from koop_study.workers.work import RAMP
+
+THETA_STAR = -3.0
+
+
+@dataclass(frozen=True)
+class ClosedLoopConfig:
+    """Costs, each with settings of its own; everything else is as in the paper."""
+
+    costs: dict[str, dict[str, Any]]
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+def units(config: ClosedLoopConfig) -> list[Unit]:
+    """Return the run and both static maps, from which r* comes, for every cost."""
+    result = []
+    for settings in config.costs.values():
+        merged = {"settings": {**config.settings, **settings}, "seed": None}
+        result.append(Unit("trace", {**merged, "start": LOGGING_START}))
+        result.append(Unit("ramp", {**merged, "duration": RAMP}))
+        result.append(Unit("settled", merged))
+    return result
+
+
+def section(config: ClosedLoopConfig, results: list[Any]) -> Section:
+    """Return the part of the report."""
+    table = Table(
+        "closed_loop",
+        "Performance (paper, table 4); r* from the ramp as in the paper, and from the settled map",
+        (
+            Column("method", "method"),
+            Column("iae", "IAE", ".0f"),
+            Column("ise", "ISE", ".0f"),
+            Column("t_theta", "T [s]", ".0f"),
+            Column("e_r_ss_ramp", "e_r^ss, ramp r*", ".5f"),
+            Column("e_r_ss_settled", "e_r^ss, settled r*", ".5f"),
+            Column("tail", "mean error, last 30 %", ".3f"),
+        ),
+    )
+    figures = []
+    for i, cost in enumerate(config.costs):
+        trace, ramp, settled = results[3 * i : 3 * i + 3]
+        errors = [
+            abs(trace["r_mean"] - maps.shape(maps.grid(), np.array(r), THETA_STAR).minimum)
+            / trace["r_range"]
+            for r in (ramp["binned"], settled["mean"])
+        ]
+        found = trace["metrics"]
+        table.rows.append(
+            (cost, found["iae"], found["ise"], found["t_theta"], *errors, found["tail"])
+        )
+        figures.append(_figure(cost, trace))
+    for name, paper in PAPER.items():
+        table.rows.append(
+            (
+                f"paper, {name}",
+                paper.iae_theta,
+                paper.ise_theta,
+                paper.t_theta,
+                paper.e_r_ss,
+                None,
+                None,
+            )
+        )
+    return Section(
+        "closed_loop",
+        "Closed loop",
+        "One run of 2500 s for each cost, logged from 100 s on as in the paper; seed 0 draws the "
+        "initial state and the training trajectories, the interference has the paper's phases.",
+        [table],
+        figures,
+        [_claim(table, name) for name in config.costs],
+    )
+
+
+def _claim(table: Table, cost: str) -> Claim:
+    reached = table.cell(cost, "t_theta")
+    when = "never reaches θ*" if reached == "–" else f"reaches θ* after {reached} s"
+    text = f"With the {cost} cost the loop {when} with IAE {table.cell(cost, 'iae')}"
+    if cost in PAPER:
+        paper = f"paper, {cost}"
+        text += (
+            f"; the paper reports {table.cell(paper, 't_theta')} s and {table.cell(paper, 'iae')}"
+        )
+    return Claim(text + ".", "closed_loop", summary=True)
+
+
+def _figure(cost: str, trace: dict[str, Any]) -> Figure:
+    def panel(name: str, label: str, color: int, level: float | None = None) -> Panel:
+        low, high = trace[name]
+        series = Series(label, trace["t"], low, "band", high, color)
+        return Panel("t [s]", label, (series,), level=level)
+
+    return Figure(
+        f"closed_loop_{re.sub(r'[^a-z]+', '_', cost)}",
+        f"Closed loop with the {cost} cost: true state, cost, θ with θ* dashed.",
+        (
+            panel("x", "x", 0),
+            panel("r", "r", 1),
+            panel("theta", "θ", 2, THETA_STAR),
+        ),
+    )

@@ -1,0 +1,106 @@
+"""The kinds of experiments, and reading a folder of experiment files."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from koop_node.config import ConfigError
+from koop_study.experiments import (
+    ablations,
+    beyond,
+    closed_loop,
+    modes,
+    robustness,
+    sensitivity,
+    static_maps,
+)
+from koop_study.experiments.spec import parse, quickened, read_file
+from koop_study.report.document import Section
+from koop_study.workers.units import Unit
+
+Steps = Generator[list[Unit], list[Any], Section]
+
+
+def _once(module: Any) -> Callable[[Any], Steps]:
+    """Return the steps of an experiment whose units are all known beforehand."""
+
+    def steps(config: Any) -> Steps:
+        results = yield module.units(config)
+        section = module.section(config, results)
+        assert isinstance(section, Section)
+        return section
+
+    return steps
+
+
+KINDS: dict[str, tuple[type[Any], Callable[[Any], Steps]]] = {  # in the order of the report
+    "modes": (modes.ModesConfig, _once(modes)),
+    "static_maps": (static_maps.StaticMapsConfig, _once(static_maps)),
+    "closed_loop": (closed_loop.ClosedLoopConfig, _once(closed_loop)),
+    "robustness": (robustness.RobustnessConfig, _once(robustness)),
+    "sensitivity": (sensitivity.SensitivityConfig, _once(sensitivity)),
+    "ablations": (ablations.AblationsConfig, _once(ablations)),
+    "beyond": (beyond.BeyondConfig, beyond.steps),
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment file, read and checked.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    kind : str
+        A key of :data:`KINDS`.
+    content : dict
+        What is in force, in YAML terms.
+    config : object
+        The same as the kind's configuration class.
+    """
+
+    path: Path
+    kind: str
+    content: dict[str, Any]
+    config: Any
+
+    def steps(self) -> Steps:
+        """Return the generator that asks for units and ends with a section of the report."""
+        return KINDS[self.kind][1](self.config)
+
+
+def read(path: Path, quick: bool) -> Experiment:
+    """Read one experiment file.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If anything in it is unknown, missing or out of range; the message names file and key.
+    """
+    content = quickened(read_file(path), quick)
+    kind = content.pop("experiment", None)
+    if kind not in KINDS:
+        near = difflib.get_close_matches(str(kind), KINDS, n=1, cutoff=0.5)
+        hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(KINDS)}"
+        raise ConfigError(f"{path}: unknown experiment {kind!r}: {hint}")
+    return Experiment(path, kind, content, parse(KINDS[kind][0], content, str(path)))
+
+
+def read_folder(folder: Path, quick: bool) -> list[Experiment]:
+    """Read every ``*.yaml`` of a folder, in the order of the report.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If there is none, or one is wrong.
+    """
+    found = [read(path, quick) for path in sorted(folder.glob("*.yaml"))]
+    if not found:
+        raise ConfigError(f"{folder}: holds no experiment files (*.yaml)")
+    order = list(KINDS)
+    return sorted(found, key=lambda experiment: order.index(experiment.kind))

@@ -1,0 +1,94 @@
+"""Static maps r(theta): along a slow ramp as in the paper, and settled at fixed theta."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from koop_study.case import Case
+from koop_study.run import run
+
+HIGH, LOW = 2.0, -5.0  # the paper's ramp (section 4)
+SPACING = 0.25  # of the points that ramp and settled map share
+SETTLING = 100.0  # [s] before r counts, as the paper's logging start
+SMOOTHING = 3  # points of the moving average before the second differences
+
+
+@dataclass(frozen=True)
+class MapShape:
+    """How suitable a static map is for extremum seeking.
+
+    Attributes
+    ----------
+    convexity : float
+        Share of the smoothed map's second differences that are >= 0; 1 for a convex map.
+    rank_correlation : float
+        Spearman's, of r with |theta - theta*|; 1 for a map that rises monotonously both ways.
+    argmin : float
+        theta of the smoothed map's smallest value.
+    minimum : float
+        That value: r*.
+    """
+
+    convexity: float
+    rank_correlation: float
+    argmin: float
+    minimum: float
+
+
+def grid() -> NDArray[np.float64]:
+    """Return the values of theta that maps are sampled at, falling, shape (G,)."""
+    return np.linspace(HIGH, LOW, round((HIGH - LOW) / SPACING) + 1, dtype=np.float64)
+
+
+def smooth(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the moving average over three neighbours; the two ends stay out, shape (G - 2,)."""
+    return np.convolve(values, np.full(SMOOTHING, 1.0 / SMOOTHING), mode="valid")
+
+
+def shape(theta: NDArray[np.float64], r: NDArray[np.float64], theta_star: float) -> MapShape:
+    """Judge a map that is sampled at equally spaced ``theta``, both shape (G,)."""
+    smoothed = smooth(r)
+    inner = theta[SMOOTHING // 2 : theta.size - SMOOTHING // 2]
+    best = int(np.argmin(smoothed))
+    return MapShape(
+        float(np.mean(np.diff(smoothed, 2) >= 0.0)),
+        float(spearmanr(np.abs(theta - theta_star), r).statistic),
+        float(inner[best]),
+        float(smoothed[best]),
+    )
+
+
+def ramp(case: Case, duration: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lower theta steadily from 2 to -5 after settling at 2.
+
+    Returns
+    -------
+    theta, r : ndarray, shape (M,)
+        The ramp itself, without the settling.
+    """
+    case = replace(case, duration=duration + SETTLING)
+    settle = round(SETTLING / case.plant.dt)
+    falling = np.linspace(HIGH, LOW, case.steps - settle, dtype=np.float64)
+    trace = run(case, schedule=np.concatenate([np.full(settle, HIGH), falling]))
+    return falling, trace.r[settle:]
+
+
+def binned(theta: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean of r around every point of :func:`grid`, shape (G,)."""
+    centres = grid()
+    nearest = np.rint((HIGH - theta) / SPACING).astype(np.int64)
+    sums = np.bincount(nearest, r, minlength=centres.size)
+    return np.asarray(sums / np.bincount(nearest, minlength=centres.size))
+
+
+def settled(case: Case, theta: float) -> NDArray[np.float64]:
+    """Return r at constant ``theta`` over one period of the damping drift, without transient."""
+    drift = case.plant.drift_frequency
+    period = 2.0 * np.pi / drift if drift > 0.0 else 200.0
+    case = replace(case, duration=SETTLING + period)
+    trace = run(case, schedule=np.full(case.steps, theta))
+    return trace.r[round(SETTLING / case.plant.dt) :]

@@ -1,0 +1,117 @@
+"""Run one case: closed loop or along a given theta."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_loop.loop import check_fit, initial_state, no_lifting
+from koop_loop.metrics import evaluate
+from koop_node.config import ConfigError
+from koop_study.case import Case, model_of
+from koop_study.controllers import adaptive, perturbation
+from koop_study.kernel import CONTROLLERS, Control, Sensing, run_kernel
+from koop_study.scenario import displacement, expose
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Signals of one run, one row a step; ``ground_truth`` is empty unless asked for.
+
+    Attributes
+    ----------
+    t : ndarray, shape (M,)
+        Time [s].
+    r, theta : ndarray, shape (M,)
+        Cost and control input.
+    ground_truth : ndarray, shape (M, 2) or (0, 2)
+        True state.
+    done : int
+        Steps before the plant diverged; M if it did not.
+    """
+
+    t: NDArray[np.float64]
+    r: NDArray[np.float64]
+    theta: NDArray[np.float64]
+    ground_truth: NDArray[np.float64]
+    done: int
+
+    @property
+    def diverged(self) -> bool:
+        """True if the plant's state left the finite numbers."""
+        return self.done < self.t.size
+
+
+def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: bool = False) -> Trace:
+    """Run ``case``; with ``schedule``, shape (M,), theta follows it and the controller is idle.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the parts of the case do not fit together.
+    """
+    model = model_of(case)
+    lifter = replace(case.lifter, cost="raw" if model is None else "lifted")
+    try:
+        check_fit(case.plant, lifter, case.esc, model)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    sensing = Sensing(
+        lifter.source,
+        case.cost == "log",
+        no_lifting() if model is None else model.lifting(),
+        lifter.detector_params(),
+    )
+    control = Control(
+        CONTROLLERS[case.controller],
+        case.esc.params(),
+        case.esc.initial(),
+        case.adaptive.params(case.esc),
+        adaptive.initial(case.esc),
+        case.perturbation.params(case.esc),
+        perturbation.initial(case.esc),
+    )
+    exposure = expose(case.scenario, case.plant, case.steps, case.plant.seed, schedule)
+    x, y = initial_state(case.plant)
+    r, theta = np.empty(case.steps), np.empty(case.steps)
+    ground_truth = np.empty((case.steps if with_truth else 0, 2))
+    done = run_kernel(case.plant.params(), sensing, control, exposure, x, y, r, theta, ground_truth)
+    return Trace(
+        np.arange(case.steps, dtype=np.float64) * case.plant.dt, r, theta, ground_truth, done
+    )
+
+
+Row = dict[str, float | None]
+
+
+def measure(case: Case, trace: Trace, r_star: float | None = None) -> Row:
+    """Return the paper's metrics of a run; theta* may have moved.
+
+    A run that diverged has infinite errors: it counts as the worst of all, not as absent.
+
+    Returns
+    -------
+    dict
+        ``iae``, ``ise``, ``t_theta`` (None if never reached), ``e_r_ss`` (None without an r*),
+        ``tail`` (mean error over the last 30 %), ``reached`` and ``converged`` (1 or 0).
+    """
+    if trace.diverged:
+        return {
+            "iae": math.inf, "ise": math.inf, "t_theta": None, "e_r_ss": None,
+            "tail": math.inf, "reached": 0.0, "converged": 0.0,
+        }  # fmt: skip
+    displaced = displacement(case.scenario, trace.t)
+    theta = trace.theta - displaced if displaced.size else trace.theta
+    metrics = evaluate(trace.t, theta, trace.r, case.plant.theta_star, r_star)
+    return {
+        "iae": metrics.iae_theta,
+        "ise": metrics.ise_theta,
+        "t_theta": metrics.t_theta,
+        "e_r_ss": metrics.e_r_ss,
+        "tail": metrics.tail_error,
+        "reached": float(metrics.t_theta is not None),
+        "converged": float(metrics.converged),
+    }

@@ -1,0 +1,80 @@
+"""One run of ``koop study``: read, compute, write."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import signal
+import sys
+import time
+from pathlib import Path
+
+from koop_node.config import ConfigError
+from koop_study import over_dds
+from koop_study.experiments.kinds import KINDS, read_folder
+from koop_study.report import publish
+from koop_study.runner import run_all
+from koop_study.workers.units import Store
+
+INTERRUPTED = 130
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what the options of ``koop study`` ask for; return the exit code.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If an experiment file or an option cannot be used.
+    """
+    begin = time.monotonic()
+    if args.processes < 1:
+        raise ConfigError(f"--processes {args.processes}: must be at least 1")
+    for kind in args.only or ():
+        if kind not in KINDS:
+            raise ConfigError(f"--only {kind}: known are {', '.join(KINDS)}")
+    readme = args.readme.read_text() if args.readme else ""
+    if args.readme:
+        publish.rewrite_block(readme, "")  # complain before the work, not after it
+    experiments = [
+        experiment
+        for experiment in read_folder(args.experiments, args.quick)
+        if not args.only or experiment.kind in args.only
+    ]
+    if not experiments:
+        raise ConfigError(f"{args.experiments}: holds no experiment of the kinds asked for")
+    out = args.out or Path("recordings/study-quick" if args.quick else "recordings/study")
+    if args.over_dds:
+        return 0 if over_dds.repeat(experiments, out) else 1
+    store = Store(out / "units")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a shell's `kill` stops it as Ctrl-C
+    try:
+        sections = run_all(experiments, store, args.processes)
+    except KeyboardInterrupt:
+        print(f"\nstopped; the same command goes on from what is in {out}", file=sys.stderr)
+        return INTERRUPTED
+    command = remake(args)
+    for folder in (out, *([args.publish] if args.publish else [])):
+        path = publish.write(folder, sections, experiments, command)
+    if args.readme:
+        block = publish.readme_block(sections, os.path.relpath(path, args.readme.parent))
+        args.readme.write_text(publish.rewrite_block(readme, block))
+    for section in sections:
+        for claim in section.claims:
+            if claim.summary:
+                print(f"- {claim.text}")
+    print(f"{path} ({time.monotonic() - begin:.0f} s)")
+    return 0
+
+
+def remake(args: argparse.Namespace) -> str:
+    """Return the command line that makes the same report again."""
+    words = ["koop", "study"]
+    if args.quick:
+        words.append("--quick")
+    if args.experiments != Path("experiments"):
+        words += ["--experiments", str(args.experiments)]
+    if args.only:
+        words += ["--only", *args.only]
+    return shlex.join(words)

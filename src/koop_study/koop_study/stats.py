@@ -1,0 +1,85 @@
+"""Distributions of metrics over seeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from koop_study.report.document import Cell, Column
+from koop_study.run import Row
+
+LONGEST = math.inf  # of a first hitting time that never comes
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median and the 10 and 90 % quantiles."""
+
+    median: float
+    low: float
+    high: float
+
+
+def column(rows: Sequence[Row], name: str) -> list[float]:
+    """Return one metric of all seeds; a first hitting time that never came is infinite."""
+    return [LONGEST if row[name] is None else float(row[name] or 0.0) for row in rows]
+
+
+def quantile(values: Sequence[float], share: float) -> float:
+    """Return the smallest value that at least ``share`` of all do not exceed.
+
+    No interpolation: it would make nonsense of infinite values, and the result is a run that was.
+    """
+    ordered = np.sort(np.asarray(values, dtype=np.float64))
+    return float(ordered[max(0, math.ceil(share * ordered.size - 1e-9) - 1)])
+
+
+def spread(rows: Sequence[Row], name: str) -> Spread:
+    """Return the spread of a metric over seeds."""
+    values = column(rows, name)
+    return Spread(quantile(values, 0.5), quantile(values, 0.1), quantile(values, 0.9))
+
+
+def share(rows: Sequence[Row], name: str) -> float:
+    """Return the mean of a 0/1 metric in percent."""
+    return 100.0 * float(np.mean(column(rows, name)))
+
+
+def win_rate(rows: Sequence[Row], rivals: Sequence[Row], name: str = "iae") -> float:
+    """Return in percent how often a seed's metric is below the rival's at the same seed."""
+    pairs = zip(column(rows, name), column(rivals, name), strict=True)
+    return 100.0 * float(np.mean([ours < theirs for ours, theirs in pairs]))
+
+
+SUMMARY_COLUMNS = (
+    Column("iae_median", "IAE median", ".0f"),
+    Column("iae_p10", "IAE 10 %", ".0f"),
+    Column("iae_p90", "IAE 90 %", ".0f"),
+    Column("ise_median", "ISE median", ".0f"),
+    Column("t_theta_median", "T median [s]", ".0f"),
+    Column("reached", "reached [%]", ".0f"),
+    Column("converged", "converged [%]", ".0f"),
+)
+
+
+def summary_cells(rows: Sequence[Row]) -> tuple[Cell, ...]:
+    """Return the cells of :data:`SUMMARY_COLUMNS`."""
+    iae = spread(rows, "iae")
+    t_theta: Cell = spread(rows, "t_theta").median
+    return (
+        iae.median,
+        iae.low,
+        iae.high,
+        spread(rows, "ise").median,
+        None if t_theta == LONGEST else t_theta,
+        share(rows, "reached"),
+        share(rows, "converged"),
+    )
+
+
+def finite(value: float) -> float | None:
+    """Return ``value``, or None for a figure if it is not finite."""
+    return value if math.isfinite(value) else None

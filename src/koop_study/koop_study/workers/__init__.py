@@ -1,0 +1,1 @@
+"""Units of work, computed on all cores, kept on disk."""

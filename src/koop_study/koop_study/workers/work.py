@@ -1,0 +1,120 @@
+"""The functions that worker processes run; arguments and results are in JSON terms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_study import maps
+from koop_study.case import Case, override, seeded
+from koop_study.learning import learn
+from koop_study.run import measure, run
+from koop_study.scenario import ScenarioConfig
+from koopman_lifter.edmd import edmd
+from koopman_lifter.modes import decompose, select_by_energy
+
+RAMP = 2500.0  # [s] length of the ramp whose minimum serves as r*: as long as the run
+DRAWN = 900  # points a drawn trace is thinned to
+
+
+def case_of(settings: dict[str, Any], seed: int | None) -> Case:
+    """Return the case of some settings; without a seed, everything is as in the paper."""
+    case = override(Case(), settings)
+    return case if seed is None else seeded(case, seed)
+
+
+def runs(settings: dict[str, Any], seeds: list[int], with_r_star: bool = False) -> list[Any]:
+    """Run closed loops and return the metrics of each seed."""
+    rows = []
+    for seed in seeds:
+        case = case_of(settings, seed)
+        r_star = _ramp_minimum(case) if with_r_star else None
+        rows.append(measure(case, run(case), r_star))
+    return rows
+
+
+def _ramp_minimum(case: Case) -> float:
+    theta, r = maps.ramp(case, RAMP)
+    return maps.shape(maps.grid(), maps.binned(theta, r), case.plant.theta_star).minimum
+
+
+def modes(settings: dict[str, Any], seed: int) -> dict[str, Any]:
+    """Train a model and return its modes, largest |lambda| first."""
+    case = override(Case(), {**settings, "training.seed": seed})
+    learned = learn(case.plant, ScenarioConfig(), case.training)
+    koopman = edmd(learned.gram)
+    found = decompose(koopman, learned.gram)
+    kept = select_by_energy(found, case.training.modes)
+    return {
+        "real": found.eigenvalues.real.tolist(),
+        "imag": found.eigenvalues.imag.tolist(),
+        "energy": found.energies.tolist(),
+        "kept": kept.tolist(),
+        "condition": koopman.condition,
+    }
+
+
+def ramp(settings: dict[str, Any], seed: int | None, duration: float) -> dict[str, Any]:
+    """Return the static map along a ramp: thinned for drawing, and binned."""
+    case = case_of(settings, seed)
+    theta, r = maps.ramp(case, duration)
+    low, high = _extremes(r, DRAWN)
+    centres = theta[: low.size * (r.size // low.size)].reshape(low.size, -1).mean(axis=1)
+    return {
+        "theta": centres.tolist(),
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "binned": maps.binned(theta, r).tolist(),
+    }
+
+
+def settled(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
+    """Return the settled static map: mean and the 10 and 90 % quantiles over a drift period."""
+    case = case_of(settings, seed)
+    costs = [maps.settled(case, float(theta)) for theta in maps.grid()]
+    return {
+        "mean": [float(r.mean()) for r in costs],
+        "low": [float(np.quantile(r, 0.1)) for r in costs],
+        "high": [float(np.quantile(r, 0.9)) for r in costs],
+    }
+
+
+def trace(settings: dict[str, Any], seed: int | None, start: float) -> dict[str, Any]:
+    """Run one closed loop and return its signals from ``start`` [s] on, thinned, and metrics."""
+    case = case_of(settings, seed)
+    done = run(case, with_truth=True)
+    first = round(start / case.plant.dt)
+    x_low, x_high = _extremes(done.ground_truth[first:, 0], DRAWN)
+    r_low, r_high = _extremes(done.r[first:], DRAWN)
+    theta_min, theta_max = _extremes(done.theta[first:], DRAWN)
+    every = (case.steps - first) // DRAWN
+    return {
+        "t": (done.t[first : first + every * DRAWN : every]).tolist(),
+        "x": [x_low.tolist(), x_high.tolist()],
+        "r": [r_low.tolist(), r_high.tolist()],
+        "theta": [theta_min.tolist(), theta_max.tolist()],
+        "metrics": measure(case, done),
+        "r_mean": float(done.r[-round(0.3 * (case.steps - first)) :].mean()),
+        "r_range": float(np.ptp(done.r[first:])),
+    }
+
+
+def _extremes(
+    values: NDArray[np.float64], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return least and largest of ``count`` equal stretches: thinning that hides no peak."""
+    every = max(1, values.size // count)
+    blocks = values[: values.size // every * every].reshape(-1, every)
+    return blocks.min(axis=1)[:count], blocks.max(axis=1)[:count]
+
+
+WORK: dict[str, Callable[..., Any]] = {
+    "runs": runs,
+    "modes": modes,
+    "ramp": ramp,
+    "settled": settled,
+    "trace": trace,
+}

@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_study"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"koop_study.report": ["page.js", "page.css"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="The study: declarative experiments on the offline loop, one report.",
+    license="Apache-2.0",
+)

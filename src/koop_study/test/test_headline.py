@@ -1,0 +1,100 @@
+"""Headline runs: what the nodes get is what the offline loop runs; comparison sees every bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from koop_loop.loop import LoopResult, simulate
+from koop_study import over_dds
+from koop_study.case import Case, override
+from koop_study.experiments.kinds import read
+from koop_study.headline import compare, headline, headlines
+from koopman_lifter.config import LifterConfig
+from relay_esc.config import EscConfig
+from vdp_plant.config import PlantConfig
+
+EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
+
+
+@pytest.fixture
+def offline() -> LoopResult:
+    return simulate(PlantConfig(), LifterConfig(cost="raw"), EscConfig(), None, 2000)
+
+
+def columns(run: LoopResult) -> dict[str, np.ndarray]:
+    return {
+        "step": run.step,
+        "measured": run.measured.copy(),
+        "r": run.r.copy(),
+        "theta": run.theta,
+    }
+
+
+def test_headlines_are_the_rows_of_the_closed_loop_table() -> None:
+    config = read(EXPERIMENTS / "closed_loop.yaml", False).config
+    found = headlines(config)
+    assert [item.name for item in found] == list(config.costs)
+    by_name = {item.name: item for item in found}
+    assert by_name["raw"].model is None
+    assert by_name["raw"].lifter.cost == "raw"
+    assert by_name["contrast"].lifter.cost == "lifted"
+    assert by_name["lifted"].plant == PlantConfig()
+    assert by_name["lifted"].steps == 500_000
+
+
+def test_a_headline_runs_on_the_nodes_own_loop() -> None:
+    item = headline("short", override(Case(), {"cost": "contrast", "duration": 5.0}))
+    assert item.model is not None
+    assert item.offline().theta.size == 1000
+
+
+def test_what_the_nodes_cannot_run_is_refused() -> None:
+    for settings in ({"controller": "adaptive"}, {"cost": "log"}, {"scenario.noise": 1.0}):
+        with pytest.raises(ValueError, match="cannot run 'x'"):
+            headline("x", override(Case(), settings))
+
+
+def test_the_same_run_has_no_difference(offline: LoopResult) -> None:
+    assert compare(offline, columns(offline)) == []
+
+
+@pytest.mark.parametrize("column", ["measured", "r", "theta"])
+def test_one_bit_in_one_row_is_found(offline: LoopResult, column: str) -> None:
+    recorded = columns(offline)
+    changed = recorded[column].copy()
+    changed[1234] = np.nextafter(changed[1234], np.inf)
+    (found,) = compare(offline, {**recorded, column: changed})
+    assert (found.column, found.first_step, found.count) == (column, 1234, 1)
+    assert 0.0 < found.largest < 1e-12
+
+
+def test_a_lost_step_is_found(offline: LoopResult) -> None:
+    recorded = {name: np.delete(values, 77, axis=0) for name, values in columns(offline).items()}
+    (found,) = compare(offline, recorded)
+    assert (found.column, found.first_step) == ("step", 77)
+
+
+def test_a_run_that_ended_early_is_found(offline: LoopResult) -> None:
+    recorded = {name: values[:1500] for name, values in columns(offline).items()}
+    (found,) = compare(offline, recorded)
+    assert (found.column, found.first_step, found.count) == ("step", 1500, 500)
+
+
+def test_another_seed_is_another_run(offline: LoopResult) -> None:
+    other = simulate(
+        replace(PlantConfig(), seed=1), LifterConfig(cost="raw"), EscConfig(), None, 2000
+    )
+    assert {item.column for item in compare(offline, columns(other))} >= {"measured", "r"}
+
+
+def test_a_run_that_was_broken_off_is_not_taken_for_the_run(tmp_path: Path) -> None:
+    (tmp_path / "bag").symlink_to(EXPERIMENTS.parent / "recordings" / "golden" / "run" / "bag")
+    short = headline("golden", Case(cost="raw", duration=10.0))
+    assert over_dds._run(short, tmp_path).step.size == short.steps == 2000
+    longer = headline("golden", Case(cost="raw", duration=20.0))
+    with pytest.raises(ValueError, match="the first 2000 of 4000 steps"):
+        over_dds._run(longer, tmp_path)

@@ -1,0 +1,117 @@
+"""The study's kernel is the nodes' loop, and its scenarios do what they say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from koop_loop.loop import simulate
+from koop_loop.training import train
+from koop_study.case import Case, model_of, override, seeded
+from koop_study.run import measure, run
+from koop_study.scenario import ScenarioConfig, expose, interference
+from vdp_plant.config import PlantConfig
+
+SHORT = {"duration": 150.0, "training.trajectories": 10, "training.duration": 10.0}
+
+
+@pytest.mark.parametrize("cost", ["raw", "lifted"])
+def test_without_scenario_it_is_the_nodes_loop_to_the_last_bit(cost: str) -> None:
+    case = seeded(override(Case(), {**SHORT, "cost": cost}), 7)
+    model = train(PlantConfig(), case.training)
+    expected = simulate(case.plant, replace(case.lifter, cost=cost), case.esc, model, case.steps)
+    trace = run(case, with_truth=True)
+    assert trace.theta.tobytes() == expected.theta.tobytes()
+    assert trace.r.tobytes() == expected.r.tobytes()
+    assert trace.ground_truth.tobytes() == expected.ground_truth.tobytes()
+
+
+def test_a_constant_displacement_is_another_optimum() -> None:
+    # 20 s: rounding of theta - s - theta* grows too little to matter before the first flip
+    moved = override(Case(), {"duration": 20.0, "cost": "raw", "plant.initial_state": [1.0, 0.0]})
+    swinging = override(moved, {"scenario.optimum_jump": 1.0, "scenario.jump_every": 1e6})
+    exposure = expose(swinging.scenario, swinging.plant, swinging.steps, 0)
+    assert np.array_equal(exposure.displaced, np.zeros(swinging.steps))  # no jump in 20 s
+    jumped = override(
+        moved, {"scenario.optimum_swing": 1.0, "scenario.optimum_period": 1e6, "duration": 20.0}
+    )
+    expected = run(moved, with_truth=True)
+    slow = run(jumped, with_truth=True)
+    # sin(2 pi 20 / 1e6) = 1.3e-4: hardly moved, and the state hardly differs
+    assert np.abs(slow.ground_truth - expected.ground_truth).max() < 1e-2
+    assert np.abs(slow.ground_truth - expected.ground_truth).max() > 0.0
+
+
+def test_optimum_that_jumped_is_the_plant_with_that_optimum() -> None:
+    settings = {"duration": 30.0, "cost": "raw", "plant.initial_state": [1.0, 0.0]}
+    there = override(Case(), {**settings, "plant.theta_star": -2.0})
+    case = override(Case(), settings)
+    schedule = np.full(case.steps, 0.5)
+    trace = run(case, schedule=schedule - 1.0, with_truth=True)
+    other = run(there, schedule=schedule, with_truth=True)
+    assert np.allclose(trace.ground_truth, other.ground_truth, rtol=0.0, atol=1e-6)
+
+
+def test_metrics_follow_a_moving_optimum() -> None:
+    case = override(
+        Case(),
+        {"duration": 400.0, "cost": "raw", "scenario.optimum_swing": 1.5, "esc.step_size": 0.0},
+    )
+    t = np.arange(case.steps) * case.plant.dt
+    perfect = -3.0 + 1.5 * np.sin(2.0 * np.pi * t / 1000.0)
+    trace = run(case, schedule=perfect)
+    assert measure(case, trace)["iae"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_lost_state_leaves_theta_and_cost_as_they_were() -> None:
+    case = override(Case(), {"duration": 60.0, "cost": "raw", "scenario.lost": 0.5})
+    trace = run(case)
+    lost = expose(case.scenario, case.plant, case.steps, case.plant.seed).lost
+    assert 0.48 < lost.mean() < 0.52  # 12 000 draws: four standard deviations are 0.018
+    held = np.flatnonzero(lost)
+    assert np.array_equal(trace.theta[held], trace.theta[held - 1])
+    assert np.array_equal(trace.r[held], trace.r[held - 1])
+    moved = np.flatnonzero(~lost)[2:]
+    assert (trace.theta[moved] != trace.theta[moved - 1]).all()
+
+
+def test_a_schedule_replaces_the_controller() -> None:
+    case = override(Case(), {"duration": 5.0, "cost": "raw"})
+    schedule = np.linspace(1.0, -1.0, case.steps)
+    assert np.array_equal(run(case, schedule=schedule).theta, schedule)
+
+
+def test_second_channel_gets_gain_and_lag() -> None:
+    plant = PlantConfig()
+    config = ScenarioConfig(interference_gain_y=0.5, interference_lag_y=0.1)
+    t = np.arange(1000) * plant.dt
+    added = expose(config, plant, t.size, 0).added
+    assert np.array_equal(added[:, 0], np.zeros(t.size))
+    expected = 0.5 * (10.5 * np.sin(3.2 * (t - 0.1)) + 11.1 * np.sin(7.8 * (t - 0.1)))
+    assert np.allclose(added[:, 1] + interference(plant, t), expected, rtol=0.0, atol=1e-12)
+
+
+def test_a_run_that_diverges_counts_as_the_worst() -> None:
+    case = override(
+        Case(),
+        {"duration": 50.0, "cost": "raw", "plant.integrator": "euler", "plant.theta_initial": 5.0,
+         "esc.theta_initial": 5.0, "plant.epsilon0": 20.0},
+    )  # fmt: skip
+    trace = run(case)
+    assert trace.diverged
+    row = measure(case, trace)
+    assert row["iae"] == np.inf
+    assert row["converged"] == 0.0
+
+
+def test_seeds_draw_state_model_and_phases_and_nothing_else() -> None:
+    one, two = seeded(Case(), 1), seeded(Case(), 2)
+    assert one == seeded(Case(), 1)
+    assert one.plant.seed != two.plant.seed
+    assert one.training.seed != two.training.seed
+    assert one.plant.interference_phase_1 != two.plant.interference_phase_1
+    assert (one.lifter, one.esc, one.scenario) == (two.lifter, two.esc, two.scenario)
+    raw = override(one, {"cost": "raw"})
+    assert model_of(raw) is None

@@ -1,0 +1,85 @@
+"""Experiment files: what is accepted, and what a wrong one is told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from koop_node.config import ConfigError
+from koop_study.case import Case, override
+from koop_study.experiments.beyond import BeyondConfig
+from koop_study.experiments.kinds import KINDS, read, read_folder
+
+EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_the_repositorys_experiments_are_valid_and_of_every_kind(quick: bool) -> None:
+    assert [e.kind for e in read_folder(EXPERIMENTS, quick)] == list(KINDS)
+
+
+def test_quick_replaces_settings_and_is_no_setting_itself() -> None:
+    full, quick = (read(EXPERIMENTS / "modes.yaml", q) for q in (False, True))
+    assert full.config.seeds.count == 32
+    assert quick.config.seeds.count < 32
+    assert "quick" not in full.content
+    assert "quick" not in quick.content
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("experiment: mods", r"unknown experiment 'mods': did you mean 'modes'\?"),
+        ("seeds: {first: 0, count: 2}", "unknown experiment None"),
+        ("experiment: modes", "'seeds' is missing"),
+        ("experiment: modes\nseed: 3", r"unknown key 'seed': did you mean 'seeds'\?"),
+        ("experiment: modes\nseeds: 3", "expected a mapping, got 3"),
+        ("experiment: modes\nseeds: {first: 0, count: 0}", "need at least one"),
+        ("experiment: modes\nseeds: {first: zero, count: 1}", "expected int, got 'zero'"),
+        ("experiment: modes\nseeds: {first: 0, count: 2}\nquick: 5", "quick: must be a mapping"),
+        ("- a\n- b", "must hold a mapping"),
+        ("a: [", "is no YAML"),
+    ],
+)
+def test_a_wrong_file_is_refused_with_the_reason(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read(path, False)
+
+
+def test_a_folder_without_experiments_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="holds no experiment files"):
+        read_folder(tmp_path, False)
+
+
+def test_an_unknown_setting_names_the_nearest_one() -> None:
+    with pytest.raises(ConfigError, match=r"'esc.dwel': did you mean 'esc.dwell'\?"):
+        override(Case(), {"esc.dwel": 1.0})
+
+
+def test_a_value_out_of_range_names_its_setting() -> None:
+    with pytest.raises(ConfigError, match=r"scenario\.lost = 2: must be 0 to 0.99"):
+        override(Case(), {"scenario.lost": 2.0})
+
+
+def test_an_ablation_is_checked_before_anything_runs(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text(
+        "experiment: ablations\nseeds: {first: 0, count: 1}\ncosts: {raw: {cost: raw}}\n"
+        "ablations:\n  - {name: a, title: A, parameters: [esc.dwell], values: [5, -1]}\n"
+    )
+    with pytest.raises(ConfigError, match=r"ablations\[0\].*esc\.dwell = -1"):
+        read(path, False)
+
+
+def test_candidates_must_not_be_judged_on_the_seeds_that_tuned_them() -> None:
+    content = read(EXPERIMENTS / "beyond.yaml", False)
+    config = content.config
+    assert isinstance(config, BeyondConfig)
+    with pytest.raises(ConfigError, match="overlap"):
+        BeyondConfig(
+            config.candidates, config.grids, config.tuning, config.tuning,
+            config.reference, config.default,
+        )  # fmt: skip

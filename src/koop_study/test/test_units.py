@@ -1,0 +1,129 @@
+"""Results of units: kept, resumed after a stop, the same on a second run."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from koop_study import stats
+from koop_study.report.document import Column, Table
+from koop_study.workers import pool
+from koop_study.workers.units import Store, Unit, write_atomically
+
+TINY = """
+experiment: sensitivity
+omega_h: [5, 20]
+omega_l: [0.1, 0.3]
+tau_f: [3, 10]
+seeds: {first: 0, count: 2}
+settings: {duration: 300, training.trajectories: 10, training.duration: 10}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    experiments = tmp_path / "experiments"
+    experiments.mkdir()
+    (experiments / "sensitivity.yaml").write_text(TINY)
+    return experiments
+
+
+def study(folder: Path, out: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "koop_lab", "study", "--experiments", str(folder)]
+    return subprocess.Popen(
+        [*command, "--out", str(out), "--processes", "1"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+
+
+def outcome(out: Path) -> dict[str, bytes]:
+    files = [*out.glob("tables/*.csv"), *out.glob("figures/*.svg"), out / "report.html"]
+    return {str(path.relative_to(out)): path.read_bytes() for path in files}
+
+
+@pytest.mark.slow
+def test_a_stopped_study_goes_on_and_a_second_run_gives_the_same_bytes(
+    folder: Path, tmp_path: Path
+) -> None:
+    stopped = study(folder, tmp_path / "a")
+    units = tmp_path / "a" / "units"
+    deadline = time.monotonic() + 120.0
+    while not (units.exists() and len(list(units.glob("*.json"))) >= 2):
+        assert stopped.poll() is None, stopped.communicate()[0]
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    stopped.send_signal(signal.SIGINT)
+    text = stopped.communicate(timeout=60)[0]
+    assert stopped.returncode == 130
+    assert "the same command goes on" in text
+    assert "Traceback" not in text
+    kept = len(list(units.glob("*.json")))
+    assert 2 <= kept < 16
+
+    again, other = study(folder, tmp_path / "a"), study(folder, tmp_path / "b")
+    text = again.communicate(timeout=200)[0]
+    assert again.returncode == 0, text
+    assert f"{kept} kept from before" in text
+    text = other.communicate(timeout=200)[0]
+    assert other.returncode == 0, text
+    assert outcome(tmp_path / "a") == outcome(tmp_path / "b")
+    assert len(outcome(tmp_path / "a")) >= 4
+
+
+def test_what_the_store_has_is_not_computed_again(tmp_path: Path, monkeypatch) -> None:
+    store, unit = Store(tmp_path), Unit("runs", {"settings": {}, "seeds": [1]})
+    store.save(unit, [{"iae": 1.5}])
+    monkeypatch.setattr(pool, "_compute", lambda *_: pytest.fail("computed"))
+    assert pool.work_on([unit, unit], store, 1) == [[{"iae": 1.5}], [{"iae": 1.5}]]
+
+
+def test_another_argument_is_another_unit() -> None:
+    one = Unit("runs", {"settings": {"esc.dwell": 5}, "seeds": [1]})
+    assert one.key == Unit("runs", {"seeds": [1], "settings": {"esc.dwell": 5}}).key
+    assert one.key != Unit("runs", {"settings": {"esc.dwell": 5}, "seeds": [2]}).key
+    assert one.key != Unit("settled", one.arguments).key
+
+
+def test_results_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    store, unit = Store(tmp_path), Unit("runs", {})
+    store.save(unit, [0.1 + 0.2, float("inf"), None])
+    assert store.load(unit) == [0.1 + 0.2, float("inf"), None]
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    write_atomically(path, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_atomically(path, "new \ud800")
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["x.json"]
+
+
+def test_quantiles_are_values_that_occurred_and_bear_infinity() -> None:
+    inf = float("inf")
+    assert stats.quantile([3.0, 1.0, inf, 2.0], 0.5) == 2.0
+    assert stats.quantile([3.0, 1.0, inf, 2.0], 0.9) == inf
+    assert stats.quantile([1.0], 0.1) == 1.0
+    assert stats.quantile(list(range(1, 11)), 0.9) == 9
+
+
+def test_a_win_needs_the_smaller_value_at_the_same_seed() -> None:
+    ours = [{"iae": 1.0}, {"iae": 5.0}, {"iae": 2.0}, {"iae": float("inf")}]
+    theirs = [{"iae": 2.0}, {"iae": 4.0}, {"iae": 2.0}, {"iae": float("inf")}]
+    assert stats.win_rate(ours, theirs) == 25.0
+
+
+def test_csv_has_ten_digits_and_nothing_where_there_is_no_value() -> None:
+    table = Table("t", "T", (Column("a", "A"), Column("b", "B")), [("x", 1 / 3), ("y", None)])
+    assert table.csv() == "a,b\nx,0.3333333333\ny,\n"
+    assert json.loads(json.dumps(table.texts())) == [["x", "0.3333"], ["y", "–"]]
