@@ -111,13 +111,12 @@ apt_install() {
   "$@" env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "${packages[@]}"
 }
 
-ensure_system_packages() {
-  local packages
-  read -ra packages <<<"$(missing_packages | tr '\n' ' ')"
-  ((${#packages[@]})) || return 0
+# Install the Debian packages given, or say how and exit.
+install_packages() {
+  local packages=("$@")
   if ! command -v apt-get >/dev/null; then
     die 3 "missing: ${packages[*]} (Debian's names). Install them with this system's package manager and try again."
-  elif ((EUID == 0)); then
+  elif (($(id -u) == 0)); then
     step "Installing ${packages[*]}" apt_install
   elif sudo -n true 2>/dev/null; then
     step "Installing ${packages[*]} with sudo" apt_install sudo -n
@@ -129,6 +128,33 @@ ensure_system_packages() {
   hash -r
 }
 
+ensure_system_packages() {
+  local packages
+  read -ra packages <<<"$(missing_packages | tr '\n' ' ')"
+  ((${#packages[@]} == 0)) || install_packages "${packages[@]}"
+}
+
+# Get a browser for the tests. Without one they are skipped, which continuous integration doesn't accept.
+get_browser() {
+  local code
+  mkdir -p "$WS/log"
+  set +e
+  (install_browser)
+  code=$?
+  set -e
+  hash -r
+  ((code)) || return 0
+  [[ -z ${CI:-} ]] || exit "$code"
+  say "no Chromium: the tests that need one are skipped"
+}
+
+install_browser() {
+  # A snap sees neither /tmp nor hidden folders, where the tests' pages are.
+  ! grep -qs '^ID=ubuntu$' /etc/os-release ||
+    die 3 "no Chromium for the browser tests, and Ubuntu's is a snap, which can't open their files: install Google Chrome"
+  install_packages chromium
+}
+
 # --- .venv ------------------------------------------------------------------------------------------------------------
 
 # An environment of the same place, ROS 2 and interpreter is kept: pip then installs only what differs, be it after a
@@ -136,6 +162,26 @@ ensure_system_packages() {
 venv_origin() { venv_place; python_id "$PYTHON"; sha256sum <"$ROOT/requirements/ros.txt"; }
 venv_is_of_same_origin() {
   [[ -f $VENV_ORIGIN && $(<"$VENV_ORIGIN") == "$(venv_origin)" ]] && "$VENV/bin/python" -m pip --version &>/dev/null
+}
+
+# Print "PID COMMAND" of every process that has a file of these folders mapped: a node, however it was started, an
+# interpreter, a compiler. A lock would not know of a `ros2 launch` or an editor, which never come past ./koop.
+users_of() {
+  local file pid
+  for file in $(readlink -f "$@" | sed 's#$#/#' | grep -lsFf - /proc/[0-9]*/maps); do
+    pid=${file//[!0-9]/}
+    printf '%8d  %s\n' "$pid" "$(tr '\0' ' ' <"/proc/$pid/cmdline" | sed 's/ $//')"
+  done 2>/dev/null
+}
+
+# What runs from these folders would lose the modules that it has yet to load.
+refuse_while_in_use() {
+  local users
+  users=$(users_of "$@")
+  [[ -n $users ]] || return 0
+  say "the environment would have to be replaced, but is in use by"
+  printf '%s\n' "$users" >&2
+  die 5 "end these processes and try again"
 }
 
 set_up_venv() {
@@ -146,7 +192,8 @@ set_up_venv() {
   [[ -n $PYTHON ]] || choose_python
   [[ -n $PYTHON ]] || die 4 "no Python 3.10 to 3.13 found; name one with KOOP_PYTHON=/path/to/python"
 
-  rm -f "$VENV_STAMP"
+  refuse_while_in_use "$VENV" "$WS/build"
+  rm -f "$VENV_STAMP" "$ENV_FILE"
   if ! venv_is_of_same_origin; then
     rm -f "$WS_STAMP"
     local options=(--clear)
@@ -195,6 +242,9 @@ set_up_workspace() {
       rm -rf "$WS/build/$package" "$WS/install/$package"
     fi
   done
+  for package in "${changed[@]}"; do  # a library that is rebuilt under a node takes it down
+    [[ ! -f $ROOT/src/$package/CMakeLists.txt ]] || refuse_while_in_use "$WS/build/$package"
+  done
   rm -f "$ENV_FILE"
   ((${#changed[@]} == 0)) || step "Building ${#changed[@]} package(s) of the workspace" build "${changed[@]}"
   step "Working out the environment" write_env_file
@@ -226,21 +276,26 @@ build() (
     --cmake-args -G Ninja -DBUILD_TESTING=OFF "-DPython3_EXECUTABLE=$VENV/bin/python"
 )
 
-# Source the workspace once and keep what that sets: its own script takes a second each time.
+# Source the workspace once and keep what that sets: its own script takes a second each time. Path lists are kept as what
+# comes in front of the caller's.
 write_env_file() (
-  enter_underlay
-  rest=${PATH#"$VENV/bin:"}
+  declare -A outer
   unset COLCON_PREFIX_PATH
+  for name in "${PATH_LISTS[@]}"; do outer[$name]=${!name:-}; done
+  enter_underlay
   set +u  # colcon's scripts read unset variables
   # shellcheck source=/dev/null
   source "$WS/install/local_setup.bash"
   set -u
   {
-    for name in AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PKG_CONFIG_PATH PYTHONPATH \
-      ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION _ROS_WHEELS_BOOTSTRAP_COMPLETE; do
+    for name in "${PATH_LISTS[@]}"; do
+      added=${!name:-}
+      added=${added%"${outer[$name]}"}
+      [[ -z $added ]] || printf 'export %s=%q"${%s:+:$%s}"\n' "$name" "${added%:}" "$name" "$name"
+    done
+    for name in ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION _ROS_WHEELS_BOOTSTRAP_COMPLETE; do
       [[ -z ${!name:-} ]] || printf 'export %s=%q\n' "$name" "${!name}"
     done
-    printf 'export PATH=%q"%s"\n' "${PATH%"$rest"}" "\$PATH"
   } >"$ENV_FILE.new"
   mv "$ENV_FILE.new" "$ENV_FILE"
 )

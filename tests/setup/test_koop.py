@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ REPOSITORY = HERE.parent.parent
 TOOLS = (
     "bash", "basename", "cat", "chmod", "comm", "cp", "dirname", "env", "find", "flock", "grep",
     "mkdir", "mv", "readlink", "rm", "sed", "sha256sum", "sleep", "sort", "tail", "touch", "tr",
-    "uname", "xargs",
+    "true", "uname", "xargs",
 )  # fmt: skip
 ROS_VARIABLES = ("AMENT_PREFIX_PATH", "ROS_DISTRO", "PYTHONPATH", "LD_LIBRARY_PATH")
 
@@ -45,6 +46,7 @@ class Clone:
             (self.tools / tool).symlink_to(shutil.which(tool) or f"/missing/{tool}")
         for compiler in ("gcc", "g++"):
             self.add_tool(compiler, "exit 0")
+        self.add_tool("id", 'echo "${FAKE_UID:-1000}"')
         shutil.copy(HERE / "fake_python", self.tools / "python3.11")
         shutil.copy(HERE / "fake_colcon", self.tools)
 
@@ -214,14 +216,57 @@ def test_run_of_something_unknown_lists_what_there_is(
     assert "  first tell\n" in err
 
 
-def test_tests_run_in_a_domain_of_their_own(ready: Clone) -> None:
+def test_other_machines_are_left_alone_unless_the_user_says_otherwise(ready: Clone) -> None:
     shell = "echo $ROS_AUTOMATIC_DISCOVERY_RANGE"
     assert ready.koop("shell", "-c", shell)[1] == "LOCALHOST\n"
     assert ready.koop("shell", "-c", shell, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")[1] == "SUBNET\n"
-    (ready.root / ".venv/bin/python").write_text('#!/bin/sh\necho "$ROS_DOMAIN_ID $*"\n')
-    domain, arguments = ready.koop("test", "-k", "x", ROS_DOMAIN_ID="200")[1].split(maxsplit=1)
-    assert 1 <= int(domain) <= 101
-    assert arguments == "-m pytest -k x\n"
+
+
+def test_tests_get_their_arguments_and_the_browser_that_is_there(ready: Clone) -> None:
+    (ready.root / ".venv/bin/python").write_text('#!/bin/sh\necho "$CHROMIUM $*"\n')
+    ready.add_tool("chromium", "")
+    ready.add_tool("google-chrome", "")
+    code, out, err = ready.koop("test", "-k", "x", CI="true")
+    assert (code, out, err) == (0, f"{ready.tools}/chromium -m pytest -k x\n", "")
+
+
+INSTALLS_A_BROWSER = """
+echo "apt-get $*" >>"$CALLS"
+[[ $1 == update ]] || cp "$0" "$(dirname "$0")/chromium"
+"""
+
+
+@pytest.mark.parametrize("sudo", [False, True])
+def test_tests_install_a_browser_where_they_may(ready: Clone, sudo: bool) -> None:
+    (ready.root / ".venv/bin/python").write_text('#!/bin/sh\necho "$CHROMIUM $*"\n')
+    ready.add_tool("apt-get", INSTALLS_A_BROWSER)
+    if sudo:
+        ready.add_tool("sudo", 'shift; exec "$@"')
+    code, out, err = ready.koop("test", FAKE_UID="1000" if sudo else "0")
+    assert (code, out) == (0, f"{ready.tools}/chromium -m pytest\n"), err
+    assert ready.calls() == [
+        "apt-get update",
+        "apt-get install -y --no-install-recommends chromium",
+    ]
+
+
+def test_without_root_the_line_that_installs_a_browser_is_printed(ready: Clone) -> None:
+    ready.add_tool("apt-get", "exit 9")
+    code, out, err = ready.koop("test")
+    assert (code, out) == (0, "python -m pytest\n")
+    line = "apt-get install -y --no-install-recommends chromium\n"
+    assert line in err
+    code, out, err = ready.koop("test", CI="true")
+    assert (code, out) == (3, "")
+    assert line in err
+
+
+def test_a_browser_that_cannot_be_installed_fails_only_where_it_must(ready: Clone) -> None:
+    ready.add_tool("apt-get", "echo no network; exit 9")
+    assert ready.koop("test", FAKE_UID="0")[:2] == (0, "python -m pytest\n")
+    code, out, err = ready.koop("test", FAKE_UID="0", CI="true")
+    assert (code, out) == (1, "")
+    assert "no network" in err
 
 
 @pytest.mark.parametrize(
@@ -242,7 +287,6 @@ def test_missing_headers_are_named_by_the_interpreters_version(clone: Clone) -> 
     assert "missing: python3.11-dev " in err
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="as root it is installed at once")
 def test_without_root_the_exact_command_is_printed(clone: Clone) -> None:
     clone.add_tool("apt-get", "exit 9")
     (clone.tools / "g++").unlink()
@@ -251,11 +295,10 @@ def test_without_root_the_exact_command_is_printed(clone: Clone) -> None:
     assert "apt-get install -y --no-install-recommends g++\n" in err
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="needs root")
 def test_as_root_what_is_missing_is_installed(clone: Clone) -> None:
     clone.add_tool("apt-get", 'echo "apt-get $*" >>"$CALLS"')
     (clone.tools / "g++").unlink()
-    assert clone.koop("setup")[0] == 0
+    assert clone.koop("setup", FAKE_UID="0")[0] == 0
     assert clone.calls()[:2] == [
         "apt-get update",
         "apt-get install -y --no-install-recommends g++",
@@ -277,26 +320,96 @@ def test_unsupported_python_is_refused(clone: Clone) -> None:
     assert "KOOP_PYTHON=python2 is not a Python 3.10 to 3.13" in err
 
 
-def test_sourced_jazzy_takes_the_place_of_the_wheels(clone: Clone) -> None:
-    sourced = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/opt/ros/jazzy", "FAKE_RCLPY": "1"}
+def sourced(jazzy: Path, *overlays: Path) -> dict[str, str]:
+    """Return the environment of a shell with a ROS 2 Jazzy and overlays sourced."""
+    for prefix, package in ((jazzy, "rclpy"), *((overlay, overlay.name) for overlay in overlays)):
+        index = prefix / "share/ament_index/resource_index/packages"
+        index.mkdir(parents=True, exist_ok=True)
+        (index / package).touch()
+    path = ":".join(str(prefix) for prefix in (*overlays, jazzy))
+    return {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": path, "PYTHONPATH": f"{jazzy}/lib/python"}
+
+
+def test_sourced_jazzy_takes_the_place_of_the_wheels(clone: Clone, tmp_path: Path) -> None:
+    jazzy = tmp_path / "jazzy"
     again = f'{clone.root}/koop setup && echo "$AMENT_PREFIX_PATH"'
-    code, out, err = clone.koop("shell", "-c", again, **sourced)
+    code, out, err = clone.koop("shell", "-c", again, **sourced(jazzy), FAKE_RCLPY="1")
     assert code == 0, err
     # The inner call, from within the sourced workspace, found everything made.
     venv, pip, _ = clone.calls()
     assert "--system-site-packages" in venv
     assert "ros.txt" not in pip
-    assert out.endswith(":/opt/ros/jazzy\n")
+    assert out.endswith(f"/install/first:{jazzy}\n")
 
 
-def test_sourced_jazzy_without_a_fitting_python_gives_way_to_the_wheels(clone: Clone) -> None:
-    sourced = {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": "/opt/ros/jazzy"}
-    code, out, err = clone.koop("shell", "-c", 'echo "$AMENT_PREFIX_PATH"', **sourced)
+def test_one_more_overlay_changes_nothing_and_is_seen(clone: Clone, tmp_path: Path) -> None:
+    jazzy, overlay = tmp_path / "jazzy", tmp_path / "overlay"
+    assert clone.koop("setup", **sourced(jazzy), FAKE_RCLPY="1")[0] == 0
+    clone.calls()
+    environment = sourced(jazzy, overlay)
+    show = 'echo "$AMENT_PREFIX_PATH $PYTHONPATH"'
+    twice = f"{show}; {clone.root}/koop shell -c '{show}'"
+    code, out, err = clone.koop("shell", "-c", twice, **environment, FAKE_RCLPY="1")
+    assert (code, err) == (0, "")
+    assert clone.calls() == []
+    outer, inner = out.splitlines()
+    assert outer.endswith(f"/install/first:{overlay}:{jazzy} {jazzy}/lib/python")
+    assert inner == outer
+
+
+def test_another_rclpy_makes_another_environment(clone: Clone, tmp_path: Path) -> None:
+    assert clone.koop("setup", **sourced(tmp_path / "jazzy"), FAKE_RCLPY="1")[0] == 0
+    clone.calls()
+    assert clone.koop("setup", **sourced(tmp_path / "another"), FAKE_RCLPY="1")[0] == 0
+    assert [call.split()[1] for call in clone.calls()] == ["venv", "pip", "build"]
+
+
+@pytest.fixture
+def user(ready: Clone) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that runs from the environment, not started by koop."""
+    program = ready.root / ".venv/bin/program"
+    shutil.copy(shutil.which("sleep") or "", program)
+    process = subprocess.Popen([program, "60"])
+    yield process
+    process.kill()
+    process.wait()
+
+
+@pytest.mark.parametrize("pins", ["ros.txt", "python.txt"])
+def test_an_environment_in_use_is_not_replaced(
+    ready: Clone, user: subprocess.Popen[bytes], pins: str
+) -> None:
+    assert ready.koop("shell", "-c", "true") == (0, "", "")
+    with (ready.root / "requirements" / pins).open("a") as file:
+        file.write("# changed\n")
+    code, _, err = ready.koop("shell", "-c", "true")
+    assert code == 5
+    assert f" {user.pid}  {ready.root}/.venv/bin/program 60\n" in err
+    assert ready.calls() == []
+    user.kill()
+    user.wait()
+    assert ready.koop("shell", "-c", "true")[0] == 0
+    assert ready.calls() != []
+
+
+def test_an_environment_in_use_is_not_removed(ready: Clone, user: subprocess.Popen[bytes]) -> None:
+    assert ready.koop("clean")[0] == 5
+    user.kill()
+    user.wait()
+    assert ready.koop("clean")[0] == 0
+    assert not (ready.root / ".venv").exists()
+
+
+def test_sourced_jazzy_without_a_fitting_python_gives_way_to_the_wheels(
+    clone: Clone, tmp_path: Path
+) -> None:
+    environment = sourced(tmp_path / "jazzy")
+    code, out, err = clone.koop("shell", "-c", 'echo "$AMENT_PREFIX_PATH"', **environment)
     assert code == 0, err
     assert "no Python here can import its rclpy" in err
     assert "ros.txt" in clone.calls()[1]
-    assert "/opt/ros" not in out
-    clone.koop("setup", **sourced)
+    assert str(tmp_path / "jazzy") not in out
+    clone.koop("setup", **environment)
     assert clone.calls() == []
 
 
