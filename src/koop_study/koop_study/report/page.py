@@ -30,7 +30,7 @@ def render(sections: Sequence[Section], experiments: Sequence[Experiment], comma
     command : str
         What makes the page again.
     """
-    resources = files("koop_study")
+    resources = files("koop_study.report")
     figures = {f.name: _plain(asdict(f)) for section in sections for f in section.figures}
     script = json.dumps(figures, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     script = script.replace("</", "<\\/")  # no string may end the script element
