@@ -62,7 +62,7 @@ def test_without_parameters_the_defaults_are_assumed_and_it_is_said(tmp_path, ca
     assert "the bag holds no parameters" in printed
     assert "parameters and model are the recorded ones" not in printed
     assert "r      identical bit for bit" in printed
-    code, printed = replay(bag, capsys, "--params", RUN.parent / "given.yaml")
+    code, printed = replay(bag, capsys, "--params-file", RUN.parent / "given.yaml")
     assert code == 0, printed
 
 

@@ -53,7 +53,7 @@ def register(commands: Any) -> None:
 
     export = bag.add_parser("export", help="write CSV or Parquet, one file a topic")
     export.add_argument("bag", type=Path)
-    export.add_argument("-o", "--output", type=Path, help="folder; default: beside it, _export")
+    export.add_argument("-o", "--out", type=Path, help="folder; default: beside it, _export")
     export.add_argument("--format", choices=("csv", "parquet"), default="csv")
     export.add_argument("--topic", action="append", help="only this topic; may be repeated")
     _set(export, _export)
@@ -157,7 +157,7 @@ def _export(args: argparse.Namespace) -> int:
     def warn(text: str) -> None:
         print(f"koop bag export: {text}", file=sys.stderr)
 
-    folder = args.output or _beside(args.bag, "export")
+    folder = args.out or _beside(args.bag, "export")
     with BagReader(args.bag) as reader:
         for topic, path in export(reader, folder, args.format, args.topic, warn).items():
             print(f"{topic}: {path}")
@@ -179,7 +179,7 @@ def _add_node_options(parser: argparse.ArgumentParser, config: type, skip: set[s
         spec = spec_of(item)
         names = [f"--{item.name.replace('_', '-')}"]
         if item.name == "output":
-            names.insert(0, "-o")
+            names = ["-o", "--out"]
         text = spec.description + (f" [{spec.unit}]" if spec.unit else "")
         default = "" if item.default in ("", False) else f" (default {item.default})"
         options: dict[str, Any] = {"dest": f"node_{item.name}", "help": text + default}

@@ -47,8 +47,8 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
     ("argv", "message"),
     [
         (["simulate", "--model", "nowhere.npz"], "simulate: error: nowhere.npz: cannot be read"),
-        (["simulate", "--params", "nowhere.yaml"], "nowhere.yaml: cannot be read as YAML"),
-        (["simulate", "--theta", "9"], "relay_esc: theta_initial = 9 must lie within"),
+        (["simulate", "--params-file", "nowhere.yaml"], "nowhere.yaml: cannot be read as YAML"),
+        (["simulate", "--theta-initial", "9"], "relay_esc: theta_initial = 9 must lie within"),
         (["simulate", "--duration", "-1"], "duration = -1: must be 0 to 1e+09 s"),
         (["simulate", "--duration", "0"], "--duration must cover at least two steps"),
         (["demo", "--duration", "0"], "--duration must cover at least two steps"),

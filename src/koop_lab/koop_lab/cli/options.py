@@ -11,12 +11,12 @@ from koop_node.config import ConfigError
 
 def add_loop_options(parser: argparse.ArgumentParser, duration: float) -> None:
     """Add the options that choose an experiment: parameter file, cost, model, seed, duration."""
-    parser.add_argument("--params", metavar="FILE", help="ROS 2 parameter file of the nodes")
+    parser.add_argument("--params-file", metavar="FILE", help="ROS 2 parameter file of the nodes")
     parser.add_argument("--cost", choices=("lifted", "raw"), help="cost that the controller sees")
     parser.add_argument("--model", metavar="FILE", help="Koopman model (default: the shipped one)")
     parser.add_argument("--seed", type=int, help="seed of the plant's initial state")
     parser.add_argument("--integrator", choices=("rk4", "euler"), help="one step of the plant")
-    parser.add_argument("--theta", type=float, metavar="THETA", help="initial theta")
+    parser.add_argument("--theta-initial", type=float, metavar="THETA", help="theta at the start")
     parser.add_argument(
         "--duration",
         type=float,
@@ -34,15 +34,15 @@ def loop_parameters(args: argparse.Namespace) -> LoopParameters:
     koop_node.config.ConfigError
         If the parameter file or a value cannot be used, or the run has no two steps to judge.
     """
-    values = parameters.read(args.params) if args.params else {}
+    values = parameters.read(args.params_file) if args.params_file else {}
     values = parameters.changed(
         values,
         ("koopman_lifter", "cost", args.cost),
         ("koopman_lifter", "model", args.model),
         ("vdp_plant", "seed", args.seed),
         ("vdp_plant", "integrator", args.integrator),
-        ("vdp_plant", "theta_initial", args.theta),
-        ("relay_esc", "theta_initial", args.theta),
+        ("vdp_plant", "theta_initial", args.theta_initial),
+        ("relay_esc", "theta_initial", args.theta_initial),
         ("vdp_plant", "duration", args.duration),
     )
     made = parameters.make(values)

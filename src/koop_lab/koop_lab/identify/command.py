@@ -17,7 +17,9 @@ from koopman_lifter.config import shipped_model
 from koopman_lifter.model import KoopmanModel, load
 from vdp_plant.config import PlantConfig
 
-SIMULATION = ("params", "trajectories", "duration", "seed", "integrator", "clean")
+SIMULATION = (
+    "params_file", "trajectories", "duration", "seed", "integrator", "no_interference"
+)  # fmt: skip
 BAGS = ("state", "names", "dt", "way", "gap", "held_out", "horizons")
 
 
@@ -41,13 +43,16 @@ def register(commands: Any) -> None:
     )
     _add_bag_options(parser.add_argument_group("from bags"))
     group = parser.add_argument_group("without a bag: the simulated plant")
-    group.add_argument("--params", metavar="FILE", help="ROS 2 parameter file of the plant")
+    group.add_argument("--params-file", metavar="FILE", help="ROS 2 parameter file of the plant")
     group.add_argument("--trajectories", type=int, help=f"default {default.trajectories}")
     group.add_argument("--duration", type=float, metavar="S", help=f"default {default.duration:g}")
     group.add_argument("--seed", type=int, help=f"default {default.seed}")
     group.add_argument("--integrator", choices=("rk4", "euler"))
     group.add_argument(
-        "--clean", action="store_const", const=True, help="train without the interference"
+        "--no-interference",
+        action="store_const",
+        const=True,
+        help="train on the true states",
     )
     parser.set_defaults(func=train_main)
 
@@ -120,7 +125,9 @@ def _bag_training(args: argparse.Namespace) -> BagTraining:
 
 
 def _simulated(args: argparse.Namespace) -> KoopmanModel:
-    plant = parameters.make(parameters.read(args.params)).plant if args.params else PlantConfig()
+    plant = PlantConfig()
+    if args.params_file:
+        plant = parameters.make(parameters.read(args.params_file)).plant
     if args.integrator is not None:
         plant = replace(plant, integrator=args.integrator)
     given = {
@@ -128,7 +135,9 @@ def _simulated(args: argparse.Namespace) -> KoopmanModel:
         for name in ("trajectories", "duration", "seed")
         if getattr(args, name) is not None
     }
-    config = TrainingConfig(degree=args.degree, modes=args.modes, corrupted=not args.clean, **given)
+    config = TrainingConfig(
+        degree=args.degree, modes=args.modes, corrupted=not args.no_interference, **given
+    )
     return train(plant, config, args.contrast)
 
 

@@ -71,7 +71,7 @@ def main(args: argparse.Namespace) -> int:
         ("plot.png", "state, cost and theta, as in the paper's figures"),
         ("bag/", "all topics, for any MCAP reader"),
         ("metrics.json", "the figures above"),
-        ("parameters.yaml", "of every node; feeds --params"),
+        ("parameters.yaml", "of every node; feeds --params-file"),
     ):
         print(f"  {name:<16}{what}")
     return 0

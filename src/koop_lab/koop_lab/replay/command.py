@@ -34,7 +34,9 @@ def register(commands: Any) -> None:
         "--offline", action="store_true", help="on the kernels, without DDS: much faster"
     )
     parser.add_argument("--model", metavar="FILE", help="another Koopman model")
-    parser.add_argument("--params", metavar="FILE", help="ROS 2 parameter file of other parameters")
+    parser.add_argument(
+        "--params-file", metavar="FILE", help="ROS 2 parameter file of other parameters"
+    )
     parser.add_argument(
         "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
         help="one other parameter, such as relay_esc.dwell=3; may be repeated",
@@ -47,7 +49,7 @@ def register(commands: Any) -> None:
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 1 if an answer differs."""
     recording = read_recording(args.bag, args.namespace)
-    plan = make_plan(recording, args.params, args.model, args.settings)
+    plan = make_plan(recording, args.params_file, args.model, args.settings)
     started = time.perf_counter()
     if args.offline:
         r, theta = replay_offline(recording, plan)
