@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 
 from koop_node.config import ConfigError
-from koop_study import over_dds
 from koop_study.experiments.kinds import KINDS, read_folder
+from koop_study.over_dds import repeat as over_dds
 from koop_study.report import publish
-from koop_study.runner import run_all
+from koop_study.workers.runner import run_all
 from koop_study.workers.units import Store
 
 INTERRUPTED = 130

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from koop_loop.loop import LoopResult, simulate
-from koop_study import over_dds
-from koop_study.case import Case, override
 from koop_study.experiments.kinds import read
-from koop_study.headline import compare, headline, headlines
+from koop_study.over_dds import repeat as over_dds
+from koop_study.over_dds.headline import compare, headline, headlines
+from koop_study.simulation.case import Case, override
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 from vdp_plant.config import PlantConfig

@@ -9,9 +9,9 @@ import pytest
 
 from koop_loop.loop import simulate
 from koop_loop.training import train
-from koop_study.case import Case, model_of, override, seeded
-from koop_study.run import measure, run
-from koop_study.scenario import ScenarioConfig, expose, interference
+from koop_study.simulation.case import Case, model_of, override, seeded
+from koop_study.simulation.run import measure, run
+from koop_study.simulation.scenario import ScenarioConfig, expose, interference
 from vdp_plant.config import PlantConfig
 
 SHORT = {"duration": 150.0, "training.trajectories": 10, "training.duration": 10.0}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter1d
 
-from koop_study import maps
-from koop_study.case import Case, override
+from koop_study.simulation import maps
+from koop_study.simulation.case import Case, override
 
 THETA_STAR = -3.0
 

@@ -19,7 +19,7 @@ from koop_study.experiments.kinds import read_folder
 from koop_study.report import publish
 from koop_study.report.document import Figure, Heat, Panel, Section, Series
 from koop_study.report.page import render
-from koop_study.runner import run_all
+from koop_study.workers.runner import run_all
 from koop_study.workers.units import Store
 
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"

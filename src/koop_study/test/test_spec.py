@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from koop_node.config import ConfigError
-from koop_study.case import Case, override
 from koop_study.experiments.beyond import BeyondConfig
 from koop_study.experiments.kinds import KINDS, read, read_folder
+from koop_study.simulation.case import Case, override
 
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
 

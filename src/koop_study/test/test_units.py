@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import json
 import os
 import signal
@@ -12,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from koop_study import stats
+from koop_study.experiments import stats
 from koop_study.report.document import Column, Table
-from koop_study.workers import pool
+from koop_study.workers import pool, units
 from koop_study.workers.units import Store, Unit, write_atomically
 
 TINY = """
@@ -56,9 +58,9 @@ def test_a_stopped_study_goes_on_and_a_second_run_gives_the_same_bytes(
     folder: Path, tmp_path: Path
 ) -> None:
     stopped = study(folder, tmp_path / "a")
-    units = tmp_path / "a" / "units"
+    done = tmp_path / "a" / "units"
     deadline = time.monotonic() + 120.0
-    while not (units.exists() and len(list(units.glob("*.json"))) >= 2):
+    while not (done.exists() and len(list(done.glob("*.json"))) >= 2):
         assert stopped.poll() is None, stopped.communicate()[0]
         assert time.monotonic() < deadline
         time.sleep(0.02)
@@ -67,7 +69,7 @@ def test_a_stopped_study_goes_on_and_a_second_run_gives_the_same_bytes(
     assert stopped.returncode == 130
     assert "the same command goes on" in text
     assert "Traceback" not in text
-    kept = len(list(units.glob("*.json")))
+    kept = len(list(done.glob("*.json")))
     assert 2 <= kept < 16
 
     again, other = study(folder, tmp_path / "a"), study(folder, tmp_path / "b")
@@ -92,6 +94,54 @@ def test_another_argument_is_another_unit() -> None:
     assert one.key == Unit("runs", {"seeds": [1], "settings": {"esc.dwell": 5}}).key
     assert one.key != Unit("runs", {"settings": {"esc.dwell": 5}, "seeds": [2]}).key
     assert one.key != Unit("settled", one.arguments).key
+
+
+def test_comments_docstrings_and_line_breaks_do_not_change_what_code_means() -> None:
+    plain = 'def f(x):\n    """One."""\n    return x + 1\n'
+    for same in (
+        'def f(x):\n    """Two."""\n    return x + 1\n',
+        'def f(x):\n    """One."""\n    # why\n    return (\n        x + 1\n    )\n',
+    ):
+        assert units.meaning(same) == units.meaning(plain)
+    for other in ("x + 2", "x - 1", "1 + x", "'x + 1'"):
+        assert units.meaning(plain.replace("x + 1", other)) != units.meaning(plain)
+
+
+def test_what_decides_results_imports_nothing_that_the_fingerprint_leaves_out() -> None:
+    src = Path(__file__).resolve().parents[2]
+    counted = {package.__name__ for package in units.PACKAGES}
+    for name in counted:
+        for path in src.joinpath(name.split(".")[0], *name.split(".")).rglob("*.py"):
+            if path.name in units.ROS:
+                continue
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.ImportFrom) and str(node.module).startswith("koop"):
+                    wanted = str(node.module)
+                    assert wanted.startswith((*counted, "koop_node.")), f"{path} imports {wanted}"
+
+
+def test_a_changed_line_in_any_module_of_a_numerical_package_changes_the_fingerprint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "invented"
+    (package / "deep").mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "deep" / "new.py").write_text("A = 1\n")
+    (package / "node.py").write_text("import rclpy\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(units, "PACKAGES", (importlib.import_module("invented"),))
+
+    def now() -> str:
+        return units.fingerprint.__wrapped__()
+
+    before = now()
+    (package / "node.py").write_text("import rclpy.node\n")
+    assert now() == before
+    (package / "deep" / "new.py").write_text("A = 2\n")
+    after = now()
+    assert after != before
+    (package / "newer.py").write_text("")
+    assert now() not in (before, after)
 
 
 def test_results_come_back_to_the_last_bit(tmp_path: Path) -> None:

@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from koop_loop.training import TrainingConfig
-from koop_study.case import Case, model_of, override
-from koop_study.learning import Learned, learn
-from koop_study.scenario import ScenarioConfig
-from koop_study.variants import CORRELATION_MODES, VARIANTS, amplitudes, make
+from koop_study.simulation.case import Case, model_of, override
+from koop_study.simulation.learning import Learned, learn
+from koop_study.simulation.scenario import ScenarioConfig
+from koop_study.simulation.variants import CORRELATION_MODES, VARIANTS, amplitudes, make
 from koopman_lifter.edmd import edmd
 from koopman_lifter.model import load
 from koopman_lifter.modes import decompose

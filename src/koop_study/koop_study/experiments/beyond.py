@@ -14,11 +14,9 @@ from typing import Any
 import numpy as np
 
 from koop_node.config import ConfigError
-from koop_study.case import Case, override
 from koop_study.experiments.ablations import label
 from koop_study.experiments.spec import Seeds
-from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
-from koop_study.stats import (
+from koop_study.experiments.stats import (
     SUMMARY_COLUMNS,
     column,
     finite,
@@ -27,6 +25,8 @@ from koop_study.stats import (
     summary_cells,
     win_rate,
 )
+from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
+from koop_study.simulation.case import Case, override
 from koop_study.workers.units import Unit
 
 SOUND = 100.0  # [%] converged that a cell must have on the tuning seeds to be preferred

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from koop_loop.metrics import LOGGING_START, PAPER
-from koop_study import maps
 from koop_study.report.document import Claim, Column, Figure, Panel, Section, Series, Table
+from koop_study.simulation import maps
+from koop_study.simulation.work import RAMP
 from koop_study.workers.units import Unit
-from koop_study.workers.work import RAMP
 
 THETA_STAR = -3.0
 

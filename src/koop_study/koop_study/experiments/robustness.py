@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from koop_study.experiments.spec import Seeds
-from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
-from koop_study.stats import (
+from koop_study.experiments.stats import (
     SUMMARY_COLUMNS,
     column,
     finite,
@@ -17,6 +16,7 @@ from koop_study.stats import (
     summary_cells,
     win_rate,
 )
+from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.workers.units import Unit
 
 CHUNK = 8  # seeds a unit: short enough that a stopped study loses little

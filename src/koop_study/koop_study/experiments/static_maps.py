@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from koop_study import maps
 from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
+from koop_study.simulation import maps
 from koop_study.workers.units import Unit
 
 THETA_STAR = -3.0

@@ -10,8 +10,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from koop_study.simulation.work import WORK, runs
 from koop_study.workers.units import Store, Unit
-from koop_study.workers.work import WORK, runs
 
 # One thread a process: the cores are taken by processes, and a sum whose order does not depend on
 # the number of threads gives the same bytes on a second run.

@@ -1,43 +1,38 @@
 """Units of work: what one process computes at a stretch, and their results on disk.
 
 A result's file is named by a hash of the work, its arguments and the code that does it. A study
-that was stopped goes on where it was; one whose numerical code changed starts anew.
+that was stopped goes on where it was; after a change of the numerical code everything is computed
+again.
 """
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
 import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import koop_loop
-import koop_study
 import koopman_lifter
 import relay_esc
 import vdp_plant
+from koop_study import controllers, simulation
 
-NUMERICAL = {  # package: files whose code decides results
-    vdp_plant: ("config.py", "dynamics.py"),
-    relay_esc: ("config.py", "relay.py"),
-    koopman_lifter: (
-        "config.py", "contrast.py", "cost.py", "edmd.py", "model.py", "modes.py", "observables.py",
-    ),
-    koop_loop: ("loop.py", "metrics.py", "training.py"),
-    koop_study: (
-        "case.py", "controllers/adaptive.py", "controllers/perturbation.py", "kernel.py",
-        "learning.py", "maps.py", "run.py", "scenario.py", "variants.py", "workers/work.py",
-    ),
-}  # fmt: skip
+# All code of these decides results, but for the modules that know ROS.
+PACKAGES = (vdp_plant, relay_esc, koopman_lifter, koop_loop, simulation, controllers)
+ROS = {"node.py", "executable.py"}
+LIBRARIES = ("numpy", "scipy", "numba")  # another version may round in another way
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A function of :mod:`koop_study.workers.work` by name, with its arguments in JSON terms."""
+    """A function of :mod:`koop_study.simulation.work` by name, with its arguments in JSON terms."""
 
     work: str
     arguments: dict[str, Any]
@@ -51,13 +46,31 @@ class Unit:
 
 @lru_cache(maxsize=1)
 def fingerprint() -> str:
-    """Return a hash of the numerical code."""
+    """Return a hash of all that decides results: the numerical packages, libraries' versions."""
     digest = hashlib.sha256()
-    for package, names in NUMERICAL.items():
+    for name in LIBRARIES:
+        digest.update(f"{name} {version(name)}\n".encode())
+    for package in PACKAGES:
         folder = Path(str(package.__file__)).parent
-        for name in names:
-            digest.update((folder / name).read_bytes())
+        for path in sorted(folder.rglob("*.py")):
+            if path.name not in ROS:
+                name = f"{package.__name__}/{path.relative_to(folder).as_posix()}"
+                digest.update(f"{name} {meaning(path.read_text())}\n".encode())
     return digest.hexdigest()
+
+
+def meaning(source: str) -> str:
+    """Return a hash of what a module does: comments, docstrings and line breaks do not count."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if (
+            isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+            and node.body
+            and isinstance(node.body[0], ast.Expr)
+            and isinstance(node.body[0].value, ast.Constant)
+        ):
+            node.body[0].value.value = ""
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
 
 
 class Store:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from koop_loop.loop import check_fit, initial_state, no_lifting
 from koop_loop.metrics import evaluate
 from koop_node.config import ConfigError
-from koop_study.case import Case, model_of
 from koop_study.controllers import adaptive, perturbation
-from koop_study.kernel import CONTROLLERS, Control, Sensing, run_kernel
-from koop_study.scenario import displacement, expose
+from koop_study.simulation.case import Case, model_of
+from koop_study.simulation.kernel import CONTROLLERS, Control, Sensing, run_kernel
+from koop_study.simulation.scenario import displacement, expose
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_loop.loop import LoopResult, simulate
-from koop_study.case import Case, model_of
 from koop_study.experiments.closed_loop import ClosedLoopConfig
-from koop_study.workers.work import case_of
+from koop_study.simulation.case import Case, model_of
+from koop_study.simulation.work import case_of
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.model import KoopmanModel
 from relay_esc.config import EscConfig

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from koop_study.case import Case
-from koop_study.run import run
+from koop_study.simulation.case import Case
+from koop_study.simulation.run import run
 
 HIGH, LOW = 2.0, -5.0  # the paper's ramp (section 4)
 SPACING = 0.25  # of the points that ramp and settled map share

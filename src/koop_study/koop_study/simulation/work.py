@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_study import maps
-from koop_study.case import Case, override, seeded
-from koop_study.learning import learn
-from koop_study.run import measure, run
-from koop_study.scenario import ScenarioConfig
+from koop_study.simulation import maps
+from koop_study.simulation.case import Case, override, seeded
+from koop_study.simulation.learning import learn
+from koop_study.simulation.run import measure, run
+from koop_study.simulation.scenario import ScenarioConfig
 from koopman_lifter.edmd import edmd
 from koopman_lifter.modes import decompose, select_by_energy
 

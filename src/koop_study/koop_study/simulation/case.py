@@ -14,10 +14,10 @@ from koop_loop.training import TrainingConfig
 from koop_node.config import ConfigError
 from koop_study.controllers.adaptive import AdaptiveConfig
 from koop_study.controllers.perturbation import PerturbationConfig
-from koop_study.kernel import CONTROLLERS
-from koop_study.learning import learn
-from koop_study.scenario import ScenarioConfig
-from koop_study.variants import COSTS, make
+from koop_study.simulation.kernel import CONTROLLERS
+from koop_study.simulation.learning import learn
+from koop_study.simulation.scenario import ScenarioConfig
+from koop_study.simulation.variants import COSTS, make
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.model import KoopmanModel
 from relay_esc.config import EscConfig
@@ -31,7 +31,7 @@ class Case:
     Attributes
     ----------
     cost : str
-        ``raw`` or one of the lifted costs of :mod:`koop_study.variants`.
+        ``raw`` or one of the lifted costs of :mod:`koop_study.simulation.variants`.
     controller : str
         ``relay`` (the paper's), ``adaptive`` or ``perturbation``.
     duration : float

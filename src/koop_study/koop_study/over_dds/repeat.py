@@ -13,7 +13,7 @@ from koop_lab.live.loop import LiveLoop, Progress
 from koop_lab.recorded.run import RecordedRun, read_run
 from koop_loop.parameters import LoopParameters
 from koop_study.experiments.kinds import Experiment
-from koop_study.headline import Headline, compare, headlines
+from koop_study.over_dds.headline import Headline, compare, headlines
 from koopman_lifter.config import ModelConfig
 from vdp_plant.config import PaceConfig
 

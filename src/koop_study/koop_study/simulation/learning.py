@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_loop.training import TrainingConfig, trajectories
-from koop_study.scenario import ScenarioConfig, second_channel
+from koop_study.simulation.scenario import ScenarioConfig, second_channel
 from koopman_lifter.contrast import TRANSIENT
 from koopman_lifter.edmd import Gram
 from koopman_lifter.observables import Monomials

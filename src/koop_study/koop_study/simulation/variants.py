@@ -24,7 +24,7 @@ from scipy.optimize import nnls
 from scipy.stats import spearmanr
 
 from koop_loop.training import STATE_NAMES
-from koop_study.learning import Learned
+from koop_study.simulation.learning import Learned
 from koopman_lifter.contrast import with_contrast
 from koopman_lifter.edmd import Koopman, edmd
 from koopman_lifter.model import KoopmanModel, build

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from koop_study.controllers import adaptive, perturbation
 from koop_study.controllers.adaptive import AdaptiveParams, AdaptiveState
 from koop_study.controllers.perturbation import PerturbationParams, PerturbationState
-from koop_study.scenario import Exposure
+from koop_study.simulation.scenario import Exposure
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
 from relay_esc import relay

@@ -1,0 +1,1 @@
+"""What decides results: cases, their disturbances, the loop, static maps, lifted costs."""
