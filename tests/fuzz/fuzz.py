@@ -188,7 +188,7 @@ def targets(folder: Path) -> dict[str, tuple[Trial, tuple[type[Exception], ...]]
 
     content = (
         "description: a\ntime_scale: 4\nevents:\n  - {at: 20, for: 5, inject: {state: slow}}\n"
-        "limits: {wrong_by: 2.5}\nparameters: {relay_esc: {dwell: 3.0}}\n"
+        "limits: {max_error: 2.5}\nparameters: {relay_esc: {dwell: 3.0}}\n"
     )
     yaml_file = folder / "fuzzed.yaml"
 

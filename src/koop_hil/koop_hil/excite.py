@@ -15,7 +15,7 @@ HOLD = 20.0  # [s] that theta stays, long enough for the limit cycle of that the
 PERIOD = 0.05  # [s] between two commands
 
 
-def exercise(scenario: Scenario, folder: Path, low: float, high: float, duration: float) -> Path:
+def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: float) -> Path:
     """Run the scenario's plant without a controller, theta uniform in [low, high] for each hold.
 
     Parameters

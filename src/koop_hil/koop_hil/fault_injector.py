@@ -3,7 +3,7 @@
 ``rig/state`` comes out as ``state``, ``theta`` as ``rig/theta``. The parameters ``state_fault`` and
 ``theta_fault`` say what is wrong with either, also while it runs:
 
-    ros2 param set /wire state_fault "delayed delay=0.1 jitter=0.02"
+    ros2 param set /fault_injector state_fault "delayed delay=0.1 jitter=0.02"
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PERIOD = 0.001  # [s] between looks for delayed messages that are due
 
 
 @dataclass(frozen=True)
-class WireConfig:
+class FaultInjectorConfig:
     """What is wrong with the cable."""
 
     state_fault: str = parameter("ok", "fault on the sensors, as koop_hil.faults names them")
@@ -41,15 +41,15 @@ class WireConfig:
         parse(self.theta_fault)
 
 
-class WireNode(ManagedNode):
+class FaultInjectorNode(ManagedNode):
     """Passes messages on, each through a channel with a fault."""
 
     def __init__(self) -> None:
-        super().__init__("wire", WireConfig)
+        super().__init__("fault_injector", FaultInjectorConfig)
         self._count = 0
 
     def configure(self) -> None:
-        config = self.parameters[WireConfig]
+        config = self.parameters[FaultInjectorConfig]
         self._scale = config.time_scale
         self._channels = {"state": Channel(config.seed), "theta": Channel(config.seed + 1)}
         self._publishers_ = {
@@ -66,7 +66,7 @@ class WireNode(ManagedNode):
         self.when_matched({self._publishers_["state"]: 1 + recorders}, self._listen)
 
     def parameters_changed(self, names: set[str]) -> None:
-        config = self.parameters[WireConfig]
+        config = self.parameters[FaultInjectorConfig]
         if self.lifecycle_state == "unconfigured":
             return
         for name, text in (("state", config.state_fault), ("theta", config.theta_fault)):
@@ -109,4 +109,4 @@ class WireNode(ManagedNode):
 
 
 if __name__ == "__main__":
-    sys.exit(run(WireNode))
+    sys.exit(run(FaultInjectorNode))

@@ -62,7 +62,7 @@ def parse(text: str) -> Fault:
         key, equals, value = word.partition("=")
         if not equals or key not in settings:
             known = ", ".join(settings) or "no settings"
-            raise ConfigError(f"fault {name}: '{word}' is no setting; it has {known}")
+            raise ConfigError(f"fault {name}: '{word}' is not a setting; it has {known}")
         if key == "kind":
             if value not in KINDS:
                 raise ConfigError(f"fault {name}: kind must be one of {', '.join(KINDS)}")
@@ -71,7 +71,7 @@ def parse(text: str) -> Fault:
         try:
             number = settings[key] = float(value)
         except ValueError:
-            raise ConfigError(f"fault {name}: {key} = '{value}' is no number") from None
+            raise ConfigError(f"fault {name}: {key} = '{value}' is not a number") from None
         low = -math.inf if key in ("value", "gain", "bias", "index") else float(key == "every")
         if not low <= number < 1e9:
             raise ConfigError(f"fault {name}: {key} = {value} is out of range")

@@ -3,7 +3,7 @@
 Each host has a virtual cable to a switch, which is a namespace too; pulled out there, both hosts
 see what they would see of a real one: no carrier. Nothing has a name outside: the kernel drops the
 namespaces, and the devices in them, with the last process inside, however it ended. Shared memory
-must be apart as well, for DDS takes it where it can and no cut would stop it.
+must be separate too: DDS uses it where it can, and cutting the link would not stop it.
 """
 
 from __future__ import annotations
@@ -113,10 +113,10 @@ class OtherHost:
         self._switch = switch
         self.words = host.words  # before a command that is to run there
 
-    def cut(self, apart: bool) -> None:
-        """Pull both cables out of the switch, or put them in again."""
+    def link(self, up: bool) -> None:
+        """Put both cables into the switch, or pull them out."""
         for device in HOSTS:
-            _run(self._switch.words, f"ip link set {device} {'down' if apart else 'up'}")
+            _run(self._switch.words, f"ip link set {device} {'up' if up else 'down'}")
 
 
 @contextmanager

@@ -13,7 +13,8 @@ from koop_hil.scenario import Scenario
 from koop_lab.live.loop import EXECUTABLES, NodeProcess, executable
 from koop_loop import parameters as loop_parameters
 
-ORDER = ("recorder", "relay_esc", "koopman_lifter", "wire", "plant")  # listeners first
+ORDER = ("recorder", "relay_esc", "koopman_lifter", "fault_injector", "plant")  # listeners first
+SECOND = "second_controller"
 
 
 def rig_script() -> Path:
@@ -56,7 +57,7 @@ class Processes:
         loop_parameters.write(self._given(), self._parameter_file)
         try:
             for name in ORDER:
-                wanted = self._scenario.wired if name == "wire" else True
+                wanted = self._scenario.injects if name == "fault_injector" else True
                 if name in ("recorder", "plant") or (self._controlled and wanted):
                     self.start(name)
         except BaseException:
@@ -84,20 +85,18 @@ class Processes:
         process.process.kill()
         process.stop()
 
-    def intrude(self, theta: float) -> None:
-        """Start a second controller that wants another theta."""
-        arguments = ["--ros-args", "-r", "__node:=intruder", "-p", f"theta_initial:={theta}"]
-        log = self._folder / "logs" / "intruder.log"
-        self._running["intruder"] = NodeProcess(
-            "relay_esc", [*arguments, "-p", "step_size:=0.0"], log
-        )
+    def start_second_controller(self, theta: float) -> None:
+        """Start a second controller that holds another theta."""
+        given = ["-r", f"__node:={SECOND}", "-p", f"theta_initial:={theta}", "-p", "step_size:=0.0"]
+        log = self._folder / "logs" / f"{SECOND}.log"
+        self._running[SECOND] = NodeProcess("relay_esc", ["--ros-args", *given], log)
 
-    def end_intrusion(self) -> None:
+    def stop_second_controller(self) -> None:
         """Stop the second controller."""
-        self._running.pop("intruder").stop()
+        self._running.pop(SECOND).stop()
 
     def pause(self, name: str, paused: bool) -> None:
-        """Stop a process in its tracks or let it go on."""
+        """Stop a process with SIGSTOP, or let it go on."""
         self._running[name].process.send_signal(signal.SIGSTOP if paused else signal.SIGCONT)
 
     def dead(self) -> list[str]:
@@ -121,7 +120,7 @@ class Processes:
 
     def close(self) -> None:
         """Stop all, the sources before the recorder."""
-        for name in ("intruder", *reversed(ORDER)):
+        for name in (SECOND, *reversed(ORDER)):
             if name in self._running:
                 process = self._running.pop(name)
                 process.process.send_signal(signal.SIGCONT)
@@ -138,7 +137,7 @@ class Processes:
             },
             "koopman_lifter": {"model": setting.model} if setting.model else {},
             "relay_esc": {"theta_initial": setting.theta_initial},
-            "wire": {"time_scale": setting.time_scale},
+            "fault_injector": {"time_scale": setting.time_scale},
         }
         for node, values in self._scenario.parameters.items():
             given.setdefault(node, {}).update(values)
@@ -147,23 +146,23 @@ class Processes:
         return given
 
     def _command(self, name: str) -> tuple[list[str], list[str] | None]:
-        setting, wired = self._scenario.setting, self._scenario.wired
+        setting, injects = self._scenario.setting, self._scenario.injects
         if name == "recorder":
             return ["--ros-args", "-p", f"output:={self._folder}"], None
         ros = ["--ros-args", "--params-file", str(self._parameter_file)]
-        if name == "wire":
+        if name == "fault_injector":
             return ros, [sys.executable, "-m", "koop_hil.fault_injector"]
         if name != "plant":
             return ros, None
         if setting.plant == "vdp_plant":
-            remap = ["-r", "state:=rig/state", "-r", "theta:=rig/theta"] if wired else []
+            remap = ["-r", "state:=rig/state", "-r", "theta:=rig/theta"] if injects else []
             return ros + remap, None
         options = {
             "scale": setting.time_scale,
             "theta-initial": setting.theta_initial,
             "readers": 2 if self._controlled else 1,
             "seed": setting.seed,
-            **({"state": "rig/state", "theta": "rig/theta"} if wired else {}),
+            **({"state": "rig/state", "theta": "rig/theta"} if injects else {}),
         }
         words = [f"--{key}={value}" for key, value in options.items()]
         return [setting.plant, *words], [sys.executable, str(rig_script())]

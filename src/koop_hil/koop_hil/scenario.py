@@ -9,11 +9,11 @@ from typing import Any
 
 import yaml
 
-from koop_hil import faults
+from koop_hil import faults, installed
 from koop_node.config import ConfigError, parameter, validate
 
 NODES = ("plant", "koopman_lifter", "relay_esc")
-ACTIONS = ("inject", "kill", "pause", "intrude", "set", "cut")
+ACTIONS = ("inject", "kill", "pause", "second_controller", "set", "cut")
 MAX_BYTES = 1 << 16
 
 
@@ -27,8 +27,8 @@ class Event:
         Begin and length [s] of simulated time.
     action : str
         ``inject`` a fault into ``state`` or ``theta``; ``kill`` a node and start it again;
-        ``pause`` a process; ``intrude`` with a second controller; ``set`` parameters; ``cut`` the
-        link between the hosts.
+        ``pause`` a process; start a ``second_controller``; ``set`` parameters; ``cut`` the link
+        between the hosts.
     what : object
         ``{topic: fault}``, a node, a theta, ``{node: {parameter: value}}`` or ``link``.
     """
@@ -43,7 +43,7 @@ class Event:
         if isinstance(what, dict):
             what = ", ".join(f"{key}: {_in_words(value)}" for key, value in what.items())
         lasts = f" for {self.lasts:g} s" if self.lasts else ""
-        return f"{self.action} {what}{lasts}"
+        return f"{self.action.replace('_', ' ')} {what}{lasts}"
 
 
 @dataclass(frozen=True)
@@ -53,19 +53,19 @@ class Limits:
     tail_error: float = parameter(
         0.6, "mean |theta - theta*| over the last 30 %", low=0.0, high=1e3
     )
-    wrong: float = parameter(
-        1.5, "|theta - theta*| that counts as wrong; the relay's own cycle is 1", low=0.0, high=1e3
+    max_error: float = parameter(1e9, "largest |theta - theta*| from the first event on", low=0.0)
+    error_limit: float = parameter(
+        1.5, "|theta - theta*| out of tolerance; the relay's own cycle is 1", low=0.0, high=1e3
     )
-    wrong_for: float = parameter(
-        1e9, "how long theta may be wrong from the first event on", unit="s", low=0.0
+    time_out_of_tolerance: float = parameter(
+        1e9, "how long theta may be out of tolerance from the first event on", unit="s", low=0.0
     )
     memory_slope: float = parameter(
         1e9, "growth of a node's memory over the second half", unit="MB/h", low=0.0
     )
     unrecorded: int = parameter(
-        0, "messages that the recording may lack: those on their way when a node was killed", low=0
+        0, "messages that the recording may lack: those under way when a node was killed", low=0
     )
-    wrong_by: float = parameter(1e9, "how far theta may be off from the first event on", low=0.0)
 
     def __post_init__(self) -> None:
         validate(self)
@@ -110,9 +110,30 @@ class Scenario:
     levels: dict[str, str]
 
     @property
-    def wired(self) -> bool:
-        """Whether a wire stands between plant and controller."""
+    def injects(self) -> bool:
+        """Whether a fault injector stands between plant and controller."""
         return any(event.action == "inject" for event in self.events)
+
+
+def shipped() -> list[Path]:
+    """Return the scenario files that come with the package."""
+    return sorted(installed("scenarios").glob("*.yaml"))
+
+
+def find(name: str) -> Path:
+    """Return the file of a scenario, given as a file or by the name of a shipped one.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If there is none.
+    """
+    if Path(name).suffix in (".yaml", ".yml"):
+        return Path(name)
+    for path in shipped():
+        if path.stem == name:
+            return path
+    raise ConfigError(f"no scenario '{name}': 'koop hil --list' shows them")
 
 
 def read(path: Path) -> Scenario:
@@ -121,7 +142,7 @@ def read(path: Path) -> Scenario:
     Raises
     ------
     koop_node.config.ConfigError
-        If it cannot be read or says something that has no meaning; names file and entry.
+        If it cannot be read or says something meaningless; names file and entry.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
@@ -187,14 +208,14 @@ def _event(item: Any, folder: Path) -> Event:
     actions = [key for key in given if key in ACTIONS]
     if len(actions) != 1:
         raise ConfigError(f"an event has one of {', '.join(ACTIONS)}: {given}")
-    at, lasts = (_seconds(given.get(key, 0.0), key) for key in ("at", "for"))
+    at, lasts = (_number(given.get(key, 0.0), key) for key in ("at", "for"))
     action, what = actions[0], given[actions[0]]
     if action == "inject":
         for topic, text in _mapping(what, "inject").items():
             if topic not in ("state", "theta"):
                 raise ConfigError(f"inject: into state or theta, not '{topic}'")
             if not isinstance(text, str):
-                raise ConfigError(f"inject: {topic}: {text!r} is no text: YAML wants 'off' quoted")
+                raise ConfigError(f"inject: {topic}: {text!r} is not text: quote 'off' in YAML")
             faults.parse(text)
     elif action in ("kill", "pause"):
         if what not in NODES:
@@ -202,8 +223,8 @@ def _event(item: Any, folder: Path) -> Event:
     elif action == "cut":
         if what != "link":
             raise ConfigError(f"cut: link, not {what!r}")
-    elif action == "intrude":
-        what = _seconds(what, "intrude")
+    elif action == "second_controller":
+        what = _number(what, action)
     else:
         what = {node: _mapping(v, "set") for node, v in _mapping(what, "set").items()}
         for values in what.values():
@@ -223,10 +244,10 @@ def _in_words(value: Any) -> str:
     return str(value)
 
 
-def _seconds(value: Any, name: str) -> float:
+def _number(value: Any, name: str) -> float:
     known = isinstance(value, int | float) and not isinstance(value, bool)
     if not known or not -1e15 < value < 1e15:
-        raise ConfigError(f"{name}: {value!r} is no number")
+        raise ConfigError(f"{name}: {value!r} is not a number")
     return float(value)
 
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from koop_bag.bag.columns import read_tables
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
-from koop_hil.runner import RunRecord
 from koop_hil.scenario import Scenario
+from koop_hil.supervisor import RunRecord
 from koop_loop.metrics import TAIL
 from vdp_plant.config import PlantConfig
 
@@ -27,9 +27,9 @@ class Verdict:
     ----------
     tail_error : float
         Mean |theta - theta*| over the last 30 %.
-    wrong_for : float
-        Simulated time [s] from the first event on with theta wrong.
-    wrong_by : float
+    time_out_of_tolerance : float
+        Simulated time [s] from the first event on with theta out of tolerance.
+    max_error : float
         Largest |theta - theta*| from the first event on.
     messages : dict
         Recorded messages by topic.
@@ -52,9 +52,8 @@ class Verdict:
     description: str
     events: list[str]
     tail_error: float = math.nan
-    wrong_for: float = math.nan
-    wrong_by: float = math.nan
-    wall_time: float = 0.0
+    time_out_of_tolerance: float = math.nan
+    max_error: float = math.nan
     messages: dict[str, int] = field(default_factory=dict)
     unrecorded: int = 0
     memory_slope: dict[str, float] = field(default_factory=dict)
@@ -86,7 +85,6 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     """Compare a run with the scenario's limits."""
     events = [str(event) for event in scenario.events]
     verdict = Verdict(scenario.name, scenario.setting.description, events)
-    verdict.wall_time = (record.end - record.begin) * 1e-9
     verdict.levels = {node: sorted(levels) for node, levels in sorted(record.levels.items())}
     verdict.failures += record.crashed
     for node, level in scenario.levels.items():
@@ -111,10 +109,10 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     verdict.tail_error = float(error[-max(1, round(TAIL * error.size)) :].mean())
     first = min((begin for begin, _, _ in record.happened), default=record.begin)
     after = stamps >= first
-    wrong = after & (error > scenario.limits.wrong)
-    verdict.wrong_for = float(wrong.sum() * PlantConfig().dt)
-    verdict.wrong_by = float(error[after].max())
-    for figure in ("tail_error", "wrong_for", "wrong_by"):
+    out = after & (error > scenario.limits.error_limit)
+    verdict.time_out_of_tolerance = float(out.sum() * PlantConfig().dt)
+    verdict.max_error = float(error[after].max())
+    for figure in ("tail_error", "time_out_of_tolerance", "max_error"):
         value, limit = getattr(verdict, figure), getattr(scenario.limits, figure)
         if not value <= limit:
             verdict.failures.append(f"{figure} = {value:.2f} is above {limit:g}")

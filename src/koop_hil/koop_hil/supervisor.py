@@ -146,13 +146,16 @@ class Supervisor:
             processes.pause(event.what, not over)
         elif event.action == "cut":
             assert self._other_host is not None  # the scenario would have been refused
-            self._other_host.cut(not over)
-        elif event.action == "intrude":
-            processes.end_intrusion() if over else processes.intrude(event.what)
+            self._other_host.link(up=over)
+        elif event.action == "second_controller":
+            if over:
+                processes.stop_second_controller()
+            else:
+                processes.start_second_controller(event.what)
         elif event.action == "inject":
             for topic, fault in event.what.items():
                 text = "ok" if over else fault
-                monitor.set_parameters("wire", {f"{topic}_fault": text})
+                monitor.set_parameters("fault_injector", {f"{topic}_fault": text})
         elif not over:
             for node, values in event.what.items():
                 monitor.set_parameters(node, values)

@@ -1,0 +1,99 @@
+"""Runs one scenario and judges it.
+
+As a program it runs the scenario of a file in a folder: what the process of an isolated host does.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+
+from tqdm import tqdm
+
+from koop_bag.errors import BagError
+from koop_hil import isolated_host
+from koop_hil import scenario as scenarios
+from koop_hil.hosts import HostsError
+from koop_hil.scenario import Scenario
+from koop_hil.supervisor import Supervisor
+from koop_hil.verdict import Verdict, judge
+from koop_lab.live.loop import LiveError
+from koop_node.config import ConfigError
+
+VERDICT = "verdict.json"
+BAR = "{desc:<24} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
+
+
+def run(scenario: Scenario, folder: Path) -> Verdict:
+    """Run one scenario, judge it and write ``verdict.json`` beside its recording.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the folder holds a recording already.
+    """
+    if (folder / "bag").exists():
+        raise ConfigError(f"{folder} holds a recording already: choose another --out")
+    folder.mkdir(parents=True, exist_ok=True)
+    verdict = (_run_isolated if scenario.setting.remote else run_here)(scenario, folder)
+    _write(verdict, folder)
+    return verdict
+
+
+def run_here(scenario: Scenario, folder: Path) -> Verdict:
+    """Run one scenario on the host of this process and judge it."""
+    duration = scenario.setting.duration
+    try:
+        with tqdm(
+            total=duration, desc=scenario.name, bar_format=BAR, leave=False, disable=None
+        ) as bar:
+
+            def show(t: float, text: str) -> None:
+                bar.n = min(t, duration)
+                bar.set_postfix_str(text)
+
+            record = Supervisor(scenario, folder, show).run()
+        return judge(scenario, record, folder / "bag")
+    except (LiveError, BagError) as error:  # one bad scenario doesn't end the others
+        return Verdict(scenario.name, scenario.setting.description, [], failures=[str(error)])
+
+
+def _run_isolated(scenario: Scenario, folder: Path) -> Verdict:
+    """Run and judge a scenario with two hosts; it is skipped where they cannot be made."""
+    file = folder / f"{scenario.name}.yaml"
+    scenarios.write(scenario, file)
+    empty = Verdict(scenario.name, scenario.setting.description, [])
+    try:
+        code = isolated_host.call([sys.executable, "-m", __name__, str(file), str(folder)])
+    except HostsError as error:
+        empty.skipped = str(error)
+        return empty
+    if code != 0:
+        empty.failures = [f"the process of the first host ended with exit code {code}"]
+        return empty
+    return Verdict.from_dict(json.loads((folder / VERDICT).read_text()))
+
+
+def _write(verdict: Verdict, folder: Path) -> None:
+    (folder / VERDICT).write_text(json.dumps(verdict.as_dict(), indent=1) + "\n")
+
+
+def main(file: Path, folder: Path) -> int:
+    """Run the scenario of a file; returns the exit code."""
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, on_signal)
+    try:
+        _write(run_here(scenarios.read(file), folder), folder)
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2])))
