@@ -27,7 +27,8 @@ class Metrics:
     t_theta : float or None
         First time with |theta - theta*| < 0.1 [s]; None if never.
     e_r_ss : float or None
-        |mean r over the last 30 % - r*| / (max r - min r) [-]; None without an r* or a range.
+        |mean r over the last 30 % - r*| / (max r - min r) [-]; None without an r* or a range. r* is
+        that of ``koop_loop.static_map``.
     tail_error : float
         Mean |theta - theta*| over the last 30 %.
     """
@@ -73,7 +74,7 @@ def evaluate(
     theta_star : float
         Optimal control input.
     r_star : float, optional
-        Optimal cost from the static map.
+        Optimal cost, as ``koop_loop.static_map.optimal_cost`` finds it.
     start : float
         Time before which the run is left out [s]; a run that is shorter counts from its begin.
 

@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koop_lab.cli.simulate import run as simulated
 from koop_loop.loop import simulate
+from koop_loop.parameters import make
 from koop_loop.training import train
+from koop_study.simulation import maps
 from koop_study.simulation.case import Case, model_of, override, seeded
 from koop_study.simulation.run import measure, run
 from koop_study.simulation.scenario import ScenarioConfig, expose, interference
@@ -26,6 +29,25 @@ def test_without_scenario_it_is_the_nodes_loop_to_the_last_bit(cost: str) -> Non
     assert trace.theta.tobytes() == expected.theta.tobytes()
     assert trace.r.tobytes() == expected.r.tobytes()
     assert trace.ground_truth.tobytes() == expected.ground_truth.tobytes()
+
+
+def test_a_run_has_the_figures_that_koop_simulate_prints() -> None:
+    case = override(Case(), {"cost": "raw", "duration": 150.0})
+    ours = measure(case, run(case), maps.optimal_cost(case))
+    values = {"koopman_lifter": {"cost": "raw"}, "vdp_plant": {"duration": 150.0}}
+    _, theirs = simulated(make(values))
+    assert ours["iae"] == theirs.iae_theta
+    assert ours["ise"] == theirs.ise_theta
+    assert ours["t_theta"] == theirs.t_theta
+    assert ours["tail"] == theirs.tail_error
+    assert ours["e_r_ss"] == theirs.e_r_ss is not None
+
+
+def test_the_map_at_the_optimum_is_r_star() -> None:
+    case = override(Case(), {"cost": "raw"})
+    (at_optimum,) = np.flatnonzero(maps.grid() == case.plant.theta_star)
+    assert maps.grid()[at_optimum] == -3.0
+    assert maps.settled(case, -3.0).mean() == maps.optimal_cost(case)
 
 
 def test_a_constant_displacement_is_another_optimum() -> None:

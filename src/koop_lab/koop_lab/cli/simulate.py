@@ -13,9 +13,9 @@ import numpy as np
 from koop_lab.cli.options import add_loop_options, loop_parameters
 from koop_lab.cli.table import metrics_table
 from koop_loop.loop import LoopResult, simulate
-from koop_loop.metrics import PAPER_DURATION, Metrics, evaluate
+from koop_loop.metrics import PAPER_DURATION, Metrics
 from koop_loop.parameters import LoopParameters
-from koop_loop.static_map import optimal_cost
+from koop_loop.static_map import performance
 
 
 def register(commands: Any) -> None:
@@ -33,14 +33,7 @@ def run(parameters: LoopParameters) -> tuple[LoopResult, Metrics]:
     model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
     steps = round(parameters.pace.duration / parameters.plant.dt)
     result = simulate(parameters.plant, parameters.lifter, parameters.esc, model, steps)
-    metrics = evaluate(
-        result.t,
-        result.theta,
-        result.r,
-        parameters.plant.theta_star,
-        optimal_cost(parameters, model),
-    )
-    return result, metrics
+    return result, performance(parameters, model, result.t, result.theta, result.r)
 
 
 def main(args: argparse.Namespace) -> int:

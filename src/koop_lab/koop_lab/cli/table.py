@@ -59,7 +59,7 @@ def metrics_table(metrics: Metrics, cost: str) -> str:
         ["IAE_theta [s]", f"{metrics.iae_theta:.1f}", f"{paper.iae_theta:.1f}"],
         ["ISE_theta [s]", f"{metrics.ise_theta:.1f}", f"{paper.ise_theta:.1f}"],
         ["T_theta [s]", _optional(metrics.t_theta, ".1f", "never"), f"{paper.t_theta:.0f}"],
-        ["e_r_ss", _optional(metrics.e_r_ss, ".4f", "-"), f"{paper.e_r_ss:.4f}"],
+        ["e_r_ss", _optional(metrics.e_r_ss, ".5f", "-"), f"{paper.e_r_ss:.5f}"],
         ["mean |theta - theta*|, last 30 %", f"{metrics.tail_error:.3f}", "-"],
     ]
     return table([f"{cost} cost", "this run", "paper"], rows)

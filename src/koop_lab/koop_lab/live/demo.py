@@ -17,9 +17,9 @@ from koop_lab.cli.table import metrics_table
 from koop_lab.live.loop import LiveLoop, Progress
 from koop_lab.recorded.run import RecordedRun, read_run
 from koop_loop import parameters as loop_parameters
-from koop_loop.metrics import PAPER_DURATION, Metrics, evaluate
+from koop_loop.metrics import PAPER_DURATION, Metrics
 from koop_loop.parameters import LoopParameters
-from koop_loop.static_map import optimal_cost
+from koop_loop.static_map import performance
 
 BAR = "{desc:<10} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
@@ -138,9 +138,7 @@ def write_results(
     dt = parameters.plant.dt
     t = run.t(dt)
     model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
-    metrics = evaluate(
-        t, run.theta, run.r, parameters.plant.theta_star, optimal_cost(parameters, model)
-    )
+    metrics = performance(parameters, model, t, run.theta, run.r)
     rate = (run.counts["state"] - 1) / run.duration
     result = {
         **metrics.as_dict(),

@@ -17,7 +17,7 @@ from koop_lab.replay.recording import read_recording
 from koop_lab.replay.settings import Models, known_parameters, recorded_values
 from koop_loop.metrics import Metrics, evaluate
 from koop_loop.parameters import NODES, LoopParameters, make
-from koop_loop.static_map import optimal_cost
+from koop_loop.static_map import performance
 from koopman_lifter.model import KoopmanModel
 
 
@@ -90,16 +90,17 @@ def _measured_dt(signals: RecordedRun) -> float:
 
 def metrics_of(run: Run, theta_star: float | None = None) -> Metrics | None:
     """Return the paper's metrics; None if nothing says what theta* is."""
-    r_star = None
-    if run.simulated and run.parameters is not None:
-        plant, lifter = run.parameters.plant, run.parameters.lifter
-        if theta_star in (None, plant.theta_star) and (lifter.cost == "raw" or run.model):
-            r_star = optimal_cost(run.parameters, run.model if lifter.cost == "lifted" else None)
-        theta_star = plant.theta_star if theta_star is None else theta_star
+    signals, parameters = run.signals, run.parameters
+    t = signals.t(run.dt)
+    if run.simulated and parameters is not None:
+        lifted = parameters.lifter.cost == "lifted"
+        if theta_star in (None, parameters.plant.theta_star) and (run.model or not lifted):
+            model = run.model if lifted else None
+            return performance(parameters, model, t, signals.theta, signals.r)
+        theta_star = parameters.plant.theta_star if theta_star is None else theta_star
     if theta_star is None:
         return None
-    signals = run.signals
-    return evaluate(signals.t(run.dt), signals.theta, signals.r, theta_star, r_star)
+    return evaluate(t, signals.theta, signals.r, theta_star)
 
 
 def signal_table(run: Run) -> str:

@@ -62,7 +62,7 @@ def section(config: RobustnessConfig, results: list[Any]) -> Section:
         (
             Column("cost", "cost"),
             *SUMMARY_COLUMNS,
-            Column("e_r_ss_median", "e_r^ss median", ".4f"),
+            Column("e_r_ss_median", "e_r^ss median", ".5f"),
             Column("win_rate", "wins against raw [%]", ".0f"),
         ),
     )
@@ -78,7 +78,7 @@ def section(config: RobustnessConfig, results: list[Any]) -> Section:
             Column("iae", "IAE", ".0f"),
             Column("ise", "ISE", ".0f"),
             Column("t_theta", "T [s]", ".0f"),
-            Column("e_r_ss", "e_r^ss", ".4f"),
+            Column("e_r_ss", "e_r^ss", ".5f"),
             Column("tail", "mean error, last 30 %", ".3f"),
         ),
         detail=True,

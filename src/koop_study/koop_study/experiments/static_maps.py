@@ -44,7 +44,7 @@ def section(config: StaticMapsConfig, results: list[Any]) -> Section:
             Column("convexity", "convexity [%]", ".0f"),
             Column("rank_correlation", "rank correlation", ".3f"),
             Column("argmin", "θ at the minimum", ".2f"),
-            Column("minimum", "r*", ".3g"),
+            Column("minimum", "r there", ".3g"),
         ),
     )
     panels = []

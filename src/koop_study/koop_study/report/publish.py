@@ -48,7 +48,7 @@ def readme_block(sections: Sequence[Section], report: str) -> str:
     summary = ("iae_median", "iae_p90", "t_theta_median", "reached", "converged")
     parts = []
     if "closed_loop" in tables:
-        columns = ("method", "iae", "ise", "t_theta", "e_r_ss_ramp")
+        columns = ("method", "iae", "ise", "t_theta", "e_r_ss")
         parts += ["One run, beside the paper:", markdown(tables["closed_loop"], columns)]
     if "robustness" in tables:
         parts += [

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
+from koop_loop import static_map
+from koop_loop.static_map import SETTLING
 from koop_study.simulation.case import Case
 from koop_study.simulation.run import run
 
 HIGH, LOW = 2.0, -5.0  # the paper's ramp (section 4)
 SPACING = 0.25  # of the points that ramp and settled map share
-SETTLING = 100.0  # [s] before r counts, as the paper's logging start
 SMOOTHING = 3  # points of the moving average before the second differences
 
 
@@ -30,7 +31,7 @@ class MapShape:
     argmin : float
         theta of the smoothed map's smallest value.
     minimum : float
-        That value: r*.
+        That value.
     """
 
     convexity: float
@@ -87,8 +88,18 @@ def binned(theta: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.flo
 
 def settled(case: Case, theta: float) -> NDArray[np.float64]:
     """Return r at constant ``theta`` over one period of the damping drift, without transient."""
-    drift = case.plant.drift_frequency
-    period = 2.0 * np.pi / drift if drift > 0.0 else 200.0
-    case = replace(case, duration=SETTLING + period)
-    trace = run(case, schedule=np.full(case.steps, theta))
-    return trace.r[round(SETTLING / case.plant.dt) :]
+    return static_map.settled(case.plant, _resting(case), theta)
+
+
+def optimal_cost(case: Case) -> float:
+    """Return r* of the case's loop, with the optimum at rest where the plant has it."""
+    still = replace(case.scenario, optimum_swing=0.0, optimum_jump=0.0)
+    return static_map.optimal_cost(case.plant, _resting(replace(case, scenario=still)))
+
+
+def _resting(case: Case) -> static_map.Cost:
+    def cost(theta: float, duration: float) -> NDArray[np.float64]:
+        longer = replace(case, duration=duration)
+        return run(longer, schedule=np.full(longer.steps, theta)).r
+
+    return cost

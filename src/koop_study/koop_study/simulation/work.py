@@ -16,7 +16,6 @@ from koop_study.simulation.scenario import ScenarioConfig
 from koopman_lifter.edmd import edmd
 from koopman_lifter.modes import decompose, select_by_energy
 
-RAMP = 2500.0  # [s] length of the ramp whose minimum serves as r*: as long as the run
 DRAWN = 900  # points a drawn trace is thinned to
 
 
@@ -31,14 +30,9 @@ def runs(settings: dict[str, Any], seeds: list[int], with_r_star: bool = False) 
     rows = []
     for seed in seeds:
         case = case_of(settings, seed)
-        r_star = _ramp_minimum(case) if with_r_star else None
+        r_star = maps.optimal_cost(case) if with_r_star else None
         rows.append(measure(case, run(case), r_star))
     return rows
-
-
-def _ramp_minimum(case: Case) -> float:
-    theta, r = maps.ramp(case, RAMP)
-    return maps.shape(maps.grid(), maps.binned(theta, r), case.plant.theta_star).minimum
 
 
 def modes(settings: dict[str, Any], seed: int) -> dict[str, Any]:
@@ -96,9 +90,7 @@ def trace(settings: dict[str, Any], seed: int | None, start: float) -> dict[str,
         "x": [x_low.tolist(), x_high.tolist()],
         "r": [r_low.tolist(), r_high.tolist()],
         "theta": [theta_min.tolist(), theta_max.tolist()],
-        "metrics": measure(case, done),
-        "r_mean": float(done.r[-round(0.3 * (case.steps - first)) :].mean()),
-        "r_range": float(np.ptp(done.r[first:])),
+        "metrics": measure(case, done, maps.optimal_cost(case)),
     }
 
 

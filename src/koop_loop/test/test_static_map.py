@@ -1,0 +1,59 @@
+"""r*, the settled cost at the optimum: on costs whose mean is known, and of the loop itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from koop_loop.loop import simulate
+from koop_loop.metrics import evaluate
+from koop_loop.parameters import make
+from koop_loop.static_map import optimal_cost, performance
+from vdp_plant.config import PlantConfig
+
+
+def test_the_transient_is_left_out_and_the_drift_averages_away():
+    plant = PlantConfig(drift_frequency=0.05, theta_star=1.5)
+
+    def cost(theta, duration):
+        t = np.arange(round(duration / plant.dt)) * plant.dt
+        return np.where(t < 100.0, 1e9, theta**2 + np.sin(0.05 * t))
+
+    # the last sample of the period is cut off by at most one step: 1 / 125 664 of the sine
+    assert optimal_cost(plant, cost) == pytest.approx(2.25, abs=1e-4)
+
+
+def test_without_drift_the_cost_is_averaged_all_the_same():
+    asked = []
+
+    def cost(theta, duration):
+        asked.append((theta, duration))
+        return np.full(round(duration / 0.005), 7.0)
+
+    assert optimal_cost(PlantConfig(drift_frequency=0.0), cost) == 7.0
+    assert asked == [(-3.0, 300.0)]
+
+
+def test_a_run_that_rests_at_the_optimum_has_hardly_an_error():
+    """A controller that never moves, at theta* from the start, makes the static map itself."""
+    values = {
+        "vdp_plant": {"theta_initial": -3.0},
+        "koopman_lifter": {"cost": "raw"},
+        "relay_esc": {"theta_initial": -3.0, "step_size": 0.0},
+    }
+    loop = make(values)
+    drift = 2.0 * np.pi / loop.plant.drift_frequency
+    run = simulate(loop.plant, loop.lifter, loop.esc, None, round((100.0 + drift) / 0.005))
+    metrics = performance(loop, None, run.t, run.theta, run.r)
+    r_star = float(run.r[run.t >= 100.0].mean())
+    expected = evaluate(run.t, run.theta, run.r, -3.0, r_star)
+    assert metrics.e_r_ss == pytest.approx(expected.e_r_ss, rel=1e-12)
+
+
+def test_limits_of_the_controller_do_not_move_the_map():
+    values = {"koopman_lifter": {"cost": "raw"}}
+    free = make(values)
+    limited = replace(free, esc=replace(free.esc, theta_min=-1.0, rate_limit=0.01))
+    t = np.arange(1000) * 0.005
+    theta, r = np.zeros(1000), np.linspace(0.0, 1.0, 1000)
+    assert performance(limited, None, t, theta, r) == performance(free, None, t, theta, r)
