@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
-import signal
 import sys
 import time
 from pathlib import Path
@@ -14,6 +13,7 @@ from koop_node.config import ConfigError
 from koop_study.experiments.kinds import KINDS, read_folder
 from koop_study.over_dds import repeat as over_dds
 from koop_study.report import publish
+from koop_study.workers.pool import WorkerLost
 from koop_study.workers.runner import run_all
 from koop_study.workers.units import Store
 
@@ -48,12 +48,14 @@ def run(args: argparse.Namespace) -> int:
     if args.over_dds:
         return 0 if over_dds.repeat(experiments, out) else 1
     store = Store(out / "units")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a shell's `kill` stops it as Ctrl-C
     try:
         sections = run_all(experiments, store, args.processes)
     except KeyboardInterrupt:
-        print(f"\nstopped; the same command goes on from what is in {out}", file=sys.stderr)
+        print(f"stopped; the same command goes on from what is in {out}", file=sys.stderr)
         return INTERRUPTED
+    except WorkerLost as error:
+        print(f"koop study: error: {error}", file=sys.stderr)
+        return 1
     command = remake(args)
     for folder in (out, *([args.publish] if args.publish else [])):
         path = publish.write(folder, sections, experiments, command)

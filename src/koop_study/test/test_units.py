@@ -5,11 +5,14 @@ from __future__ import annotations
 import ast
 import importlib
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -49,37 +52,89 @@ def study(folder: Path, out: Path) -> subprocess.Popen[str]:
 
 
 def outcome(out: Path) -> dict[str, bytes]:
-    files = [*out.glob("tables/*.csv"), *out.glob("figures/*.svg"), out / "report.html"]
+    files = [*out.glob("tables/*.csv"), out / "report.html"]
     return {str(path.relative_to(out)): path.read_bytes() for path in files}
+
+
+def results(out: Path) -> int:
+    return len(list(out.glob("units/*.json")))
+
+
+def wait_for(condition: Callable[[], bool], running: subprocess.Popen[str] | None = None) -> None:
+    deadline = time.monotonic() + 120.0
+    while not condition():
+        assert running is None or running.poll() is None, running.communicate()[0]
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def ended(pid: int) -> bool:
+    try:
+        return "State:\tZ" in Path(f"/proc/{pid}/status").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return True
 
 
 @pytest.mark.slow
 def test_a_stopped_study_goes_on_and_a_second_run_gives_the_same_bytes(
     folder: Path, tmp_path: Path
 ) -> None:
-    stopped = study(folder, tmp_path / "a")
-    done = tmp_path / "a" / "units"
-    deadline = time.monotonic() + 120.0
-    while not (done.exists() and len(list(done.glob("*.json"))) >= 2):
-        assert stopped.poll() is None, stopped.communicate()[0]
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    one, other = tmp_path / "a", tmp_path / "b"
+    whole, killed = study(folder, other), study(folder, one)
+    wait_for(lambda: results(one) >= 2, killed)
+    workers = children(killed.pid)
+    killed.kill()
+    killed.communicate()
+    wait_for(lambda: all(ended(worker) for worker in workers))  # they end with their parent
+    kept = results(one)
+    assert 2 <= kept < 16
+
+    stopped = study(folder, one)
+    wait_for(lambda: results(one) > kept, stopped)
     stopped.send_signal(signal.SIGINT)
     text = stopped.communicate(timeout=60)[0]
     assert stopped.returncode == 130
+    assert f"16 units of work, {kept} of them there already" in text
     assert "the same command goes on" in text
     assert "Traceback" not in text
-    kept = len(list(done.glob("*.json")))
-    assert 2 <= kept < 16
+    kept = results(one)
+    assert kept < 16
 
-    again, other = study(folder, tmp_path / "a"), study(folder, tmp_path / "b")
+    again = study(folder, one)
     text = again.communicate(timeout=200)[0]
     assert again.returncode == 0, text
-    assert f"{kept} kept from before" in text
-    text = other.communicate(timeout=200)[0]
-    assert other.returncode == 0, text
-    assert outcome(tmp_path / "a") == outcome(tmp_path / "b")
-    assert len(outcome(tmp_path / "a")) >= 4
+    assert f"16 units of work, {kept} of them there already" in text
+    text = whole.communicate(timeout=200)[0]
+    assert whole.returncode == 0, text
+    assert outcome(one) == outcome(other)
+    assert len(outcome(one)) >= 3
+
+
+def test_a_killed_worker_ends_the_study_with_an_error_and_keeps_what_was_done(
+    tmp_path: Path,
+) -> None:
+    store = Store(tmp_path)
+    settings = {"cost": "raw", "duration": 100.0}
+    # the second one would take minutes
+    units = [Unit("runs", {"settings": settings, "seeds": [*range(n)]}) for n in (1, 100_000)]
+
+    def kill() -> None:
+        wait_for(lambda: store.has(units[0]))
+        for process in multiprocessing.active_children():
+            process.kill()
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with pytest.raises(pool.WorkerLost, match="the same command goes on"):
+        pool.work_on(units, store, 1)
+    killer.join()
+    assert store.has(units[0])
+    assert not store.has(units[1])
+    assert multiprocessing.active_children() == []
 
 
 def test_what_the_store_has_is_not_computed_again(tmp_path: Path, monkeypatch) -> None:
