@@ -10,7 +10,11 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    install_requires=["koop_node", "lz4", "mcap", "numpy", "PyYAML", "zstandard"],
+    extras_require={
+        "test": ["mcap-ros2-support", "pytest", "rosbags", "pyarrow"],
+        "export": ["pyarrow"],
+    },
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

@@ -16,7 +16,6 @@ setup(
         ("share/" + PACKAGE + "/layouts", glob("layouts/*")),
         ("share/" + PACKAGE + "/security", glob("security/*.xml")),
     ],
-    install_requires=["setuptools"],
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

@@ -11,10 +11,10 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["setuptools"],
+    extras_require={"test": ["numpy", "pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="The ROS glue that the nodes share: parameters, lifecycle, QoS, shutdown.",
+    description="The little ROS glue that the nodes share: parameters, lifecycle, QoS, shutdown.",
     license="Apache-2.0",
 )

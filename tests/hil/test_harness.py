@@ -2,11 +2,14 @@
 
 import json
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from koop_hil import faults, report
+from koop_hil import faults, installed, report
 from koop_hil.faults import Channel
 from koop_hil.scenario import parse, read, shipped, write
 from koop_hil.verdict import Verdict
@@ -130,3 +133,13 @@ def test_a_verdict_comes_back_from_json():
     verdict = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, round_trip=(1.0, 2.0))
     verdict.levels, verdict.failures = {"plant": ["OK"]}, ["tail_error = 0.9"]
     assert Verdict.from_dict(json.loads(json.dumps(verdict.as_dict()))) == verdict
+
+
+def test_a_rig_without_its_middleware_says_how_to_get_it(tmp_path):
+    (tmp_path / "cyclonedds.py").write_text("raise ImportError('none here')")
+    rig = installed("rigs") / "rig.py"
+    done = subprocess.run(
+        [sys.executable, rig, "galloping"], env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (1, "rig: none here: pip install cyclonedds\n")

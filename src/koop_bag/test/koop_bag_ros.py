@@ -8,7 +8,7 @@ import subprocess
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import rclpy
 from ament_index_python.packages import get_package_prefix
@@ -21,9 +21,7 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_bag.recorder.topics import message_class
 
-if TYPE_CHECKING:
-    from typing_extensions import Self
-
+Self = TypeVar("Self", bound="Program")
 PATIENCE = 30.0  # [s] for what should take far less
 
 
@@ -56,7 +54,7 @@ class Program:
                 preexec_fn=limit,
             )
 
-    def __enter__(self) -> Self:
+    def __enter__(self: Self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:

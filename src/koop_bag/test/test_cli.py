@@ -231,6 +231,14 @@ def test_topics_and_bags_that_are_not_there(write, koop, tmp_path):
 # -- export -----------------------------------------------------------------------------------
 
 
+def test_an_export_without_pyarrow_says_how_to_get_it(write_loop, koop, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    code, text, error = koop("export", write_loop(n=3))
+    assert (code, text) == (2, "")
+    assert error.count("\n") == 1
+    assert error.endswith(": pip install pyarrow\n")
+
+
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_every_number_and_text_is_exported(write_loop, koop, tmp_path, form):
     folder = write_loop(n=300)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from koop_node.config import ConfigError, NodeConfig, parameter, spec_of, validate
+from koop_node.config import ConfigError, NodeConfig, parameter, validate
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,3 @@ def test_what_cannot_be_used_is_refused_by_name(values, message):
     with pytest.raises(ConfigError) as caught:
         Example(**values)
     assert str(caught.value) == message
-
-
-def test_every_parameter_of_the_loop_is_described():
-    from dataclasses import fields
-
-    from koop_loop.parameters import NODES
-
-    for classes in NODES.values():
-        for cls in classes:
-            for item in fields(cls):
-                assert len(spec_of(item).description) > 10, (cls, item.name)

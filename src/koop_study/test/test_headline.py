@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from koop_loop.loop import LoopResult, simulate
-from koop_study.experiments.kinds import read
-from koop_study.over_dds import repeat as over_dds
-from koop_study.over_dds.headline import compare, headline, headlines
+from koop_study.over_dds.headline import compare, headline
 from koop_study.simulation.case import Case, override
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 from vdp_plant.config import PlantConfig
-
-EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
 
 
 @pytest.fixture
@@ -32,18 +27,6 @@ def columns(run: LoopResult) -> dict[str, np.ndarray]:
         "r": run.r.copy(),
         "theta": run.theta,
     }
-
-
-def test_headlines_are_the_rows_of_the_closed_loop_table() -> None:
-    config = read(EXPERIMENTS / "closed_loop.yaml", False).config
-    found = headlines(config)
-    assert [item.name for item in found] == list(config.costs)
-    by_name = {item.name: item for item in found}
-    assert by_name["raw"].model is None
-    assert by_name["raw"].lifter.cost == "raw"
-    assert by_name["contrast"].lifter.cost == "lifted"
-    assert by_name["lifted"].plant == PlantConfig()
-    assert by_name["lifted"].steps == 500_000
 
 
 def test_a_headline_runs_on_the_nodes_own_loop() -> None:
@@ -89,12 +72,3 @@ def test_another_seed_is_another_run(offline: LoopResult) -> None:
         replace(PlantConfig(), seed=1), LifterConfig(cost="raw"), EscConfig(), None, 2000
     )
     assert {item.column for item in compare(offline, columns(other))} >= {"measured", "r"}
-
-
-def test_a_run_that_was_broken_off_is_not_taken_for_the_run(tmp_path: Path) -> None:
-    (tmp_path / "bag").symlink_to(EXPERIMENTS.parent / "recordings" / "golden" / "run" / "bag")
-    short = headline("golden", Case(cost="raw", duration=10.0))
-    assert over_dds._run(short, tmp_path).step.size == short.steps == 2000
-    longer = headline("golden", Case(cost="raw", duration=20.0))
-    with pytest.raises(ValueError, match="the first 2000 of 4000 steps"):
-        over_dds._run(longer, tmp_path)

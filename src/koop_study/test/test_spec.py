@@ -7,24 +7,8 @@ from pathlib import Path
 import pytest
 
 from koop_node.config import ConfigError
-from koop_study.experiments.beyond import BeyondConfig
-from koop_study.experiments.kinds import KINDS, read, read_folder
+from koop_study.experiments.kinds import read, read_folder
 from koop_study.simulation.case import Case, override
-
-EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
-
-
-@pytest.mark.parametrize("quick", [False, True])
-def test_the_repositorys_experiments_are_valid_and_of_every_kind(quick: bool) -> None:
-    assert [e.kind for e in read_folder(EXPERIMENTS, quick)] == list(KINDS)
-
-
-def test_quick_replaces_settings_and_is_no_setting_itself() -> None:
-    full, quick = (read(EXPERIMENTS / "modes.yaml", q) for q in (False, True))
-    assert full.config.seeds.count == 32
-    assert quick.config.seeds.count < 32
-    assert "quick" not in full.content
-    assert "quick" not in quick.content
 
 
 @pytest.mark.parametrize(
@@ -72,14 +56,3 @@ def test_an_ablation_is_checked_before_anything_runs(tmp_path: Path) -> None:
     )
     with pytest.raises(ConfigError, match=r"ablations\[0\].*esc\.dwell = -1"):
         read(path, False)
-
-
-def test_candidates_must_not_be_judged_on_the_seeds_that_tuned_them() -> None:
-    content = read(EXPERIMENTS / "beyond.yaml", False)
-    config = content.config
-    assert isinstance(config, BeyondConfig)
-    with pytest.raises(ConfigError, match="overlap"):
-        BeyondConfig(
-            config.candidates, config.grids, config.tuning, config.tuning,
-            config.reference, config.default,
-        )  # fmt: skip

@@ -63,10 +63,12 @@ def export(
 
 
 def _write(bag: BagReader, topic: str, extent: Extent, path: Path, kind: str) -> None:
-    import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet
-
+    try:
+        import pyarrow as pa
+        import pyarrow.csv
+        import pyarrow.parquet
+    except ImportError as error:
+        raise BagError(f"an export needs pyarrow ({error}): pip install pyarrow") from None
     stored = {name: np.dtype(text) for name, (_, text) in STORED.items()}
     columns: dict[str, np.dtype[Any]] = stored | extent.fields
     types = {

@@ -28,14 +28,17 @@ os.environ.setdefault(
     "<Peers><Peer Address='localhost'/></Peers></Discovery></Domain></CycloneDDS>",
 )
 
-from cyclonedds.core import Policy, Qos
-from cyclonedds.domain import DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import float64, int8, int32, sequence, uint32, uint64
-from cyclonedds.pub import DataWriter
-from cyclonedds.sub import DataReader
-from cyclonedds.topic import Topic
-from cyclonedds.util import duration
+try:
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.idl import IdlStruct
+    from cyclonedds.idl.types import float64, int8, int32, sequence, uint32, uint64
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+    from cyclonedds.util import duration
+except ImportError as error:
+    raise SystemExit(f"rig: {error}: pip install cyclonedds") from None
 from physics import RIGS, Rig, advance
 
 DT = 0.005  # [s] sampling time of every rig

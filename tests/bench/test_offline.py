@@ -13,7 +13,7 @@ from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import LifterConfig
 from vdp_plant.config import PlantConfig
 
-SOURCE = Path(__file__).resolve().parents[3] / "benchmarks" / "closed_loop.c"
+SOURCE = Path(__file__).parents[2] / "benchmarks" / "closed_loop.c"
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler 'cc' on the PATH")

@@ -22,7 +22,7 @@ from koop_study.report.page import render
 from koop_study.workers.runner import run_all
 from koop_study.workers.units import Store
 
-EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 # The report in a frame as wide as a phone or a desk, and what it looks like there.
 FRAME = """<!DOCTYPE html><body><iframe id="f" style="width:{width}px;height:900px;border:0"
 srcdoc="{page}"></iframe><script>
