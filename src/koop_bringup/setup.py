@@ -7,7 +7,7 @@ PACKAGE = "koop_bringup"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    packages=[],
+    packages=[PACKAGE],
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
@@ -16,6 +16,8 @@ setup(
         ("share/" + PACKAGE + "/layouts", glob("layouts/*")),
         ("share/" + PACKAGE + "/security", glob("security/*.xml")),
     ],
+    install_requires=["koop_bag", "koop_loop", "koop_node", "koopman_lifter"],
+    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

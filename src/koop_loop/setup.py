@@ -17,7 +17,6 @@ setup(
         "vdp_plant",
         "numba",
         "numpy",
-        "PyYAML",
     ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,

@@ -8,7 +8,7 @@ import pytest
 SRC = Path(__file__).parents[2] / "src"
 ALGORITHMS = {"vdp_plant", "koopman_lifter", "relay_esc"}
 LEAVES = {"koop_hil", "koop_study"}
-PACKAGES = {"koop_node", "koop_loop", "koop_bag", "koop_lab"} | ALGORITHMS | LEAVES
+PACKAGES = {"koop_node", "koop_loop", "koop_bag", "koop_lab", "koop_bringup"} | ALGORITHMS | LEAVES
 MAY_IMPORT = {
     "koop_node": set(),
     "vdp_plant": {"koop_node"},
@@ -16,9 +16,10 @@ MAY_IMPORT = {
     "relay_esc": {"koop_node"},
     "koop_bag": {"koop_node"},
     "koop_loop": {"koop_node"} | ALGORITHMS,
-    "koop_lab": PACKAGES - LEAVES,
-    "koop_hil": PACKAGES - LEAVES,
-    "koop_study": PACKAGES - LEAVES,
+    "koop_bringup": {"koop_node", "koop_loop", "koop_bag"} | ALGORITHMS,
+    "koop_lab": PACKAGES - LEAVES - {"koop_bringup"},
+    "koop_hil": PACKAGES - LEAVES - {"koop_bringup"},
+    "koop_study": PACKAGES - LEAVES - {"koop_bringup"},
 }
 ROS = {"rclpy", "koop_msgs", "std_msgs", "std_srvs", "rosgraph_msgs", "builtin_interfaces",
        "diagnostic_msgs", "lifecycle_msgs", "rcl_interfaces", "ament_index_python"}  # fmt: skip

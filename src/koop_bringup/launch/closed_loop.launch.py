@@ -2,95 +2,103 @@
 
     ros2 launch koop_bringup closed_loop.launch.py pace:=lockstep duration:=100.0 record:=true
 
-The launch ends when the plant has run for its duration. With ``plant:=false`` your own rig takes
-the plant's place: it publishes ``state`` and listens to ``theta`` in the same namespace.
+With ``plant:=false`` your own rig takes the plant's place: it publishes ``state`` and listens to
+``theta`` in the same namespace. What the arguments and the parameter file amount to is decided in
+``koop_bringup.plan``, before a node starts; what ends the launch is in docs/runs.md.
 """
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, GroupAction
-from launch.conditions import IfCondition
-from launch.events import Shutdown
-from launch.substitutions import IfElseSubstitution, LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node, PushRosNamespace
-from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
+import sys
+from pathlib import Path
 
-PAPER = PathJoinSubstitution([FindPackageShare("koop_bringup"), "config", "paper.yaml"])
-ARGUMENTS = (
-    ("namespace", "", "namespace of the whole loop; a fleet is N namespaces"),
-    ("params", PAPER, "ROS 2 parameter file for the nodes"),
-    ("pace", "realtime", "realtime, lockstep or scaled"),
-    ("time_scale", "1.0", "simulated per real time at the pace 'scaled'"),
-    ("duration", "0.0", "simulated time in seconds after which the launch ends; 0: never"),
-    ("cost", "lifted", "lifted or raw"),
-    ("model", "", "Koopman model file; empty: the shipped one"),
-    ("seed", "0", "seed of the plant's initial state"),
-    ("plant", "true", "start the simulated plant; false: your rig is the plant"),
-    ("record", "false", "record all topics"),
-    ("output", "", "folder of the recording; empty: a new one under recordings/"),
+from launch import LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    LogInfo,
+    OpaqueFunction,
 )
+from launch.events import Shutdown
+from launch.events.process import ProcessExited
+from launch.logging import get_logger, launch_config
+from launch_ros.actions import Node
+
+from koop_bringup.plan import ARGUMENTS, plan, refuse_unknown
+from koop_loop.ending import Ending, ending, told
+from koop_node.parameter_file import write
+
+STOP_TIMEOUT = "10"  # [s] for a recorder to close its bag
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe the launch."""
-    given = {name: LaunchConfiguration(name) for name, _, _ in ARGUMENTS}
-    params = given["params"]
-    recorders = ParameterValue(
-        IfElseSubstitution(given["record"], if_value="1", else_value="0"), value_type=int
-    )
-    plant = Node(
-        package="vdp_plant",
-        executable="plant",
-        parameters=[
-            params,
-            {
-                "pace": given["pace"],
-                "time_scale": _number(given["time_scale"], float),
-                "duration": _number(given["duration"], float),
-                "seed": _number(given["seed"], int),
-                "recorders": recorders,
-            },
-        ],
-        condition=IfCondition(given["plant"]),
-        on_exit=[EmitEvent(event=Shutdown(reason="the plant has ended"))],
-        output="screen",
-    )
-    lifter = Node(
-        package="koopman_lifter",
-        executable="lifter",
-        parameters=[
-            params,
-            {
-                "cost": given["cost"],
-                "model": ParameterValue(given["model"], value_type=str),
-                "recorders": recorders,
-            },
-        ],
-        output="screen",
-    )
-    esc = Node(
-        package="relay_esc",
-        executable="esc",
-        parameters=[params, {"recorders": recorders}],
-        output="screen",
-    )
-    recorder = Node(
-        package="koop_bag",
-        executable="recorder",
-        parameters=[{"output": ParameterValue(given["output"], value_type=str)}],
-        condition=IfCondition(given["record"]),
-        output="screen",
-    )
     return LaunchDescription(
         [
             *(
-                DeclareLaunchArgument(name, default_value=default, description=text)
-                for name, default, text in ARGUMENTS
+                DeclareLaunchArgument(item.name, default_value="", description=item.meaning)
+                for item in ARGUMENTS
             ),
-            GroupAction([PushRosNamespace(given["namespace"]), recorder, esc, lifter, plant]),
+            OpaqueFunction(function=_start),
         ]
     )
 
 
-def _number(value: LaunchConfiguration, kind: type) -> ParameterValue:
-    return ParameterValue(value, value_type=kind)
+def _start(context: LaunchContext) -> list:
+    """Check everything, then return the nodes."""
+    if any(Path(word).name == Path(__file__).name for word in sys.argv):  # not included by another
+        refuse_unknown(context.argv)
+    given = {item.name: context.launch_configurations[item.name] for item in ARGUMENTS}
+    if not given["namespace"].startswith("/"):
+        around = context.launch_configurations.get("ros_namespace", "")
+        given["namespace"] = f"{around}/{given['namespace']}"
+    planned = plan(given)
+    name = f"given_parameters{planned.namespace.replace('/', '-')}.yaml"
+    file = Path(launch_config.log_dir) / name
+    write(planned.parameters, file)
+    lost: list[str] = []
+    return [
+        *(LogInfo(msg=note) for note in planned.notes),
+        *(
+            Node(
+                package=node.package,
+                executable=node.executable,
+                namespace=planned.namespace or "/",
+                parameters=[file],
+                on_exit=_on_exit(node.name, planned.rig, lost),
+                output="screen",
+                sigterm_timeout=STOP_TIMEOUT,
+            )
+            for node in planned.nodes
+        ),
+    ]
+
+
+def _on_exit(node: str, rig: bool, lost: list[str]):
+    """Return what to do when a node ends.
+
+    Parameters
+    ----------
+    node : str
+        Its name.
+    rig : bool
+        Whether a rig is the plant.
+    lost : list of str
+        What went wrong while the launch went on; shared by all nodes.
+    """
+
+    def ended(event: ProcessExited, context: LaunchContext):
+        text = told(node, event.returncode)
+        found = ending(node, event.returncode, rig)
+        # an error is how a launch gets an exit code; it also ends the other nodes
+        if context.is_shutdown:
+            if event.returncode or lost:
+                raise RuntimeError(lost.pop() if lost else text)
+        elif found is Ending.FAILED:
+            raise RuntimeError(text)
+        elif found is Ending.DONE:
+            return [LogInfo(msg=text), EmitEvent(event=Shutdown(reason=text))]
+        else:
+            get_logger("launch").error(f"{text}: the loop goes on without it")
+            lost.append(text)
+        return None
+
+    return ended

@@ -11,7 +11,7 @@ from koop_hil import installed
 from koop_hil.hosts import BOUND, OtherHost
 from koop_hil.scenario import Scenario
 from koop_lab.live.loop import EXECUTABLES, NodeProcess, executable
-from koop_loop import parameters as loop_parameters
+from koop_node import parameter_file
 
 ORDER = ("recorder", "relay_esc", "koopman_lifter", "fault_injector", "plant")  # listeners first
 SECOND = "second_controller"
@@ -54,7 +54,7 @@ class Processes:
 
     def __enter__(self) -> Processes:
         self._parameter_file.parent.mkdir(parents=True, exist_ok=True)
-        loop_parameters.write(self._given(), self._parameter_file)
+        parameter_file.write(self._given(), self._parameter_file)
         try:
             for name in ORDER:
                 wanted = self._scenario.injects if name == "fault_injector" else True

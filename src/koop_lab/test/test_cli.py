@@ -10,7 +10,8 @@ import pytest
 import yaml
 
 from koop_lab.cli.main import main, parser
-from koop_loop.parameters import make, read, write
+from koop_loop.parameters import make, read
+from koop_node import parameter_file
 from koop_node.config import ConfigError
 
 
@@ -120,7 +121,7 @@ def test_a_parameter_file_is_read_as_ros_reads_it(tmp_path):
 
 def test_written_parameters_are_read_back(tmp_path):
     parameters = make({"relay_esc": {"dwell": 3.0}, "vdp_plant": {"initial_state": [1, 2]}})
-    write(parameters.as_ros(), tmp_path / "p.yaml")
+    parameter_file.write(parameters.as_ros(), tmp_path / "p.yaml")
     again = make(read(tmp_path / "p.yaml"))
     assert again.as_ros() == parameters.as_ros()
     assert again.plant.initial_state == (1.0, 2.0)
@@ -129,8 +130,8 @@ def test_written_parameters_are_read_back(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[1, 2]", "is no ROS 2 parameter file"),
-        ("vdp_plant: 3", "'vdp_plant' has no ros__parameters"),
+        ("[1, 2]", "is not a ROS 2 parameter file"),
+        ("vdp_plant: 3", "'/vdp_plant' has no ros__parameters"),
         ("vdp_plant: {ros__parameters: {mass: 1.0}}", "vdp_plant: unknown parameter mass; known:"),
         ("vdp_plant: {ros__parameters: {mu: fast}}", "vdp_plant: mu: expected float, got 'fast'"),
         ("a: [", "cannot be read as YAML"),

@@ -6,13 +6,14 @@ commands; so does the ``parameters.yaml`` in the folder of a recorded run.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from koop_node import parameter_file
 from koop_node.config import ConfigError, NodeConfig
+from koop_node.parameter_file import ROS_OWN
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load
 from relay_esc.config import EscConfig
@@ -23,7 +24,12 @@ NODES: dict[str, tuple[type, ...]] = {
     "koopman_lifter": (LifterConfig, ModelConfig, NodeConfig),
     "relay_esc": (EscConfig, NodeConfig),
 }
-ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+EXECUTABLES = {  # package and name, in the order of starting: listeners come before speakers
+    "recorder": ("koop_bag", "recorder"),
+    "relay_esc": ("relay_esc", "esc"),
+    "koopman_lifter": ("koopman_lifter", "lifter"),
+    "vdp_plant": ("vdp_plant", "plant"),
+}
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,48 @@ class LoopParameters:
         }
 
 
+def names_of(classes: Iterable[type]) -> set[str]:
+    """Return the names of the parameters of a node with these configuration classes."""
+    return {item.name for cls in classes for item in fields(cls)}
+
+
+def build(
+    values: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, tuple[type, ...]] = NODES
+) -> dict[str, dict[type, Any]]:
+    """Build the configurations of nodes from values by node; what is not given is the default.
+
+    Returns
+    -------
+    dict
+        By node and class.
+
+    Raises
+    ------
+    ConfigError
+        On an unknown node or parameter or a value that cannot be used; names the node.
+    """
+    for node in values:
+        if node not in nodes:
+            raise ConfigError(f"unknown node {node}; the loop has {', '.join(nodes)}")
+    return {node: _build(node, classes, values.get(node, {})) for node, classes in nodes.items()}
+
+
+def _build(node: str, classes: tuple[type, ...], given: Mapping[str, Any]) -> dict[type, Any]:
+    known = names_of(classes)
+    unknown = sorted(name for name in given if name not in known)
+    if unknown:
+        raise ConfigError(
+            f"{node}: unknown parameter {', '.join(unknown)}; known: {', '.join(sorted(known))}"
+        )
+    try:
+        return {
+            cls: cls(**{name: given[name] for name in names_of([cls]) if name in given})
+            for cls in classes
+        }
+    except ConfigError as error:
+        raise ConfigError(f"{node}: {error}") from None
+
+
 def make(values: dict[str, dict[str, Any]]) -> LoopParameters:
     """Build the configurations from values by node; what is not given is the default.
 
@@ -68,68 +116,44 @@ def make(values: dict[str, dict[str, Any]]) -> LoopParameters:
     ConfigError
         On an unknown node or parameter or a value that cannot be used; names the node.
     """
-    built: dict[type, Any] = {}
-    for node in values:
-        if node not in NODES:
-            raise ConfigError(f"unknown node {node}; the loop has {', '.join(NODES)}")
-    for node, classes in NODES.items():
-        given = values.get(node, {})
-        known = {item.name for cls in classes for item in fields(cls)}
-        unknown = sorted(name for name in given if name not in known)
-        if unknown:
-            raise ConfigError(
-                f"{node}: unknown parameter {', '.join(unknown)}; known: {', '.join(sorted(known))}"
-            )
-        for cls in classes:
-            names = {item.name for item in fields(cls)}
-            try:
-                built[cls] = cls(**{k: v for k, v in given.items() if k in names})
-            except ConfigError as error:
-                raise ConfigError(f"{node}: {error}") from None
+    built = build(values)
+    plant, lifter = built["vdp_plant"], built["koopman_lifter"]
     return LoopParameters(
-        built[PlantConfig],
-        built[PaceConfig],
-        built[LifterConfig],
-        built[ModelConfig],
-        built[EscConfig],
+        plant[PlantConfig],
+        plant[PaceConfig],
+        lifter[LifterConfig],
+        lifter[ModelConfig],
+        built["relay_esc"][EscConfig],
     )
 
 
-def read(path: str | Path) -> dict[str, dict[str, Any]]:
-    """Read the values of the loop's nodes from a ROS 2 parameter file.
+def read(
+    path: str | Path,
+    nodes: Mapping[str, tuple[type, ...]] = NODES,
+    namespace: str | None = None,
+) -> dict[str, dict[str, Any]]:
+    """Read the values of some nodes from a ROS 2 parameter file; other nodes are ignored.
 
-    ``/**`` applies to every node that has the parameter; namespaces and other nodes are ignored.
+    Parameters
+    ----------
+    path : path
+        The file.
+    nodes : mapping of str to tuple of type
+        The nodes with their configuration classes.
+    namespace : str, optional
+        Of the loop; by default the one that the file describes.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read or is no parameter file.
+        If the file cannot be read, is not a parameter file or says nothing to any of the nodes.
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
-    if not isinstance(content, dict):
-        raise ConfigError(f"{path}: is no ROS 2 parameter file")
-    values: dict[str, dict[str, Any]] = {node: {} for node in NODES}
-    for key, section in content.items():
-        given = section.get("ros__parameters") if isinstance(section, dict) else None
-        if not isinstance(given, dict):
-            raise ConfigError(f"{path}: '{key}' has no ros__parameters")
-        given = {k: v for k, v in given.items() if k not in ROS_OWN}
-        if key in ("/**", "**"):
-            for node, classes in NODES.items():
-                known = {item.name for cls in classes for item in fields(cls)}
-                values[node].update({k: v for k, v in given.items() if k in known})
-        elif (node := str(key).rsplit("/", 1)[-1]) in values:
-            values[node].update(given)
-    return values
-
-
-def write(values: dict[str, dict[str, Any]], path: str | Path) -> None:
-    """Write values by node as a ROS 2 parameter file."""
-    content = {f"/**/{node}": {"ros__parameters": given} for node, given in values.items()}
-    Path(path).write_text(yaml.safe_dump(content, sort_keys=False))
+    known = {node: names_of(classes) for node, classes in nodes.items()}
+    values = parameter_file.read(path).values_of(known, namespace)
+    return {
+        node: {name: value for name, value in given.items() if not name.startswith(ROS_OWN)}
+        for node, given in values.items()
+    }
 
 
 def changed(

@@ -9,9 +9,15 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
+WAITED_FOR = "recorders"  # a parameter of the nodes, see koop_node.config
+
 
 class ParameterCollector:
     """Asks every node of a namespace once for all its parameters.
+
+    Left out are those that say how this run was started: `recorders`, and the recorder's `output`.
+    Who hands the file back starts another run: it would wait for a recorder that is not there, or
+    be told to write where a recording is.
 
     Later changes need no asking: they are recorded from /parameter_events.
 
@@ -41,14 +47,16 @@ class ParameterCollector:
         before = len(self.values)
         if self._own not in self.values:
             own = self._node.get_parameters_by_prefix("").items()
-            self.values[self._own] = {name: _plain(item.value) for name, item in own}
+            self.values[self._own] = {
+                name: _plain(item.value) for name, item in own if name not in ("output", WAITED_FOR)
+            }
         for name in nodes:
             if name.startswith(self._prefix) and name not in self.values | self._asked:
                 self._asked[name] = _Request(self._node, name)
         for name, request in list(self._asked.items()):
             request.advance()
             if request.values is not None:
-                self.values[name] = request.values
+                self.values[name] = {k: v for k, v in request.values.items() if k != WAITED_FOR}
             if request.values is not None or name not in nodes:
                 request.close()
                 del self._asked[name]

@@ -17,8 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from koop_loop import parameters as loop_parameters
 from koop_loop.parameters import LoopParameters
+from koop_node import parameter_file
 
 EXECUTABLES = {  # in the order of starting: who listens comes before who speaks
     "recorder": ("koop_bag", "recorder"),
@@ -220,7 +220,7 @@ class LiveLoop:
         for values in given.values():
             values["recorders"] = int(self._record)
         file = logs / "given_parameters.yaml"
-        loop_parameters.write(given, file)
+        parameter_file.write(given, file)
         arguments = ["--ros-args", "--params-file", str(file)]
         try:
             for node in EXECUTABLES:

@@ -28,7 +28,7 @@ from koop_lab.live.loop import (
 from koop_lab.replay.plan import Plan, Stretch
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER
-from koop_loop import parameters
+from koop_node import parameter_file
 from koop_node.domain import free_domain
 
 TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
@@ -75,7 +75,7 @@ def _parameter_file(folder: Path, plan: Plan) -> Path:
     # when the feeder takes its theta
     values = {node: {**given[node], "recorders": int(node == CONTROLLER[0])} for node in CONTROLLER}
     file = folder / "parameters.yaml"
-    parameters.write(values, file)
+    parameter_file.write(values, file)
     return file
 
 

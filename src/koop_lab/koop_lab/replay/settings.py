@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.metadata import parse_map
 from koop_bag.bag.reader import BagReader
-from koop_loop.parameters import NODES, ROS_OWN
+from koop_loop.parameters import NODES
 from koop_node.config import NodeConfig
+from koop_node.parameter_file import ROS_OWN
 from koopman_lifter.config import SOURCES, shipped_model
 from koopman_lifter.model import KoopmanModel, ModelError, load
 

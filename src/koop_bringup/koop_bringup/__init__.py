@@ -1,0 +1,1 @@
+"""What the launch file decides before it starts a node."""

@@ -1,0 +1,225 @@
+"""Which nodes a launch starts, with which parameters. Pure: neither launch nor ROS is imported.
+
+What is really given counts, in this order: an argument of the launch, the parameter file, the
+node's own default. Everything is checked here, before the first node starts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from koop_bag.recorder.config import RecorderConfig
+from koop_loop.parameters import EXECUTABLES, NODES, build, names_of
+from koop_node import parameter_file
+from koop_node.config import ConfigError, NodeConfig
+from koopman_lifter.config import ModelConfig
+from koopman_lifter.model import load
+
+ALL_NODES = {**NODES, "recorder": (RecorderConfig, NodeConfig)}
+WORDS = {"true": True, "1": True, "false": False, "0": False}
+
+
+class Argument(NamedTuple):
+    """An argument of the launch; an empty one is not given.
+
+    Attributes
+    ----------
+    name, meaning : str
+        What it is called and does.
+    node : str
+        The node whose parameter of that name it sets; empty if it is no parameter.
+    """
+
+    name: str
+    meaning: str
+    node: str = ""
+
+
+ARGUMENTS = (
+    Argument("namespace", "namespace of the whole loop; a fleet is N namespaces"),
+    Argument("params", "ROS 2 parameter file for all nodes; an argument wins over the file"),
+    Argument("pace", "realtime, lockstep or scaled", "vdp_plant"),
+    Argument("time_scale", "simulated per real time at the pace 'scaled'", "vdp_plant"),
+    Argument("duration", "simulated time [s] after which the launch ends; 0: never", "vdp_plant"),
+    Argument("seed", "seed of the plant's initial state", "vdp_plant"),
+    Argument("cost", "lifted or raw", "koopman_lifter"),
+    Argument("model", "Koopman model file", "koopman_lifter"),
+    Argument("plant", "true: start the simulated plant; false: your rig is the plant (true)"),
+    Argument(
+        "record", "true: record all topics; the simulated plant waits for the recorder (false)"
+    ),
+    Argument("output", "folder of the recording", "recorder"),
+    Argument("recorders", "recorders of your own that the loop waits for before it begins (0)"),
+)
+# What launch itself takes beside the arguments that a file declares.
+OF_LAUNCH = {"launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout",
+             "sigkill_timeout"}  # fmt: skip
+
+
+class PlannedNode(NamedTuple):
+    """A node to start.
+
+    Attributes
+    ----------
+    name, package, executable : str
+        Where to find it.
+    """
+
+    name: str
+    package: str
+    executable: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a launch does.
+
+    Attributes
+    ----------
+    namespace : str
+        Of all nodes; empty for the root.
+    nodes : tuple of PlannedNode
+        In the order of starting.
+    parameters : dict
+        All that is given, by node.
+    rig : bool
+        Whether a rig is the plant.
+    notes : tuple of str
+        What the user should know.
+    """
+
+    namespace: str
+    nodes: tuple[PlannedNode, ...]
+    parameters: dict[str, dict[str, Any]]
+    rig: bool
+    notes: tuple[str, ...]
+
+
+def plan(given: Mapping[str, str]) -> Plan:
+    """Return what a launch with these arguments does.
+
+    Raises
+    ------
+    ValueError
+        If an argument, the parameter file or the model cannot be used; in one line.
+    """
+    told = {name: text for name, text in given.items() if text}
+    namespace = _namespace(told.get("namespace", ""))
+    simulated, recorded = _flag("plant", told, True), _flag("record", told, False)
+    started = [
+        name for name in EXECUTABLES
+        if {"vdp_plant": simulated, "recorder": recorded}.get(name, True)
+    ]  # fmt: skip
+    classes = {name: ALL_NODES[name] for name in started}
+    values: dict[str, dict[str, Any]] = {name: {} for name in started}
+    notes = []
+    if "params" in told:
+        values, ignored = _from_file(told["params"], namespace, classes)
+        if ignored:
+            notes.append(f"{told['params']}: 'recorders' is not used: the launch counts them")
+    for argument in ARGUMENTS:
+        if argument.name in told and argument.node:
+            if argument.node not in values:
+                need = "plant:=true" if argument.node == "vdp_plant" else "record:=true"
+                raise ConfigError(f"{argument.name}:={told[argument.name]}: needs {need}")
+            values[argument.node][argument.name] = _value(argument, told[argument.name])
+    # a rig's controller waits for no recorder: that one could have failed
+    recorders = (recorded and simulated) + _whole_number("recorders", told.get("recorders", "0"))
+    for name in started:
+        values[name]["recorders"] = 0 if name == "recorder" else recorders
+    _check(values, classes)
+    nodes = tuple(PlannedNode(name, *EXECUTABLES[name]) for name in started)
+    return Plan(namespace, nodes, values, not simulated, tuple(notes))
+
+
+def refuse_unknown(words: list[str]) -> None:
+    """Refuse arguments that the launch does not have, which launch itself would ignore.
+
+    Parameters
+    ----------
+    words : list of str
+        As on the command line, ``name:=value``.
+
+    Raises
+    ------
+    ConfigError
+        On the first one.
+    """
+    known = [argument.name for argument in ARGUMENTS]
+    for word in words:
+        name = word.partition(":=")[0]
+        if name not in OF_LAUNCH and name not in known:
+            raise ConfigError(f"unknown argument {name}; this launch has {', '.join(known)}")
+
+
+def _from_file(
+    path: str, namespace: str, classes: Mapping[str, tuple[type, ...]]
+) -> tuple[dict[str, dict[str, Any]], bool]:
+    """Return what a file says to the nodes, and whether a number of recorders is left out.
+
+    A recorded run's own file holds the number of its recorders: with it, a plant would wait for
+    a recorder that this launch does not start.
+    """
+    known = {name: names_of(own) for name, own in classes.items()}
+    values = parameter_file.read(path).values_of(known, namespace)
+    ignored = [own.pop("recorders", 0) for own in values.values()]
+    return values, any(ignored)
+
+
+def _check(
+    values: Mapping[str, Mapping[str, Any]], classes: Mapping[str, tuple[type, ...]]
+) -> None:
+    configs = build(
+        {
+            name: {k: v for k, v in own.items() if not k.startswith(parameter_file.ROS_OWN)}
+            for name, own in values.items()
+        },
+        classes,
+    )
+    load(configs["koopman_lifter"][ModelConfig].path)
+    if "recorder" in configs:
+        output = configs["recorder"][RecorderConfig].output
+        if output and (Path(output).expanduser() / "bag").exists():
+            raise ConfigError(f"{output} holds a recording already: choose another output:=")
+
+
+def _namespace(text: str) -> str:
+    parts = text.strip("/").split("/") if text.strip("/") else []
+    if not all(re.fullmatch("[A-Za-z][A-Za-z0-9_]*", part) for part in parts):
+        raise ConfigError(f"namespace:={text}: is not a namespace of ROS 2")
+    return "".join(f"/{part}" for part in parts)
+
+
+def _flag(name: str, told: Mapping[str, str], default: bool) -> bool:
+    if name not in told:
+        return default
+    if told[name].lower() not in WORDS:
+        raise ConfigError(f"{name}:={told[name]}: must be true or false")
+    return WORDS[told[name].lower()]
+
+
+def _value(argument: Argument, text: str) -> Any:
+    """Return the value of a parameter, of the type of its default."""
+    default = next(
+        item.default
+        for cls in ALL_NODES[argument.node]
+        for item in fields(cls)
+        if item.name == argument.name and item.default is not MISSING
+    )
+    if isinstance(default, float):
+        try:
+            return float(text)
+        except ValueError:
+            raise ConfigError(f"{argument.name}:={text}: must be a number") from None
+    return _whole_number(argument.name, text) if isinstance(default, int) else text
+
+
+def _whole_number(name: str, text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise ConfigError(f"{name}:={text}: must be a whole number") from None

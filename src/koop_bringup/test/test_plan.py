@@ -1,0 +1,136 @@
+"""What a launch decides before it starts a node: which values count, what is refused."""
+
+import pytest
+
+from koop_bringup.plan import ARGUMENTS, plan, refuse_unknown
+from koop_node.config import ConfigError
+
+MINE = """
+/**: {ros__parameters: {robot_description: x, dt: 0.005, use_sim_time: false}}
+vdp_plant: {ros__parameters: {pace: lockstep, duration: 20, seed: 7, recorders: 1}}
+koopman_lifter: {ros__parameters: {cost: raw}}
+recorder: {ros__parameters: {compression: none, queue: 77}}
+"""
+
+
+@pytest.fixture
+def mine(tmp_path):
+    """Write a parameter file; return the argument that names it."""
+    file = tmp_path / "my.yaml"
+
+    def write(text=MINE):
+        file.write_text(text)
+        return {"params": str(file)}
+
+    return write
+
+
+def names(planned):
+    return [node.name for node in planned.nodes]
+
+
+def test_without_arguments_nothing_is_given_and_the_nodes_take_their_own_defaults():
+    planned = plan({argument.name: "" for argument in ARGUMENTS})
+    assert names(planned) == ["relay_esc", "koopman_lifter", "vdp_plant"]
+    assert all(given == {"recorders": 0} for given in planned.parameters.values())
+
+
+def test_the_file_wins_over_defaults_and_only_a_given_argument_wins_over_the_file(mine):
+    planned = plan({**mine(), "record": "true", "seed": "3", "pace": "", "duration": ""})
+    assert names(planned) == ["recorder", "relay_esc", "koopman_lifter", "vdp_plant"]
+    given = planned.parameters
+    shared = {"dt": 0.005, "use_sim_time": False, "recorders": 1}
+    assert given["vdp_plant"] == {**shared, "pace": "lockstep", "duration": 20, "seed": 3}
+    assert given["koopman_lifter"] == {**shared, "cost": "raw"}
+    assert given["recorder"] == {
+        "use_sim_time": False, "recorders": 0, "compression": "none", "queue": 77
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "recorders"),
+    [
+        ({}, 0),
+        ({"record": "true"}, 1),
+        ({"record": "true", "recorders": "2"}, 3),
+        ({"recorders": "1"}, 1),
+        ({"record": "true", "plant": "false"}, 0),
+    ],
+)
+def test_the_nodes_wait_for_the_recorders_that_there_are(mine, arguments, recorders):
+    planned = plan({**mine(), **arguments})
+    loop = [given["recorders"] for name, given in planned.parameters.items() if name != "recorder"]
+    assert set(loop) == {recorders}
+    assert any("'recorders' is not used" in note for note in planned.notes) == (
+        "plant" not in arguments
+    )
+
+
+def test_a_rig_takes_the_place_of_the_plant(mine):
+    planned = plan({**mine(), "plant": "False", "record": "1"})
+    assert planned.rig
+    assert names(planned) == ["recorder", "relay_esc", "koopman_lifter"]
+
+
+def test_a_loop_in_a_namespace_takes_what_the_file_says_to_it(mine):
+    text = "".join(
+        f"/{n}/relay_esc: {{ros__parameters: {{dwell: {n[-1]}.0}}}}\n" for n in ("r1", "r2")
+    )
+    planned = plan({**mine(text), "namespace": "r2"})
+    assert planned.namespace == "/r2"
+    assert planned.parameters["relay_esc"]["dwell"] == 2.0
+    with pytest.raises(
+        ConfigError, match=r"says nothing to /r3/relay_esc, .* has /.., /vdp_plant,"
+    ):
+        plan({**mine(), "namespace": "r3"})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"duration": "abc"}, "duration:=abc: must be a number"),
+        ({"duration": "-1"}, "vdp_plant: duration = -1: must be 0 to "),
+        ({"seed": "1.5"}, "seed:=1.5: must be a whole number"),
+        ({"pace": "foo"}, "pace = 'foo': must be one of realtime, lockstep, scaled"),
+        ({"cost": "cooked"}, "cost = 'cooked': must be one of "),
+        ({"plant": "maybe"}, "plant:=maybe: must be true or false"),
+        ({"record": "2"}, "record:=2: must be true or false"),
+        ({"recorders": "99"}, "recorders = 99: must be 0 to 10"),
+        ({"namespace": "a-b"}, "namespace:=a-b: is not a namespace"),
+        ({"plant": "false", "pace": "lockstep"}, "pace:=lockstep: needs plant:=true"),
+        ({"output": "x"}, "output:=x: needs record:=true"),
+        ({"model": "/nowhere.npz"}, "/nowhere.npz: cannot be read"),
+        ({"params": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read"),
+    ],
+)
+def test_a_bad_argument_is_refused_before_a_node_starts(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        plan(arguments)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("vdp_plant: {ros__parameters: {mass: 1.0}}", "vdp_plant: unknown parameter mass"),
+        ("recorder: {ros__parameters: {compression: lz4}}", "compression = 'lz4': must be one of"),
+        ("another: {ros__parameters: {gain: 1}}", "says nothing to /recorder, .* it has /another"),
+        ("{}", "it has no section"),
+    ],
+)
+def test_a_bad_file_is_refused_before_a_node_starts(mine, text, message):
+    with pytest.raises(ConfigError, match=message):
+        plan({**mine(text), "record": "true"})
+
+
+def test_a_folder_that_holds_a_recording_is_refused(mine, tmp_path):
+    (tmp_path / "bag").mkdir()
+    text = f"recorder: {{ros__parameters: {{output: {tmp_path}}}}}"
+    for given in ({"output": str(tmp_path)}, mine(text)):
+        with pytest.raises(ConfigError, match="holds a recording already: choose another output:="):
+            plan({"record": "true", **given})
+
+
+def test_an_argument_that_the_launch_does_not_have_is_refused():
+    refuse_unknown(["duration:=3", "sigterm_timeout:=20"])
+    with pytest.raises(ConfigError, match="unknown argument durations; this launch has namespace,"):
+        refuse_unknown(["durations:=3"])

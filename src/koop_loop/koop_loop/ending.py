@@ -1,0 +1,41 @@
+"""What the end of one node means for the run. Pure.
+
+The table for all commands is in docs/runs.md.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Ending(Enum):
+    """What follows from the end of a node."""
+
+    DONE = "the run has done what it was asked to"
+    FAILED = "the run ends, and the other nodes with it"
+    GO_ON = "the run goes on without the node"
+
+
+def ending(node: str, exit_code: int, rig: bool) -> Ending:
+    """Return what the end of a node means.
+
+    Parameters
+    ----------
+    node : str
+        Its name.
+    exit_code : int
+        With which it ended; negative: the signal that killed it.
+    rig : bool
+        Whether a real rig is the plant. It keeps its controller when the recording ends, as on a
+        full disk; a simulation that is not recorded is of no use.
+    """
+    if node == "vdp_plant" and exit_code == 0:
+        return Ending.DONE
+    return Ending.GO_ON if node == "recorder" and rig else Ending.FAILED
+
+
+def told(node: str, exit_code: int) -> str:
+    """Return how a node ended, in words."""
+    if exit_code < 0:
+        return f"{node} was killed by signal {-exit_code}"
+    return f"{node} ended with exit code {exit_code}"

@@ -1,0 +1,27 @@
+"""What ends a run, as docs/runs.md says it."""
+
+import pytest
+
+from koop_loop.ending import Ending, ending, told
+
+
+@pytest.mark.parametrize(
+    ("node", "exit_code", "rig", "expected"),
+    [
+        ("vdp_plant", 0, False, Ending.DONE),
+        ("vdp_plant", 1, False, Ending.FAILED),
+        ("vdp_plant", -9, False, Ending.FAILED),
+        ("koopman_lifter", 0, False, Ending.FAILED),
+        ("relay_esc", 0, True, Ending.FAILED),
+        ("relay_esc", -9, True, Ending.FAILED),
+        ("recorder", 1, False, Ending.FAILED),
+        ("recorder", 1, True, Ending.GO_ON),
+    ],
+)
+def test_a_rig_keeps_its_controller_when_the_recording_ends(node, exit_code, rig, expected):
+    assert ending(node, exit_code, rig) is expected
+
+
+def test_a_signal_is_named():
+    assert told("relay_esc", -9) == "relay_esc was killed by signal 9"
+    assert told("relay_esc", 2) == "relay_esc ended with exit code 2"

@@ -1,0 +1,129 @@
+"""The launch file with the real launch, where ROS 2's own is installed: it is not on PyPI."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from koop_bag.bag.reader import BagReader
+
+pytest.importorskip("launch_ros", reason="launch is not on PyPI")
+
+TIMEOUT = 60.0  # [s] to start four processes on a busy machine
+RUN = """
+import sys
+from ament_index_python.packages import get_package_share_path
+from ros2launch.api import launch_a_launch_file
+file = get_package_share_path("koop_bringup") / "launch" / "closed_loop.launch.py"
+sys.argv = ["launch", str(file), *sys.argv[1:]]
+sys.exit(launch_a_launch_file(launch_file_path=str(file), launch_file_arguments=sys.argv[2:]))
+"""
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def launch(own_domain, tmp_path, monkeypatch):
+    """Start the launch file; what it starts ends with the test."""
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    running = []
+
+    def start(*arguments):
+        process = subprocess.Popen(
+            [sys.executable, "-c", RUN, *arguments],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, cwd=tmp_path,
+        )  # fmt: skip
+        running.append(process)
+        return process
+
+    yield start
+    for process in running:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        process.communicate(timeout=TIMEOUT)
+
+
+def nodes_of(process):
+    """Return the running nodes of a launch, by the names of their executables."""
+    found = {}
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{pid}/stat") as file:
+                parent = int(file.read().rpartition(")")[2].split()[1])
+            with open(f"/proc/{pid}/cmdline", "rb") as file:
+                words = file.read().decode().split("\0")
+        except OSError:
+            continue
+        if parent == process.pid:
+            found |= {word.rsplit("/", 1)[-1]: int(pid) for word in words if "/lib/" in word}
+    return found
+
+
+def wait_for(condition, process):
+    deadline = time.monotonic() + TIMEOUT
+    while not (found := condition()):
+        assert process.poll() is None, process.stdout.read()
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.05)
+    return found
+
+
+def test_a_bad_argument_starts_no_node(launch):
+    for argument in ("duration:=abc", "pace:=foo", "durations:=3"):
+        process = launch(argument)
+        printed, _ = process.communicate(timeout=TIMEOUT)
+        assert process.returncode == 1
+        assert argument.split(":=")[-1] in printed or "unknown argument" in printed
+        assert "process started" not in printed
+
+
+def test_a_run_s_own_parameters_run_the_same_experiment_again(launch, tmp_path):
+    mine = tmp_path / "my.yaml"
+    mine.write_text(
+        "vdp_plant: {ros__parameters: {pace: lockstep, duration: 2, seed: 7}}\n"
+        "koopman_lifter: {ros__parameters: {cost: raw}}\n"
+        "recorder: {ros__parameters: {compression: none}}\n"
+    )
+    contents = []
+    for arguments, folder in (
+        ((f"params:={mine}", f"output:={tmp_path / 'first'}"), "first"),
+        ((f"params:={tmp_path / 'first' / 'parameters.yaml'}",), "recordings/*"),
+    ):
+        process = launch("record:=true", *arguments)
+        printed, _ = process.communicate(timeout=TIMEOUT)
+        assert process.returncode == 0, printed
+        (out,) = tmp_path.glob(folder)
+        with BagReader(out / "bag") as bag:
+            contents.append([message.data for message in bag.messages(["/cost", "/theta"])])
+    assert len(contents[0]) == 800
+    assert contents[0] == contents[1]
+    text = (out / "parameters.yaml").read_text()
+    for line in ("seed: 7", "cost: raw", "compression: none", "pace: lockstep"):
+        assert line in text
+
+
+@pytest.mark.parametrize(
+    ("executable", "name"), [("lifter", "koopman_lifter"), ("recorder", "recorder")]
+)
+def test_the_end_of_a_node_ends_the_launch_with_its_reason(launch, executable, name):
+    process = launch("record:=true")
+    nodes = wait_for(lambda: len(found := nodes_of(process)) == 4 and found, process)
+    os.kill(nodes[executable], signal.SIGKILL)
+    printed, _ = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 1
+    assert f"{name} was killed by signal 9" in printed
+
+
+def test_a_rig_keeps_its_controller_when_the_recorder_ends(launch):
+    process = launch("plant:=false", "record:=true")
+    nodes = wait_for(lambda: len(found := nodes_of(process)) == 3 and found, process)
+    os.kill(nodes["recorder"], signal.SIGKILL)
+    wait_for(lambda: len(nodes_of(process)) == 2, process)
+    process.send_signal(signal.SIGINT)
+    printed, _ = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 1
+    assert "recorder was killed by signal 9: the loop goes on without it" in printed
+    assert printed.count("process has finished cleanly") == 2
