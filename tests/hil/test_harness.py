@@ -78,9 +78,13 @@ def test_a_fault_that_is_none_is_refused(text):
         ({"events": [{"kill": "recorder"}]}, "kill: one of plant"),
         ({"events": [{"inject": {"state": False}}]}, "quote 'off' in YAML"),
         ({"events": [{"inject": {"cost": "off"}}]}, "into state or theta"),
+        ({"plant": "papier"}, "plant = 'papier': must be one of vdp_plant, galloping"),
         ({"remote": "recorder"}, "remote = 'recorder': must be one of"),
         ({"events": [{"cut": "link"}]}, "there is a link only if 'remote'"),
         ({"remote": "plant", "events": [{"cut": "plant"}]}, "cut: link, not 'plant'"),
+        ({"events": [{"handover": "plant"}]}, "handover: second_controller, not 'plant'"),
+        ({"events": [{"second_controller": 1}, {"second_controller": 2}]}, "one theta, and no"),
+        ({"events": [{"second_controller": "x"}]}, "second_controller: 'x' is not a number"),
         ({"limits": {"tail": 1}}, "limits has no tail"),
         ({"levels": {"relay_esc": "BAD"}}, "must be WARN, ERROR or STALE"),
         ({"pace": "lockstep", "events": [{"kill": "plant"}]}, "without events"),
@@ -132,7 +136,10 @@ def test_verdicts_are_written_as_a_table():
 def test_a_verdict_comes_back_from_json():
     verdict = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, round_trip=(1.0, 2.0))
     verdict.levels, verdict.failures = {"plant": ["OK"]}, ["tail_error = 0.9"]
-    assert Verdict.from_dict(json.loads(json.dumps(verdict.as_dict()))) == verdict
+    written = json.dumps(verdict.as_dict())
+    again = Verdict.from_dict(json.loads(written))
+    assert json.dumps(again.as_dict()) == written
+    assert again.round_trip == verdict.round_trip
 
 
 def test_a_rig_without_its_middleware_says_how_to_get_it(tmp_path):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_hil import report
+from koop_hil.excite import Excitation, excite
 from koop_hil.run import run
 from koop_hil.scenario import Scenario, find, read, shipped
 from koop_node.config import ConfigError
@@ -53,8 +54,11 @@ def main(args: argparse.Namespace) -> int:
     out = args.out or Path("recordings") / f"{stamp}-hil"
     if args.excite is not None:
         for scenario in scenarios:
-            bag = record_excitation(scenario, out / scenario.name, args.excite)
-            print(f"recorded; now 'koop train {bag} --dt 0.005 --out model.npz'")
+            recorded = record_excitation(scenario, out / scenario.name, args.excite)
+            print(
+                f"recorded {recorded.seconds:g} of {args.excite:g} s; "
+                f"now 'koop train {recorded.bag} --dt 0.005 --out model.npz'"
+            )
         return 0
     verdicts = []
     for number in range(args.repeat):
@@ -75,9 +79,7 @@ def main(args: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def record_excitation(scenario: Scenario, folder: Path, duration: float) -> Path:
+def record_excitation(scenario: Scenario, folder: Path, duration: float) -> Excitation:
     """Record a scenario's plant over the controller's range of theta."""
-    from koop_hil.excite import excite
-
     limits = EscConfig(theta_initial=scenario.setting.theta_initial)
     return excite(scenario, folder, limits.theta_min, limits.theta_max, duration)

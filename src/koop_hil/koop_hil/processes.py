@@ -9,12 +9,18 @@ from pathlib import Path
 
 from koop_hil import installed
 from koop_hil.hosts import BOUND, OtherHost
-from koop_hil.scenario import Scenario
+from koop_hil.scenario import SECOND, Scenario
 from koop_lab.live.loop import EXECUTABLES, NodeProcess, executable
 from koop_node import parameter_file
 
-ORDER = ("recorder", "relay_esc", "koopman_lifter", "fault_injector", "plant")  # listeners first
-SECOND = "second_controller"
+ORDER = (
+    "recorder",
+    "relay_esc",
+    SECOND,
+    "koopman_lifter",
+    "fault_injector",
+    "plant",
+)  # listeners first
 
 
 def rig_script() -> Path:
@@ -50,15 +56,19 @@ class Processes:
         self._other_host = other_host
         self._running: dict[str, NodeProcess] = {}
         self.exit_codes: list[tuple[str, int]] = []
-        self._parameter_file = folder / "logs" / "given_parameters.yaml"
+        self._parameter_file = self.logs / "given_parameters.yaml"
+
+    @property
+    def logs(self) -> Path:
+        """The folder of what the processes print."""
+        return self._folder / "logs"
 
     def __enter__(self) -> Processes:
         self._parameter_file.parent.mkdir(parents=True, exist_ok=True)
         parameter_file.write(self._given(), self._parameter_file)
         try:
             for name in ORDER:
-                wanted = self._scenario.injects if name == "fault_injector" else True
-                if name in ("recorder", "plant") or (self._controlled and wanted):
+                if self._wanted(name):
                     self.start(name)
         except BaseException:
             self.close()
@@ -68,11 +78,20 @@ class Processes:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _wanted(self, name: str) -> bool:
+        if name in ("recorder", "plant"):
+            return True
+        optional = {
+            "fault_injector": self._scenario.injects,
+            SECOND: self._scenario.second_controller,
+        }
+        return self._controlled and optional.get(name, True)
+
     def start(self, name: str) -> None:
         """Start a process of the scenario."""
-        log = self._folder / "logs" / f"{name}.log"
+        log = self.logs / f"{name}.log"
         arguments, command = self._command(name)
-        node = "vdp_plant" if name == "plant" else name
+        node = {"plant": "vdp_plant", SECOND: "relay_esc"}.get(name, name)
         if self._other_host is not None:
             there = name == self._scenario.setting.remote
             command = command or [str(executable(*EXECUTABLES[node]))]
@@ -84,16 +103,6 @@ class Processes:
         process = self._running.pop(name)
         process.process.kill()
         process.stop()
-
-    def start_second_controller(self, theta: float) -> None:
-        """Start a second controller that holds another theta."""
-        given = ["-r", f"__node:={SECOND}", "-p", f"theta_initial:={theta}", "-p", "step_size:=0.0"]
-        log = self._folder / "logs" / f"{SECOND}.log"
-        self._running[SECOND] = NodeProcess("relay_esc", ["--ros-args", *given], log)
-
-    def stop_second_controller(self) -> None:
-        """Stop the second controller."""
-        self._running.pop(SECOND).stop()
 
     def pause(self, name: str, paused: bool) -> None:
         """Stop a process with SIGSTOP, or let it go on."""
@@ -120,7 +129,7 @@ class Processes:
 
     def close(self) -> None:
         """Stop all, the sources before the recorder."""
-        for name in (SECOND, *reversed(ORDER)):
+        for name in reversed(ORDER):
             if name in self._running:
                 process = self._running.pop(name)
                 process.process.send_signal(signal.SIGCONT)
@@ -141,6 +150,11 @@ class Processes:
         }
         for node, values in self._scenario.parameters.items():
             given.setdefault(node, {}).update(values)
+        if self._scenario.second_controller:
+            given[SECOND] = {**given["relay_esc"], "autostart": False}
+            for event in self._scenario.events:
+                if event.action == SECOND:  # it wants another theta, and nothing else
+                    given[SECOND] |= {"theta_initial": event.what, "step_size": 0.0}
         for values in given.values():
             values["recorders"] = 1
         return given
@@ -150,6 +164,8 @@ class Processes:
         if name == "recorder":
             return ["--ros-args", "-p", f"output:={self._folder}"], None
         ros = ["--ros-args", "--params-file", str(self._parameter_file)]
+        if name == SECOND:
+            return [*ros, "-r", f"__node:={SECOND}"], None
         if name == "fault_injector":
             return ros, [sys.executable, "-m", "koop_hil.fault_injector"]
         if name != "plant":

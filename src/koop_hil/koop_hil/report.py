@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from koop_hil.verdict import Verdict
 
+WHOLE = 0.95  # of the duration: a busy machine lets simulated time fall behind
 HEAD = (
     "| scenario | what happens | mean \\|θ − θ*\\| at the end | out of tolerance "
     "| max \\|θ − θ*\\| | recording | reported | verdict |\n|---|---|---|---|---|---|---|---|"
@@ -18,10 +20,24 @@ def line(verdict: Verdict) -> str:
         return f"{verdict.name:<24} skipped: {verdict.skipped}"
     state = "passed" if verdict.passed else "FAILED"
     out = verdict.time_out_of_tolerance
-    return (
-        f"{verdict.name:<24} {state}  mean |theta - theta*| {verdict.tail_error:.2f} at the end, "
+    figures = (
+        f"mean |theta - theta*| {verdict.tail_error:.2f} at the end, "
         f"at most {verdict.max_error:.2f}, out of tolerance for {out:.1f} s"
     )
+    return f"{verdict.name:<24} {state}  {', '.join([figures, *remarks(verdict)])}"
+
+
+def remarks(verdict: Verdict) -> list[str]:
+    """Return what is not to be said of every run."""
+    said = []
+    if verdict.simulated < WHOLE * verdict.duration:
+        said.append(f"theta known for {verdict.simulated:.0f} of {verdict.duration:.0f} s")
+    if not math.isnan(verdict.answer_age):
+        said.append(f"oldest answer {verdict.answer_age:.2f} s")
+    said += [f"{count} answers of {name}" for name, count in verdict.answers.items()]
+    if verdict.contested:
+        said.append(f"{verdict.contested} answers with two controllers or none")
+    return said
 
 
 def growth(verdict: Verdict) -> str:
@@ -42,7 +58,8 @@ def table(verdicts: Sequence[Verdict]) -> str:
         )
         happens = "; ".join(v.events) or v.description
         recording = f"{v.unrecorded} missing" if v.unrecorded else "whole"
-        verdict = "passed" if v.passed else "**failed**: " + " ".join("; ".join(v.failures).split())
+        failures = " ".join("; ".join(v.failures).split())
+        verdict = "; ".join(["passed" if v.passed else f"**failed**: {failures}", *remarks(v)])
         if v.skipped:
             rows.append(f"| {v.name} | {happens} | | | | | | skipped: {v.skipped} |")
             continue

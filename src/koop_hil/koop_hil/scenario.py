@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from functools import cache
 from pathlib import Path
+from runpy import run_path
 from typing import Any
 
 import yaml
@@ -13,8 +15,10 @@ from koop_hil import faults, installed
 from koop_node.config import ConfigError, parameter, validate
 
 NODES = ("plant", "koopman_lifter", "relay_esc")
-ACTIONS = ("inject", "kill", "pause", "second_controller", "set", "cut")
+ACTIONS = ("inject", "kill", "pause", "second_controller", "handover", "set", "cut")
+SECOND = "second_controller"  # a node of this name stands by where an event is about it
 MAX_BYTES = 1 << 16
+NO_LIMIT = 1e9
 
 
 @dataclass(frozen=True)
@@ -27,10 +31,11 @@ class Event:
         Begin and length [s] of simulated time.
     action : str
         ``inject`` a fault into ``state`` or ``theta``; ``kill`` a node and start it again;
-        ``pause`` a process; start a ``second_controller``; ``set`` parameters; ``cut`` the link
-        between the hosts.
+        ``pause`` a process; activate a ``second_controller`` besides the first; ``handover`` to it;
+        ``set`` parameters; ``cut`` the link between the hosts.
     what : object
-        ``{topic: fault}``, a node, a theta, ``{node: {parameter: value}}`` or ``link``.
+        ``{topic: fault}``, a node, the second controller's theta, ``second_controller``,
+        ``{node: {parameter: value}}`` or ``link``.
     """
 
     at: float
@@ -58,10 +63,17 @@ class Limits:
         1.5, "|theta - theta*| out of tolerance; the relay's own cycle is 1", low=0.0, high=1e3
     )
     time_out_of_tolerance: float = parameter(
-        1e9, "how long theta may be out of tolerance from the first event on", unit="s", low=0.0
+        NO_LIMIT,
+        "how long theta may be out of tolerance from the first event on",
+        unit="s",
+        low=0.0,
     )
     memory_slope: float = parameter(
-        1e9, "growth of a node's memory over the second half", unit="MB/h", low=0.0
+        NO_LIMIT, "growth of a node's memory over the second half", unit="MB/h", low=0.0
+    )
+    answered_twice: int = parameter(0, "answers that a second controller gave besides", low=0)
+    answer_age: float = parameter(
+        NO_LIMIT, "age of a state when an answer to it moves theta, in real time", unit="s", low=0.0
     )
     unrecorded: int = parameter(
         0, "messages that the recording may lack: those under way when a node was killed", low=0
@@ -113,6 +125,24 @@ class Scenario:
     def injects(self) -> bool:
         """Whether a fault injector stands between plant and controller."""
         return any(event.action == "inject" for event in self.events)
+
+    @property
+    def publishers(self) -> dict[str, int]:
+        """How many publishers the topics of its loop have."""
+        names = ["state", "cost", "theta", "ground_truth"]
+        names += ["rig/state", "rig/theta"] if self.injects else []
+        return dict.fromkeys(names, 1)
+
+    @property
+    def second_controller(self) -> bool:
+        """Whether a second controller stands by."""
+        return any(event.action in (SECOND, "handover") for event in self.events)
+
+
+@cache
+def rigs() -> tuple[str, ...]:
+    """Return the names of the rigs that come with the package."""
+    return tuple(sorted(run_path(str(installed("rigs") / "physics.py"))["RIGS"]))
 
 
 def shipped() -> list[Path]:
@@ -175,11 +205,15 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
         if level not in ("WARN", "ERROR", "STALE"):
             raise ConfigError(f"levels: {node} must be WARN, ERROR or STALE")
     setting = Setting(**given)
+    if setting.plant not in (known := ["vdp_plant", *rigs()]):
+        raise ConfigError(f"plant = '{setting.plant}': must be one of {', '.join(known)}")
     if setting.pace == "lockstep" and (events or setting.plant != "vdp_plant"):
         raise ConfigError("pace: lockstep is for vdp_plant, and without events")
     happens = tuple(_event(item, folder) for item in events)
     if not setting.remote and any(event.action == "cut" for event in happens):
         raise ConfigError("cut: there is a link only if 'remote' names what runs on another host")
+    if len({event.what for event in happens if event.action in (SECOND, "handover")}) > 1:
+        raise ConfigError(f"{SECOND}: one theta, and no handover besides")
     return Scenario(
         name,
         setting,
@@ -223,8 +257,11 @@ def _event(item: Any, folder: Path) -> Event:
     elif action == "cut":
         if what != "link":
             raise ConfigError(f"cut: link, not {what!r}")
-    elif action == "second_controller":
+    elif action == SECOND:
         what = _number(what, action)
+    elif action == "handover":
+        if what != SECOND:
+            raise ConfigError(f"handover: {SECOND}, not {what!r}")
     else:
         what = {node: _mapping(v, "set") for node, v in _mapping(what, "set").items()}
         for values in what.values():

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from koop_hil.hosts import OtherHost, other_host
 from koop_hil.processes import Processes
-from koop_hil.scenario import Event, Scenario
+from koop_hil.scenario import SECOND, Event, Scenario
 from koop_lab.live.loop import START_TIMEOUT, LiveError, Monitor
 from vdp_plant.config import PlantConfig
 
+FIRST = "relay_esc"
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
+PATIENCE = 5.0  # [s] until a theta is heard
+ARRIVAL = 0.05  # [s] that the last theta may be under way
 TICK = 0.02  # [s] between looks at the clock
 
 
@@ -28,12 +33,13 @@ class RunRecord:
     ----------
     begin, end : int
         System time of the first and last moment [ns].
-    happened : list of (int, int, Event)
-        Begin and end of every event [ns].
+    happened : list of (int, Event)
+        When events began [ns].
     levels : dict
         Levels that every node reported after the first event, or in the whole run without events.
-    crashed : list of str
-        Processes that ended on their own, with their last words.
+    failures : list of str
+        Processes that ended on their own, with their last lines; publishers that are not the
+        scenario's; events that did not happen.
     memory : list of (float, dict)
         Time [s] and resident memory of every process [MB], about once a second.
     round_trip : list of (float, float)
@@ -42,9 +48,9 @@ class RunRecord:
 
     begin: int = 0
     end: int = 0
-    happened: list[tuple[int, int, Event]] = field(default_factory=list)
+    happened: list[tuple[int, Event]] = field(default_factory=list)
     levels: dict[str, set[str]] = field(default_factory=dict)
-    crashed: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
     memory: list[tuple[float, dict[str, float]]] = field(default_factory=list)
     round_trip: list[tuple[float, float]] = field(default_factory=list)
 
@@ -77,29 +83,27 @@ class Supervisor:
             processes = stack.enter_context(
                 Processes(self._folder, self._scenario, other_host=self._other_host)
             )
-            self._wait_for_start(monitor, processes)
+            wait_until(
+                lambda: "step" in monitor.progress.values.get("koopman_lifter", {}),
+                monitor,
+                processes,
+            )
+            refuse_others(monitor, self._scenario.publishers)
+            if self._scenario.second_controller:
+                monitor.change_state(SECOND, "configure", START_TIMEOUT)
             self._play(monitor, processes)
         for name, code in processes.exit_codes:
             if code != 0:
-                self._record.crashed.append(f"{name}: exit code {code}")
+                self._record.failures.append(f"{name}: exit code {code}")
         return self._record
-
-    def _wait_for_start(self, monitor: Monitor, processes: Processes) -> None:
-        deadline = time.monotonic() + START_TIMEOUT
-        while "step" not in monitor.progress.values.get("koopman_lifter", {}):
-            monitor.spin(0.05)
-            for name in processes.dead():
-                raise LiveError(f"{name} ended at the start:\n{processes.last_lines(name)}")
-            if time.monotonic() > deadline:
-                raise LiveError(f"no state in {START_TIMEOUT:g} s: see {self._folder}/logs")
 
     def _play(self, monitor: Monitor, processes: Processes) -> None:
         setting, record = self._scenario.setting, self._record
         started = time.monotonic()
         record.begin = time.time_ns()
         order = itertools.count()
-        todo: list[tuple[float, int, Event, int | None]] = [
-            (event.at, next(order), event, None) for event in self._scenario.events
+        todo: list[tuple[float, int, Event, bool]] = [
+            (event.at, next(order), event, False) for event in self._scenario.events
         ]
         heapq.heapify(todo)
         first = min((event.at for event in self._scenario.events), default=0.0)
@@ -107,19 +111,18 @@ class Supervisor:
         while (t := self._simulated(monitor, time.monotonic() - started)) < setting.duration:
             monitor.spin(TICK)
             while todo and todo[0][0] <= t:
-                _, _, event, begun = heapq.heappop(todo)
-                now = time.time_ns()
-                self._do(event, begun is not None, monitor, processes)
-                if begun is None and event.lasts > 0.0:
-                    heapq.heappush(todo, (t + event.lasts, next(order), event, now))
-                else:
-                    record.happened.append((begun or now, time.time_ns(), event))
+                _, _, event, over = heapq.heappop(todo)
+                if not over:
+                    record.happened.append((time.time_ns(), event))
+                self._do(event, over, monitor, processes)
+                if not over and event.lasts > 0.0:
+                    heapq.heappush(todo, (t + event.lasts, next(order), event, True))
             if t >= first:
                 for node, level in monitor.levels.items():
                     record.levels.setdefault(node, set()).add(LEVELS[level])
             for name in processes.dead():
-                record.crashed.append(f"{name} ended: {processes.last_lines(name)}")
-            if record.crashed:
+                record.failures.append(f"{name} ended: {processes.last_lines(name)}")
+            if record.failures:
                 break
             if time.monotonic() - looked > 1.0:
                 looked = time.monotonic()
@@ -128,6 +131,9 @@ class Supervisor:
                 record.round_trip.append((looked - started, float(reported)))
                 self._progress(t, f"theta {monitor.theta:+.2f}")
         record.end = time.time_ns()
+        for _, _, event, over in todo:
+            if not over and not record.failures:
+                record.failures.append(f"'{event}' did not happen: the run was over")
 
     def _simulated(self, monitor: Monitor, elapsed: float) -> float:
         """Return the simulated time [s] after a real time."""
@@ -147,11 +153,10 @@ class Supervisor:
         elif event.action == "cut":
             assert self._other_host is not None  # the scenario would have been refused
             self._other_host.link(up=over)
-        elif event.action == "second_controller":
-            if over:
-                processes.stop_second_controller()
-            else:
-                processes.start_second_controller(event.what)
+        elif event.action == SECOND:
+            monitor.change_state(SECOND, "deactivate" if over else "activate")
+        elif event.action == "handover":
+            handover(monitor, *((SECOND, FIRST) if over else (FIRST, SECOND)))
         elif event.action == "inject":
             for topic, fault in event.what.items():
                 text = "ok" if over else fault
@@ -159,3 +164,65 @@ class Supervisor:
         elif not over:
             for node, values in event.what.items():
                 monitor.set_parameters(node, values)
+
+
+def wait_until(condition: Callable[[], bool], monitor: Monitor, processes: Processes) -> None:
+    """Wait for a run to begin.
+
+    Raises
+    ------
+    LiveError
+        If it does not, or a process ends.
+    """
+    deadline = time.monotonic() + START_TIMEOUT
+    while not condition():
+        monitor.spin(TICK)
+        refuse_dead(processes)
+        if time.monotonic() > deadline:
+            raise LiveError(f"no state in {START_TIMEOUT:g} s: see {processes.logs}")
+
+
+def refuse_dead(processes: Processes) -> None:
+    """Raise LiveError if a process ended on its own."""
+    for name in processes.dead():
+        raise LiveError(f"{name} ended: {processes.last_lines(name)}")
+
+
+def refuse_others(monitor: Monitor, publishers: Mapping[str, int]) -> None:
+    """Raise LiveError if topics have more publishers than the run's own."""
+    for topic, own in publishers.items():
+        if (count := monitor.count_publishers(topic)) > own:
+            domain = os.environ.get("ROS_DOMAIN_ID", "0")
+            raise LiveError(
+                f"{count} publishers on '{topic}', {own} of this run: another loop runs on this "
+                f"ROS domain; set ROS_DOMAIN_ID (now {domain}) to a free one"
+            )
+
+
+def handover(monitor: Monitor, old: str, new: str) -> None:
+    """Let another controller go on from the theta of the active one, by ROS 2's own means.
+
+    At no time both are active.
+
+    Raises
+    ------
+    LiveError
+        If no theta comes, or a node refuses or does not answer.
+    """
+    from std_srvs.srv import Trigger
+
+    with monitor.newest_theta() as theta:
+        deadline = time.monotonic() + PATIENCE
+        while math.isnan(theta()):
+            if time.monotonic() > deadline:
+                raise LiveError(f"no theta of {old} in {PATIENCE:g} s")
+            monitor.spin(TICK)
+        monitor.change_state(old, "deactivate")
+        deadline = time.monotonic() + ARRIVAL
+        while time.monotonic() < deadline:
+            monitor.spin(TICK)
+        last = theta()
+    monitor.set_parameters(new, {"theta_initial": last})
+    if not monitor.call(Trigger, f"/{new}/reset", Trigger.Request()).success:
+        raise LiveError(f"{new} cannot be reset")
+    monitor.change_state(new, "activate")

@@ -8,15 +8,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from koop_bag.bag.columns import read_tables
+from koop_bag.bag.columns import Columns, read_tables
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
-from koop_hil.scenario import Scenario
+from koop_hil.answers import active_times, ages, answered_twice, authors
+from koop_hil.scenario import NO_LIMIT, SECOND, Scenario
 from koop_hil.supervisor import RunRecord
 from koop_loop.metrics import TAIL
 from vdp_plant.config import PlantConfig
+
+CONTROLLERS = ("relay_esc", SECOND)
+FIELDS = {
+    "state": ["step", "publish_time"],
+    "cost": ["step"],
+    "theta": ["step", "publish_time", "theta"],
+    "ground_truth": ["step", "log_time", "publish_time", "theta_applied"],
+}
+TRANSITION = ["publish_time", "start_state.label", "goal_state.label"]
+LIMITED = (
+    "tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answered_twice", "answer_age"
+)  # fmt: skip
+LEAST = 0.5  # of the duration that must be known
 
 
 @dataclass
@@ -31,11 +44,22 @@ class Verdict:
         Simulated time [s] from the first event on with theta out of tolerance.
     max_error : float
         Largest |theta - theta*| from the first event on.
+    duration, simulated : float
+        Simulated time [s] that was asked for, and for which theta on the plant is known.
     messages : dict
         Recorded messages by topic.
     unrecorded : int
         Messages that must have been there but are not in the bag: of steps that were jumped
         over, states whose cost, and costs whose theta was recorded.
+    answered_twice : int
+        Answers besides the first to one cost, as of a second controller.
+    answers : dict
+        Answers of every controller while it alone was active, if the scenario has a second one.
+    contested : int
+        Answers while both or none of the controllers were active.
+    answer_age : float
+        Largest age of a state [s] when an answer to it moved theta, on the plant or as it was
+        sent, in real time; if there is a limit.
     memory_slope : dict
         Growth of the resident memory of every process over the second half [MB/h].
     round_trip : tuple of float
@@ -56,6 +80,12 @@ class Verdict:
     max_error: float = math.nan
     messages: dict[str, int] = field(default_factory=dict)
     unrecorded: int = 0
+    duration: float = math.nan
+    simulated: float = math.nan
+    answered_twice: int = 0
+    answers: dict[str, int] = field(default_factory=dict)
+    contested: int = 0
+    answer_age: float = math.nan
     memory_slope: dict[str, float] = field(default_factory=dict)
     round_trip: tuple[float, float] = (math.nan, math.nan)
     levels: dict[str, list[str]] = field(default_factory=dict)
@@ -85,8 +115,9 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     """Compare a run with the scenario's limits."""
     events = [str(event) for event in scenario.events]
     verdict = Verdict(scenario.name, scenario.setting.description, events)
+    verdict.duration = scenario.setting.duration
     verdict.levels = {node: sorted(levels) for node, levels in sorted(record.levels.items())}
-    verdict.failures += record.crashed
+    verdict.failures += record.failures
     for node, level in scenario.levels.items():
         if level not in record.levels.get(node, set()):
             verdict.failures.append(f"{node} did not report {level}")
@@ -97,26 +128,66 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     for node, slope in verdict.memory_slope.items():
         if slope > scenario.limits.memory_slope:
             verdict.failures.append(f"the memory of {node} grows by {slope:.1f} MB/h")
-    stamps, theta = _recorded(bag, verdict)
-    if verdict.unrecorded > scenario.limits.unrecorded:
-        verdict.failures.append(f"{verdict.unrecorded} messages are missing in the recording")
+    recorded = _read(bag, verdict)
+    for name in ("state", "cost", "theta"):
+        if name not in recorded:
+            verdict.failures.append(f"nothing was recorded on '{name}'")
+            return verdict
+    verdict.unrecorded = _unrecorded(recorded)
+    verdict.answered_twice = answered_twice(recorded["cost"], recorded["theta"])
+    if scenario.second_controller:
+        _look_for_authors(scenario, recorded, verdict)
+    if scenario.limits.answer_age < NO_LIMIT:
+        _look_for_old_answers(recorded, verdict)
+    _judge_theta(scenario, record, recorded["ground_truth"], verdict)
+    for figure in LIMITED:
+        value, limit = getattr(verdict, figure), getattr(scenario.limits, figure)
+        if value > limit or (math.isnan(value) and limit < NO_LIMIT):
+            verdict.failures.append(f"{figure} = {value:.4g} is above {limit:g}")
+    return verdict
+
+
+def _judge_theta(
+    scenario: Scenario, record: RunRecord, ground_truth: Columns, verdict: Verdict
+) -> None:
+    """Fill in how far from the optimum the theta was that acted on the plant."""
+    stamps = ground_truth["log_time"].astype(np.int64)
     inside = (stamps >= record.begin) & (stamps <= record.end)
-    stamps, theta = stamps[inside], theta[inside]
-    if stamps.size < 100:
-        verdict.failures.append(f"only {stamps.size} thetas recorded")
-        return verdict
+    stamps, theta = stamps[inside], ground_truth["theta_applied"][inside]
+    verdict.simulated = float(stamps.size * PlantConfig().dt)
+    if verdict.simulated < LEAST * verdict.duration:
+        verdict.failures.append(f"theta is known for only {verdict.simulated:.1f} s of the run")
+        return
     error = np.abs(theta - scenario.setting.theta_star)
     verdict.tail_error = float(error[-max(1, round(TAIL * error.size)) :].mean())
-    first = min((begin for begin, _, _ in record.happened), default=record.begin)
+    first = min((begin for begin, _ in record.happened), default=record.begin)
     after = stamps >= first
     out = after & (error > scenario.limits.error_limit)
     verdict.time_out_of_tolerance = float(out.sum() * PlantConfig().dt)
-    verdict.max_error = float(error[after].max())
-    for figure in ("tail_error", "time_out_of_tolerance", "max_error"):
-        value, limit = getattr(verdict, figure), getattr(scenario.limits, figure)
-        if not value <= limit:
-            verdict.failures.append(f"{figure} = {value:.2f} is above {limit:g}")
-    return verdict
+    verdict.max_error = float(error[after].max(initial=0.0))
+
+
+def _look_for_authors(scenario: Scenario, recorded: dict[str, Columns], verdict: Verdict) -> None:
+    """Fill in which controller gave how many answers."""
+    active = {name: active_times(recorded[name]) for name in CONTROLLERS if name in recorded}
+    verdict.answers, verdict.contested = authors(recorded["theta"], active)
+    if not any(event.action == "handover" for event in scenario.events):
+        if not verdict.contested:
+            verdict.failures.append("the second controller did nothing")
+        return
+    if verdict.contested:
+        verdict.failures.append(f"{verdict.contested} answers while not one controller was active")
+    for name in CONTROLLERS:
+        if not verdict.answers.get(name):
+            verdict.failures.append(f"{name} never answered alone")
+
+
+def _look_for_old_answers(recorded: dict[str, Columns], verdict: Verdict) -> None:
+    """Fill in how old the states were that theta answered."""
+    found = ages(recorded["state"], recorded["theta"], recorded["ground_truth"])
+    verdict.answer_age = max(found.acted, found.sent)
+    if found.unexplained:
+        verdict.failures.append(f"theta moved {found.unexplained} times without a recorded answer")
 
 
 def _look_for_growth(record: RunRecord, verdict: Verdict) -> None:
@@ -132,22 +203,24 @@ def _look_for_growth(record: RunRecord, verdict: Verdict) -> None:
         verdict.round_trip = (float(np.median(trips[:third])), float(np.median(trips[-third:])))
 
 
-def _recorded(bag: Path, verdict: Verdict) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return receive times [ns] and the theta that acted on the plant; count what is missing."""
-    wanted = {f"/{name}": ["step"] for name in ("state", "cost", "theta")}
+def _read(bag: Path, verdict: Verdict) -> dict[str, Columns]:
+    """Return what is judged of every topic that was recorded; by node for its transitions."""
+    topics = {f"/{name}": name for name in FIELDS}
+    topics |= {f"/{name}/transition_event": name for name in CONTROLLERS}
     with BagReader(bag) as reader:
         verdict.messages = {topic.name: topic.count for topic in reader.topics}
-        wanted = {topic: fields for topic, fields in wanted.items() if topic in verdict.messages}
-        columns = read_tables(
-            reader, {**wanted, "/ground_truth": ["step", "log_time", "theta_applied"]}
-        )
-    ground_truth = columns["/ground_truth"]
-    steps = {topic: np.unique(columns[topic]["step"]) for topic in wanted}
-    verdict.unrecorded = count_losses(ground_truth["step"]).lost + sum(
+        wanted = {
+            topic: FIELDS.get(name, TRANSITION)
+            for topic, name in topics.items()
+            if verdict.messages.get(topic) or name == "ground_truth"
+        }
+        return {topics[topic]: columns for topic, columns in read_tables(reader, wanted).items()}
+
+
+def _unrecorded(recorded: dict[str, Columns]) -> int:
+    """Return how many messages must have been there but were not recorded."""
+    steps = {name: np.unique(recorded[name]["step"]) for name in ("state", "cost", "theta")}
+    return count_losses(recorded["ground_truth"]["step"]).lost + sum(
         np.setdiff1d(steps[answer], steps[question]).size
-        for question, answer in (("/state", "/cost"), ("/cost", "/theta"))
-        if answer in steps and question in steps
-    )
-    return ground_truth["log_time"].astype(np.int64), ground_truth["theta_applied"].astype(
-        np.float64
+        for question, answer in (("state", "cost"), ("cost", "theta"))
     )

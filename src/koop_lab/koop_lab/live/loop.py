@@ -133,16 +133,55 @@ class Monitor:
 
     def other_loops(self) -> int:
         """Return how many publishers of ``state`` are on this domain."""
-        return int(self._node.count_publishers("state"))
+        return self.count_publishers("state")
+
+    def count_publishers(self, topic: str) -> int:
+        """Return how many publishers of a topic are on this domain."""
+        return int(self._node.count_publishers(topic))
 
     @property
     def theta(self) -> float:
         """Last theta of the controller."""
         return float(self.progress.values.get("relay_esc", {}).get("theta", math.nan))
 
-    def set_parameters(
-        self, node: str, values: Mapping[str, str | float], wait: float = 5.0
-    ) -> None:
+    def call(self, service_type: Any, name: str, request: Any, wait: float = 5.0) -> Any:
+        """Call a service and return its response.
+
+        Raises
+        ------
+        LiveError
+            If nobody answers.
+        """
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(service_type, name)
+        client = self._clients[name]
+        deadline = time.monotonic() + wait
+        while not client.service_is_ready() and time.monotonic() < deadline:
+            self.spin(0.02)
+        future = client.call_async(request)
+        while not future.done() and time.monotonic() < deadline:
+            self.spin(0.02)
+        if not future.done():
+            raise LiveError(f"no answer from {name} in {wait:g} s")
+        return future.result()
+
+    def change_state(self, node: str, transition: str, wait: float = 5.0) -> None:
+        """Make a node ``configure``, ``activate``, ``deactivate`` or ``cleanup``.
+
+        Raises
+        ------
+        LiveError
+            If the node refuses or doesn't answer.
+        """
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        request = ChangeState.Request()
+        request.transition.id = getattr(Transition, f"TRANSITION_{transition.upper()}")
+        if not self.call(ChangeState, f"/{node}/change_state", request, wait).success:
+            raise LiveError(f"{node} cannot {transition}")
+
+    def set_parameters(self, node: str, values: Mapping[str, str | float]) -> None:
         """Change parameters of a node while it runs.
 
         Raises
@@ -153,22 +192,29 @@ class Monitor:
         from rcl_interfaces.srv import SetParametersAtomically
         from rclpy.parameter import Parameter
 
-        if node not in self._clients:
-            self._clients[node] = self._node.create_client(
-                SetParametersAtomically, f"/{node}/set_parameters_atomically"
-            )
-        client = self._clients[node]
-        deadline = time.monotonic() + wait
-        while not client.service_is_ready() and time.monotonic() < deadline:
-            self.spin(0.02)
         asked = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
-        future = client.call_async(SetParametersAtomically.Request(parameters=asked))
-        while not future.done() and time.monotonic() < deadline:
-            self.spin(0.02)
-        if not future.done():
-            raise LiveError(f"{node} doesn't answer the change of {', '.join(values)}")
-        if not future.result().result.successful:
-            raise LiveError(f"{node} refuses: {future.result().result.reason}")
+        request = SetParametersAtomically.Request(parameters=asked)
+        service = f"/{node}/set_parameters_atomically"
+        result = self.call(SetParametersAtomically, service, request).result
+        if not result.successful:
+            raise LiveError(f"{node} refuses: {result.reason}")
+
+    @contextmanager
+    def newest_theta(self) -> Iterator[Callable[[], float]]:
+        """Subscribe to ``theta``; the function given returns its newest value, at first NaN."""
+        from koop_msgs.msg import ControlInput
+
+        newest = math.nan
+
+        def take(message: ControlInput) -> None:
+            nonlocal newest
+            newest = message.theta
+
+        subscription = self._node.create_subscription(ControlInput, "theta", take, 1)
+        try:
+            yield lambda: newest
+        finally:
+            self._node.destroy_subscription(subscription)
 
     def theta_publisher(self, topic: str) -> Any:
         """Return a publisher of control inputs, for a plant without a controller."""
