@@ -24,6 +24,7 @@ setup(
         "console_scripts": [
             "recorder = koop_bag.executable:recorder",
             "player = koop_bag.executable:player",
-        ]
+        ],
+        "koop.commands": ["bag = koop_bag.cli:register"],
     },
 )

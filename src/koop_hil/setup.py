@@ -28,4 +28,5 @@ setup(
     maintainer_email="maintainers@koop.invalid",
     description="Hardware in the loop: scenarios with faults on the real nodes, verdicts.",
     license="Apache-2.0",
+    entry_points={"koop.commands": ["hil = koop_hil.command:register"]},
 )

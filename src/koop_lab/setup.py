@@ -6,6 +6,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
+    package_data={"koop_lab.cli": ["commands.txt"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
@@ -32,5 +33,16 @@ setup(
     maintainer_email="maintainers@koop.invalid",
     description="The koop commands: demo, train, replay, plots, benchmarks.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["koop = koop_lab.cli.main:main"]},
+    entry_points={
+        "console_scripts": ["koop = koop_lab.cli.main:main"],
+        "koop.commands": [
+            "bag = koop_lab.recorded.command:register",
+            "bench = koop_lab.bench.command:register",
+            "demo = koop_lab.live.demo:register",
+            "inspect = koop_lab.identify.command:register",
+            "replay = koop_lab.replay.command:register",
+            "simulate = koop_lab.cli.simulate:register",
+            "train = koop_lab.identify.command:register",
+        ],
+    },
 )

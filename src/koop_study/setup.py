@@ -31,4 +31,5 @@ setup(
     maintainer_email="maintainers@koop.invalid",
     description="The study: declarative experiments on the offline loop, one report.",
     license="Apache-2.0",
+    entry_points={"koop.commands": ["study = koop_study.command:register"]},
 )

@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from koop_lab.live.loop import LiveError, LiveLoop
+from koop_lab.errors import LiveError
+from koop_lab.live.loop import LiveLoop
 from koop_lab.recorded.run import read_run
 from koop_loop.loop import simulate
 from koop_loop.parameters import make, read

@@ -1,6 +1,5 @@
 """``koop bag metrics`` and ``koop bag plot`` on the golden bag."""
 
-import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,9 +11,10 @@ from rosbags.highlevel import AnyReader
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
+from koop_lab.cli.main import parser
 from koop_lab.cli.simulate import run as simulate
 from koop_lab.plots.report import plot_report
-from koop_lab.recorded.report import read, register_bag_commands
+from koop_lab.recorded.report import read
 from koop_lab.recorded.run import read_run
 from koop_loop import parameters
 from koop_loop.parameters import make
@@ -28,9 +28,7 @@ RUN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
 
 
 def command(*given):
-    parser = argparse.ArgumentParser()
-    register_bag_commands(parser.add_subparsers(required=True))
-    args = parser.parse_args([str(word) for word in given])
+    args = parser("bag").parse_args(["bag", *(str(word) for word in given)])
     return args.func(args)
 
 

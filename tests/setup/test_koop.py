@@ -18,6 +18,7 @@ TOOLS = (
     "mkdir", "mv", "readlink", "rm", "sed", "sha256sum", "sleep", "sort", "tail", "touch", "tr",
     "true", "uname", "xargs",
 )  # fmt: skip
+COMMANDS = "src/koop_lab/koop_lab/cli/commands.txt"  # shown by --help
 ROS_VARIABLES = ("AMENT_PREFIX_PATH", "ROS_DISTRO", "PYTHONPATH", "LD_LIBRARY_PATH")
 
 
@@ -28,7 +29,7 @@ class Clone:
         self.root = folder / "clone"
         self.tools = folder / "tools"
         self.calls_file = folder / "calls"
-        for name in ("koop", "scripts", "requirements"):
+        for name in ("koop", "scripts", "requirements", COMMANDS):
             source, target = REPOSITORY / name, self.root / name
             target.parent.mkdir(parents=True, exist_ok=True)
             (shutil.copytree if source.is_dir() else shutil.copy)(source, target)
@@ -111,7 +112,8 @@ def test_second_call_runs_neither_pip_nor_colcon(ready: Clone) -> None:
 def test_help_sets_nothing_up(clone: Clone) -> None:
     code, out, _ = clone.koop("--help")
     assert code == 0
-    assert "usage: ./koop COMMAND" in out
+    assert out.startswith("usage: ./koop COMMAND")
+    assert (REPOSITORY / COMMANDS).read_text() in out
     assert not (clone.root / ".venv").exists()
 
 

@@ -69,7 +69,7 @@ def bag_commands(commands: Any) -> Any:
     """
     parser = commands.choices.get("bag")
     if parser is None:
-        parser = commands.add_parser("bag", help="record, play, inspect and compare recordings")
+        parser = commands.add_parser("bag")
         parser.nested = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     return parser.nested
 

@@ -19,7 +19,7 @@ SOAK = 600.0  # [s] from which on the growth of memory and latency means somethi
 
 def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
-    parser = commands.add_parser("hil", help="hardware in the loop: scenarios with faults")
+    parser = commands.add_parser("hil")
     parser.add_argument(
         "scenarios", nargs="*", metavar="SCENARIO", help="file, or a name that --list shows"
     )

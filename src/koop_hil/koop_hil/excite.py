@@ -15,7 +15,8 @@ from koop_hil.run import BAR
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import refuse_dead, refuse_others, wait_until
 from koop_hil.verdict import LEAST
-from koop_lab.live.loop import LiveError, Monitor
+from koop_lab.errors import LiveError
+from koop_lab.live.loop import Monitor
 from vdp_plant.config import PlantConfig
 
 HOLD = 20.0  # [s] that theta stays, long enough for the limit cycle of that theta

@@ -14,7 +14,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from koop_lab.live.loop import LiveError
+from koop_lab.errors import LiveError
 
 HOSTS = {"koop0": "198.18.0.1/30", "koop1": "198.18.0.2/30"}  # kept free for tests (RFC 2544)
 HERE, THERE = HOSTS
@@ -125,7 +125,7 @@ def other_host() -> Iterator[OtherHost]:
 
     Raises
     ------
-    koop_lab.live.loop.LiveError
+    koop_lab.errors.LiveError
         If the system refuses.
     """
     with Namespace() as switch, Namespace() as host:

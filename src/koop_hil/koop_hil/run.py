@@ -20,7 +20,7 @@ from koop_hil.hosts import HostsError
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import Supervisor
 from koop_hil.verdict import Verdict, judge
-from koop_lab.live.loop import LiveError
+from koop_lab.errors import LiveError
 from koop_node.config import ConfigError
 
 VERDICT = "verdict.json"

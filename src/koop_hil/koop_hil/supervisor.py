@@ -15,7 +15,8 @@ from pathlib import Path
 from koop_hil.hosts import OtherHost, other_host
 from koop_hil.processes import Processes
 from koop_hil.scenario import SECOND, Event, Scenario
-from koop_lab.live.loop import START_TIMEOUT, LiveError, Monitor
+from koop_lab.errors import LiveError
+from koop_lab.live.loop import START_TIMEOUT, Monitor
 from vdp_plant.config import PlantConfig
 
 FIRST = "relay_esc"

@@ -12,7 +12,6 @@ def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     parser = commands.add_parser(
         "study",
-        help="run the experiments of a folder and write one report",
         description="Runs every experiment file of a folder offline and writes report.html, "
         "tables/*.csv and figures/*.svg. A study that was stopped goes on where it was.",
     )

@@ -11,7 +11,7 @@ BENCHMARKS = (loop, memory, offline, realtime, record)
 
 def register(commands: Any) -> None:
     """Add the command, with one subcommand a benchmark, to the subparsers of ``koop``."""
-    parser = commands.add_parser("bench", help="measure this machine against a baseline")
+    parser = commands.add_parser("bench")
     benchmarks = parser.add_subparsers(dest="benchmark", metavar="BENCHMARK", required=True)
     for module in BENCHMARKS:
         module.register(benchmarks)

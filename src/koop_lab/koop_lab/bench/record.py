@@ -25,7 +25,8 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
 from koop_bag.recorder.config import LOOP_TOPICS
-from koop_lab.live.loop import LiveError, NodeProcess
+from koop_lab.errors import LiveError
+from koop_lab.live.loop import NodeProcess
 
 LIMIT = 0.2  # [s] of messages that a killed recorder may lack
 PATIENCE = 60.0  # [s] for a recorder to start on a busy machine

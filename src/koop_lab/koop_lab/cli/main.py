@@ -1,47 +1,75 @@
-"""The ``koop`` command line."""
+"""The ``koop`` command line: finds the commands that the installed packages bring, and runs one.
+
+A package brings a command by an entry point of the group ``koop.commands``: its name is the
+command's, and it names a function that adds it to the subparsers and sets ``func``, which returns
+the exit code. A second package may add to a command of the same name.
+"""
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import os
+import re
 import signal
 import sys
-from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from importlib.resources import files
 from types import FrameType
 
-from koop_bag.cli import bag_commands
 from koop_bag.errors import BagError
-from koop_lab.live.loop import LiveError
-from koop_lab.recorded.report import register_bag_commands
-
-# A command is a module with register(subparsers); it sets ``func``, which returns the exit code.
-COMMANDS = (
-    "koop_lab.live.demo",
-    "koop_lab.cli.simulate",
-    "koop_lab.identify.command",
-    "koop_lab.replay.command",
-    "koop_bag.cli",
-    "koop_lab.bench.command",
-    "koop_hil.command",
-    "koop_study.command",
-)
+from koop_lab.errors import LiveError
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the parser of the whole command line."""
-    result = argparse.ArgumentParser(
-        prog="koop", description="Oscillation damping by extremum seeking in a Koopman-lifted space"
+def registered() -> dict[str, list[EntryPoint]]:
+    """Return the entry points of every command."""
+    found: dict[str, list[EntryPoint]] = {}
+    for entry in entry_points(group="koop.commands"):
+        found.setdefault(entry.name, []).append(entry)
+    return found
+
+
+def overview() -> str:
+    """Return what every command does, in groups; ``./koop --help`` shows the same file."""
+    text = (files("koop_lab.cli") / "commands.txt").read_text(encoding="utf-8")
+    others = registered().keys() - set(re.findall(r"^  (\w+)", text, re.MULTILINE))
+    return text + "".join(
+        ["\nothers\n", *(f"  {name}\n" for name in sorted(others))] if others else ""
     )
+
+
+def parser(*names: str) -> argparse.ArgumentParser:
+    """Return the parser of some commands, by default of all.
+
+    What a command imports takes up to a second, so only the command that runs is loaded.
+    """
+    result = argparse.ArgumentParser(prog="koop")
     commands = result.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for module in COMMANDS:
-        import_module(module).register(commands)
-    register_bag_commands(bag_commands(commands))
+    entries = registered()
+    for register in dict.fromkeys(e.load() for name in names or entries for e in entries[name]):
+        register(commands)
+    summaries = dict(re.findall(r"^  (\w+) +(.+)$", overview(), re.MULTILINE))
+    for name, command in commands.choices.items():
+        command.description = command.description or summaries.get(name)
     return result
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run a command; bad input ends in one line on stderr and exit code 2."""
-    args = parser().parse_args(argv)
+    words = sys.argv[1:] if argv is None else argv
+    if not words or words[0] in ("-h", "--help"):
+        print(
+            "usage: koop COMMAND [ARGUMENTS]    (COMMAND --help lists them)\n\n" + overview(),
+            end="",
+        )
+        return 0
+    if words[0] not in (known := registered()):
+        near = difflib.get_close_matches(words[0], known, 1)
+        hint = f"did you mean '{near[0]}'?" if near else "see koop --help"
+        kind = "option" if words[0].startswith("-") else "command"
+        print(f"koop: error: no {kind} '{words[0]}': {hint}", file=sys.stderr)
+        return 2
+    args = parser(words[0]).parse_args(words)
     if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:  # see koop_lab.__main__
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # a closed terminal or a supervisor's stop must end the nodes that were started, as Ctrl-C does

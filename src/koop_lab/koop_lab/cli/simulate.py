@@ -20,7 +20,7 @@ from koop_loop.static_map import performance
 
 def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
-    parser = commands.add_parser("simulate", help="run the experiment offline, without ROS")
+    parser = commands.add_parser("simulate")
     add_loop_options(parser, duration=PAPER_DURATION)
     parser.add_argument("--out", type=Path, metavar="FILE.npz", help="write the signals")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the run (png, svg, pdf)")

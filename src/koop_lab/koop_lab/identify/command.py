@@ -26,9 +26,7 @@ BAGS = ("state", "names", "dt", "way", "gap", "held_out", "horizons")
 def register(commands: Any) -> None:
     """Add both commands to the subparsers of ``koop``."""
     default = TrainingConfig()
-    parser = commands.add_parser(
-        "train", help="learn a Koopman model from bags or from simulated trajectories"
-    )
+    parser = commands.add_parser("train")
     parser.add_argument(
         "bags", nargs="*", type=Path, metavar="BAG", help="recordings to learn from"
     )
@@ -56,7 +54,7 @@ def register(commands: Any) -> None:
     )
     parser.set_defaults(func=train_main)
 
-    parser = commands.add_parser("inspect", help="show a Koopman model")
+    parser = commands.add_parser("inspect")
     parser.add_argument("model", nargs="?", type=Path, help="model file (default: the shipped one)")
     parser.set_defaults(func=inspect_main)
 

@@ -26,7 +26,7 @@ BAR = "{desc:<10} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
 def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
-    parser = commands.add_parser("demo", help="damp the oscillation with the real nodes over DDS")
+    parser = commands.add_parser("demo")
     add_loop_options(parser, duration=PAPER_DURATION)
     parser.add_argument(
         "--pace",

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from koop_lab.errors import LiveError
 from koop_loop.parameters import LoopParameters
 from koop_node import parameter_file
 
@@ -28,10 +29,6 @@ EXECUTABLES = {  # in the order of starting: who listens comes before who speaks
 }
 START_TIMEOUT = 60.0  # [s] for imports and, the first time, for the compilation of the kernels
 STOP_TIMEOUT = 10.0  # [s] after which a node that ignores SIGINT is killed
-
-
-class LiveError(RuntimeError):
-    """The loop could not run to its end; the message says which node failed and why."""
 
 
 def executable(package: str, name: str) -> Path:

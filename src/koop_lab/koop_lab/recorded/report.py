@@ -6,7 +6,6 @@ import argparse
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -115,31 +114,6 @@ def signal_table(run: Run) -> str:
             shown = (part.mean(), part.std(), part.min(), part.max())
             rows.append([name, *(f"{value:.6g}" for value in shown)])
     return table(["last 30 %", "mean", "deviation", "least", "largest"], rows)
-
-
-def register_bag_commands(subparsers: Any) -> None:
-    """Add `metrics` and `plot` to the subparsers of ``koop bag``."""
-    for name, text, entry in (
-        ("metrics", "the paper's metrics of a recorded run", metrics_main),
-        ("plot", "state, cost, theta, spectrogram and the model's eigenvalues", plot_main),
-    ):
-        parser = subparsers.add_parser(name, help=text)
-        parser.add_argument("run", type=Path, help="folder of a run or of a bag, or an .mcap file")
-        parser.add_argument("--namespace", default="/", help="namespace of the loop")
-        parser.add_argument("--model", type=Path, metavar="FILE", help="if it is not in the folder")
-        parser.add_argument(
-            "--theta-star", type=float, metavar="THETA", help="the best theta, if you know it"
-        )
-        if name == "metrics":
-            parser.add_argument("--json", action="store_true", help="print JSON")
-        else:
-            parser.add_argument(
-                "--out",
-                type=Path,
-                metavar="FILE",
-                help="png, svg or pdf (default: report.png in RUN)",
-            )
-        parser.set_defaults(func=entry)
 
 
 def metrics_main(args: argparse.Namespace) -> int:

@@ -23,7 +23,6 @@ def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     parser = commands.add_parser(
         "replay",
-        help="recorded states through the controller again",
         description="Feeds the recorded states through the real lifter and controller and compares "
         "cost and theta with the recorded ones, bit by bit. Exit code 1 if they differ. With "
         "another model or other parameters it shows what the controller would have answered to "

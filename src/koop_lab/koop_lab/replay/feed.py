@@ -17,14 +17,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from koop_bag.bag.reader import BagReader
-from koop_lab.live.loop import (
-    EXECUTABLES,
-    START_TIMEOUT,
-    LiveError,
-    NodeProcess,
-    executable,
-    uninterrupted,
-)
+from koop_lab.errors import LiveError
+from koop_lab.live.loop import EXECUTABLES, START_TIMEOUT, NodeProcess, executable, uninterrupted
 from koop_lab.replay.plan import Plan, Stretch
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER
@@ -47,7 +41,7 @@ def replay_live(
 
     Raises
     ------
-    koop_lab.live.loop.LiveError
+    koop_lab.errors.LiveError
         If a node ends, does not answer or refuses a parameter.
     """
     with tempfile.TemporaryDirectory(prefix="koop-replay-") as name:

@@ -37,7 +37,7 @@ def repeat(experiments: list[Experiment], out: Path) -> bool:
 
     Raises
     ------
-    koop_lab.live.loop.LiveError
+    koop_lab.errors.LiveError
         If a node fails.
     """
     runs = [

@@ -1,0 +1,79 @@
+"""Commands come from the packages that are installed, and every one of them is listed."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from koop_lab.cli.main import main, overview, parser, registered
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """Another package is installed: it brings `hello` and adds to `bag`."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "another-1.0.dist-info").mkdir()
+    (tmp_path / "another-1.0.dist-info/METADATA").write_text("Name: another\nVersion: 1.0\n")
+    (tmp_path / "another-1.0.dist-info/entry_points.txt").write_text(
+        "[koop.commands]\nhello = another_package:hello\nbag = another_package:to_bag\n"
+    )
+    (tmp_path / "another_package.py").write_text(
+        "from koop_bag.cli import bag_commands\n"
+        "def hello(commands):\n"
+        "    commands.add_parser('hello').set_defaults(func=lambda args: 7)\n"
+        "def to_bag(commands):\n"
+        "    bag_commands(commands).add_parser('count').set_defaults(func=lambda args: 8)\n"
+    )
+    yield
+    sys.modules.pop("another_package", None)
+
+
+def test_every_command_is_listed_with_what_it_does():
+    out = subprocess.run([ROOT / "koop", "--help"], capture_output=True, text=True, check=True)
+    listed = re.findall(r"^  (\w+) .{20,}$", out.stdout, re.MULTILINE)
+    of_the_script = re.findall(r"^    ([a-z]+)\)", (ROOT / "koop").read_text(), re.MULTILINE)
+    assert {"test", "run", "clean"} <= set(of_the_script)
+    assert set(registered()) | set(of_the_script) <= set(listed)
+    assert overview() in out.stdout
+    assert "others" not in overview()
+
+
+@pytest.mark.parametrize("name", sorted(registered()))
+def test_a_command_of_an_entry_point_is_there(name, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        parser(name).parse_args([name, "--help"])
+    assert len(capsys.readouterr().out.splitlines()) > 4
+
+
+def test_another_package_brings_a_command_and_adds_to_one(package):
+    assert overview().endswith("\nothers\n  hello\n")
+    assert main(["hello"]) == 7
+    assert main(["bag", "count"]) == 8
+    assert main(["bag", "info", "nowhere"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [("dem", "no command 'dem': did you mean 'demo'?"), ("--foo", "no option '--foo': see koop")],
+)
+def test_what_is_no_command_is_named(word, message, capsys):
+    assert main([word]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("code", "heavy"),
+    [("overview()", "numpy"), ("parser('bag')", "numba"), ("parser('demo')", "matplotlib")],
+)
+def test_only_what_a_command_needs_is_loaded(code, heavy):
+    program = (
+        f"import sys; from koop_lab.cli.main import *; {code}; print({heavy!r} in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "False\n"
