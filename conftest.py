@@ -1,26 +1,77 @@
-"""For all tests: interrupts interrupt, a domain of one's own, and no skip that nobody notices."""
+"""For all tests: interrupts interrupt, a ROS domain of one's own, no skip that nobody notices."""
 
 from __future__ import annotations
 
 import os
 import signal
+import socket
 from collections.abc import Iterator
+from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
 
-from koop_node.domain import free_domain
+from koop_node.domain import DISCOVERY_PORT, free_domain
 
-ALLOWED_SKIPS = Path(__file__).parent / "tests" / "allowed_skips.txt"
+ROOT = Path(__file__).parent
+ALLOWED_SKIPS = ROOT / "tests" / "allowed_skips.txt"
 
 # A script starts what it sends to the background with SIGINT ignored, and every process under it
 # inherits that: the tests of Ctrl-C would wait for ever.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# A loop that runs beside the tests must not be disturbed.
-os.environ["ROS_DOMAIN_ID"] = str(free_domain())
+NO_DOMAIN = "none: the test is not marked 'ros'"  # with which no node can start
+os.environ["ROS_DOMAIN_ID"] = NO_DOMAIN
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+
+@contextmanager
+def a_domain() -> Iterator[str]:
+    """Hold a ROS domain that nobody takes part in.
+
+    A loop that runs beside the tests must not be disturbed. The tests run in several processes,
+    which must not meet either: a bound port says that the domain is taken.
+    """
+    while True:
+        domain = free_domain()
+        with socket.socket() as taken:
+            try:
+                taken.bind(("127.0.0.1", DISCOVERY_PORT + 250 * domain))  # of TCP; DDS has UDP's
+            except OSError:
+                continue
+            yield str(domain)
+            return
+
+
+@pytest.fixture(scope="module")
+def module_domain() -> Iterator[str]:
+    """Give the tests of a module one domain, for nodes that several of them use."""
+    with a_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", domain)
+        yield domain
+
+
+@pytest.fixture
+def own_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Give a test a domain, for nodes that only it uses."""
+    with a_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+        yield
+
+
+@pytest.fixture(autouse=True)
+def domain_of_the_marked(request: pytest.FixtureRequest) -> None:
+    """Give a domain to what is marked 'ros'."""
+    if request.node.get_closest_marker("ros") and "module_domain" not in request.fixturenames:
+        request.getfixturevalue("own_domain")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what asks for a domain."""
+    for item in items:
+        if {"own_domain", "module_domain"} & set(getattr(item, "fixturenames", ())):
+            item.add_marker("ros")
 
 
 def allowed_skips() -> list[str]:

@@ -1,9 +1,7 @@
-"""What the tests on real nodes share: a DDS domain of their own, processes that end, a probe."""
+"""What the tests on real nodes share: processes that end, a probe."""
 
 from __future__ import annotations
 
-import itertools
-import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,23 +9,11 @@ from typing import Any
 
 import pytest
 
-from koop_node.domain import free_domain
+from koop_lab.live.loop import NodeProcess
 
 TIMEOUT = (
     30.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well
 )
-_domains = itertools.count(int(os.environ.get("ROS_DOMAIN_ID", os.getpid())))
-
-
-@pytest.fixture(autouse=True)
-def own_domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give every test a domain of its own: a killed node haunts the graph for 20 seconds.
-
-    And one that nobody takes part in: a loop that runs beside the tests must not be disturbed.
-    """
-    first = next(_domains)
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain((first + i) % 100 + 1 for i in range(100))))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 class Probe:
@@ -73,7 +59,10 @@ class Probe:
         self.node.destroy_client(client)
         return future.result()
 
-    def close(self) -> None:
+    def __enter__(self) -> Probe:
+        return self
+
+    def __exit__(self, *error: object) -> None:
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
@@ -82,26 +71,50 @@ class Probe:
 @pytest.fixture
 def probe(own_domain: None) -> Iterator[Probe]:
     """A node of the test in the test's domain."""
-    probe = Probe()
-    yield probe
-    probe.close()
+    with Probe() as probe:
+        yield probe
+
+
+@pytest.fixture(scope="module")
+def module_probe(module_domain: str) -> Iterator[Probe]:
+    """A node of the test in the module's domain."""
+    with Probe() as probe:
+        yield probe
+
+
+class Nodes:
+    """Starts nodes by name, as in ``nodes("relay_esc", dwell=0.0)``, and stops them at its end."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.running: list[NodeProcess] = []
+
+    def __call__(self, node: str, *arguments: str, **parameters: Any) -> NodeProcess:
+        given = [w for name, value in parameters.items() for w in ("-p", f"{name}:={value}")]
+        log = self.folder / f"{node}-{len(self.running)}.log"
+        process = NodeProcess(node, ["--ros-args", *given, *arguments], log)
+        self.running.append(process)
+        return process
+
+    def __enter__(self) -> Nodes:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for process in reversed(self.running):
+            process.stop()
+        for process in self.running:
+            assert "Traceback" not in process.log.read_text(errors="replace")
 
 
 @pytest.fixture
-def start(own_domain: None, tmp_path: Path) -> Iterator[Callable[..., Any]]:
-    """Start nodes by name: ``start("relay_esc", dwell=0.0)``; they are stopped after the test."""
-    from koop_lab.live.loop import NodeProcess
+def start(own_domain: None, tmp_path: Path) -> Iterator[Nodes]:
+    """Start nodes in the test's domain; they are stopped after the test."""
+    with Nodes(tmp_path) as nodes:
+        yield nodes
 
-    running = []
 
-    def start_node(node: str, *arguments: str, **parameters: Any) -> NodeProcess:
-        given = [w for name, value in parameters.items() for w in ("-p", f"{name}:={value}")]
-        log = tmp_path / f"{node}-{len(running)}.log"
-        process = NodeProcess(node, ["--ros-args", *given, *arguments], log)
-        running.append(process)
-        return process
-
-    yield start_node
-    for process in reversed(running):
-        process.stop()
-        assert "Traceback" not in process.log.read_text(errors="replace")
+@pytest.fixture(scope="module")
+def module_start(module_domain: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
+    """Start nodes in the module's domain; they are stopped after its last test."""
+    with Nodes(tmp_path_factory.mktemp("nodes")) as nodes:
+        yield nodes

@@ -12,6 +12,8 @@ import pytest
 from koop_bag.bag.reader import BagReader
 from koop_lab.recorded.run import read_run
 
+pytestmark = pytest.mark.ros
+
 TIMEOUT = 60.0  # [s] to start four processes on a busy machine
 
 
@@ -77,4 +79,4 @@ def test_a_demo_that_is_stopped_leaves_a_whole_bag_and_no_process(tmp_path, numb
     with BagReader(folder / "bag") as reader:
         assert reader.complete
         counts = {topic.name: topic.count for topic in reader.topics}
-    assert counts["/state"] > 100
+    assert min(counts[topic] for topic in ("/state", "/cost", "/theta")) > 0

@@ -1,83 +1,88 @@
 """The loop over DDS: equal to the offline loop to the last bit, recorded whole, ending cleanly."""
 
 import math
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from koop_lab.errors import LiveError
 from koop_lab.live.loop import LiveLoop
-from koop_lab.recorded.run import read_run
+from koop_lab.recorded.run import RecordedRun, read_run
 from koop_loop.loop import simulate
-from koop_loop.parameters import make, read
+from koop_loop.parameters import LoopParameters, make, read
+
+pytestmark = pytest.mark.ros
 
 
-def lockstep(folder, steps, **changes):
+CHANGED = {
+    "koopman_lifter": {"cost": "raw"},
+    "relay_esc": {"dwell": 1.0, "objective": "maximise"},
+    "vdp_plant": {"integrator": "euler", "initial_state": [5.0, 1.0]},
+}
+
+
+@dataclass(frozen=True)
+class Lockstep:
+    """A run over DDS that was recorded."""
+
+    folder: Path
+    parameters: LoopParameters
+    steps: int
+    run: RecordedRun
+
+
+@pytest.fixture(scope="module", params=[(10_000, {}), (2000, CHANGED)], ids=["default", "changed"])
+def lockstep(request, module_domain, tmp_path_factory):
+    steps, changes = request.param
     values = {"vdp_plant": {"pace": "lockstep", "duration": steps * 0.005, "seed": 5}}
     for node, given in changes.items():
         values[node] = values.get(node, {}) | given
     parameters = make(values)
+    folder = tmp_path_factory.mktemp("lockstep")
     with LiveLoop(folder, parameters) as loop:
         loop.run(lambda progress: None)
-    return parameters, read_run(folder / "bag")
+    return Lockstep(folder, parameters, steps, read_run(folder / "bag"))
 
 
-def assert_identical(run, result):
-    np.testing.assert_array_equal(run.step, result.step)
-    np.testing.assert_array_equal(run.measured, result.measured)
-    np.testing.assert_array_equal(run.ground_truth, result.ground_truth)
-    np.testing.assert_array_equal(run.r, result.r)
-    np.testing.assert_array_equal(run.theta, result.theta)
-
-
-@pytest.mark.parametrize(
-    ("steps", "changes"),
-    [
-        (20_000, {}),
-        (
-            2_000,
-            {
-                "koopman_lifter": {"cost": "raw"},
-                "relay_esc": {"dwell": 1.0, "objective": "maximise"},
-                "vdp_plant": {"integrator": "euler", "initial_state": [5.0, 1.0]},
-            },
-        ),
-    ],
-)
-def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(tmp_path, steps, changes):
-    parameters, run = lockstep(tmp_path, steps, **changes)
+def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
+    parameters, run = lockstep.parameters, lockstep.run
     model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
-    result = simulate(parameters.plant, parameters.lifter, parameters.esc, model, steps)
-    assert_identical(run, result)
+    result = simulate(parameters.plant, parameters.lifter, parameters.esc, model, lockstep.steps)
+    for name in ("step", "measured", "ground_truth", "r", "theta"):
+        np.testing.assert_array_equal(getattr(run, name), getattr(result, name), name)
     assert run.lost == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
     assert np.ptp(run.theta) > 0.1  # the controller did act
-    # what the recorder found out about the nodes is what they were given
-    recorded = make(read(tmp_path / "parameters.yaml"))
-    assert (recorded.plant, recorded.lifter, recorded.esc) == (
-        parameters.plant,
-        parameters.lifter,
-        parameters.esc,
-    )
-    assert (tmp_path / "versions.yaml").is_file()
 
 
-def test_every_message_is_decoded_by_readers_that_no_one_here_wrote(tmp_path):
+def test_the_recorder_finds_out_what_the_nodes_were_given(lockstep):
+    recorded, given = make(read(lockstep.folder / "parameters.yaml")), lockstep.parameters
+    assert (recorded.plant, recorded.lifter, recorded.esc) == (given.plant, given.lifter, given.esc)
+    assert (lockstep.folder / "versions.yaml").is_file()
+
+
+SHORT = pytest.mark.parametrize("lockstep", [(2000, CHANGED)], ids=["changed"], indirect=True)
+
+
+@SHORT
+def test_every_message_is_decoded_by_readers_that_no_one_here_wrote(lockstep):
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
     from rosbags.highlevel import AnyReader
 
-    _, run = lockstep(tmp_path, 200)
-    with AnyReader([tmp_path / "bag"]) as reader:
+    run = lockstep.run
+    with AnyReader([lockstep.folder / "bag"]) as reader:
         decoded = {}
         for connection, _, raw in reader.messages():
             message = reader.deserialize(raw, connection.msgtype)
             decoded.setdefault(connection.topic, []).append(message)
-    assert [m.step for m in decoded["/state"]] == list(range(200))
+    assert [m.step for m in decoded["/state"]] == list(range(lockstep.steps))
     np.testing.assert_array_equal([m.x for m in decoded["/state"]], run.measured)
     np.testing.assert_array_equal([m.r for m in decoded["/cost"]], run.r)
     np.testing.assert_array_equal([m.theta for m in decoded["/theta"]], run.theta)
     np.testing.assert_array_equal([m.x for m in decoded["/ground_truth"]], run.ground_truth)
-    (file,) = (tmp_path / "bag").glob("*.mcap")
+    (file,) = (lockstep.folder / "bag").glob("*.mcap")
     others = {}
     with file.open("rb") as stream:
         for _, channel, _, message in make_reader(
@@ -90,11 +95,12 @@ def test_every_message_is_decoded_by_readers_that_no_one_here_wrote(tmp_path):
     assert [m.theta for m in others["/theta"]] == run.theta.tolist()
 
 
-def test_simulated_time_is_stamped_and_the_truth_says_which_theta_acted(tmp_path):
+@SHORT
+def test_simulated_time_is_stamped_and_the_truth_says_which_theta_acted(lockstep):
     from rosbags.highlevel import AnyReader
 
-    parameters, run = lockstep(tmp_path, 300, relay_esc={"step_size": 0.01})
-    with AnyReader([tmp_path / "bag"]) as reader:
+    parameters, run = lockstep.parameters, lockstep.run
+    with AnyReader([lockstep.folder / "bag"]) as reader:
         of = {c.topic: c for c in reader.connections}
         ground_truth = [
             reader.deserialize(raw, of["/ground_truth"].msgtype)

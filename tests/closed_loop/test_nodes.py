@@ -296,7 +296,8 @@ assert cost.step.signatures == compiled, "the first state was compiled for"
 """
 
 
-def test_the_first_state_waits_for_no_compilation(own_domain):
+@pytest.mark.ros
+def test_the_first_state_waits_for_no_compilation():
     """In a process of its own: what other tests have compiled would hide it."""
     done = subprocess.run([sys.executable, "-c", FIRST_STATE], stderr=subprocess.PIPE, text=True)
     assert done.returncode == 0, done.stderr

@@ -67,10 +67,11 @@ def wait_until_known(probe, folder):
     )
 
 
-@pytest.fixture
-def eventful(start, probe, tmp_path):
+@pytest.fixture(scope="module")
+def eventful(module_start, module_probe, tmp_path_factory):
     """A recording with everything that can happen to the controller; returns its folder."""
-    folder = tmp_path / "run"
+    start, probe = module_start, module_probe
+    folder = tmp_path_factory.mktemp("eventful") / "run"
     recorder = start("recorder", output=folder)
     controller = [
         start("relay_esc", recorders=1, dwell=0.05, step_size=0.01, rate_limit=1.5),

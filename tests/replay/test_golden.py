@@ -11,7 +11,9 @@ from koop_lab.replay.recording import read_recording
 
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden"
 RUN = GOLDEN / "run"
-HOW = pytest.mark.parametrize("how", [["--offline"], []], ids=["offline", "over DDS"])
+HOW = pytest.mark.parametrize(
+    "how", [["--offline"], pytest.param([], marks=pytest.mark.ros)], ids=["offline", "over DDS"]
+)
 
 
 def test_the_golden_bag_is_small_and_shows_a_controller_at_work():
@@ -48,6 +50,7 @@ def test_another_parameter_is_named_with_what_it_changes(how, capfd):
     assert "parameters and model are the recorded ones" not in printed
 
 
+@pytest.mark.ros
 def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
     answers = []
     for how in ([], ["--offline"]):

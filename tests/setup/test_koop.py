@@ -19,6 +19,7 @@ TOOLS = (
     "true", "uname", "xargs",
 )  # fmt: skip
 COMMANDS = "src/koop_lab/koop_lab/cli/commands.txt"  # shown by --help
+WHOLE = "--numprocesses auto --dist worksteal"  # arguments for pytest if the user gives none
 ROS_VARIABLES = ("AMENT_PREFIX_PATH", "ROS_DISTRO", "PYTHONPATH", "LD_LIBRARY_PATH")
 
 
@@ -245,7 +246,7 @@ def test_tests_install_a_browser_where_they_may(ready: Clone, sudo: bool) -> Non
     if sudo:
         ready.add_tool("sudo", 'shift; exec "$@"')
     code, out, err = ready.koop("test", FAKE_UID="1000" if sudo else "0")
-    assert (code, out) == (0, f"{ready.tools}/chromium -m pytest\n"), err
+    assert (code, out) == (0, f"{ready.tools}/chromium -m pytest {WHOLE}\n"), err
     assert ready.calls() == [
         "apt-get update",
         "apt-get install -y --no-install-recommends chromium",
@@ -255,7 +256,7 @@ def test_tests_install_a_browser_where_they_may(ready: Clone, sudo: bool) -> Non
 def test_without_root_the_line_that_installs_a_browser_is_printed(ready: Clone) -> None:
     ready.add_tool("apt-get", "exit 9")
     code, out, err = ready.koop("test")
-    assert (code, out) == (0, "python -m pytest\n")
+    assert (code, out) == (0, f"python -m pytest {WHOLE}\n")
     line = "apt-get install -y --no-install-recommends chromium\n"
     assert line in err
     code, out, err = ready.koop("test", CI="true")
@@ -265,7 +266,7 @@ def test_without_root_the_line_that_installs_a_browser_is_printed(ready: Clone) 
 
 def test_a_browser_that_cannot_be_installed_fails_only_where_it_must(ready: Clone) -> None:
     ready.add_tool("apt-get", "echo no network; exit 9")
-    assert ready.koop("test", FAKE_UID="0")[:2] == (0, "python -m pytest\n")
+    assert ready.koop("test", FAKE_UID="0")[:2] == (0, f"python -m pytest {WHOLE}\n")
     code, out, err = ready.koop("test", FAKE_UID="0", CI="true")
     assert (code, out) == (1, "")
     assert "no network" in err

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 import random
 import sys
 from collections.abc import Callable
@@ -14,24 +12,10 @@ import pytest
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
-from koop_node.domain import free_domain
 
 sys.path.insert(0, str(Path(__file__).parent))  # helpers of these tests; pytest adds no folder
 
 from koop_bag_messages import LOOP, PERIOD, START, Messages
-
-domains = itertools.count(int(os.environ.get("ROS_DOMAIN_ID", os.getpid())))
-
-
-@pytest.fixture(autouse=True)
-def own_domain(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give each test a DDS domain: the ghost of a killed recorder counts as a listener for 20 s."""
-    if request.node.get_closest_marker("ros"):
-        # above the default domain, below those whose ports Linux hands out to others
-        first = next(domains)
-        domain = free_domain((first + i) % 100 + 1 for i in range(100))
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 @pytest.fixture(scope="session")
