@@ -1,4 +1,7 @@
-"""A recorded run played to the real controller, which gives the recorded answers."""
+"""A recorded run played to the real controller, which gives the recorded answers.
+
+The bag that is played is compressed message by message, as rosbag2 can do it.
+"""
 
 import subprocess
 import sys
@@ -6,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from koop_bag_compressed import compress
 
 from koop_bag.bag.diff import compare
 from koop_bag.bag.reader import BagReader
@@ -23,8 +27,9 @@ def test_played_in_lockstep_lifter_and_controller_answer_as_recorded(start, tmp_
     recorder = start("recorder", output=tmp_path / "run")
     for node in ("relay_esc", "koopman_lifter"):
         start(node, "--params-file", str(file))
+    packed = compress(GOLDEN / "bag", tmp_path / "packed", "MESSAGE")
     options = ["--pace", "lockstep", "--wait-for", "state:2 ground_truth"]
-    command = [sys.executable, "-m", "koop_lab", "bag", "play", str(GOLDEN), *options]
+    command = [sys.executable, "-m", "koop_lab", "bag", "play", str(packed), *options]
     player = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert player.returncode == 0, player.stderr
     assert recorder.stop() == 0

@@ -5,6 +5,7 @@ from koop_bag_messages import LOOP, PERIOD, START
 from mcap.writer import CompressionType, Writer
 
 from koop_bag.bag.columns import read_columns
+from koop_bag.bag.metadata import OfferedQos, parse_qos
 from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
@@ -154,3 +155,15 @@ def test_a_damaged_index_is_an_error_of_the_bag_and_nothing_else(tmp_path):
         with pytest.raises(BagError, match="is damaged"):
             opened.content(Place(0, start, length))
     opened.close()
+
+
+def test_qos_of_older_recorders_is_read():
+    """Before version 9 rosbag2 wrote the numbers of rmw/types.h, and Foxy its DDS' 'for ever'."""
+    (found,) = parse_qos(
+        "- {history: 1, depth: 5, reliability: 2, durability: 1, liveliness: 1,"
+        " deadline: {sec: 2147483647, nsec: 4294967295}, lifespan: {sec: 1, nsec: 5},"
+        " liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}}"
+    )
+    assert found == OfferedQos("best_effort", "transient_local", depth=5, lifespan=(1, 5))
+    with pytest.raises(BagError, match="QoS"):
+        parse_qos("- {history: 99}")

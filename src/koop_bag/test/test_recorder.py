@@ -98,7 +98,7 @@ def test_the_folder_of_a_run_holds_parameters_model_and_versions(tmp_path, messa
     assert versions["python"] == ".".join(map(str, sys.version_info[:3]))
     with BagReader(folder) as reader:
         custom = reader.custom_data()
-        assert reader.notes["koop"]["parameters"] == (folder / "parameters.yaml").read_text()
+        assert custom["parameters"] == (folder / "parameters.yaml").read_text()
     assert yaml.safe_load(custom["parameters"]) == parameters
     digest = hashlib.sha256(b"a model").hexdigest()
     assert yaml.safe_load(custom["models"]) == {"vdp.npz": digest}
@@ -198,7 +198,7 @@ def test_what_a_killed_recorder_has_missed_is_a_fifth_of_a_second_at_most(tmp_pa
             assert steps(saved, topic) == list(range(len(steps(saved, topic))))
         with BagReader(saved) as reader:
             assert killed - reader.end_time * 1e-9 < 0.2
-            assert "parameters" in reader.notes["koop"]
+            assert "parameters" in reader.custom_data()
         with AnyReader([saved]) as reader:
             assert sum(1 for _ in reader.messages()) == reader.message_count
 

@@ -103,7 +103,7 @@ def test_qos_notes_and_custom_data_are_kept(tmp_path, messages, write_loop):
     folder = tmp_path / "run"
     with BagWriter(folder) as writer:
         writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
-        writer.add_note("koop", {"parameters": "a: 1\n"})
+        writer.add_note("calibration", {"gain": "2"})
         writer.custom_data["operator"] = "me"
     recover(folder, tmp_path / "saved")
     before, after = (
@@ -113,7 +113,22 @@ def test_qos_notes_and_custom_data_are_kept(tmp_path, messages, write_loop):
     assert after["topics_with_message_count"] == before["topics_with_message_count"]
     assert after["custom_data"] == {"operator": "me"}
     with BagReader(tmp_path / "saved") as reader:
-        assert reader.notes["koop"] == {"parameters": "a: 1\n"}
+        assert reader.notes["calibration"] == {"gain": "2"}
+
+
+def test_what_a_killed_recorder_had_kept_is_in_the_recovered_bag(tmp_path, messages):
+    writer = BagWriter(tmp_path / "run", ros_distro="rolling")
+    writer.keep({"parameters": "a: 1\n"})
+    channel = writer.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
+    writer.write(channel, 5, 5, messages.loop("/state", 0))
+    writer.flush()  # and it is never closed
+    assert recover(tmp_path / "run", tmp_path / "saved").messages == 1
+    with BagReader(tmp_path / "saved") as reader:
+        told = reader.description()
+    assert (told.custom_data, told.ros_distro) == ({"parameters": "a: 1\n"}, "rolling")
+    text = (tmp_path / "saved" / "metadata.yaml").read_text()
+    inner = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert inner["custom_data"] == {"parameters": "a: 1\n"}
 
 
 def test_nothing_to_recover_is_an_error(tmp_path):

@@ -58,4 +58,25 @@ def test_a_package_without_type_descriptions_gets_an_empty_hash(tmp_path):
     (folder / "Inner.msg").write_text("float64[3] x")
     schema = load_schema("own_msgs/Outer", [tmp_path])
     assert schema.type_hash == ""
-    assert schema.text.endswith("MSG: own_msgs/Inner\nfloat64[3] x\n")
+    assert schema.text.endswith("] s\n" + "=" * 80 + "\nMSG: own_msgs/Inner\nfloat64[3] x")
+
+
+def test_dependencies_stand_in_the_order_of_rosbag2(tmp_path):
+    """By name, each followed by its own (rosbag2_cpp/local_message_definition_source.cpp)."""
+    texts = {
+        "own_msgs/Outer": "Zeta z\nAlpha[3] a\nodd_msgs/Beta b\nown_msgs/Alpha again\n",
+        "own_msgs/Zeta": "Mid m\r\n",
+        "own_msgs/Mid": "bool x\n",
+        "own_msgs/Alpha": "odd_msgs/Beta b\nbool x\n",
+        "odd_msgs/Beta": "# Zeta z\nbool x\n",
+    }
+    for name, text in texts.items():
+        package, kind = name.split("/")
+        folder = tmp_path / "share" / package / "msg"
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / f"{kind}.msg").write_bytes(text.encode())
+    order = ["odd_msgs/Beta", "own_msgs/Alpha", "own_msgs/Zeta", "own_msgs/Mid"]
+    expected = texts["own_msgs/Outer"]
+    for name in order:
+        expected += "\n" + "=" * 80 + f"\nMSG: {name}\n{texts[name]}"
+    assert load_schema("own_msgs/Outer", [tmp_path]).text == expected

@@ -6,15 +6,17 @@ import subprocess
 import sys
 import zlib
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 import yaml
 import zstandard
 from koop_bag_messages import LOOP, PERIOD, START
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Chunk, MessageIndex
+from mcap.records import Chunk, MessageIndex, Metadata
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
@@ -134,6 +136,65 @@ def test_a_bag_splits_by_size_and_every_file_stands_alone(write_loop):
     assert total == 8000
     with AnyReader([folder]) as reader:
         assert reader.message_count == sum(1 for _ in reader.messages()) == 8000
+
+
+def descriptions(path):
+    """Return all descriptions that a file holds, in their order."""
+    found = []
+    with open(path, "rb") as stream, suppress(EndOfFile):  # the file may still be written
+        for record in StreamReader(stream).records:
+            if isinstance(record, Metadata):
+                found.append(yaml.safe_load(record.metadata["serialized_metadata"]))
+    return found
+
+
+def test_every_file_says_from_its_begin_what_the_bag_is(tmp_path, messages):
+    with BagWriter(tmp_path / "run", WriterOptions(split_seconds=0.5)) as writer:
+        channel = writer.add_topic("/state", load_schema(LOOP["/state"]))
+        (opened,) = descriptions(tmp_path / "run" / "run_0.mcap")
+        assert (opened["ros_distro"], opened["message_count"]) == ("jazzy", 0)
+        writer.keep({"parameters": "a: 1"})
+        for k in range(300):  # 1.5 s
+            now = START + k * PERIOD
+            writer.write(channel, now, now, messages.loop("/state", k))
+        writer.keep({"models": "b"})
+    files = sorted((tmp_path / "run").glob("*.mcap"))
+    assert len(files) == 3
+    for path in files:
+        *_, last = descriptions(path)
+        assert last["custom_data"]["parameters"] == "a: 1"
+    assert descriptions(files[1])[0]["custom_data"] == {"parameters": "a: 1"}
+    outer = yaml.safe_load((tmp_path / "run" / "metadata.yaml").read_text())
+    assert last == outer["rosbag2_bagfile_information"]
+    assert last["custom_data"] == {"parameters": "a: 1", "models": "b"}
+
+
+def test_no_message_is_logged_before_the_last_one_of_the_file_before(tmp_path, messages):
+    # of two topics one may be fetched late: its messages were received before others on the disk
+    delays = {"/a": 0, "/b": 42_000}
+    with BagWriter(tmp_path / "run", WriterOptions(split_seconds=0.5)) as writer:
+        channels = [(writer.add_topic(t, load_schema(LOOP["/state"])), t) for t in delays]
+        for k in range(200):
+            for channel, topic in channels:
+                received = START + k * PERIOD - delays[topic]
+                writer.write(channel, received, received, messages.loop("/state", k))
+    with BagReader(tmp_path / "run") as reader:
+        found = list(reader.messages())
+    assert [m.sequence for m in found if m.topic == "/b"] == list(range(1, 201))
+    changed = [m for m in found if m.log_time != m.publish_time]
+    times = []
+    for path in sorted((tmp_path / "run").glob("*.mcap")):
+        with BagReader(path) as file:
+            times += [file.start_time, file.end_time]
+    assert len(times) == 4
+    assert times == sorted(times)
+    # the one that straddles the boundary is logged when it was written, no other is touched
+    assert [(m.topic, m.log_time) for m in changed] == [("/b", times[1])]
+
+
+def test_the_file_names_who_wrote_it(write_loop):
+    with open(write_loop(n=1) / "run_0.mcap", "rb") as stream:
+        assert make_reader(stream).get_header().library.startswith("koop_bag ")
 
 
 def test_a_bag_splits_by_duration(write_loop):

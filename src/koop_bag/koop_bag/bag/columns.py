@@ -8,12 +8,12 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from koop_bag.bag.reader import MESSAGE_HEAD, BagReader
+from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.definition import Struct, leaf_fields, parse_definition
 from koop_bag.cdr.gather import Bytes, Offsets, at_every_byte, decode
 from koop_bag.cdr.layout import LayoutFinder
 from koop_bag.errors import BagError
-from koop_bag.mcap.file_reader import RECORD_HEAD
+from koop_bag.mcap.file_reader import MESSAGE_HEAD, RECORD_HEAD
 
 Columns = dict[str, NDArray[Any]]
 

@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from koop_bag.bag.columns import STORED, Columns, definition_of, iter_decoded
-from koop_bag.bag.reader import MESSAGE_HEAD, BagReader
+from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.definition import Array, MessageType, Primitive, Struct, Text
 from koop_bag.cdr.gather import Bytes, Offsets, decode
 from koop_bag.cdr.layout import ENCAPSULATION, Layout, LayoutFinder
 from koop_bag.errors import BagError
+from koop_bag.mcap.file_reader import MESSAGE_HEAD
 
 LONGEST = 1000
 """Arrays of more numbers than this (images, point clouds) make no columns."""

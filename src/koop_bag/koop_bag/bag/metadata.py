@@ -1,7 +1,8 @@
 """The bag's own description: `metadata.yaml`, its copy inside the file, and the offered QoS."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -9,6 +10,15 @@ import yaml
 from koop_bag.errors import BagError
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
+_LONG = 2**31 - 1  # [s] what Foxy wrote for 'no limit'; nobody waits that long
+
+_WORDS = {
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "reliability": ("system_default", "reliable", "best_effort", "unknown"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown"),
+    "liveliness": ("system_default", "automatic", "manual_by_node", "manual_by_topic", "unknown"),
+}
+"""The policies by the numbers that rosbag2 wrote before version 9 of its metadata (rmw/types.h)."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +42,15 @@ class OfferedQos:
 
         def span(name: str) -> tuple[int, int] | None:
             value = values.get(name) or _FOREVER
-            return None if value["sec"] >= _FOREVER["sec"] else (value["sec"], value["nsec"])
+            return None if value["sec"] >= _LONG else (value["sec"], value["nsec"])
 
-        words = ("reliability", "durability", "history", "liveliness")
-        given = {name: values[name] for name in words if name in values}
+        def word(name: str) -> str:
+            value = values[name]
+            return (
+                str(value) if not isinstance(value, int) else dict(enumerate(_WORDS[name]))[value]
+            )
+
+        given = {name: word(name) for name in _WORDS if name in values}
         return cls(
             depth=int(values.get("depth", 0)),
             deadline=span("deadline"),
@@ -70,6 +85,7 @@ class TopicRecord:
     name: str
     type_name: str
     type_hash: str
+    encoding: str = "cdr"
     qos: tuple[OfferedQos, ...] = (OfferedQos(),)
     count: int = 0
 
@@ -104,7 +120,10 @@ class FileRecord:
 
 
 def bag_map(
-    topics: Sequence[TopicRecord], files: Sequence[FileRecord], custom: Mapping[str, str]
+    topics: Sequence[TopicRecord],
+    files: Sequence[FileRecord],
+    custom: Mapping[str, str],
+    ros_distro: str,
 ) -> dict[str, Any]:
     """The inner map of `metadata.yaml` (version 9, ROS 2 Jazzy)."""
     filled = [item for item in files if item.count]
@@ -121,7 +140,7 @@ def bag_map(
                 "topic_metadata": {
                     "name": topic.name,
                     "type": topic.type_name,
-                    "serialization_format": "cdr",
+                    "serialization_format": topic.encoding,
                     "offered_qos_profiles": [item.as_map() for item in topic.qos],
                     "type_description_hash": topic.type_hash,
                 },
@@ -134,8 +153,61 @@ def bag_map(
         "relative_file_paths": [item.path for item in files],
         "files": [item.as_map() for item in files],
         "custom_data": dict(custom),
-        "ros_distro": "jazzy",
+        "ros_distro": ros_distro,
     }
+
+
+@dataclass(frozen=True)
+class Description:
+    """What a bag says of itself besides its topics; empty where it says nothing.
+
+    Attributes
+    ----------
+    custom_data : dict of str to str
+        What its recorder wrote about it.
+    ros_distro : str
+        Distribution that it was recorded with.
+    compression_mode, compression_format : str
+        `FILE`, `MESSAGE` or `NONE`, and the name of the method. Chunks tell theirs themselves.
+    """
+
+    custom_data: dict[str, str] = field(default_factory=dict)
+    ros_distro: str = ""
+    compression_mode: str = ""
+    compression_format: str = ""
+
+    @classmethod
+    def from_map(cls, described: Mapping[Any, Any]) -> "Description":
+        """From the inner map of `metadata.yaml`. What is not plain text is left out."""
+        custom = described.get("custom_data")
+        texts = ("ros_distro", "compression_mode", "compression_format")
+        return cls(
+            _plain_texts(custom if isinstance(custom, dict) else {}),
+            **{name: _plain_texts(described).get(name, "") for name in texts},
+        )
+
+
+def read_description(notes: Mapping[str, Mapping[str, str]], folder: Path) -> Description:
+    """The description in a bag's metadata records, or else in the `metadata.yaml` beside it.
+
+    Raises
+    ------
+    BagError
+        If it is no valid YAML.
+    """
+    text = notes.get("rosbag2", {}).get("serialized_metadata", "")
+    described = parse_map(text, "metadata record")
+    beside = folder / "metadata.yaml"
+    if not described and beside.is_file():
+        text = beside.read_text(encoding="utf-8", errors="replace")
+        inner = parse_map(text, "metadata.yaml").get("rosbag2_bagfile_information")
+        described = inner if isinstance(inner, dict) else {}
+    return Description.from_map(described)
+
+
+def _plain_texts(values: Mapping[Any, Any]) -> dict[str, str]:
+    plain = {key: value for key, value in values.items() if isinstance(value, str | int | float)}
+    return {str(key): str(value) for key, value in plain.items()}
 
 
 def parse(text: str, what: str) -> Any:
@@ -160,15 +232,6 @@ def parse_qos(text: str) -> list[OfferedQos]:
         return [OfferedQos.from_map(item) for item in parse(text, "QoS of a topic") or ()]
     except (AttributeError, KeyError, TypeError, ValueError):
         raise BagError("the bag's QoS of a topic is not in rosbag2's form") from None
-
-
-def custom_of(described: Mapping[Any, Any]) -> dict[str, str]:
-    """The `custom_data` of a bag's description: texts by name, anything else is left out."""
-    custom = described.get("custom_data")
-    if not isinstance(custom, dict):
-        return {}
-    plain = {key: value for key, value in custom.items() if isinstance(value, str | int | float)}
-    return {str(key): str(value) for key, value in plain.items()}
 
 
 def dump(value: Any) -> str:

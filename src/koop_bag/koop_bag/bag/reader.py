@@ -1,25 +1,20 @@
 """Reads a bag: a rosbag2 MCAP folder or a single file, whole or torn."""
 
-import re
-import struct
 from collections.abc import Collection, Iterator
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, MetadataIndex, Schema, Statistics
 
-from koop_bag.bag.metadata import custom_of, parse_map
+from koop_bag.bag.contents import FileContents, message_records, survey
+from koop_bag.bag.files import find_files
+from koop_bag.bag.message_compression import MessageUnpacker, check_format
+from koop_bag.bag.metadata import Description, read_description
 from koop_bag.errors import BagError
-from koop_bag.mcap.file_reader import McapFile, Place, inner_places
-
-MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Channel id, sequence, log time, publish time; the serialized message follows."""
-
-_CHUNK_TIMES = struct.Struct("<QQ")  # of its first and its last message
-_NUMBERED = re.compile(r"_(\d+)\.mcap$")
+from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, inner_places
 
 
 class RawMessage(NamedTuple):
@@ -42,19 +37,6 @@ class Topic:
     encoding: str = "cdr"
     metadata: dict[str, str] = field(default_factory=dict)
     count: int = 0
-
-
-@dataclass
-class FileContents:
-    """What one file of a bag holds."""
-
-    file: McapFile
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)
-    start: int = 2**63 - 1
-    end: int = 0
-    notes: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
 class BagReader:
@@ -90,10 +72,18 @@ class BagReader:
         self._topics: dict[str, Topic] = {}
         self.message_count = 0
         self.notes: dict[str, dict[str, str]] = {}
-        self._contents = [survey(McapFile(file)) for file in self.files]
+        self._contents: list[FileContents] = []
+        with ExitStack() as opened:
+            for file in self.files:
+                self._contents.append(survey(opened.enter_context(closing(McapFile(file)))))
+                self._take_in(self._contents[-1])
+            try:
+                said = self.description()
+            except BagError:
+                said = Description()  # whoever asks for it is told
+            check_format(said, self.path)
+            self._files = opened.pop_all()
         self.complete = all(item.file.complete for item in self._contents)
-        for item in self._contents:
-            self._take_in(item)
         filled = [item for item in self._contents if any(item.counts.values())]
         self.topics = tuple(self._topics.values())
         self.start_time = min((item.start for item in filled), default=0)
@@ -107,18 +97,15 @@ class BagReader:
     @property
     def size(self) -> int:
         """Bytes of all files."""
-        return sum(item.file.size for item in self._contents)
+        return sum(item.file.stored_size for item in self._contents)
+
+    def description(self) -> Description:
+        """What the bag says of itself."""
+        return read_description(self.notes, self.files[0].parent)
 
     def custom_data(self) -> dict[str, str]:
-        """The bag's `custom_data`, from the file itself or else from `metadata.yaml`."""
-        text = self.notes.get("rosbag2", {}).get("serialized_metadata", "")
-        described = parse_map(text, "metadata record")
-        description = self.files[0].parent / "metadata.yaml"
-        if not described and description.is_file():
-            text = description.read_text(encoding="utf-8", errors="replace")
-            inner = parse_map(text, "metadata.yaml").get("rosbag2_bagfile_information")
-            described = inner if isinstance(inner, dict) else {}
-        return custom_of(described)
+        """The bag's `custom_data`."""
+        return self.description().custom_data
 
     def topic(self, name: str) -> Topic:
         """One topic, or an error that names those that are there."""
@@ -177,13 +164,14 @@ class BagReader:
             }
             if not any(item.counts.get(number) for number in wanted):
                 continue
-            for records in _message_records(item.file, start, end):
-                yield records, wanted
+            unpacker = MessageUnpacker(item.file.path)
+            for records in message_records(item.file, start, end):
+                for unpacked in unpacker.records(records):
+                    yield unpacked, wanted
 
     def close(self) -> None:
         """Close the files."""
-        for item in self._contents:
-            item.file.close()
+        self._files.close()
 
     def __enter__(self) -> "BagReader":
         return self
@@ -217,106 +205,3 @@ class BagReader:
             count = item.counts.get(number, 0)
             topic.count += count
             self.message_count += count
-
-
-def find_files(path: Path) -> list[Path]:
-    """The MCAP files of a bag in the order in which they were recorded."""
-    if path.is_file():
-        return [path]
-    if not path.exists():
-        raise BagError(f"there is no bag {path}")
-    for folder in (path, path / "bag"):
-        files = sorted(folder.glob("*.mcap"), key=_file_number)
-        if files:
-            return files
-        if any(folder.glob("*.db3")):
-            raise BagError(
-                f"{folder} is an SQLite bag: make it an MCAP one with `ros2 bag convert`"
-            )
-    raise BagError(f"{path} is no bag: it holds no .mcap file")
-
-
-def _file_number(path: Path) -> tuple[int, str]:
-    match = _NUMBERED.search(path.name)
-    return (int(match[1]) if match else 0), path.name
-
-
-def survey(file: McapFile) -> FileContents:
-    """What a file holds: from its summary, or by reading it through where there is none."""
-    contents = FileContents(file)
-    if file.summary_start and _read_summary(contents):
-        return contents
-    contents = FileContents(file)
-    for place in file.places():
-        if place.opcode == Opcode.CHUNK:
-            records = file.chunk_records(place)
-            for inner in inner_places(records):
-                _note(contents, inner, records[inner.start : inner.start + inner.length])
-        elif place.opcode == Opcode.DATA_END:
-            break
-        elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA):
-            _note(contents, place, file.content(place))
-    return contents
-
-
-def _read_summary(contents: FileContents) -> bool:
-    """Whether the summary says everything that reading the file through would."""
-    file, counted = contents.file, False
-    for place in file.places(file.summary_start):
-        if place.opcode == Opcode.STATISTICS:
-            statistics = file.parse(Statistics, place)
-            contents.counts.update(statistics.channel_message_counts)
-            contents.start, contents.end = (
-                statistics.message_start_time,
-                statistics.message_end_time,
-            )
-            counted = True
-        elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            _note(contents, place, file.content(place))
-        elif place.opcode == Opcode.METADATA_INDEX:
-            index = file.parse(MetadataIndex, place)
-            offset, length = index.offset, index.length
-            _note(
-                contents,
-                Place(Opcode.METADATA, offset, length),
-                file.content(Place(0, offset + 9, length - 9)),
-            )
-    return counted and all(number in contents.channels for number in contents.counts)
-
-
-def _note(contents: FileContents, place: Place, data: bytes) -> None:
-    file = contents.file
-    if place.opcode == Opcode.MESSAGE:
-        channel, _, log_time, _ = file.unpack(MESSAGE_HEAD, data, place.start)
-        contents.counts[channel] = contents.counts.get(channel, 0) + 1
-        contents.start = min(contents.start, log_time)
-        contents.end = max(contents.end, log_time)
-    elif place.opcode == Opcode.CHANNEL:
-        channel_record = file.parse_bytes(Channel, data, place.start)
-        contents.channels[channel_record.id] = channel_record
-    elif place.opcode == Opcode.SCHEMA:
-        schema = file.parse_bytes(Schema, data, place.start)
-        contents.schemas[schema.id] = schema
-    elif place.opcode == Opcode.METADATA:
-        metadata = file.parse_bytes(Metadata, data, place.start)
-        contents.notes[metadata.name] = metadata.metadata
-
-
-def _message_records(file: McapFile, start: int, end: int) -> Iterator[bytes]:
-    """Records that hold messages: the inside of each chunk, or messages that lie outside of any."""
-    loose = bytearray()
-    for place in file.places():
-        if place.opcode == Opcode.MESSAGE:
-            loose += struct.pack("<BQ", place.opcode, place.length) + file.content(place)
-        if loose and (len(loose) > 1 << 20 or place.opcode in (Opcode.CHUNK, Opcode.DATA_END)):
-            yield bytes(loose)
-            loose.clear()
-        if place.opcode == Opcode.CHUNK:
-            head = file.content(place._replace(length=min(place.length, _CHUNK_TIMES.size)))
-            first, last = file.unpack(_CHUNK_TIMES, head, place.start)
-            if first < end and last >= start:
-                yield file.chunk_records(place)
-        elif place.opcode == Opcode.DATA_END:
-            return
-    if loose:
-        yield bytes(loose)

@@ -56,6 +56,16 @@ class BagWriter:
         The bag's folder; created, must not hold a bag yet. Its name is the bag's name.
     options : WriterOptions
         Compression, chunks, splitting.
+    ros_distro : str
+        Distribution that the messages were recorded with.
+
+    Attributes
+    ----------
+    custom_data : dict of str to str
+        What the bag says of itself. Each file has it as it was when the file was closed;
+        :meth:`keep` has it written at once.
+    topics : list of TopicRecord
+        Announced so far.
 
     Notes
     -----
@@ -63,12 +73,17 @@ class BagWriter:
     disk, with a summary if there was room for it.
     """
 
-    def __init__(self, folder: str | Path, options: WriterOptions | None = None) -> None:
+    def __init__(
+        self,
+        folder: str | Path,
+        options: WriterOptions | None = None,
+        ros_distro: str = "jazzy",
+    ) -> None:
         self.folder = Path(folder)
         self.options = options or WriterOptions()
         self.custom_data: dict[str, str] = {}
-        """Written into `metadata.yaml` and into the file when the bag is closed."""
         self.topics: list[TopicRecord] = []
+        self._ros_distro = ros_distro
         self._channels: list[tuple[Schema, Channel]] = []
         self._sequences: dict[int, int] = {}
         self._notes: dict[str, dict[str, str]] = {}
@@ -99,22 +114,26 @@ class BagWriter:
         return self._file.path
 
     def add_topic(
-        self, name: str, schema: MessageSchema, qos: Sequence[OfferedQos] = (OfferedQos(),)
+        self,
+        name: str,
+        schema: MessageSchema,
+        qos: Sequence[OfferedQos] = (OfferedQos(),),
+        encoding: str = "cdr",
     ) -> int:
         """Announce a topic; returns the channel that its messages are written to."""
         self._check_open()
         if any(topic.name == name for topic in self.topics):
             raise BagError(f"topic {name} is already in the bag")
-        topic = TopicRecord(name, schema.name, schema.type_hash, tuple(qos))
+        topic = TopicRecord(name, schema.name, schema.type_hash, encoding, tuple(qos))
         known = next((s for s, _ in self._channels if s.name == schema.name), None)
         number = len({s.id for s, _ in self._channels}) + 1
         entry = known or Schema(
-            id=number, data=schema.text.encode(), encoding="ros2msg", name=schema.name
+            id=number, data=schema.text.encode(), encoding=schema.encoding, name=schema.name
         )
         channel = Channel(
             id=len(self._channels) + 1,
             topic=name,
-            message_encoding="cdr",
+            message_encoding=encoding,
             metadata={
                 "offered_qos_profiles": topic.qos_text(),
                 "topic_type_hash": schema.type_hash,
@@ -166,6 +185,12 @@ class BagWriter:
         self._notes[name] = dict(values)
         self._guarded(lambda: self._file.add_metadata(name, values))
 
+    def keep(self, custom_data: Mapping[str, str]) -> None:
+        """Add to the custom data and write it at once, so that it outlives a crash."""
+        self._check_open()
+        self.custom_data.update(custom_data)
+        self._guarded(self._describe)
+
     def close(self) -> None:
         """Write the last chunk, the summary and `metadata.yaml`. A second call does nothing."""
         if self.closed:
@@ -193,6 +218,7 @@ class BagWriter:
             file.add_channel(schema, channel)
         for name, values in self._notes.items():
             file.add_metadata(name, values)
+        file.add_metadata("rosbag2", self._record())
         return file
 
     def _write_chunk(self) -> None:
@@ -215,14 +241,22 @@ class BagWriter:
     def _next_file(self) -> None:
         self._finish_file()
         self._closed_bytes += self._file.size
+        self._chunk.not_before = self._files[-1].end
         self._file = self._open_file()
 
     def _finish_file(self) -> None:
-        self._file.add_metadata("rosbag2", {"serialized_metadata": dump(self._description())})
+        self._describe()
         self._file.finish()
 
+    def _describe(self) -> None:
+        """Write the bag's description; of several in a file, readers take the last."""
+        self._file.add_metadata("rosbag2", self._record())
+
+    def _record(self) -> dict[str, str]:
+        return {"serialized_metadata": dump(self._description())}
+
     def _description(self) -> dict[str, object]:
-        return bag_map(self.topics, self._files, self.custom_data)
+        return bag_map(self.topics, self._files, self.custom_data, self._ros_distro)
 
     def _write_description(self) -> None:
         path = self.folder / "metadata.yaml"

@@ -30,15 +30,19 @@ class MessageSchema:
     name : str
         Full type name, `pkg/msg/Type`.
     text : str
-        Root definition, then each dependency once after a separator line.
+        Root definition, then each dependency once after a separator line: those of a message by
+        name, each followed by its own, as rosbag2 orders them, so that the texts are equal.
     type_hash : str
         `RIHS01_...`, or empty where the package has no type description (readers accept that, but
         not a wrong one).
+    encoding : str
+        Language of the text.
     """
 
     name: str
     text: str
     type_hash: str
+    encoding: str = "ros2msg"
 
 
 def load_schema(type_name: str, prefixes: Sequence[str | Path] | None = None) -> MessageSchema:
@@ -64,7 +68,7 @@ def load_schema(type_name: str, prefixes: Sequence[str | Path] | None = None) ->
     seen = {(package, name)}
 
     def append_dependencies(text: str, inside: str) -> None:
-        for dependency in _dependencies(text, inside):
+        for dependency in sorted(set(_dependencies(text, inside))):
             if dependency in seen:
                 continue
             seen.add(dependency)
@@ -105,8 +109,7 @@ def _find(prefixes: Sequence[Path], package: str, name: str) -> Path:
 
 
 def _text(path: Path) -> str:
-    text = path.read_text(encoding="utf-8")
-    return text if text.endswith("\n") else text + "\n"
+    return path.read_bytes().decode()  # every byte as it lies there
 
 
 def _dependencies(text: str, inside: str) -> Iterator[tuple[str, str]]:

@@ -61,6 +61,8 @@ class ChunkBuffer:
         """Bytes of the records gathered."""
         self.start = 0
         """Log time of the message that opened the chunk [ns]."""
+        self.not_before = 0
+        """No message is logged before this time [ns]."""
 
     def add(self, rows: Iterator[Row], sequences: dict[int, int]) -> bool:
         """Take messages until the chunk is full (True) or no more are there (False).
@@ -69,9 +71,12 @@ class ChunkBuffer:
         """
         append, pack, opcode = self._parts.append, _MESSAGE_HEAD.pack, int(Opcode.MESSAGE)
         index, size, max_bytes = self._index, self.size, self._max_bytes
+        not_before = self.not_before
         full_at = self.start + self._max_age
         full = False
         for log_time, channel, publish_time, data in rows:
+            if log_time < not_before:
+                log_time = not_before
             if size == 0:
                 self.start = log_time
                 full_at = log_time + self._max_age

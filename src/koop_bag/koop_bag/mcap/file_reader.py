@@ -5,6 +5,7 @@ were received (equal times included), and ends at the last complete record of a 
 """
 
 import io
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -20,8 +21,14 @@ from mcap.records import Channel, Chunk, Footer, McapRecord, Metadata, Schema, S
 from mcap.writer import MCAP0_MAGIC
 
 from koop_bag.errors import BagError
+from koop_bag.mcap.zstd_file import open_unpacked
 
 RECORD_HEAD = struct.Struct("<BQ")
+"""Opcode, and length of the content that follows."""
+
+MESSAGE_HEAD = struct.Struct("<HIQQ")
+"""What the content of a message begins with: channel id, sequence, log time, publish time."""
+
 _FOOTER_SIZE = RECORD_HEAD.size + 20 + len(MCAP0_MAGIC)
 MAX_CHUNK = 256 << 20
 """The largest chunk that is unpacked [B]: recorders make chunks of some MB, and a file of a few kB
@@ -38,10 +45,12 @@ class Place(NamedTuple):
 
 
 class McapFile:
-    """A file opened for reading.
+    """A file opened for reading; one that was compressed as a whole is unpacked first.
 
     Attributes
     ----------
+    size, stored_size : int
+        Bytes of the MCAP file, and those that it takes on the disk.
     summary_start : int
         Offset of the summary, 0 if there is none.
     complete : bool
@@ -50,11 +59,10 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            self._file = open(path, "rb")  # noqa: SIM115 - open as long as the bag
-            self.size = path.stat().st_size
-        except OSError as error:
-            raise BagError(f"cannot open {path}: {error.strerror}") from error
+        self._file = open_unpacked(path)
+        self.stored_size = path.stat().st_size
+        self.size = self._file.seek(0, os.SEEK_END)
+        self._file.seek(0)
         self._check_magic()
         self.complete, self.summary_start = self._read_footer()
 

@@ -5,6 +5,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -20,7 +21,7 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
+from mcap.writer import MCAP0_MAGIC
 
 from koop_bag.errors import BagWriteError, DiskFullError
 from koop_bag.mcap.chunk import ChunkBuffer, encode
@@ -51,7 +52,7 @@ class McapFileWriter:
             self._file = open(path, "xb", buffering=0)  # noqa: SIM115 - open as long as the bag
         except OSError as error:
             raise BagWriteError(f"cannot create {path}: {error.strerror}") from error
-        self._append(MCAP0_MAGIC + encode(Header(profile="ros2", library=LIBRARY_IDENTIFIER)))
+        self._append(MCAP0_MAGIC + encode(Header(profile="ros2", library=_library())))
 
     def add_channel(self, schema: Schema, channel: Channel) -> None:
         """Announce a topic. Outside of any chunk, so that even an empty or torn file names its
@@ -156,6 +157,14 @@ class McapFileWriter:
                 ) from error
             raise BagWriteError(f"cannot write {where}: {error.strerror}") from error
         self.size += done
+
+
+def _library() -> str:
+    """Who wrote a file."""
+    try:
+        return f"koop_bag {version('koop_bag')}"
+    except PackageNotFoundError:
+        return "koop_bag"
 
 
 class _Packed:

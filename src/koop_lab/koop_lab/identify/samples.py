@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.columns import LOG_TIME, iter_columns, list_fields
-from koop_bag.bag.reader import BagReader, find_files
+from koop_bag.bag.files import find_files
+from koop_bag.bag.reader import BagReader
 
 STAMP, STEP = "header.stamp", "step"
 

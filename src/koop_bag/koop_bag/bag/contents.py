@@ -1,0 +1,106 @@
+"""What one file of a bag holds."""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, MetadataIndex, Schema, Statistics
+
+from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, Place, inner_places
+
+_CHUNK_TIMES = struct.Struct("<QQ")  # of its first and its last message
+
+
+@dataclass
+class FileContents:
+    """What one file of a bag holds."""
+
+    file: McapFile
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
+    start: int = 2**63 - 1
+    end: int = 0
+    notes: dict[str, dict[str, str]] = field(default_factory=dict)
+
+
+def survey(file: McapFile) -> FileContents:
+    """What a file holds: from its summary, or by reading it through where there is none."""
+    contents = FileContents(file)
+    if file.summary_start and _read_summary(contents):
+        return contents
+    contents = FileContents(file)
+    for place in file.places():
+        if place.opcode == Opcode.CHUNK:
+            records = file.chunk_records(place)
+            for inner in inner_places(records):
+                _note(contents, inner, records[inner.start : inner.start + inner.length])
+        elif place.opcode == Opcode.DATA_END:
+            break
+        elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA):
+            _note(contents, place, file.content(place))
+    return contents
+
+
+def _read_summary(contents: FileContents) -> bool:
+    """Whether the summary says everything that reading the file through would."""
+    file, counted = contents.file, False
+    for place in file.places(file.summary_start):
+        if place.opcode == Opcode.STATISTICS:
+            statistics = file.parse(Statistics, place)
+            contents.counts.update(statistics.channel_message_counts)
+            contents.start, contents.end = (
+                statistics.message_start_time,
+                statistics.message_end_time,
+            )
+            counted = True
+        elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            _note(contents, place, file.content(place))
+        elif place.opcode == Opcode.METADATA_INDEX:
+            index = file.parse(MetadataIndex, place)
+            offset, length = index.offset, index.length
+            _note(
+                contents,
+                Place(Opcode.METADATA, offset, length),
+                file.content(Place(0, offset + 9, length - 9)),
+            )
+    return counted and all(number in contents.channels for number in contents.counts)
+
+
+def _note(contents: FileContents, place: Place, data: bytes) -> None:
+    file = contents.file
+    if place.opcode == Opcode.MESSAGE:
+        channel, _, log_time, _ = file.unpack(MESSAGE_HEAD, data, place.start)
+        contents.counts[channel] = contents.counts.get(channel, 0) + 1
+        contents.start = min(contents.start, log_time)
+        contents.end = max(contents.end, log_time)
+    elif place.opcode == Opcode.CHANNEL:
+        channel_record = file.parse_bytes(Channel, data, place.start)
+        contents.channels[channel_record.id] = channel_record
+    elif place.opcode == Opcode.SCHEMA:
+        schema = file.parse_bytes(Schema, data, place.start)
+        contents.schemas[schema.id] = schema
+    elif place.opcode == Opcode.METADATA:
+        metadata = file.parse_bytes(Metadata, data, place.start)
+        contents.notes[metadata.name] = metadata.metadata
+
+
+def message_records(file: McapFile, start: int, end: int) -> Iterator[bytes]:
+    """Records that hold messages: the inside of each chunk, or messages that lie outside of any."""
+    loose = bytearray()
+    for place in file.places():
+        if place.opcode == Opcode.MESSAGE:
+            loose += struct.pack("<BQ", place.opcode, place.length) + file.content(place)
+        if loose and (len(loose) > 1 << 20 or place.opcode in (Opcode.CHUNK, Opcode.DATA_END)):
+            yield bytes(loose)
+            loose.clear()
+        if place.opcode == Opcode.CHUNK:
+            head = file.content(place._replace(length=min(place.length, _CHUNK_TIMES.size)))
+            first, last = file.unpack(_CHUNK_TIMES, head, place.start)
+            if first < end and last >= start:
+                yield file.chunk_records(place)
+        elif place.opcode == Opcode.DATA_END:
+            return
+    if loose:
+        yield bytes(loose)
