@@ -17,8 +17,8 @@ from std_srvs.srv import SetBool, Trigger
 from koop_bag.bag.metadata import OfferedQos
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
+from koop_bag.cdr.header import step_of
 from koop_bag.cdr.schema import MessageSchema, load_schema
-from koop_bag.cdr.step_peek import step_of
 from koop_bag.recorder.topics import message_class
 
 pytestmark = pytest.mark.ros

@@ -14,8 +14,8 @@ from koop_bag.bag.columns import read_columns
 from koop_bag.bag.extent import measure
 from koop_bag.bag.reader import BagReader, Topic
 from koop_bag.cdr.definition import parse_definition
+from koop_bag.cdr.header import has_step
 from koop_bag.cdr.schema import MessageSchema
-from koop_bag.cdr.step_peek import has_step
 from koop_bag.errors import BagError
 from koop_bag.recorder.config import is_common
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from koop_bag.bag.columns import LOG_TIME, iter_tables, list_fields
-from koop_bag.bag.losses import StepCounter, StepReport, early_ends
+from koop_bag.bag.losses import LossCounter, StepReport, complete_from, early_ends
 from koop_bag.bag.metadata import parse_map
 from koop_bag.bag.reader import BagReader, Topic
+from koop_bag.cdr.header import has_step
 from koop_bag.cdr.schema import MessageSchema
-from koop_bag.cdr.step_peek import has_step
 
 
 @dataclass
@@ -49,6 +49,7 @@ class BagInfo:
     duration: float
     messages: int
     topics: list[TopicInfo] = field(default_factory=list)
+    complete_from: dict[str, int] = field(default_factory=dict)
     model_ids: list[str] = field(default_factory=list)
     custom: dict[str, str] = field(default_factory=dict)
 
@@ -73,16 +74,16 @@ def describe(bag: BagReader) -> BagInfo:
         bag.start_time * 1e-9,
         bag.duration,
         bag.message_count,
-        custom=bag.custom_data() or bag.notes.get("koop", {}),
+        custom=bag.custom_data(),
     )
-    counters: dict[str, StepCounter] = {}
+    counters: dict[str, LossCounter] = {}
     fields: dict[str, list[str]] = {}
     for topic in bag.topics:
         if topic.encoding == "cdr" and topic.definition:
             fields[topic.name] = [LOG_TIME]
             if has_step(MessageSchema(topic.type_name, topic.definition, "")):
                 fields[topic.name].append("step")
-                counters[topic.name] = StepCounter()
+                counters[topic.name] = LossCounter()
             if "model_id" in list_fields(bag, topic.name):
                 fields[topic.name].append("model_id")
     spans: dict[str, tuple[int, int]] = {}
@@ -96,12 +97,14 @@ def describe(bag: BagReader) -> BagInfo:
         models |= dict.fromkeys(columns.get("model_id", ()))
     for topic in bag.topics:
         info.topics.append(_topic_info(topic, spans.get(topic.name), counters.get(topic.name)))
+    steps = {topic.name: topic.steps for topic in info.topics if topic.steps is not None}
+    info.complete_from = complete_from({name: report.first for name, report in steps.items()})
     info.model_ids = [model for model in models if model]
     return info
 
 
 def _topic_info(
-    topic: Topic, span: tuple[int, int] | None, counter: StepCounter | None
+    topic: Topic, span: tuple[int, int] | None, counter: LossCounter | None
 ) -> TopicInfo:
     rate = None
     if span is not None and span[1] > span[0]:
@@ -121,6 +124,9 @@ def as_text(info: BagInfo, with_parameters: bool = False) -> str:
         f"time      {begin}, {info.duration:.3f} s",
         f"messages  {info.messages}",
     ]
+    for loop, step in info.complete_from.items():
+        if step:
+            lines.append(f"complete  from step {step} on: the first of all topics of {loop}/")
     if info.model_ids:
         lines.append(f"model     {', '.join(info.model_ids)}")
     if revision := info.custom.get("git_revision"):

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+ASIDE = 100
+"""Messages within which steps that others broke into go on, if they ever do."""
+
 
 @dataclass(frozen=True)
 class StepReport:
@@ -16,12 +19,14 @@ class StepReport:
     count : int
         Messages received.
     lost : int
-        Steps jumped over: a step k followed by k + 1 + n counts n.
+        Steps jumped over: a step k followed by k + 1 + n counts n. A step that goes back, of a
+        restarted run or of a second sender, is no loss, and neither is the way from it to where the
+        steps before go on.
     duplicates : int
         Messages with the step of the one before: a state sent again is no loss.
     backward : int
-        Messages with a smaller step than the one before: a restart of the publisher, or messages
-        out of order.
+        Messages with a smaller step than the one before: a restarted publisher, a second one, or
+        messages out of order.
     first, last : int
         First and last step received, -1 if there is none. A run starts at 0; `first` > 0 is a late
         recorder.
@@ -37,18 +42,9 @@ class StepReport:
 
 def count_losses(steps: ArrayLike) -> StepReport:
     """Report on a column of steps, shape (n,)."""
-    k = np.asarray(steps).astype(np.int64)
-    if k.size == 0:
-        return StepReport()
-    jump = np.diff(k)
-    return StepReport(
-        count=int(k.size),
-        lost=int((jump[jump > 1] - 1).sum()),
-        duplicates=int((jump == 0).sum()),
-        backward=int((jump < 0).sum()),
-        first=int(k[0]),
-        last=int(k[-1]),
-    )
+    counter = LossCounter()
+    counter.add_many(steps)
+    return counter.report()
 
 
 def early_ends(last: Mapping[str, int]) -> dict[str, int]:
@@ -73,51 +69,92 @@ def early_ends(last: Mapping[str, int]) -> dict[str, int]:
     return {topic: count for topic, count in missing.items() if count > 1}
 
 
-class StepCounter:
-    """`count_losses`, one message at a time."""
+def complete_from(first: Mapping[str, int]) -> dict[str, int]:
+    """The step from which on all topics of a loop are recorded, by namespace.
 
-    __slots__ = ("_before", "backward", "count", "duplicates", "first", "last", "lost")
+    Parameters
+    ----------
+    first : mapping of str to int
+        First step by topic. Topics of one namespace belong to one loop.
+    """
+    complete: dict[str, int] = {}
+    for topic, step in first.items():
+        loop = topic.rpartition("/")[0]
+        complete[loop] = max(complete.get(loop, 0), step)
+    return complete
+
+
+class LossCounter:
+    """`count_losses`, one message or one column at a time."""
+
+    __slots__ = (
+        "_aside",
+        "_interrupted",
+        "_patience",
+        "backward",
+        "count",
+        "duplicates",
+        "first",
+        "last",
+        "lost",
+    )
 
     def __init__(self) -> None:
         self.count = self.lost = self.duplicates = self.backward = 0
         self.first = self.last = -1
-        self._before: int | None = None
+        self._interrupted = True
+        # the last step before one that went back, while what continues it is expected
+        self._aside = -1
+        self._patience = 0
 
     def add(self, step: int) -> None:
         """Count one message."""
-        if self._before is not None:
-            jump = step - self._before
-            if jump > 1:
-                self.lost += jump - 1
-            elif jump == 0:
-                self.duplicates += 1
-            elif jump < 0:
-                self.backward += 1
-        elif self.count == 0:
-            self.first = step
-        self.last = self._before = step
+        before, self.last = self.last, step
         self.count += 1
+        if self._interrupted:
+            self._interrupted = False
+            if self.count == 1:
+                self.first = step
+            return
+        if self._patience:
+            self._patience -= 1
+            if before < self._aside <= step:  # what was broken into goes on
+                before, self._aside = self._aside, before
+                self._patience = ASIDE
+        if step > before:
+            self.lost += step - before - 1
+        elif step == before:
+            self.duplicates += 1
+        else:
+            self.backward += 1
+            self._aside, self._patience = before, ASIDE
 
     def add_many(self, steps: ArrayLike) -> None:
         """Count a column of messages, shape (n,)."""
         k = np.asarray(steps).astype(np.int64)
         if k.size == 0:
             return
-        before = self._before
-        if before is None:
-            before = int(k[0])
-            self.add(before)
-            k = k[1:]
-        found = count_losses(np.insert(k, 0, before))
-        self.count += k.size
-        self.lost += found.lost
-        self.duplicates += found.duplicates
-        self.backward += found.backward
-        self.last = self._before = found.last
+        jump = np.diff(k, prepend=k[0])
+        lost, equal = np.cumsum(np.maximum(jump - 1, 0)), np.cumsum(jump == 0)
+        back = np.append(np.flatnonzero(jump < 0), k.size)
+        self.add(int(k[0]))
+        at = 1
+        while at < k.size:
+            end = int(back[np.searchsorted(back, at)])
+            if self._patience or end == at:
+                self.add(int(k[at]))
+                at += 1
+            else:  # up to the next step that goes back all is plain
+                self.count += end - at
+                self.lost += int(lost[end - 1] - lost[at - 1])
+                self.duplicates += int(equal[end - 1] - equal[at - 1])
+                self.last = int(k[end - 1])
+                at = end
 
     def interrupt(self) -> None:
         """Do not compare the next message with the last one: those between were not wanted."""
-        self._before = None
+        self._interrupted = True
+        self._patience = 0
 
     def report(self) -> StepReport:
         """Return the report up to now."""

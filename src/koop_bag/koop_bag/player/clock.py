@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
 from koop_bag.bag.reader import RawMessage
-from koop_bag.cdr.step_peek import stamp_of
+from koop_bag.cdr.header import stamp_of
 from koop_node.managed import RELIABLE
 
 PERIOD = 0.005  # [s] between clock messages where the bag is silent

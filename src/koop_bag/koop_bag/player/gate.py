@@ -10,8 +10,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from koop_bag.bag.reader import BagReader, RawMessage
+from koop_bag.cdr.header import has_step, step_of
 from koop_bag.cdr.schema import load_schema
-from koop_bag.cdr.step_peek import has_step, step_of
 from koop_bag.errors import BagError
 from koop_bag.player.outlet import Outlet, recorded_qos
 from koop_bag.recorder.config import LOOP_TOPICS

@@ -11,8 +11,8 @@ from typing import Any
 from std_srvs.srv import SetBool, Trigger
 
 from koop_bag.bag.reader import BagReader, RawMessage
+from koop_bag.cdr.header import has_header
 from koop_bag.cdr.schema import load_schema
-from koop_bag.cdr.step_peek import has_header
 from koop_bag.errors import BagError
 from koop_bag.player.clock import ClockOutlet
 from koop_bag.player.config import PlayerConfig, default_topics, parse_counts, parse_remap
@@ -134,7 +134,7 @@ class PlayerNode(ManagedNode):
             return 0
         return sum(outlet.count for outlet in self._outlets.values())
 
-    def diagnose(self) -> tuple[bytes, str, Mapping[str, object]]:
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
         if self._playback is None:
             return OK, "", {}
         position = self._playback.position(time.monotonic()) - self._bag.start_time

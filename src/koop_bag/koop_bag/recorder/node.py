@@ -11,7 +11,7 @@ from typing import Any
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import qos_profile_parameter_events
 
-from koop_bag.bag.losses import early_ends
+from koop_bag.bag.losses import LossCounter, complete_from, early_ends
 from koop_bag.bag.metadata import OfferedQos, dump
 from koop_bag.bag.writer import BagWriter
 from koop_bag.errors import BagError, BagWriteError
@@ -52,6 +52,7 @@ class RecorderNode(ManagedNode):
         self._recording = False
         self._refused: set[str] = set()
         self._models: dict[str, str] = {}
+        self._complete_from: dict[str, int] = {}
         try:
             self._folder = run_folder.make_run_folder(config.output)
             self._versions = run_folder.write_versions(self._folder)
@@ -101,7 +102,7 @@ class RecorderNode(ManagedNode):
     def samples(self) -> int:
         return sum(topic.count for topic in self._topics.values())
 
-    def diagnose(self) -> tuple[bytes, str, Mapping[str, object]]:
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
         if self._writer is None:
             return (ERROR, self._problem, {}) if self._problem else (OK, "", {})
         lost = self._lost()
@@ -141,6 +142,7 @@ class RecorderNode(ManagedNode):
             topic.match()
         if self._collector.look():
             self._guarded(self._keep_parameters)
+        self._say_from_when_on()
 
     def _try_topic(self, name: str, type_name: str) -> None:
         try:
@@ -213,7 +215,7 @@ class RecorderNode(ManagedNode):
 
     def _report_ends(self) -> None:
         """Say what no gap shows: that the record of a topic begins late or ends early."""
-        counters = {t.name: t.peek.counter for t in self._topics.values() if t.peek and t.count}
+        counters = self._counters()
         for name, counter in counters.items():
             if counter.first:
                 self.get_logger().warning(f"{name} begins at step {counter.first}, not at 0")
@@ -225,7 +227,7 @@ class RecorderNode(ManagedNode):
         assert self._writer is not None
         run_folder.write_parameters(self._folder, self._collector.values)
         self._models |= run_folder.keep_model(self._folder, self._collector.values)
-        self._writer.add_note("koop", self._custom_data())
+        self._writer.keep(self._custom_data())
 
     def _on_parameter_event(self, event: ParameterEvent) -> None:
         """Keep a model that a node changes to: the one from its first parameters is not enough."""
@@ -237,7 +239,7 @@ class RecorderNode(ManagedNode):
 
         def keep() -> None:
             self._models |= run_folder.keep_model(folder, {event.node: names})
-            writer.add_note("koop", self._custom_data())
+            writer.keep(self._custom_data())
 
         self._guarded(keep)
 
@@ -247,10 +249,23 @@ class RecorderNode(ManagedNode):
             "versions": dump(self._versions),
             "git_revision": self._versions["git_revision"],
             "models": dump(self._models),
+            "complete_from": dump(self._complete_from),
         }
 
     def _lost(self) -> dict[str, int]:
-        return {t.name: t.peek.counter.lost for t in self._topics.values() if t.peek is not None}
+        return {t.name: t.losses.lost for t in self._topics.values() if t.losses is not None}
+
+    def _counters(self) -> dict[str, LossCounter]:
+        """The counters of the topics that have come, by topic."""
+        return {t.name: t.losses for t in self._topics.values() if t.losses and t.count}
+
+    def _say_from_when_on(self) -> None:
+        """Say from which step on all topics of a loop are recorded: discovery takes its time."""
+        complete = complete_from({name: c.first for name, c in self._counters().items()})
+        for loop, step in complete.items():
+            if self._complete_from.get(loop) != step:
+                self.get_logger().info(f"the topics of {loop}/ are complete from step {step} on")
+        self._complete_from = complete
 
     def _guarded(self, action: Callable[[], None]) -> None:
         """Write; a disk that fails ends the recording, not the loop."""

@@ -18,9 +18,10 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from koop_bag.bag.losses import LossCounter
 from koop_bag.bag.metadata import OfferedQos
+from koop_bag.cdr.header import has_step, step_of
 from koop_bag.cdr.schema import MessageSchema, load_schema
-from koop_bag.cdr.step_peek import StepPeek, has_step
 from koop_bag.errors import BagError
 from koop_bag.mcap.chunk import Row
 
@@ -62,7 +63,7 @@ class RecordedTopic:
         self.count = 0
         self.offered: tuple[OfferedQos, ...] = ()
         """QoS of the publishers seen."""
-        self.peek = StepPeek() if has_step(self.schema) else None
+        self.losses = LossCounter() if has_step(self.schema) else None
         self._announce = announce
         self._node = node
         self._type = message_class(self.schema.name)
@@ -87,8 +88,8 @@ class RecordedTopic:
         """Forget the messages that wait; the steps skipped are no loss."""
         skipped: list[Taken] = []
         self.take(skipped)
-        if skipped and self.peek is not None:
-            self.peek.counter.interrupt()
+        if skipped and self.losses is not None:
+            self.losses.interrupt()
 
     def open_channel(self) -> int:
         """Announce the topic in the bag."""
@@ -145,8 +146,8 @@ def fetch(topics: Iterable[RecordedTopic]) -> list[Row]:
     rows: list[Row] = []
     for received, topic, sent, data in taken:
         topic.count += 1
-        if topic.peek is not None:
-            topic.peek.see(data)
+        if topic.losses is not None:
+            topic.losses.add(step_of(data))
         rows.append((received, topic.channel or topic.open_channel(), sent, data))
     return rows
 
@@ -165,9 +166,8 @@ def message_class(type_name: str) -> Any:
 def offered_qos(profile: QoSProfile) -> OfferedQos:
     """Return a publisher's QoS in the bag's terms."""
 
-    def word(policy: Any, default: str) -> str:
-        name = str(policy.name).lower()
-        return default if name in ("unknown", "system_default", "best_available") else name
+    def word(policy: Any) -> str:
+        return str(policy.name).lower()
 
     def span(duration: Duration) -> tuple[int, int] | None:
         seconds, nanoseconds = divmod(duration.nanoseconds, 1_000_000_000)
@@ -175,12 +175,12 @@ def offered_qos(profile: QoSProfile) -> OfferedQos:
         return (seconds, nanoseconds) if limited else None
 
     return OfferedQos(
-        reliability=word(profile.reliability, "reliable"),
-        durability=word(profile.durability, "volatile"),
-        # Discovery does not tell these two; rosbag2 writes what a subscription would start with.
-        history=word(profile.history, "keep_last"),
+        reliability=word(profile.reliability),
+        durability=word(profile.durability),
+        # Discovery tells neither of these two: they are 'unknown' and 0.
+        history=word(profile.history),
         depth=profile.depth,
-        liveliness=word(profile.liveliness, "automatic"),
+        liveliness=word(profile.liveliness),
         deadline=span(profile.deadline),
         lifespan=span(profile.lifespan),
         liveliness_lease_duration=span(profile.liveliness_lease_duration),

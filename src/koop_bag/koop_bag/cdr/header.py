@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 
-from koop_bag.bag.losses import StepCounter
 from koop_bag.cdr.definition import Primitive, Struct, parse_definition
 from koop_bag.cdr.schema import MessageSchema
 
@@ -14,19 +13,6 @@ _STAMP = struct.Struct("<iI")
 _HEADER = "std_msgs/Header"
 # Encapsulation, sec, nanosec; the length of frame_id follows, then its characters, then the step.
 _FRAME_ID = 12
-
-
-class StepPeek:
-    """Counts losses on one topic whose messages begin with a Header and `uint64 step`."""
-
-    __slots__ = ("counter",)
-
-    def __init__(self) -> None:
-        self.counter = StepCounter()
-
-    def see(self, message: bytes) -> None:
-        """Count one serialized message."""
-        self.counter.add(step_of(message))
 
 
 def step_of(message: bytes) -> int:
