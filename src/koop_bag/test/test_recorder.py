@@ -92,7 +92,8 @@ def test_the_folder_of_a_run_holds_parameters_model_and_versions(tmp_path, messa
     lifter = parameters["/lifter"]["ros__parameters"]
     assert {name: lifter[name] for name in given} == given
     assert parameters["/latecomer"]["ros__parameters"]["late"] is True
-    assert parameters["/recorder"]["ros__parameters"]["output"] == str(folder)
+    # handed back, the file must not say where this run was recorded
+    assert "output" not in parameters["/recorder"]["ros__parameters"]
     assert (folder / "model" / "vdp.npz").read_bytes() == b"a model"
     versions = yaml.safe_load((folder / "versions.yaml").read_text())
     assert versions["python"] == ".".join(map(str, sys.version_info[:3]))
@@ -135,18 +136,26 @@ def test_lost_steps_are_counted_while_recording_and_at_the_end(tmp_path, message
     with Recorder(tmp_path / "run") as recorder, Talker() as talker:
         talker.node.create_subscription(DiagnosticArray, "/diagnostics", listen, 10)
         publishers = talker.publishers(LOOP)
-        publish({"/cost": publishers["/cost"]}, messages.loop, [0, 1, 2, 5, 6, 6, 7, 9])
+        # one of them is of another sender, which tries the topic out
+        publish({"/cost": publishers["/cost"]}, messages.loop, [0, 1, 2, 5, 6, 6, 7, 1, 9])
         publish({"/state": publishers["/state"]}, messages.loop, range(20))
+        publish({"/theta": publishers["/theta"]}, messages.loop, range(4, 20))
         talker.spin_until(lambda: reports and reports[-1].get("lost /cost") == "3", "a report")
         assert reports[-1]["lost /state"] == "0"
-        assert int(reports[-1]["messages"]) >= 28
+        assert int(reports[-1]["messages"]) >= 29 + 16
+        recorder.wait_for("/theta", 16)
+        wait_until(
+            lambda: "the topics of / are complete from step 4 on" in recorder.output(), "a line"
+        )
         recorder.stop()
         assert "lost messages: 3 on /cost" in recorder.output()
         assert recorder.process.returncode == 0
     with BagReader(tmp_path / "run") as reader:
         column = read_columns(reader, "/cost", ["step"])["step"]
+        told = yaml.safe_load(reader.custom_data()["complete_from"])
     report = count_losses(column)
-    assert (report.lost, report.duplicates) == (3, 1)
+    assert (report.lost, report.duplicates, report.backward) == (3, 1, 1)
+    assert told == {"": 4}
 
 
 TALK = """
@@ -253,6 +262,8 @@ def test_publishers_of_any_reliability_are_heard(tmp_path, messages):
     with BagReader(tmp_path / "run") as reader:
         offered = yaml.safe_load(reader.topic("/state").metadata["offered_qos_profiles"])
     assert [profile["reliability"] for profile in offered] == ["best_effort"]
+    # what discovery does not tell; rosbag2 writes the same
+    assert (offered[0]["history"], offered[0]["depth"]) == ("unknown", 0)
     assert offered[0]["deadline"] == {"sec": 0, "nsec": 100_000_000}
     assert offered[0]["lifespan"]["sec"] == 9223372036  # none
 
