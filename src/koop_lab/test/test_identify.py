@@ -30,7 +30,7 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 def oscillation(t, phase=0.0):
     """x(t) of x' = A x from [cos, sin] of the phase, shape (n, len(t))."""
     start = np.array([np.cos(phase), np.sin(phase)])
-    return np.stack([expm(A * tau) @ start for tau in t], axis=1)
+    return (expm(A * np.asarray(t)[:, None, None]) @ start).T
 
 
 def write_joints(path, t, x, begin=1_700_000_000):
@@ -236,14 +236,13 @@ def test_what_cannot_be_learned_is_said(tmp_path, given, message, capsys):
     assert not out.exists()
 
 
-@pytest.mark.slow
-def test_a_bag_20_times_as_large_takes_no_more_memory(tmp_path):
+def test_a_bag_5_times_as_large_takes_no_more_memory(tmp_path):
     peaks = []
-    for megabytes in (10, 200):  # the smaller one fills a batch, which is what is held at once
+    for megabytes in (10, 50):  # the smaller one fills a batch, which is what is held at once
         size = write_states(tmp_path / str(megabytes), round(megabytes * 1e6 / STORED))
         assert size == pytest.approx(megabytes * 1e6, rel=0.1)
         peaks.append(peak_of_training(tmp_path / str(megabytes)))
-    # without batches the states alone, 2 million of 16 bytes in several copies, would add 100 MB
+    # all messages read in one batch add 140 MB
     assert peaks[1] - peaks[0] < 30e6
 
 
