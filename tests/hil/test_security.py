@@ -64,7 +64,8 @@ def test_the_policy_covers_all_that_the_nodes_say_hear_serve_and_ask(start, prob
     ):
         permitted = allowed(kind, direction)
         for node in NODES:
-            live = names(question, node)
+            # the recorder also asks the probe of this test for its parameters
+            live = {name for name in names(question, node) if not name.startswith("/probe/")}
             assert live or question == "client", (node, question)
             rules = permitted[node]
             unknown = {name for name in live if not any(fnmatchcase(name, r) for r in rules)}

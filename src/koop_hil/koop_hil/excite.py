@@ -51,7 +51,7 @@ def excite(
     Raises
     ------
     LiveError
-        If a process ends, another loop runs on the domain, or less than half was recorded.
+        If a process ends, another loop runs on the domain, or less than 30 % was recorded.
     """
     monitor = Monitor()
     try:

@@ -29,7 +29,7 @@ TRANSITION = ["publish_time", "start_state.label", "goal_state.label"]
 LIMITED = (
     "tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answered_twice", "answer_age"
 )  # fmt: skip
-LEAST = 0.5  # of the duration that must be known
+LEAST = 0.3  # of the duration that must be known
 
 
 @dataclass
