@@ -6,7 +6,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"koop_study.report": ["page.js", "page.css"]},
+    package_data={"koop_study.report": ["page.js", "page.css", "vendor/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
@@ -18,7 +18,6 @@ setup(
         "koopman_lifter",
         "relay_esc",
         "vdp_plant",
-        "matplotlib",
         "numba",
         "numpy",
         "PyYAML",

@@ -38,7 +38,7 @@ def test_candidates_must_not_be_judged_on_the_seeds_that_tuned_them() -> None:
     with pytest.raises(ConfigError, match="overlap"):
         BeyondConfig(
             config.candidates, config.grids, config.tuning, config.tuning,
-            config.reference, config.default,
+            config.reference,
         )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ def register(commands: Any) -> None:
     parser = commands.add_parser(
         "study",
         description="Runs every experiment file of a folder offline and writes report.html, "
-        "tables/*.csv and figures/*.svg. A study that was stopped goes on where it was.",
+        "tables/*.csv. A study that was stopped goes on where it was.",
     )
     parser.add_argument("--quick", action="store_true", help="a small version, within minutes")
     parser.add_argument(
@@ -38,7 +38,7 @@ def register(commands: Any) -> None:
         help="write the report there too, without intermediate results",
     )  # fmt: skip
     parser.add_argument(
-        "--readme", type=Path, metavar="FILE", help="rewrite the results table of this README"
+        "--readme", type=Path, metavar="FILE", help="rewrite the results in this README"
     )
     parser.add_argument(
         "--over-dds",

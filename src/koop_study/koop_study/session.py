@@ -12,7 +12,7 @@ from pathlib import Path
 from koop_node.config import ConfigError
 from koop_study.experiments.kinds import KINDS, read_folder
 from koop_study.over_dds import repeat as over_dds
-from koop_study.report import publish
+from koop_study.report import publish, summary
 from koop_study.workers.pool import WorkerLost
 from koop_study.workers.runner import run_all
 from koop_study.workers.units import Store
@@ -62,10 +62,8 @@ def run(args: argparse.Namespace) -> int:
     if args.readme:
         block = publish.readme_block(sections, os.path.relpath(path, args.readme.parent))
         args.readme.write_text(publish.rewrite_block(readme, block))
-    for section in sections:
-        for claim in section.claims:
-            if claim.summary:
-                print(f"- {claim.text}")
+    for claim in summary.sentences(summary.by_name(sections)):
+        print(f"- {claim.text}")
     print(f"{path} ({time.monotonic() - begin:.0f} s)")
     return 0
 

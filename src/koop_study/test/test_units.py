@@ -129,8 +129,8 @@ def test_a_killed_worker_ends_the_study_with_an_error_and_keeps_what_was_done(
 
     killer = threading.Thread(target=kill)
     killer.start()
-    with pytest.raises(pool.WorkerLost, match="the same command goes on"):
-        pool.work_on(units, store, 1)
+    with pytest.raises(pool.WorkerLost, match="fewer --processes"), pool.Workers(store, 1) as w:
+        w.results(units)
     killer.join()
     assert store.has(units[0])
     assert not store.has(units[1])
@@ -140,8 +140,9 @@ def test_a_killed_worker_ends_the_study_with_an_error_and_keeps_what_was_done(
 def test_what_the_store_has_is_not_computed_again(tmp_path: Path, monkeypatch) -> None:
     store, unit = Store(tmp_path), Unit("runs", {"settings": {}, "seeds": [1]})
     store.save(unit, [{"iae": 1.5}])
-    monkeypatch.setattr(pool, "_compute", lambda *_: pytest.fail("computed"))
-    assert pool.work_on([unit, unit], store, 1) == [[{"iae": 1.5}], [{"iae": 1.5}]]
+    monkeypatch.setattr(pool.Workers, "_compute", lambda *_: pytest.fail("computed"))
+    with pool.Workers(store, 1) as workers:
+        assert workers.results([unit, unit]) == [[{"iae": 1.5}], [{"iae": 1.5}]]
 
 
 def test_another_argument_is_another_unit() -> None:

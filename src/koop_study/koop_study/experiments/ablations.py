@@ -35,8 +35,6 @@ class Ablation:
         Empty: those of the experiment.
     settings : dict
         Further settings of this ablation.
-    summary : bool
-        True if the report's summary repeats the sentence.
     """
 
     name: str
@@ -45,7 +43,6 @@ class Ablation:
     values: tuple[Any, ...]
     costs: tuple[str, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)
-    summary: bool = False
 
     def __post_init__(self) -> None:
         for path in (*self.parameters, *self.settings):
@@ -202,4 +199,4 @@ def _claim(
         wins = [a < b for a, b in zip(medians["lifted"], medians["raw"], strict=True)]
         often = "at every value" if all(wins) else "at some values only" if any(wins) else "nowhere"
         parts.append(f"lifted is below raw {often}")
-    return Claim(f"{ablation.title}: {'; '.join(parts)}.", table.name, ablation.summary)
+    return Claim(f"{ablation.title}: {'; '.join(parts)}.", table.name)

@@ -63,16 +63,16 @@ class BeyondConfig:
     tuning: Seeds
     fresh: Seeds
     reference: str  # the candidate to beat: the raw cost's best cell
-    default: str  # the candidate that the study recommends
     settings: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if set(self.tuning.list()) & set(self.fresh.list()):
             raise ConfigError("tuning and fresh seeds overlap")
         names = [candidate.name for candidate in self.candidates]
-        for name in (self.reference, self.default):
-            if name not in names:
-                raise ConfigError(f"'{name}' is no candidate: they are {', '.join(names)}")
+        if self.reference not in names:
+            raise ConfigError(
+                f"reference '{self.reference}' is not a candidate: they are {', '.join(names)}"
+            )
         for candidate in self.candidates:
             if candidate.grid and candidate.grid not in self.grids:
                 raise ConfigError(f"{candidate.name}: there is no grid '{candidate.grid}'")
@@ -172,7 +172,6 @@ def _claims(config: BeyondConfig, table: Table) -> list[Claim]:
         text = table.cell(name, "iae_median")
         return float("inf") if text == "diverged" else float(text)
 
-    best = min((candidate.name for candidate in config.candidates), key=median)
     claims = []
     for candidate in config.candidates:
         name = candidate.name
@@ -187,7 +186,6 @@ def _claims(config: BeyondConfig, table: Table) -> list[Claim]:
                 f"{table.cell(config.reference, 'iae_median')} "
                 f"({table.cell(config.reference, 'converged')} % converged).",
                 "beyond",
-                summary=name in (config.default, best),
             )
         )
     return claims

@@ -84,14 +84,16 @@ def _claim(table: Table, cost: str) -> Claim:
         text += (
             f"; the paper reports {table.cell(paper, 't_theta')} s and {table.cell(paper, 'iae')}"
         )
-    return Claim(text + ".", "closed_loop", summary=True)
+    return Claim(text + ".", "closed_loop")
 
 
 def _figure(cost: str, trace: dict[str, Any]) -> Figure:
-    def panel(name: str, label: str, color: int, level: float | None = None) -> Panel:
+    def panel(name: str, label: str, color: int, *more: Series) -> Panel:
         low, high = trace[name]
         series = Series(label, trace["t"], low, "band", high, color)
-        return Panel("t [s]", label, (series,), level=level)
+        return Panel("t [s]", label, (series, *more))
+
+    t = (trace["t"][0], trace["t"][-1])
 
     return Figure(
         f"closed_loop_{re.sub(r'[^a-z]+', '_', cost)}",
@@ -99,6 +101,6 @@ def _figure(cost: str, trace: dict[str, Any]) -> Figure:
         (
             panel("x", "x", 0),
             panel("r", "r", 1),
-            panel("theta", "θ", 2, THETA_STAR),
+            panel("theta", "θ", 2, Series("θ*", t, (THETA_STAR, THETA_STAR), "level")),
         ),
     )

@@ -76,7 +76,7 @@ def section(config: ModesConfig, results: list[Any]) -> Section:
             )
         )
     claims = _claims(spread)
-    ranks = [float(j + 1) for j in range(moduli.shape[1])]
+    ranks = [float(j) for j in range(moduli.shape[1])]
     figure = Figure(
         "modes",
         "Moduli of the eigenvalues: range over the training seeds, median, and the paper's.",
@@ -95,6 +95,7 @@ def section(config: ModesConfig, results: list[Any]) -> Section:
                         [float(np.hypot(re, im)) for re, im, _ in PAPER], "points", color=1,
                     ),
                 ),
+                ticks=tuple(str(j + 1) for j in range(moduli.shape[1])),
             ),
         ),
     )  # fmt: skip
@@ -123,7 +124,6 @@ def _claims(spread: Table) -> list[Claim]:
             f"The slow modes are the paper's: the one that differs most in |λ|, mode {slow}, does "
             f"so by {spread.cell(slow, 'difference')}.",
             "modes_spread",
-            summary=True,
         ),
         Claim(
             f"The fast modes are not: mode {fast} has |λ| {spread.cell(fast, 'median')} (from "

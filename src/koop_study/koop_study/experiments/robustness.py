@@ -132,7 +132,6 @@ def _claims(table: Table) -> list[Claim]:
             f"percentile {table.cell(cost, 'iae_p90')}; {table.cell(cost, 'reached')} % of the "
             f"runs reach θ* and {table.cell(cost, 'converged')} % converge.",
             "robustness",
-            summary=True,
         )
         for cost in (str(row[0]) for row in table.rows)
     ]
@@ -141,7 +140,6 @@ def _claims(table: Table) -> list[Claim]:
             f"The {cost} cost has the smaller IAE than the raw cost at the same constants in "
             f"{table.cell(cost, 'win_rate')} % of the seeds.",
             "robustness",
-            summary=True,
         )
         for cost in (str(row[0]) for row in table.rows)
         if cost == "lifted" and table.cell(cost, "win_rate") != "–"

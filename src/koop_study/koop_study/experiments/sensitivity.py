@@ -179,7 +179,7 @@ def _claims(table: Table) -> list[Claim]:
                 f"; at equal constants it has the smaller median than raw in {cell['cells_won']} % "
                 "of the cells"
             )
-        claims.append(Claim(text + ".", "sensitivity", summary=True))
+        claims.append(Claim(text + ".", "sensitivity"))
     names = [str(row[0]) for row in table.rows]
     if {"raw", "lifted"} <= set(names) and table.cell("lifted", "default_iae") != "–":
         best, default = table.cell("raw", "best_iae"), table.cell("lifted", "default_iae")
@@ -189,7 +189,6 @@ def _claims(table: Table) -> list[Claim]:
                 f"The raw cost at its best cell {verdict} the lifted cost at the default "
                 f"constants: median IAE {best} against {default}.",
                 "sensitivity",
-                summary=True,
             )
         )
     return claims

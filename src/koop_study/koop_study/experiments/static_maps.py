@@ -126,7 +126,6 @@ def _claims(config: StaticMapsConfig, table: Table) -> list[Claim]:
                 f"{table.cell(raw, 'rank_correlation')}, and the minima lie at θ = "
                 f"{table.cell(lifted, 'argmin')} and {table.cell(raw, 'argmin')}.",
                 "static_maps",
-                summary=suffix == "settled",
             )
         )
     return claims

@@ -92,7 +92,22 @@ def _exact(cell: Cell) -> str:
 
 @dataclass(frozen=True)
 class Series:
-    """One curve: ``line``, ``points``, ``steps`` or ``band`` (between ``y`` and ``upper``)."""
+    """One curve.
+
+    Attributes
+    ----------
+    name : str
+        A curve and a band of the same name share a row of the legend.
+    x, y : sequence of float, shape (M,)
+        ``x`` rises or falls; None in ``y`` where there is no value.
+    kind : str
+        ``line``, ``points``, ``steps``, ``band`` (between ``y`` and ``upper``), or ``level``: a
+        dashed line at a value to compare with.
+    upper : sequence of float, shape (M,)
+        Of a band only.
+    color : int
+        Position in the page's palette.
+    """
 
     name: str
     x: Sequence[float]
@@ -123,7 +138,6 @@ class Panel:
     title: str = ""
     log_x: bool = False
     log_y: bool = False
-    level: float | None = None  # a dashed horizontal line, such as theta*
     ticks: tuple[str, ...] = ()
     heat: Heat | None = None
 
@@ -148,13 +162,10 @@ class Claim:
         The sentence.
     table : str
         Name of the table that carries it.
-    summary : bool
-        True if the report's summary repeats it.
     """
 
     text: str
     table: str
-    summary: bool = False
 
 
 @dataclass

@@ -12,7 +12,9 @@ from typing import Any
 import yaml
 
 from koop_study.experiments.kinds import Experiment
+from koop_study.report import summary
 from koop_study.report.document import Claim, Figure, Section, Table
+from koop_study.report.heat import heat_table
 
 TITLE = "Extremum seeking in a Koopman-lifted space: the study"
 DIGITS = 5  # significant, of the points of figures
@@ -30,20 +32,23 @@ def render(sections: Sequence[Section], experiments: Sequence[Experiment], comma
     command : str
         What makes the page again.
     """
-    resources = files("koop_study.report")
+    folder = files("koop_study.report")
+    vendor = folder / "vendor"
+    license_text = (vendor / "LICENSE").read_text().strip()
     figures = {f.name: _plain(asdict(f)) for section in sections for f in section.figures}
-    script = json.dumps(figures, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    script = script.replace("</", "<\\/")  # no string may end the script element
+    data = json.dumps(figures, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    data = data.replace("<", "\\u003c")  # no string may end the script element
     links = "".join(f'<a href="#{s.name}">{html.escape(s.title)}</a>' for s in sections)
     body = _lines(
         [
             f"<h1>{TITLE}</h1>",
+            _summary(sections),
             "<p>Salsbury, Yu and Mukherjee, <i>Data-Driven Koopman-Enhanced Extremum Seeking for "
             "Oscillation Damping in Nonlinear Systems</i> (arXiv 2605.06804), reproduced, tested "
-            "and taken further. Every sentence below is made from the table that it links to.</p>",
+            "and taken further. Every sentence of this page is made from the table that it links "
+            "to. In figures: point at a curve to read it, drag to zoom in, double-click to zoom "
+            "out, click a name to hide it.</p>",
             f"<nav>{links}<a href='#settings'>Settings</a></nav>",
-            "<h2>Summary</h2>",
-            *(_summary(section) for section in sections),
             *(_section(section) for section in sections),
             _settings(experiments, command),
         ]
@@ -52,9 +57,11 @@ def render(sections: Sequence[Section], experiments: Sequence[Experiment], comma
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<link rel="icon" href="data:,">\n'
-        f"<title>{TITLE}</title>\n<style>\n{(resources / 'page.css').read_text()}</style>\n"
-        f"</head>\n<body>\n{body}\n<script>\nconst FIGURES = {script};\n"
-        f"{(resources / 'page.js').read_text()}</script>\n</body>\n</html>\n"
+        f"<title>{TITLE}</title>\n<style>\n{(vendor / 'uPlot.min.css').read_text()}\n"
+        f"{(folder / 'page.css').read_text()}</style>\n</head>\n<body>\n{body}\n"
+        f'<script type="application/json" id="figures">{data}</script>\n'
+        f"<script>\n/* uPlot: {license_text} */\n{(vendor / 'uPlot.iife.min.js').read_text()}\n"
+        f"</script>\n<script>\n{(folder / 'page.js').read_text()}</script>\n</body>\n</html>\n"
     )
 
 
@@ -67,6 +74,22 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value
+
+
+def _summary(sections: Sequence[Section]) -> str:
+    tables = summary.by_name(sections)
+    table = summary.headline(tables)
+    words = "".join(
+        f"<dt>{html.escape(name)}</dt><dd>{html.escape(text)}</dd>"
+        for name, text in summary.METRICS
+    )
+    return _lines(
+        [
+            _claims(summary.sentences(tables)),
+            _table(table) if table else "",
+            f"<dl>{words}</dl>",
+        ]
+    )
 
 
 def _section(section: Section) -> str:
@@ -87,11 +110,6 @@ def _section(section: Section) -> str:
 
 def _lines(parts: Sequence[str]) -> str:
     return "\n".join(part for part in parts if part)
-
-
-def _summary(section: Section) -> str:
-    claims = [claim for claim in section.claims if claim.summary]
-    return f"<h3>{html.escape(section.title)}</h3>{_claims(claims)}" if claims else ""
 
 
 def _claims(claims: Sequence[Claim]) -> str:
@@ -123,10 +141,18 @@ def _table(table: Table) -> str:
 
 
 def _figure(figure: Figure, claims: Sequence[Claim], tables: Sequence[Table]) -> str:
+    panels = []
+    for i, panel in enumerate(figure.panels):
+        title = f'<div class="panel-title">{html.escape(panel.title)}</div>' if panel.title else ""
+        content = (
+            heat_table(panel, panel.heat) if panel.heat
+            else f'<div class="plot" data-figure="{figure.name}" data-panel="{i}"></div>'
+        )  # fmt: skip
+        panels.append(f'<div class="panel">{title}{content}</div>')
     said = "".join(f"<p>{html.escape(claim.text)}</p>" for claim in claims)
     return (
         f"<figure><figcaption>{html.escape(figure.caption)}</figcaption>"
-        f'<div data-figure="{figure.name}"></div>{said}'
+        f'<div class="panels columns-{figure.columns}">{"".join(panels)}</div>{said}'
         f"{''.join(_table(table) for table in tables)}</figure>"
     )
 
@@ -136,8 +162,6 @@ def _settings(experiments: Sequence[Experiment], command: str) -> str:
         '<h2 id="settings">Settings</h2>',
         "<p>This command makes the page again, with the same numbers:</p>",
         f"<pre>{html.escape(command)}</pre>",
-        "<p>In figures: point at a curve to read it, drag to zoom in, double-click to zoom out, "
-        "click a name to hide it.</p>",
     ]
     for experiment in experiments:
         text = yaml.safe_dump(experiment.content, sort_keys=False, default_flow_style=None)

@@ -1,4 +1,4 @@
-"""Write a finished study: page, tables, figures; and the README's table from the tables."""
+"""Write a finished study: page and tables; and the README's results from the tables."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from koop_study.experiments.kinds import Experiment
-from koop_study.report import page, svg
+from koop_study.report import page, summary
 from koop_study.report.document import Section, Table
 from koop_study.workers.units import write_atomically
 
@@ -17,51 +17,32 @@ BEGIN, END = "<!-- results -->", "<!-- /results -->"
 def write(
     folder: Path, sections: Sequence[Section], experiments: Sequence[Experiment], command: str
 ) -> Path:
-    """Write report.html, tables/*.csv and figures/*.svg; return the page's path."""
-    for name in ("tables", "figures"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
+    """Write report.html and tables/*.csv; return the page's path."""
+    (folder / "tables").mkdir(parents=True, exist_ok=True)
     for section in sections:
         for table in section.tables:
             write_atomically(folder / "tables" / f"{table.name}.csv", table.csv())
-        for figure in section.figures:
-            write_atomically(folder / "figures" / f"{figure.name}.svg", svg.render(figure))
     path = folder / "report.html"
     write_atomically(path, page.render(sections, experiments, command))
     return path
 
 
-def markdown(table: Table, columns: Sequence[str]) -> str:
-    """Return some columns of a table as Markdown."""
-    keys = [column.key for column in table.columns]
-    chosen = [keys.index(name) for name in columns]
-    lines = [
-        "| " + " | ".join(table.columns[i].title for i in chosen) + " |",
-        "|" + "---|" * len(chosen),
-    ]
-    lines += ["| " + " | ".join(texts[i] for i in chosen) + " |" for texts in table.texts()]
-    return "\n".join(lines)
+def markdown(table: Table) -> str:
+    """Return a table as Markdown."""
+    heads = [column.title for column in table.columns]
+    lines = [heads, ["---"] * len(heads), *table.texts()]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def readme_block(sections: Sequence[Section], report: str) -> str:
-    """Return the README's results: the paper's table, the robustness, and how far one can go."""
-    tables = {table.name: table for section in sections for table in section.tables}
-    summary = ("iae_median", "iae_p90", "t_theta_median", "reached", "converged")
-    parts = []
-    if "closed_loop" in tables:
-        columns = ("method", "iae", "ise", "t_theta", "e_r_ss")
-        parts += ["One run, beside the paper:", markdown(tables["closed_loop"], columns)]
-    if "robustness" in tables:
-        parts += [
-            tables["robustness"].title + ":",
-            markdown(tables["robustness"], ("cost", *summary, "win_rate")),
-        ]
-    if "beyond" in tables:
-        parts += [
-            tables["beyond"].title + ":",
-            markdown(tables["beyond"], ("candidate", "constants", *summary)),
-        ]
-    parts.append(f"Figures, sensitivity, ablations: [{report}]({report}), made by `koop study`.")
-    return "\n\n".join(parts)
+    """Return the README's results: three sentences, one table, what its columns mean."""
+    tables = summary.by_name(sections)
+    said = " ".join(claim.text for claim in summary.readme_sentences(tables))
+    table = summary.headline(tables)
+    shown = [f"{table.title}:", markdown(table)] if table else []
+    words = "; ".join(f"{name}: {text}" for name, text in summary.METRICS[1:5])
+    link = f"{words}. All tables and figures: [{report}]({report}), made by `koop study`."
+    return "\n\n".join([*([said] if said else []), *shown, link])
 
 
 def rewrite_block(text: str, block: str) -> str:

@@ -7,10 +7,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from typing import Any
 
 from tqdm import tqdm
@@ -27,65 +26,73 @@ class WorkerLost(RuntimeError):
     """A worker process ended in the middle of its work."""
 
 
-def work_on(units: Sequence[Unit], store: Store, processes: int) -> list[Any]:
-    """Return the results of all units in their order; what the store has is not computed again.
+class Workers:
+    """Processes that compute units; a context manager, after which none of them is left.
 
-    Raises
-    ------
-    KeyboardInterrupt
-        On Ctrl-C; every result that was complete is in the store.
-    WorkerLost
-        If a worker process was killed; every result that was complete is in the store.
+    Parameters
+    ----------
+    store : Store
+        What it has is not computed again; every new result is in it at once.
+    processes : int
+        At work at the same time; they start when there is something to compute.
     """
-    pending = list({unit.key: unit for unit in units if not store.has(unit)}.values())
-    if pending:
-        known = len(units) - len(pending)
-        print(f"{len(units)} units of work, {known} of them there already", file=sys.stderr)
-        with _one_thread_each():
-            _compute(pending, store, processes)
-    return [store.load(unit) for unit in units]
 
+    def __init__(self, store: Store, processes: int) -> None:
+        self._store, self._processes = store, processes
+        self._executor: ProcessPoolExecutor | None = None
+        self._environment = dict(os.environ)
 
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    saved = {name: os.environ.get(name) for name in THREADS}
-    os.environ.update(dict.fromkeys(THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in saved.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+    def __enter__(self) -> Workers:
+        os.environ.update(dict.fromkeys(THREADS, "1"))
+        return self
 
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        for name in THREADS:
+            os.environ.pop(name)
+            if name in self._environment:
+                os.environ[name] = self._environment[name]
+        if self._executor is not None:
+            if kind is not None:  # Ctrl-C, or a unit that failed: nobody waits for the others
+                for process in multiprocessing.active_children():
+                    process.terminate()
+            self._executor.shutdown(cancel_futures=True)
 
-def _compute(pending: list[Unit], store: Store, processes: int) -> None:
-    runs({"duration": 1.0, "training.trajectories": 2, "training.duration": 2.0}, [0])  # compiles
-    executor = ProcessPoolExecutor(
-        min(processes, len(pending)), multiprocessing.get_context("spawn"), _begin
-    )
-    lost = False
-    try:
-        futures = [executor.submit(_do, unit) for unit in pending]
+    def results(self, units: Sequence[Unit]) -> list[Any]:
+        """Return the results of all units in their order.
+
+        Raises
+        ------
+        WorkerLost
+            If a worker process was killed; every result that was complete is in the store.
+        """
+        pending = list({u.key: u for u in units if not self._store.has(u)}.values())
+        if pending:
+            known = len(units) - len(pending)
+            print(f"{len(units)} units of work, {known} of them there already", file=sys.stderr)
+            self._compute(pending)
+        return [self._store.load(unit) for unit in units]
+
+    def _compute(self, pending: list[Unit]) -> None:
+        if self._executor is None:
+            # compiles, so that the processes need not
+            runs({"duration": 1.0, "training.trajectories": 2, "training.duration": 2.0}, [0])
+            context = multiprocessing.get_context("spawn")
+            self._executor = ProcessPoolExecutor(self._processes, context, _begin)
+        futures = [self._executor.submit(_do, unit) for unit in pending]
+        lost = False
         with tqdm(total=len(pending), unit="unit", smoothing=0.0, disable=None) as bar:
             for future in as_completed(futures):
                 if isinstance(future.exception(), BrokenProcessPool):
                     lost = True
                     continue
-                store.save(*future.result())
+                self._store.save(*future.result())
                 bar.update()
-    except BaseException:
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
-    finally:
-        executor.shutdown(cancel_futures=True)
-    if lost:
-        raise WorkerLost(
-            "a worker process was killed, perhaps for want of memory; the results so far are kept, "
-            "and the same command goes on from them (with fewer --processes, it needs less memory)"
-        )
+        if lost:
+            raise WorkerLost(
+                "a worker process was killed, perhaps for want of memory; the results so far are "
+                "kept, and the same command goes on from them (with fewer --processes, it needs "
+                "less memory)"
+            )
 
 
 def _begin() -> None:

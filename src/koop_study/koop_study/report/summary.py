@@ -1,0 +1,151 @@
+"""What a control engineer would tell a colleague about the study: five sentences from its tables.
+
+A sentence whose tables are not there, as of a study of some experiments only, is left out; verdicts
+follow the figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from koop_study.report.document import Claim, Section, Table
+
+COLUMNS = ("cost", "iae_median", "iae_p90", "t_theta_median", "converged", "e_r_ss_median")
+METRICS = (
+    ("θ, θ*", "the control input, and its best value, which the controller does not know"),
+    ("IAE, ISE", "∫ |θ − θ*| dt and ∫ (θ − θ*)² dt [s], from t = 100 s on"),
+    ("T", "first time with |θ − θ*| < 0.1 [s]; – if never"),
+    (
+        "e_r^ss",
+        "|mean of r over the last 30 % − r*| / (max r − min r), where r is the cost and r* its "
+        "mean with θ resting at θ*",
+    ),
+    ("converged", "the mean of |θ − θ*| over the last 30 % is at most 0.6"),
+    (
+        "raw, lifted, contrast",
+        "the cost that the controller sees; the first two are the paper's",
+    ),
+)
+
+Tables = Mapping[str, Table]
+
+
+def by_name(sections: Sequence[Section]) -> dict[str, Table]:
+    """Return the tables of all sections by name."""
+    return {table.name: table for section in sections for table in section.tables}
+
+
+def sentences(tables: Tables) -> list[Claim]:
+    """Return the sentences that the tables carry, the most important first."""
+    return [claim for write in SENTENCES if (claim := write(tables)) is not None]
+
+
+def readme_sentences(tables: Tables) -> list[Claim]:
+    """Return those that the README repeats."""
+    return [claim for write in FOR_THE_README if (claim := write(tables)) is not None]
+
+
+def headline(tables: Tables) -> Table | None:
+    """Return the few figures that the summary and the README show."""
+    table = tables.get("robustness")
+    if table is None:
+        return None
+    columns = {column.key: column for column in table.columns}
+    keys = [column.key for column in table.columns]
+    rows = [tuple(row[keys.index(name)] for name in COLUMNS) for row in table.rows]
+    return Table("summary", table.title, tuple(columns[name] for name in COLUMNS), rows)
+
+
+def _has(tables: Tables, name: str, *rows: str) -> bool:
+    return name in tables and set(rows) <= {row[0] for row in tables[name].rows}
+
+
+def _the_papers_claim(tables: Tables) -> Claim | None:
+    if not _has(tables, "robustness", "raw", "lifted"):
+        return None
+    table = tables["robustness"]
+    lifted, raw, wins = (
+        table.cell(*cell)
+        for cell in (("lifted", "iae_median"), ("raw", "iae_median"), ("lifted", "win_rate"))
+    )
+    verdict = "holds" if _number(lifted) < _number(raw) else "does not hold"
+    return Claim(
+        f"The paper's claim {verdict} at our default constants: the lifted cost brings θ to its "
+        f"optimum with a median IAE of {lifted}, the raw one with {raw}, and the lifted one is "
+        f"ahead with {wins} % of the seeds.",
+        "robustness",
+    )
+
+
+def _the_open_constants(tables: Tables) -> Claim | None:
+    if not _has(tables, "sensitivity", "raw", "lifted"):
+        return None
+    table = tables["sensitivity"]
+    best, default = table.cell("raw", "best_iae"), table.cell("lifted", "default_iae")
+    if default == "–":
+        return None
+    verdict = "beats" if _number(best) < _number(default) else "does not beat"
+    return Claim(
+        "But three filter constants, which the paper leaves open, count for as much as the "
+        f"lifting: with its best choice of them the raw cost {verdict} the lifted one at the "
+        f"defaults, a median IAE of {best} against {default}, though it converges in "
+        f"{table.cell('raw', 'best_converged')} % of its runs only.",
+        "sensitivity",
+    )
+
+
+def _convexity(tables: Tables) -> Claim | None:
+    rows = ("raw, settled", "lifted, settled")
+    if not _has(tables, "static_maps", *rows):
+        return None
+    raw, lifted = (tables["static_maps"].cell(row, "convexity") for row in rows)
+    verdict = "is more convex" if _number(lifted) > _number(raw) else "is not more convex"
+    return Claim(
+        f"The lifted cost {verdict} in θ once it has settled, which the paper gives as the reason: "
+        f"{lifted} % of its second differences are positive, of the raw one's {raw} %.",
+        "static_maps",
+    )
+
+
+def _contrast(tables: Tables) -> Claim | None:
+    if not _has(tables, "robustness", "lifted", "contrast"):
+        return None
+    table = tables["robustness"]
+    ours, theirs = (table.cell(cost, "iae_median") for cost in ("contrast", "lifted"))
+    verdict = "better" if _number(ours) < _number(theirs) else "no better"
+    return Claim(
+        "A cost that looks only along the direction in which strong oscillation differs most from "
+        f"weak (contrast) does {verdict} than either: a median IAE of {ours}, and "
+        f"{table.cell('contrast', 'converged')} % of its runs converge.",
+        "robustness",
+    )
+
+
+def _the_limit(tables: Tables) -> Claim | None:
+    name = "ablation_lag"
+    keys = [column.key for column in tables[name].columns] if name in tables else []
+    if "contrast_iae_median" not in keys or not _has(tables, name, "0"):
+        return None
+    table = tables[name]
+    lag = str(table.rows[-1][0])
+    at, with_lag = (table.cell(row, "contrast_iae_median") for row in ("0", lag))
+    verdict = "falls back" if _number(with_lag) > 1.1 * _number(at) else "does not fall back"
+    return Claim(
+        "Contrast takes the interference to reach both states at the same time: with a lag of "
+        f"{lag} s between them it {verdict}, from {at} to {with_lag}.",
+        name,
+    )
+
+
+def _number(text: str) -> float:
+    return float("inf") if text == "diverged" else float(text)
+
+
+SENTENCES: tuple[Callable[[Tables], Claim | None], ...] = (
+    _the_papers_claim,
+    _the_open_constants,
+    _convexity,
+    _contrast,
+    _the_limit,
+)
+FOR_THE_README = (_the_papers_claim, _the_open_constants, _contrast)
