@@ -35,14 +35,11 @@ def markdown(table: Table) -> str:
 
 
 def readme_block(sections: Sequence[Section], report: str) -> str:
-    """Return the README's results: three sentences, one table, what its columns mean."""
-    tables = summary.by_name(sections)
-    said = " ".join(claim.text for claim in summary.readme_sentences(tables))
-    table = summary.headline(tables)
+    """Return the README's results: the table of the report's summary, and where the rest is."""
+    table = summary.headline(summary.by_name(sections))
     shown = [f"{table.title}:", markdown(table)] if table else []
-    words = "; ".join(f"{name}: {text}" for name, text in summary.METRICS[1:5])
-    link = f"{words}. All tables and figures: [{report}]({report}), made by `koop study`."
-    return "\n\n".join([*([said] if said else []), *shown, link])
+    link = f"All tables and figures: [{report}]({report}), made by `koop study`."
+    return "\n\n".join([*shown, link])
 
 
 def rewrite_block(text: str, block: str) -> str:

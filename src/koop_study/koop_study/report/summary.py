@@ -40,11 +40,6 @@ def sentences(tables: Tables) -> list[Claim]:
     return [claim for write in SENTENCES if (claim := write(tables)) is not None]
 
 
-def readme_sentences(tables: Tables) -> list[Claim]:
-    """Return those that the README repeats."""
-    return [claim for write in FOR_THE_README if (claim := write(tables)) is not None]
-
-
 def headline(tables: Tables) -> Table | None:
     """Return the few figures that the summary and the README show."""
     table = tables.get("robustness")
@@ -148,4 +143,3 @@ SENTENCES: tuple[Callable[[Tables], Claim | None], ...] = (
     _contrast,
     _the_limit,
 )
-FOR_THE_README = (_the_papers_claim, _the_open_constants, _contrast)
