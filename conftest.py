@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
 
-from koop_node.domain import DISCOVERY_PORT, free_domain
+from koop_node.domain import hold_domain
 
 ROOT = Path(__file__).parent
 ALLOWED_SKIPS = ROOT / "tests" / "allowed_skips.txt"
@@ -26,37 +24,19 @@ os.environ["ROS_DOMAIN_ID"] = NO_DOMAIN
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
-@contextmanager
-def a_domain() -> Iterator[str]:
-    """Hold a ROS domain that nobody takes part in.
-
-    A loop that runs beside the tests must not be disturbed. The tests run in several processes,
-    which must not meet either: a bound port says that the domain is taken.
-    """
-    while True:
-        domain = free_domain()
-        with socket.socket() as taken:
-            try:
-                taken.bind(("127.0.0.1", DISCOVERY_PORT + 250 * domain))  # of TCP; DDS has UDP's
-            except OSError:
-                continue
-            yield str(domain)
-            return
-
-
 @pytest.fixture(scope="module")
 def module_domain() -> Iterator[str]:
     """Give the tests of a module one domain, for nodes that several of them use."""
-    with a_domain() as domain, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", domain)
-        yield domain
+    with hold_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        yield str(domain)
 
 
 @pytest.fixture
 def own_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Give a test a domain, for nodes that only it uses."""
-    with a_domain() as domain:
-        monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with hold_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
         yield
 
 

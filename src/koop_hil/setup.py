@@ -22,7 +22,7 @@ setup(
         "PyYAML",
         "tqdm",
     ],
-    extras_require={"rigs": ["cyclonedds"]},
+    extras_require={"rigs": ["cyclonedds"], "test": ["pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

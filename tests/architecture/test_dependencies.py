@@ -142,6 +142,14 @@ def test_the_packages_have_no_circle_not_even_by_their_tests():
 
 
 @pytest.mark.parametrize("package", OURS)
+def test_colcon_finds_tests_in_every_package(package, setup_of):
+    assert list((SRC / package / "test").glob("test_*.py"))
+    assert (
+        "pytest" in setup_of(package)["extras_require"]["test"]
+    )  # or it runs unittest, on nothing
+
+
+@pytest.mark.parametrize("package", OURS)
 def test_a_package_tests_itself_with_its_own_files(package):
     """What needs the repository is in tests/: a released package is alone."""
     for path in sources(package)[1]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from koop_lab.cli.main import main, parser
+from koop_lab.cli.main import main
 from koop_loop.parameters import make, read
 from koop_node import parameter_file
 from koop_node.config import ConfigError
@@ -55,10 +55,9 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
         (["demo", "--duration", "0"], "--duration must cover at least two steps"),
         (["demo", "--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
         (["demo", "--time-scale", "2"], "--time-scale needs --pace scaled"),
-        (["inspect", "pyproject.toml"], "truncated, damaged or no model file"),
+        (["inspect", __file__], "truncated, damaged or no model file"),
         (["train", "--degree", "0"], "degree = 0: must be 1 to 8"),
         (["train", "bag", "--horizons", "1,x"], "--horizons 1,x: write steps"),
-        (["replay", "recordings/golden/run", "--offline", "--set", "relay_esc.dwell=["], "in YAML"),
         (["bag", "metrics", "nowhere"], "koop bag metrics: error: there is no bag nowhere"),
     ],
 )
@@ -97,12 +96,6 @@ def test_ctrl_c_before_the_imports_are_done_is_no_traceback():
         rest = process.stderr.read()
     assert process.returncode == -signal.SIGINT
     assert "Traceback" not in rest
-
-
-def test_every_command_has_help():
-    for command in ("demo", "simulate", "train", "inspect", "bench"):
-        with pytest.raises(SystemExit, match="0"):
-            parser().parse_args([command, "--help"])
 
 
 def test_a_parameter_file_is_read_as_ros_reads_it(tmp_path):

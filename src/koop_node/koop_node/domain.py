@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import random
-from collections.abc import Iterable
+import socket
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 DOMAINS = range(1, 102)  # beyond, the ports would be those that the system hands out
@@ -30,3 +32,20 @@ def free_domain(candidates: Iterable[int] | None = None) -> int:
     ports = {int(line.split()[1].rpartition(":")[2], 16) for line in table}
     free = (domain for domain in order if DISCOVERY_PORT + 250 * domain not in ports)
     return next(free, order[0])
+
+
+@contextmanager
+def hold_domain() -> Iterator[int]:
+    """Hold a ROS domain that nobody takes part in, for tests that run in several processes.
+
+    A bound port tells the others that the domain is taken, before a node takes part in it.
+    """
+    while True:
+        domain = free_domain()
+        with socket.socket() as taken:
+            try:
+                taken.bind(("127.0.0.1", DISCOVERY_PORT + 250 * domain))  # of TCP; DDS has UDP's
+            except OSError:
+                continue
+            yield domain
+            return

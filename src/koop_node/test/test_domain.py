@@ -1,8 +1,9 @@
 """A free ROS domain, told from the sockets of this machine."""
 
 import socket
+from contextlib import ExitStack
 
-from koop_node.domain import DISCOVERY_PORT, DOMAINS, free_domain
+from koop_node.domain import DISCOVERY_PORT, DOMAINS, free_domain, hold_domain
 
 
 def test_a_domain_in_which_somebody_listens_is_not_free():
@@ -12,3 +13,10 @@ def test_a_domain_in_which_somebody_listens_is_not_free():
         listener.bind(("127.0.0.1", DISCOVERY_PORT + 250 * taken))
         assert free_domain([taken, 0]) != taken
     assert free_domain([taken, 0]) == taken
+
+
+def test_who_holds_a_domain_holds_it_alone():
+    with ExitStack() as stack:
+        held = [stack.enter_context(hold_domain()) for _ in range(30)]
+        assert len(set(held)) == 30
+    assert set(held) <= set(DOMAINS)
