@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import koop_loop
+import koop_node
 import koopman_lifter
 import relay_esc
 import vdp_plant
@@ -46,17 +47,38 @@ class Unit:
 
 @lru_cache(maxsize=1)
 def fingerprint() -> str:
-    """Return a hash of all that decides results: the numerical packages, libraries' versions."""
+    """Return a hash of all that decides results: our code, and the libraries' versions."""
     digest = hashlib.sha256()
     for name in LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
+    for path in deciding():
+        digest.update(f"{path.parent.name}/{path.name} {meaning(path.read_text())}\n".encode())
+    return digest.hexdigest()
+
+
+def deciding() -> list[Path]:
+    """Return the numerical packages' modules and those of koop_node that they import."""
+    found: list[Path] = []
     for package in PACKAGES:
         folder = Path(str(package.__file__)).parent
-        for path in sorted(folder.rglob("*.py")):
-            if path.name not in ROS:
-                name = f"{package.__name__}/{path.relative_to(folder).as_posix()}"
-                digest.update(f"{name} {meaning(path.read_text())}\n".encode())
-    return digest.hexdigest()
+        found += [path for path in sorted(folder.rglob("*.py")) if path.name not in ROS]
+    shared = Path(str(koop_node.__file__)).parent
+    for path in found:  # what is appended is looked at too
+        for name in sorted(shared_modules(path)):
+            if shared / name not in found:
+                found.append(shared / name)
+    return found
+
+
+def shared_modules(path: Path) -> set[str]:
+    """Return the files of koop_node that a module imports from."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module == "koop_node":
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("koop_node."):
+            names.add(str(node.module).split(".")[1])
+    return {f"{name}.py" for name in names}
 
 
 def meaning(source: str) -> str:
