@@ -9,6 +9,11 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
+from koop_node.config import ConfigError
+from koop_node.fields import check_fields, parse_source
+from koop_node.managed import message_type
+from koopman_lifter.config import LifterConfig
+
 
 @pytest.mark.parametrize("kind", ["JointState", "Float64MultiArray"])
 def test_a_standard_message_is_lifted_like_a_state(start, probe, kind):
@@ -84,14 +89,22 @@ def test_the_controller_also_speaks_a_plain_number(start, probe):
 @pytest.mark.parametrize(
     ("parameters", "code", "message"),
     [
-        ({"input_fields": "/joint_states"}, 2, "is no source: write topic:field,field"),
-        ({"input_fields": "/js:effort"}, 1, "JointState: 'effort' needs an index"),
+        ({"input_fields": "/joint_states"}, 2, "'/joint_states'"),
         ({"input_fields": "/js:torque[0]"}, 1, "JointState has no field 'torque'"),
-        ({"input_fields": "/js:x", "input_type": "no_msgs/msg/No"}, 1, "is not installed"),
-        ({"input_fields": "/js:x", "input_type": "os"}, 2, "'os' is no message type"),
     ],
 )
-def test_a_source_that_cannot_be_is_refused_in_one_line(start, parameters, code, message):
+def test_a_source_that_cannot_be_ends_the_lifter_with_one_line(start, parameters, code, message):
     process = start("koopman_lifter", **parameters)
     assert process.process.wait(20.0) == code
     assert message in process.log.read_text()
+
+
+def test_what_is_wrong_with_a_source_is_said():
+    with pytest.raises(ConfigError, match="write topic:field,field"):
+        LifterConfig(input_fields="/joint_states")
+    with pytest.raises(ConfigError, match="'os' is no"):
+        LifterConfig(input_fields="/js:x", input_type="os")
+    with pytest.raises(ValueError, match="no_msgs/msg/No is not installed"):
+        message_type("no_msgs/msg/No")
+    with pytest.raises(ConfigError, match="JointState: 'effort' needs an index"):
+        check_fields(parse_source("/js:effort").fields, JointState())
