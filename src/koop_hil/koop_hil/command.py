@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_hil import report
-from koop_hil.excite import Excitation, excite
+from koop_hil.excite import excite
 from koop_hil.run import run
 from koop_hil.scenario import Scenario, find, read, shipped
 from koop_node.config import ConfigError
@@ -54,11 +54,8 @@ def main(args: argparse.Namespace) -> int:
     out = args.out or Path("recordings") / f"{stamp}-hil"
     if args.excite is not None:
         for scenario in scenarios:
-            recorded = record_excitation(scenario, out / scenario.name, args.excite)
-            print(
-                f"recorded {recorded.seconds:g} of {args.excite:g} s; "
-                f"now 'koop train {recorded.bag} --dt 0.005 --out model.npz'"
-            )
+            bag = record_excitation(scenario, out / scenario.name, args.excite)
+            print(f"recorded; now 'koop train {bag} --dt 0.005 --out model.npz'")
         return 0
     verdicts = []
     for number in range(args.repeat):
@@ -79,7 +76,7 @@ def main(args: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def record_excitation(scenario: Scenario, folder: Path, duration: float) -> Excitation:
+def record_excitation(scenario: Scenario, folder: Path, duration: float) -> Path:
     """Record a scenario's plant over the controller's range of theta."""
     limits = EscConfig(theta_initial=scenario.setting.theta_initial)
     return excite(scenario, folder, limits.theta_min, limits.theta_max, duration)

@@ -160,7 +160,7 @@ class Processes:
         return given
 
     def _command(self, name: str) -> tuple[list[str], list[str] | None]:
-        setting, injects = self._scenario.setting, self._scenario.injects
+        setting, injects = self._scenario.setting, self._controlled and self._scenario.injects
         if name == "recorder":
             return ["--ros-args", "-p", f"output:={self._folder}"], None
         ros = ["--ros-args", "--params-file", str(self._parameter_file)]
@@ -176,7 +176,7 @@ class Processes:
         options = {
             "scale": setting.time_scale,
             "theta-initial": setting.theta_initial,
-            "readers": 2 if self._controlled else 1,
+            "readers": 2,  # the recorder, and who answers
             "seed": setting.seed,
             **({"state": "rig/state", "theta": "rig/theta"} if injects else {}),
         }

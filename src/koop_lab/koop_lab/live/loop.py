@@ -213,17 +213,18 @@ class Monitor:
         finally:
             self._node.destroy_subscription(subscription)
 
-    def theta_publisher(self, topic: str) -> Any:
-        """Return a publisher of control inputs, for a plant without a controller."""
-        from koop_msgs.msg import ControlInput
+    def answer_states(self, theta: Callable[[int], float]) -> None:
+        """Answer every ``state`` with ``theta(step)``, in the place of a controller."""
+        from koop_msgs.msg import ControlInput, MeasuredState
 
-        return self._node.create_publisher(ControlInput, topic, 10)
+        publisher = self._node.create_publisher(ControlInput, "theta", 100)
 
-    def publish_theta(self, publisher: Any, theta: float) -> None:
-        """Publish a control input, with steps of the clock: there is no cost to answer."""
-        from koop_msgs.msg import ControlInput
+        def answer(state: MeasuredState) -> None:
+            publisher.publish(
+                ControlInput(header=state.header, step=state.step, theta=theta(state.step))
+            )
 
-        publisher.publish(ControlInput(step=time.monotonic_ns() // 5_000_000, theta=theta))
+        self._node.create_subscription(MeasuredState, "state", answer, 5000)
 
     def close(self) -> None:
         """Leave the DDS domain."""
