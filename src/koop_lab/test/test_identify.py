@@ -14,7 +14,7 @@ from koop_lab.bench.memory import STORED, peak_of_training, write_states
 from koop_lab.cli.main import main
 from koop_lab.identify.from_bags import BagTraining, joined, train_from_bags
 from koop_lab.identify.samples import Batch, StateSpec
-from koop_lab.identify.segments import WAYS, Cutter, Cutting
+from koop_lab.identify.segments import WAYS, Segmentation, Segmenter
 from koopman_lifter.contrast import WINDOW
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import build, load
@@ -87,7 +87,7 @@ def test_a_pause_is_not_bridged(tmp_path, way):
     model = linear([write_joints(tmp_path / "bag", t, x)], way=way, held_out=0.0)
     np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=1e-9)
     assert model.provenance["pairs"] == 199 + 199
-    assert model.provenance["bags"][0]["stretches"] == 2
+    assert model.provenance["bags"][0]["segments"] == 2
 
 
 def test_stamps_that_jitter_are_ignored_if_told_so(tmp_path):
@@ -101,22 +101,22 @@ def test_stamps_that_jitter_are_ignored_if_told_so(tmp_path):
     assert np.abs(blurred - expm(A * DT)).max() > 1e-6
 
 
-# -- cutting ------------------------------------------------------------------------------------
+# -- segments -----------------------------------------------------------------------------------
 
 
-def cut(cutting, time, step, x, bounds):
+def split(segmentation, time, step, x, bounds):
     """Feed samples in batches; return all pairs of consecutive states, and of states 3 apart."""
-    cutter = Cutter(cutting, time.size)
+    segmenter = Segmenter(segmentation, time.size)
     edges = [0, *sorted(bounds), time.size]
     parts = [slice(a, b) for a, b in pairwise(edges)]
     fed = (Batch(p.start, time[p], step[p], x[p]) for p in parts)
-    pieces = list(joined((piece for batch in fed for piece in cutter.pieces(batch)), 3))
+    parts = list(joined((part for batch in fed for part in segmenter.split(batch)), 3))
     found = []
     for apart in (1, 3):
         pairs = [
-            (piece.held_out, *piece.states[:, k - apart], *piece.states[:, k])
-            for piece, known in pieces
-            for k in range(max(apart, known), piece.states.shape[1])
+            (part.held_out, *part.states[:, k - apart], *part.states[:, k])
+            for part, known in parts
+            for k in range(max(apart, known), part.states.shape[1])
         ]
         found.append(pairs)
     return found
@@ -133,16 +133,16 @@ def test_how_a_bag_is_read_in_batches_does_not_matter(data):
     x = np.arange(float(size))[:, None] ** [1, 2]
     x[data.draw(st.lists(st.integers(0, size - 1), max_size=2)), 0] = np.nan
     way = data.draw(st.sampled_from(WAYS))
-    cutting = Cutting(way, 0.007 if way in ("linear", "zoh") else 0.01, 0.035, 0.25)
+    segmentation = Segmentation(way, 0.007 if way in ("linear", "zoh") else 0.01, 0.035, 0.25)
     bounds = data.draw(st.sets(st.integers(1, size - 1), max_size=6))
-    assert cut(cutting, time, step, x, bounds) == cut(cutting, time, step, x, set())
+    assert split(segmentation, time, step, x, bounds) == split(segmentation, time, step, x, set())
 
 
 def test_steps_pair_only_neighbours_of_the_same_run_and_share():
     step = np.array([0, 1, 2, 4, 5, 5, 6, 0, 1, 2])
     x = np.array([10.0, 11, 12, 14, 15, 15, np.nan, 20, 21, 22])[:, None]
-    cutting = Cutting("steps", 0.01, 1.0)
-    pairs, triples = cut(cutting, step * 10_000_000, step, x, {3})
+    segmentation = Segmentation("steps", 0.01, 1.0)
+    pairs, triples = split(segmentation, step * 10_000_000, step, x, {3})
     assert [pair[1:] for pair in pairs] == [(10, 11), (11, 12), (14, 15), (20, 21), (21, 22)]
     assert triples == []
 
@@ -150,9 +150,9 @@ def test_steps_pair_only_neighbours_of_the_same_run_and_share():
 def test_blocks_are_held_out_evenly_and_never_the_first():
     blocks = np.arange(20)
     for share, held in ((0.0, []), (0.2, [4, 9, 14, 19]), (0.05, [19]), (0.5, range(1, 20, 2))):
-        assert np.flatnonzero(Cutting("none", 1.0, 1.0, share).is_held_out(blocks)).tolist() == [
-            *held
-        ]
+        assert np.flatnonzero(
+            Segmentation("none", 1.0, 1.0, share).is_held_out(blocks)
+        ).tolist() == [*held]
 
 
 # -- forecast -----------------------------------------------------------------------------------
@@ -168,12 +168,12 @@ def test_the_forecast_of_a_known_operator_errs_by_the_noise_alone():
     exact.add(clean, 0)
     sigma = 0.01
     measured = clean + sigma * rng.standard_normal(clean.shape)
-    for begin in range(0, 2000, 500):  # in pieces that overlap by the longest horizon in reach
+    for begin in range(0, 2000, 500):  # in parts that overlap by the longest horizon in reach
         known = min(begin, 20)
         noisy.add(measured[:, begin - known : begin + 500], known)
     for item in exact.result():
         np.testing.assert_allclose(item["error"], 0.0, atol=1e-9)
-    first, second = noisy.result()  # no stretch is 5000 steps long
+    first, second = noisy.result()  # no segment is 5000 steps long
     assert (first["predictions"], second["predictions"]) == (1999, 1980)
     for item in (first, second):
         # noise in the target and, turned and damped, in the start: both of deviation sigma
@@ -202,7 +202,7 @@ def test_train_writes_a_model_that_inspect_explains(tmp_path, capsys):
     inspected = capsys.readouterr().out
     assert inspected.split("\n", 1)[1].strip() in trained
     assert "rig (" in inspected
-    assert "1500 states in 8 stretches" in inspected
+    assert "1500 states in 8 segments" in inspected
     assert [line.split()[:2] for line in inspected.splitlines() if line.startswith("25 ")] == [
         ["25", "0.5"]
     ]

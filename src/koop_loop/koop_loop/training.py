@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from koop_node.config import parameter, validate
-from koopman_lifter.contrast import Moments, with_contrast
+from koopman_lifter.contrast import WindowCovariances, with_contrast
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
@@ -73,9 +73,9 @@ def trajectories(
 
 
 def simulated_gram(
-    plant: PlantConfig, config: TrainingConfig, moments: Moments | None = None
+    plant: PlantConfig, config: TrainingConfig, windows: WindowCovariances | None = None
 ) -> tuple[Gram, int]:
-    """Simulate the training trajectories and sum them up, also in ``moments`` where given.
+    """Simulate the training trajectories and sum them up, also in ``windows`` where given.
 
     Returns
     -------
@@ -91,8 +91,8 @@ def simulated_gram(
             dropped += 1
         else:
             gram.add_trajectory(states)
-            if moments is not None:
-                moments.add_trajectory(states)
+            if windows is not None:
+                windows.add_trajectory(states)
     return gram, dropped
 
 
@@ -104,8 +104,8 @@ def train(plant: PlantConfig, config: TrainingConfig, contrast: bool = False) ->
     ValueError
         If the surviving trajectories cannot determine the model.
     """
-    moments = Moments(2) if contrast else None
-    gram, dropped = simulated_gram(plant, config, moments)
+    windows = WindowCovariances(2) if contrast else None
+    gram, dropped = simulated_gram(plant, config, windows)
     provenance: dict[str, Any] = {
         "source": "simulation",
         "integrator": plant.integrator,
@@ -114,4 +114,4 @@ def train(plant: PlantConfig, config: TrainingConfig, contrast: bool = False) ->
         **({"variant": "contrast"} if contrast else {}),
     }
     model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance)
-    return with_contrast(model, *moments.result()) if moments is not None else model
+    return with_contrast(model, *windows.result()) if windows is not None else model

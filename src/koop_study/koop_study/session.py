@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         if not args.only or experiment.kind in args.only
     ]
     if not experiments:
-        raise ConfigError(f"{args.experiments}: holds no experiment of the kinds asked for")
+        raise ConfigError(f"{args.experiments}: has no experiment of the kinds asked for")
     out = args.out or Path("recordings/study-quick" if args.quick else "recordings/study")
     if args.over_dds:
         return 0 if over_dds.repeat(experiments, out) else 1

@@ -22,8 +22,8 @@ from koop_study.simulation.case import Case, override
         ("experiment: modes\nseeds: {first: 0, count: 0}", "need at least one"),
         ("experiment: modes\nseeds: {first: zero, count: 1}", "expected int, got 'zero'"),
         ("experiment: modes\nseeds: {first: 0, count: 2}\nquick: 5", "quick: must be a mapping"),
-        ("- a\n- b", "must hold a mapping"),
-        ("a: [", "is no YAML"),
+        ("- a\n- b", "must contain a mapping"),
+        ("a: [", "is not YAML"),
     ],
 )
 def test_a_wrong_file_is_refused_with_the_reason(text: str, message: str, tmp_path: Path) -> None:
@@ -34,7 +34,7 @@ def test_a_wrong_file_is_refused_with_the_reason(text: str, message: str, tmp_pa
 
 
 def test_a_folder_without_experiments_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="holds no experiment files"):
+    with pytest.raises(ConfigError, match="has no experiment files"):
         read_folder(tmp_path, False)
 
 

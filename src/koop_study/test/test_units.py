@@ -223,7 +223,7 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["x.json"]
 
 
-def test_quantiles_are_values_that_occurred_and_bear_infinity() -> None:
+def test_quantiles_are_values_that_occurred_also_beside_infinity() -> None:
     inf = float("inf")
     assert stats.quantile([3.0, 1.0, inf, 2.0], 0.5) == 2.0
     assert stats.quantile([3.0, 1.0, inf, 2.0], 0.9) == inf

@@ -1,7 +1,7 @@
 """The ``contrast`` cost: y_out = (w^T x' + c)^2, w where strong oscillations exceed weak ones most.
 
-What every stretch of data contains alike, such as interference, drops out: with C_hi and C_lo the
-mean covariances of the stretches of largest and smallest amplitude w maximises
+What every window of the data contains alike, such as interference, drops out: with C_hi and C_lo
+the mean covariances of the windows of largest and smallest amplitude w maximises
 
     w^T C_hi w / w^T C_lo w,
 
@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from koopman_lifter.model import KoopmanModel
 
-QUARTILE = 0.25  # share of the stretches that counts as strongly, and as weakly, oscillating
+QUARTILE = 0.25  # share of the windows that counts as strongly, and as weakly, oscillating
 TRANSIENT = 0.2  # share of a trajectory that is left out of its moments
-WINDOW = 2000  # [samples] of a stretch, where a recording does not come in trajectories
+WINDOW = 2000  # [samples] of a window, where a recording does not come in trajectories
 
 
 def with_contrast(
@@ -35,9 +35,9 @@ def with_contrast(
     model : KoopmanModel
         Of n states.
     covariances : ndarray, shape (T, n, n)
-        Of the measured state over each of T stretches of data, at least 2.
+        Of the measured state over each of T windows of the data, at least 2.
     means : ndarray, shape (T, n)
-        Of the measured state over the same stretches.
+        Of the measured state over the same windows.
 
     Raises
     ------
@@ -66,8 +66,8 @@ def with_contrast(
     return replace(model, projector=rows)
 
 
-class Moments:
-    """Collects covariance and mean of the measured state, stretch by stretch.
+class WindowCovariances:
+    """Covariance and mean of the measured state, window by window.
 
     Parameters
     ----------
@@ -91,9 +91,9 @@ class Moments:
             window, self._begun = np.split(self._begun, [WINDOW], axis=1)
             self._add(window)
 
-    def _add(self, stretch: NDArray[np.float64]) -> None:
-        self._covariances.append(np.atleast_2d(np.cov(stretch, bias=True)))
-        self._means.append(stretch.mean(axis=1))
+    def _add(self, window: NDArray[np.float64]) -> None:
+        self._covariances.append(np.atleast_2d(np.cov(window, bias=True)))
+        self._means.append(window.mean(axis=1))
 
     def result(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return covariances, shape (T, n, n), and means, shape (T, n).
@@ -101,7 +101,7 @@ class Moments:
         Raises
         ------
         ValueError
-            If there are fewer than two stretches.
+            If there are fewer than two windows.
         """
         if len(self._means) < 2:
             raise ValueError(

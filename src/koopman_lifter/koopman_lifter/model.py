@@ -26,7 +26,7 @@ from koopman_lifter.observables import Monomials
 
 FORMAT = "koopman-model"
 VERSION = 1
-MAX_BYTES = 64 * 2**20  # p = 1000 observables need 40 MB; anything larger is no model
+MAX_BYTES = 64 * 2**20  # p = 1000 observables need 40 MB; anything larger is not a model
 
 _ARRAYS = {  # entry: (dtype, shape in terms of p observables and N kept modes)
     "K": (np.float64, ("p", "p")),
@@ -189,7 +189,7 @@ def load(path: str | Path) -> KoopmanModel:
     """
     try:
         if Path(path).stat().st_size > MAX_BYTES:
-            raise ModelError(f"{path}: larger than {MAX_BYTES >> 20} MiB, this is no model file")
+            raise ModelError(f"{path}: larger than {MAX_BYTES >> 20} MiB, this is not a model file")
         raw = Path(path).read_bytes()
     except OSError as error:
         raise ModelError(f"{path}: cannot be read: {error.strerror}") from None
@@ -214,10 +214,10 @@ def _entries(raw: bytes) -> dict[str, NDArray[Any]]:
         raise ModelError(f"damaged ({_short(str(error))})") from None
     except Exception as error:  # zipfile and npy headers fail in many ways on arbitrary bytes
         words = _short(str(error))
-        raise ModelError(f"truncated, damaged or no model file ({words})") from None
+        raise ModelError(f"truncated, damaged or not a model file ({words})") from None
     for name, entry in entries.items():
         if not isinstance(entry, np.ndarray):  # numpy hands out an entry without its mark as bytes
-            raise ModelError(f"damaged: its entry {name[:60]!a} is no array")
+            raise ModelError(f"damaged: its entry {name[:60]!a} is not an array")
     return entries
 
 
@@ -226,9 +226,9 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
     try:
         meta = json.loads(text)
     except (ValueError, RecursionError):
-        raise ModelError("its meta entry is no JSON text") from None
+        raise ModelError("its meta entry is not JSON text") from None
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
-        raise ModelError("is no Koopman model file")
+        raise ModelError("is not a Koopman model file")
     if meta.get("version") != VERSION:
         raise ModelError(
             f"has format version {_short(meta.get('version'))}, this program reads {VERSION}"
@@ -275,11 +275,11 @@ def _described(meta: dict[str, Any]) -> tuple[Monomials, float, tuple[str, ...],
 
 def _text(entries: dict[str, NDArray[Any]], name: str) -> str:
     if name not in entries or entries[name].dtype != np.uint8:
-        raise ModelError(f"has no entry '{name}', it is no Koopman model file")
+        raise ModelError(f"has no entry '{name}', it is not a Koopman model file")
     try:
         return entries[name].tobytes().decode()
     except UnicodeDecodeError:
-        raise ModelError(f"its entry '{name}' is no text") from None
+        raise ModelError(f"its entry '{name}' is not text") from None
 
 
 def _short(value: object) -> str:

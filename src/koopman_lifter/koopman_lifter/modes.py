@@ -59,7 +59,7 @@ def select_by_energy(modes: Modes, count: int) -> NDArray[np.bool_]:
     """Choose the ``count`` modes of largest energy and never split a complex pair.
 
     If the cut falls inside a pair, the pair is kept whole and one mode more than asked for is
-    returned: half of a pair is no real-valued quantity.
+    returned: half of a pair is not a real-valued quantity.
 
     Returns
     -------

@@ -18,7 +18,7 @@ BLOCK = 16384  # states lifted at a time
 
 
 class Forecast:
-    """Sums up errors over stretches of states.
+    """Sums up errors over segments: states one dt apart.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ class Forecast:
         self._sum, self._squares, self._states = np.zeros(n), np.zeros(n), 0
 
     def add(self, states: NDArray[np.float64], known: int) -> None:
-        """Add a piece of a stretch.
+        """Add a part of a segment.
 
         Parameters
         ----------
         states : ndarray, shape (n, M)
             States one step apart.
         known : int
-            How many of them, at the beginning, were part of the piece before.
+            How many of them, at the beginning, were in the part before.
         """
         new = states[:, known:]
         self._sum += new.sum(axis=1)
@@ -65,7 +65,7 @@ class Forecast:
     def result(self) -> list[dict[str, Any]]:
         """Return root mean square errors over the standard deviation, one entry a horizon.
 
-        A horizon that no stretch is long enough for is left out.
+        A horizon that no segment is long enough for is left out.
         """
         if not self._states:
             return []

@@ -109,7 +109,7 @@ def test_a_pickle_is_refused_without_being_run(tmp_path):
     ("change", "message"),
     [
         ({"meta": {"version": 2}}, "has format version 2, this program reads 1"),
-        ({"meta": {"format": "something"}}, "is no Koopman model file"),
+        ({"meta": {"format": "something"}}, "is not a Koopman model file"),
         ({"meta": {"dt": -1.0}}, "meta entry is inconsistent"),
         ({"meta": {"state_names": ["x"]}}, "meta entry is inconsistent"),
         ({"meta": {"observables": {}}}, "meta entry is incomplete"),
@@ -152,7 +152,7 @@ def test_an_entry_that_is_no_array_is_refused(model, tmp_path):
     with zipfile.ZipFile(good) as source, zipfile.ZipFile(bad, "w") as target:
         for name in source.namelist():
             target.writestr(name, b"no array" if name == "K.npy" else source.read(name))
-    with pytest.raises(ModelError, match="its entry 'K' is no array"):
+    with pytest.raises(ModelError, match="its entry 'K' is not an array"):
         load(bad)
 
 

@@ -37,7 +37,7 @@ def register(commands: Any) -> None:
         "--contrast",
         action="store_true",
         help="in place of the most energetic modes, the direction in which strongly oscillating "
-        "stretches of data differ most from weakly oscillating ones (the study's best cost)",
+        "parts of the data differ most from weakly oscillating ones (the study's best cost)",
     )
     _add_bag_options(parser.add_argument_group("from bags"))
     group = parser.add_argument_group("without a bag: the simulated plant")
@@ -176,8 +176,8 @@ def origin(provenance: dict[str, Any]) -> list[str]:
     lines = ["trained on " + ", ".join(f"{key} {value}" for key, value in plain.items())]
     for bag in provenance.get("bags", []):
         lines.append(
-            f"  {bag['name']} ({bag['sha256'][:12]}): {bag['states']} states in {bag['stretches']} "
-            f"stretches, {bag['pairs']} pairs ({bag['way']})"
+            f"  {bag['name']} ({bag['sha256'][:12]}): {bag['states']} states in {bag['segments']} "
+            f"segments, {bag['pairs']} pairs ({bag['way']})"
             + (f", {bag['not_finite']} not finite" if bag["not_finite"] else "")
         )
     return lines

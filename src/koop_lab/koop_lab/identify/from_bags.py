@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
 from koop_lab.identify.samples import STEP, Batch, StateSpec, batches, sha256, state_names
-from koop_lab.identify.segments import Cutter, Cutting, Piece
+from koop_lab.identify.segments import Segment, Segmentation, Segmenter
 from koop_lab.replay.settings import recorded_values
-from koopman_lifter.contrast import Moments, with_contrast
+from koopman_lifter.contrast import WindowCovariances, with_contrast
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
@@ -84,39 +84,39 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
         If the bags do not fit together or cannot determine the model.
     """
     gram: Gram | None = None
-    cuttings: list[Cutting] = []
+    segmentations: list[Segmentation] = []
     described: list[dict[str, Any]] = []
     for path in paths:
         with BagReader(path) as bag:
-            cutting, n = find_cutting(bag, path, training)
+            segmentation, n = find_segmentation(bag, path, training)
             if gram is None:
                 gram = Gram.empty(Monomials(n, training.degree))
-                moments = Moments(n) if training.contrast else None
-                training = replace(training, dt=cutting.dt)  # of all bags
+                windows = WindowCovariances(n) if training.contrast else None
+                training = replace(training, dt=segmentation.dt)  # of all bags
                 names = training.names or state_names(training.state, n)
                 gram.observables.names(names)  # as many as there are states
             if n != gram.observables.n:
                 raise ValueError(f"{path}: {n} numbers in {training.state}, other bags have "
                                  f"{gram.observables.n}")  # fmt: skip
-            cutter = Cutter(cutting, bag.topic(training.state.topic).count)
+            segmenter = Segmenter(segmentation, bag.topic(training.state.topic).count)
             before = gram.pairs
-            for piece, known in joined(_pieces(bag, training.state, cutter), 1):
-                if piece.held_out:
+            for segment, known in joined(_segments(bag, training.state, segmenter), 1):
+                if segment.held_out:
                     continue
-                gram.add_trajectory(piece.states)
-                if moments is not None:
-                    moments.add_recorded(piece.states[:, known:], piece.begins)
-            cuttings.append(cutting)
+                gram.add_trajectory(segment.states)
+                if windows is not None:
+                    windows.add_recorded(segment.states[:, known:], segment.begins)
+            segmentations.append(segmentation)
             described.append(
                 {
                     "name": Path(path).name,
                     "sha256": sha256(path),
                     "states": bag.topic(training.state.topic).count,
                     "pairs": gram.pairs - before,
-                    "stretches": cutter.stretches,
-                    "not_finite": cutter.dropped,
-                    "way": cutting.way,
-                    "gap": cutting.gap,
+                    "segments": segmenter.count,
+                    "not_finite": segmenter.dropped,
+                    "way": segmentation.way,
+                    "gap": segmentation.gap,
                 }
             )
     assert gram is not None
@@ -134,49 +134,51 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     if training.contrast:
         provenance["variant"] = "contrast"
     model = build(gram, training.dt, names, training.modes, provenance)
-    if moments is not None:
-        model = with_contrast(model, *moments.result())
+    if windows is not None:
+        model = with_contrast(model, *windows.result())
     if not training.held_out:
         return model
     forecast = Forecast(model, training.horizons)
-    for path, cutting in zip(paths, cuttings, strict=True):
+    for path, segmentation in zip(paths, segmentations, strict=True):
         with BagReader(path) as bag:
-            cutter = Cutter(cutting, bag.topic(training.state.topic).count)
-            pieces = _pieces(bag, training.state, cutter)
-            for piece, known in joined(pieces, max(training.horizons)):
-                if piece.held_out:
-                    forecast.add(piece.states, known)
+            segmenter = Segmenter(segmentation, bag.topic(training.state.topic).count)
+            segments = _segments(bag, training.state, segmenter)
+            for segment, known in joined(segments, max(training.horizons)):
+                if segment.held_out:
+                    forecast.add(segment.states, known)
     return replace(model, provenance={**model.provenance, "forecast": forecast.result()})
 
 
-def joined(pieces: Iterator[Piece], overlap: int) -> Iterator[tuple[Piece, int]]:
-    """Repeat the end of a piece at the beginning of the next one of the same stretch.
+def joined(segments: Iterator[Segment], overlap: int) -> Iterator[tuple[Segment, int]]:
+    """Repeat the end of a part of a segment at the beginning of the next part.
 
     Yields
     ------
-    piece : Piece
+    segment : Segment
         With up to `overlap` states more.
     known : int
-        How many of its states were part of the piece before.
+        How many of its states were in the part before.
     """
     tail: NDArray[np.float64] | None = None
-    for piece in pieces:
+    for part in segments:
         known = 0
-        states = piece.states
-        if not piece.begins and tail is not None:
+        states = part.states
+        if not part.begins and tail is not None:
             known = tail.shape[1]
             states = np.hstack((tail, states))
         tail = states[:, -overlap:].copy()
-        yield piece._replace(states=states), known
+        yield part._replace(states=states), known
 
 
-def _pieces(bag: BagReader, state: StateSpec, cutter: Cutter) -> Iterator[Piece]:
+def _segments(bag: BagReader, state: StateSpec, segmenter: Segmenter) -> Iterator[Segment]:
     for batch in batches(bag, state):
-        yield from cutter.pieces(batch)
+        yield from segmenter.split(batch)
 
 
-def find_cutting(bag: BagReader, path: Path, training: BagTraining) -> tuple[Cutting, int]:
-    """Return how to cut a bag, as far as possible from what it says itself, and n.
+def find_segmentation(
+    bag: BagReader, path: Path, training: BagTraining
+) -> tuple[Segmentation, int]:
+    """Return how to split a bag into segments, as far as possible from what it says itself, and n.
 
     Raises
     ------
@@ -202,7 +204,7 @@ def find_cutting(bag: BagReader, path: Path, training: BagTraining) -> tuple[Cut
     if way == "steps" and first.step is None:
         raise ValueError(f"{path}: messages on {training.state.topic} have no field '{STEP}'")
     gap = training.gap or GAPS * max(period, dt)
-    return Cutting(way, float(dt), float(gap), training.held_out), first.x.shape[1]
+    return Segmentation(way, float(dt), float(gap), training.held_out), first.x.shape[1]
 
 
 def _period(batch: Batch) -> float:

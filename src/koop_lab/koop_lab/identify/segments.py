@@ -1,13 +1,13 @@
-"""Samples to stretches of states one Dt apart; what lies between two stretches is never bridged.
+"""Samples to segments: states one Dt apart, never bridged across a gap.
 
-A stretch ends where a step is missing or goes back (`steps`), where the time between two samples is
+A segment ends where a step is missing or goes back (`steps`), where the time between two samples is
 longer than the gap or not positive (the other ways), at a value that is not finite, at the end of a
 bag, and where training and held-out data meet.
 
 The ways from samples to states:
 
 - `steps`: as they are; neighbours in step are neighbours in time.
-- `linear`: interpolated on the grid t0 + j Dt of the stretch; right for a smooth signal sampled at
+- `linear`: interpolated on the grid t0 + j Dt of the segment; right for a smooth signal sampled at
   Dt or faster, with an error of h^2 |x''| / 8 between two samples h apart.
 - `zoh`: the last sample before each grid point; right for a source that holds its values.
 - `none`: as they are, whatever the stamps say; right for a rig that samples evenly and whose stamps
@@ -33,8 +33,8 @@ BLOCKS = 20  # of a bag; training and held-out data alternate in blocks, so that
 
 
 @dataclass(frozen=True)
-class Cutting:
-    """How samples become stretches.
+class Segmentation:
+    """How samples become segments.
 
     Attributes
     ----------
@@ -60,39 +60,39 @@ class Cutting:
         return held
 
 
-class Piece(NamedTuple):
-    """States one Dt apart, shape (n, M); a long stretch comes in several pieces."""
+class Segment(NamedTuple):
+    """States one Dt apart, shape (n, M); of a long segment one part, which begins it or not."""
 
     states: NDArray[np.float64]
     begins: bool
     held_out: bool
 
 
-class Cutter:
-    """Cuts the samples of one bag.
+class Segmenter:
+    """Splits the samples of one bag into segments.
 
     Parameters
     ----------
-    cutting : Cutting
+    segmentation : Segmentation
         How.
-    count : int
-        Samples in the bag.
+    samples : int
+        Number of them in the bag.
 
     Attributes
     ----------
     dropped : int
         Samples that are not finite.
-    stretches : int
-        Number of stretches so far.
+    count : int
+        Number of segments so far.
     """
 
-    def __init__(self, cutting: Cutting, count: int) -> None:
-        self.dropped = self.stretches = 0
-        self._cutting, self._count = cutting, max(count, 1)
+    def __init__(self, segmentation: Segmentation, samples: int) -> None:
+        self.dropped = self.count = 0
+        self._segmentation, self._samples = segmentation, max(samples, 1)
         self._last: Batch | None = None  # the last sample, as a batch of one
-        self._grid = (0, 0)  # beginning of the stretch [ns], number of the next grid point
+        self._grid = (0, 0)  # beginning of the segment [ns], number of the next grid point
 
-    def pieces(self, batch: Batch) -> Iterator[Piece]:
+    def split(self, batch: Batch) -> Iterator[Segment]:
         """Yield what a batch adds."""
         if not batch.time.size:
             return
@@ -107,43 +107,43 @@ class Cutter:
         self._last = Batch(0, time[-1:], None if step is None else step[-1:], x[-1:])
         finite = np.asarray(np.isfinite(x).all(axis=1), np.bool_)
         self.dropped += int(np.count_nonzero(~finite[known:]))
-        held = self._cutting.is_held_out(
-            (first + np.arange(time.size)) * BLOCKS // self._count  # block of every sample
+        held = self._segmentation.is_held_out(
+            (first + np.arange(time.size)) * BLOCKS // self._samples  # block of every sample
         )
         cut = ~self._neighbours(time, step) | (held[1:] != held[:-1]) | ~(finite[1:] & finite[:-1])
         bounds = [0, *(np.flatnonzero(cut) + 1).tolist(), time.size]
         for begin, end in pairwise(bounds):
             begins = begin > 0 or not known
             if finite[begin] and end > begin + (not begins):
-                self.stretches += begins
+                self.count += begins
                 part = slice(begin, end)
                 states = self._states(time[part], x[part], begins)
                 if states.shape[0]:
-                    yield Piece(states.T, begins, bool(held[begin]))
+                    yield Segment(states.T, begins, bool(held[begin]))
 
     def _neighbours(
         self, time: NDArray[np.int64], step: NDArray[np.int64] | None
     ) -> NDArray[np.bool_]:
-        if self._cutting.way == "steps":
+        if self._segmentation.way == "steps":
             assert step is not None
             return np.asarray(np.diff(step) == 1)
         apart = np.diff(time)
-        return np.asarray((apart > 0) & (apart <= self._cutting.gap * 1e9))
+        return np.asarray((apart > 0) & (apart <= self._segmentation.gap * 1e9))
 
     def _states(
         self, time: NDArray[np.int64], x: NDArray[np.float64], begins: bool
     ) -> NDArray[np.float64]:
-        """Return the states of a part of a stretch; unless it begins here, its first is known."""
-        if self._cutting.way in ("steps", "none"):
+        """Return the states of a part of a segment; unless it begins here, its first is known."""
+        if self._segmentation.way in ("steps", "none"):
             return x if begins else x[1:]
         start, number = (int(time[0]), 0) if begins else self._grid
-        period = self._cutting.dt * 1e9
+        period = self._segmentation.dt * 1e9
         end = int((time[-1] - start) / period) + 2  # beyond the last sample, whatever the rounding
         grid = start + np.round(np.arange(number, end) * period).astype(np.int64)
         grid = grid[grid <= time[-1]]
         self._grid = (start, number + grid.size)
         before = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, time.size - 1)
-        if self._cutting.way == "zoh":
+        if self._segmentation.way == "zoh":
             return np.asarray(x[before])
         after = np.minimum(before + 1, time.size - 1)
         span = np.maximum(time[after] - time[before], 1)

@@ -101,6 +101,6 @@ def read_folder(folder: Path, quick: bool) -> list[Experiment]:
     """
     found = [read(path, quick) for path in sorted(folder.glob("*.yaml"))]
     if not found:
-        raise ConfigError(f"{folder}: holds no experiment files (*.yaml)")
+        raise ConfigError(f"{folder}: has no experiment files (*.yaml)")
     order = list(KINDS)
     return sorted(found, key=lambda experiment: order.index(experiment.kind))

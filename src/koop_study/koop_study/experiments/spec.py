@@ -41,16 +41,16 @@ def read_file(path: Path) -> dict[str, Any]:
     Raises
     ------
     koop_node.config.ConfigError
-        If it cannot be read or is no mapping.
+        If it cannot be read or is not a mapping.
     """
     try:
         content = yaml.safe_load(path.read_text())
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is no YAML: {' '.join(str(error).split())}") from None
+        raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
     if not isinstance(content, dict):
-        raise ConfigError(f"{path}: must hold a mapping of settings")
+        raise ConfigError(f"{path}: must contain a mapping of settings")
     return content
 
 

@@ -1,4 +1,4 @@
-"""Units of work: what one process computes at a stretch, and their results on disk.
+"""Units of work: what one process computes at a time, and their results on disk.
 
 A result's file is named by a hash of the work, its arguments and the code that does it. A study
 that was stopped goes on where it was; after a change of the numerical code everything is computed
