@@ -50,23 +50,26 @@ def test_the_map_at_the_optimum_is_r_star() -> None:
     assert maps.settled(case, -3.0).mean() == maps.optimal_cost(case)
 
 
-def test_a_constant_displacement_is_another_optimum() -> None:
-    # 20 s: rounding of theta - s - theta* grows too little to matter before the first flip
-    moved = override(Case(), {"duration": 20.0, "cost": "raw", "plant.initial_state": [1.0, 0.0]})
-    swinging = override(moved, {"scenario.optimum_jump": 1.0, "scenario.jump_every": 1e6})
-    exposure = expose(swinging.scenario, swinging.plant, swinging.steps, 0)
-    assert np.array_equal(exposure.displaced, np.zeros(swinging.steps))  # no jump in 20 s
-    jumped = override(
-        moved, {"scenario.optimum_swing": 1.0, "scenario.optimum_period": 1e6, "duration": 20.0}
-    )
-    expected = run(moved, with_truth=True)
-    slow = run(jumped, with_truth=True)
-    # sin(2 pi 20 / 1e6) = 1.3e-4: hardly moved, and the state hardly differs
-    assert np.abs(slow.ground_truth - expected.ground_truth).max() < 1e-2
-    assert np.abs(slow.ground_truth - expected.ground_truth).max() > 0.0
+def test_an_optimum_that_swings_and_jumps_is_the_plant_fed_with_theta_less_the_displacement() -> (
+    None
+):
+    still = override(Case(), {"duration": 20.0, "cost": "raw", "plant.initial_state": [1.0, 0.0]})
+    moving = {"optimum_swing": 1.0, "optimum_period": 20.0, "optimum_jump": 0.5, "jump_every": 5.0}
+    case = override(still, {f"scenario.{name}": value for name, value in moving.items()})
+    schedule = np.linspace(1.0, -1.0, case.steps)
+    t = np.arange(case.steps) * 0.005
+    displaced = np.sin(2.0 * np.pi * t / 20.0) + 0.5 * (np.floor(t / 5.0) % 2.0)
+    trace = run(case, schedule=schedule, with_truth=True)
+    fed = run(still, schedule=schedule - displaced, with_truth=True)
+    assert np.array_equal(trace.theta, schedule)
+    assert np.array_equal(trace.ground_truth, fed.ground_truth)
+    assert np.array_equal(trace.r, fed.r)
+    unmoved = run(still, schedule=schedule, with_truth=True)
+    assert np.abs(trace.ground_truth - unmoved.ground_truth).max() > 1.0
 
 
-def test_optimum_that_jumped_is_the_plant_with_that_optimum() -> None:
+def test_theta_less_a_displacement_is_the_plant_with_that_optimum() -> None:
+    # 30 s: rounding of theta - s - theta* grows too little to matter
     settings = {"duration": 30.0, "cost": "raw", "plant.initial_state": [1.0, 0.0]}
     there = override(Case(), {**settings, "plant.theta_star": -2.0})
     case = override(Case(), settings)
