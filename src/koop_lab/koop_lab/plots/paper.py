@@ -13,6 +13,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from koop_loop.metrics import LOGGING_START
+from koop_loop.thinning import extremes
 
 POINTS = 4000  # columns of the drawing; more cannot be seen
 
@@ -86,7 +87,5 @@ def envelope(axis: Axes, t: NDArray[np.float64], y: NDArray[np.float64], label: 
     if block == 1:
         axis.plot(t, y, linewidth=0.8, label=label)
         return
-    count = t.size // block
-    blocks = y[: count * block].reshape(count, block)
-    edges = np.stack((blocks.min(axis=1), blocks.max(axis=1)), axis=1).ravel()
-    axis.plot(np.repeat(t[: count * block : block], 2), edges, linewidth=0.6, label=label)
+    edges = np.stack(extremes(y, block), axis=1)
+    axis.plot(np.repeat(t[::block][: len(edges)], 2), edges.ravel(), linewidth=0.6, label=label)

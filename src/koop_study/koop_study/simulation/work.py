@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_loop.thinning import extremes
 from koop_study.simulation import maps
 from koop_study.simulation.case import Case, override, seeded
 from koop_study.simulation.learning import learn
@@ -55,7 +56,7 @@ def ramp(settings: dict[str, Any], seed: int | None, duration: float) -> dict[st
     """Return the static map along a ramp: thinned for drawing, and binned."""
     case = case_of(settings, seed)
     theta, r = maps.ramp(case, duration)
-    low, high = _extremes(r, DRAWN)
+    low, high = _drawn(r)
     centres = theta[: low.size * (r.size // low.size)].reshape(low.size, -1).mean(axis=1)
     return {
         "theta": centres.tolist(),
@@ -81,9 +82,9 @@ def trace(settings: dict[str, Any], seed: int | None, start: float) -> dict[str,
     case = case_of(settings, seed)
     done = run(case, with_truth=True)
     first = round(start / case.plant.dt)
-    x_low, x_high = _extremes(done.ground_truth[first:, 0], DRAWN)
-    r_low, r_high = _extremes(done.r[first:], DRAWN)
-    theta_min, theta_max = _extremes(done.theta[first:], DRAWN)
+    x_low, x_high = _drawn(done.ground_truth[first:, 0])
+    r_low, r_high = _drawn(done.r[first:])
+    theta_min, theta_max = _drawn(done.theta[first:])
     every = (case.steps - first) // DRAWN
     return {
         "t": (done.t[first : first + every * DRAWN : every]).tolist(),
@@ -94,13 +95,9 @@ def trace(settings: dict[str, Any], seed: int | None, start: float) -> dict[str,
     }
 
 
-def _extremes(
-    values: NDArray[np.float64], count: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return least and largest of ``count`` equal stretches: thinning that hides no peak."""
-    every = max(1, values.size // count)
-    blocks = values[: values.size // every * every].reshape(-1, every)
-    return blocks.min(axis=1)[:count], blocks.max(axis=1)[:count]
+def _drawn(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    low, high = extremes(values, max(1, values.size // DRAWN))
+    return low[:DRAWN], high[:DRAWN]
 
 
 WORK: dict[str, Callable[..., Any]] = {

@@ -1,0 +1,26 @@
+"""Thinning of a long signal for a drawing, so that no peak is hidden."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def extremes(
+    values: NDArray[np.float64], block: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return least and largest of every ``block`` samples; what is left over at the end is ignored.
+
+    Parameters
+    ----------
+    values : ndarray, shape (M,)
+        The signal.
+    block : int
+        At least 1.
+
+    Returns
+    -------
+    low, high : ndarray, shape (M // block,)
+    """
+    blocks = values[: values.size // block * block].reshape(-1, block)
+    return blocks.min(axis=1), blocks.max(axis=1)
