@@ -42,3 +42,12 @@ def test_a_run_shorter_than_the_transient_counts_whole():
 def test_arrays_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="same length"):
         evaluate(np.arange(5.0), np.zeros(4), np.zeros(5), 0.0)
+
+
+def test_costs_that_are_not_numbers_are_left_out():
+    t = np.arange(50_000) * DT
+    r = np.linspace(0.0, 1.0, t.size)
+    whole = evaluate(t, np.zeros(t.size), r, -3.0, r_star=0.0)
+    r[[25_000, 25_001, 45_000]] = np.nan
+    holes = evaluate(t, np.zeros(t.size), r, -3.0, r_star=0.0)
+    assert holes.e_r_ss == pytest.approx(whole.e_r_ss, abs=1e-4)  # one of 9000 values of the tail

@@ -57,3 +57,15 @@ def test_limits_of_the_controller_do_not_move_the_map():
     t = np.arange(1000) * 0.005
     theta, r = np.zeros(1000), np.linspace(0.0, 1.0, 1000)
     assert performance(limited, None, t, theta, r) == performance(free, None, t, theta, r)
+
+
+def test_the_map_of_an_actuator_that_cannot_reach_the_optimum_ends_at_its_limit():
+    values = {"vdp_plant": {"theta_min": -1.0}, "koopman_lifter": {"cost": "raw"}}
+    limited = make(values)
+    moved = replace(limited, plant=replace(limited.plant, theta_min=-5.0))
+    t = np.arange(1000) * 0.005
+    theta, r = np.zeros(1000), np.linspace(0.0, 1e-9, 1000)  # nothing beside r*
+    at_the_limit, at_the_optimum = (
+        performance(loop, None, t, theta, r).e_r_ss for loop in (limited, moved)
+    )
+    assert at_the_limit > 1.01 * at_the_optimum > 0.0

@@ -74,7 +74,7 @@ class RelayState(NamedTuple):
 def dwell_samples(dwell: float, dt: float) -> int:
     """Return the dwell time [s] in samples of ``dt`` [s]: the least n with n dt >= dwell.
 
-    The small slack keeps 15 s / 0.005 s at 3000 where rounding would make it 3001.
+    The small slack keeps 0.035 s / 0.005 s at 7 where rounding would make it 8.
     """
     return math.ceil(dwell / dt - 1e-9)
 

@@ -170,3 +170,18 @@ def test_theta_changes_no_faster_than_its_rate_limit():
     config = EscConfig(rate_limit=0.02)  # the relay alone would move by 0.0667 a second
     states = run(config, np.linspace(1.0, 0.0, 201))
     assert states[-1].theta == pytest.approx(2.0 - 0.02)
+
+
+def test_a_dwell_time_of_n_samples_is_n_samples():
+    # 0.035 / 0.005 is 7.000000000000001 in floating point
+    assert relay.dwell_samples(0.035, 0.005) == 7
+    assert relay.dwell_samples(0.036, 0.005) == 8
+    assert relay.dwell_samples(0.0, 0.005) == 0
+
+
+def test_holding_keeps_the_dwell_time_that_has_passed():
+    config = EscConfig(dt=1.0, dwell=3.0, step_size=1.0)
+    (*_, state) = run(config, [1.0, 2.0])  # one sample of the dwell time, the cost rises
+    state = relay.hold(relay.hold(state))
+    (_, waiting, flipped) = run(config, [3.0, 4.0, 5.0], state)
+    assert (waiting.epsilon, flipped.epsilon) == (1, -1)
