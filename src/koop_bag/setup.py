@@ -26,5 +26,9 @@ setup(
             "player = koop_bag.executable:player",
         ],
         "koop.commands": ["bag = koop_bag.cli:register"],
+        "rclpy_components": [
+            "koop_bag::RecorderNode = koop_bag.recorder.node:RecorderNode",
+            "koop_bag::PlayerNode = koop_bag.player.node:PlayerNode",
+        ],
     },
 )

@@ -18,5 +18,8 @@ setup(
     maintainer_email="maintainers@koop.invalid",
     description="Koopman lifting: observables, EDMD, modes, model file, cost; and a thin node.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["lifter = koopman_lifter.executable:main"]},
+    entry_points={
+        "console_scripts": ["lifter = koopman_lifter.executable:main"],
+        "rclpy_components": ["koopman_lifter::LifterNode = koopman_lifter.node:LifterNode"],
+    },
 )

@@ -17,5 +17,8 @@ setup(
     maintainer_email="maintainers@koop.invalid",
     description="The paper's Van der Pol plant with its interference: pure model and a thin node.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["plant = vdp_plant.executable:main"]},
+    entry_points={
+        "console_scripts": ["plant = vdp_plant.executable:main"],
+        "rclpy_components": ["vdp_plant::PlantNode = vdp_plant.node:PlantNode"],
+    },
 )

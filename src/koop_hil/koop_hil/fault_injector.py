@@ -15,11 +15,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from koop_msgs.msg import ControlInput, MeasuredState
+from rclpy.publisher import Publisher
 
 from koop_hil.faults import Channel, parse
 from koop_node.config import NodeConfig, parameter, validate
 from koop_node.main import run
-from koop_node.managed import RELIABLE, ManagedNode
+from koop_node.managed import Entities, ManagedNode, Run
+from koop_node.qos import RELIABLE
 
 PERIOD = 0.001  # [s] between looks for delayed messages that are due
 
@@ -41,34 +43,37 @@ class FaultInjectorConfig:
         parse(self.theta_fault)
 
 
-class FaultInjectorNode(ManagedNode):
-    """Passes messages on, each through a channel with a fault."""
+class FaultInjectorRun(Run):
+    """The cable, with what is on its way."""
 
-    def __init__(self) -> None:
-        super().__init__("fault_injector", FaultInjectorConfig)
-        self._count = 0
-
-    def configure(self) -> None:
-        config = self.parameters[FaultInjectorConfig]
+    def __init__(self, node: FaultInjectorNode, entities: Entities) -> None:
+        config = node.parameters[FaultInjectorConfig]
+        self._node = node
         self._scale = config.time_scale
         self._channels = {"state": Channel(config.seed), "theta": Channel(config.seed + 1)}
-        self._publishers_ = {
-            "state": self.create_publisher(MeasuredState, "state", RELIABLE),
-            "theta": self.create_publisher(ControlInput, "rig/theta", RELIABLE),
-        }
-        self._timer = self.steady_timer(PERIOD, self._flush)
+        self._outlets: dict[str, Publisher] = {}
+        self._count = 0
+        self._timer = entities.timer(PERIOD, self._flush)
         self._timer.cancel()
         self.parameters_changed(set())
 
-    def activate(self) -> None:
-        recorders = self.parameters[NodeConfig].recorders
-        self.create_subscription(ControlInput, "theta", self._on_theta, RELIABLE)
-        self.when_matched({self._publishers_["state"]: 1 + recorders}, self._listen)
+    def activate(self, entities: Entities) -> None:
+        recorders = self._node.parameters[NodeConfig].recorders
+        self._outlets = {
+            "state": entities.publisher(MeasuredState, "state", RELIABLE),
+            "theta": entities.publisher(ControlInput, "rig/theta", RELIABLE),
+        }
+        entities.subscription(ControlInput, "theta", self._on_theta, RELIABLE)
+        entities.when_matched(
+            {self._outlets["state"]: 1 + recorders},
+            lambda: entities.subscription(MeasuredState, "rig/state", self._on_state, RELIABLE),
+        )
+
+    def deactivate(self) -> None:
+        self._outlets = {}
 
     def parameters_changed(self, names: set[str]) -> None:
-        config = self.parameters[FaultInjectorConfig]
-        if self.lifecycle_state == "unconfigured":
-            return
+        config = self._node.parameters[FaultInjectorConfig]
         for name, text in (("state", config.state_fault), ("theta", config.theta_fault)):
             self._channels[name].fault = parse(text)
         delayed = any(channel.fault.name == "delayed" for channel in self._channels.values())
@@ -77,9 +82,6 @@ class FaultInjectorNode(ManagedNode):
 
     def samples(self) -> int:
         return self._count
-
-    def _listen(self) -> None:
-        self.create_subscription(MeasuredState, "rig/state", self._on_state, RELIABLE)
 
     def _on_state(self, message: MeasuredState) -> None:
         self._count += 1
@@ -99,13 +101,21 @@ class FaultInjectorNode(ManagedNode):
             message.x = array("d", values)
         elif values:
             message.theta = values[0]
-        self._publishers_[name].publish(message)
+        if self._outlets:
+            self._outlets[name].publish(message)
 
     def _flush(self) -> None:
         now = time.monotonic() * self._scale
         for name, channel in self._channels.items():
             for message, values in channel.pop(now):
                 self._send(name, message, values)
+
+
+class FaultInjectorNode(ManagedNode[FaultInjectorRun]):
+    """Passes messages on, each through a channel with a fault."""
+
+    def __init__(self, name: str = "fault_injector", **options: Any) -> None:
+        super().__init__(name, FaultInjectorRun, FaultInjectorConfig, **options)
 
 
 if __name__ == "__main__":

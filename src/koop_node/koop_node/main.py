@@ -13,9 +13,11 @@ from typing import Any
 import rclpy
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from koop_node.managed import ManagedNode
 
+USAGE = "a node takes --ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO]"
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
 
 
@@ -27,7 +29,7 @@ def set_dds_profile() -> None:
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(files("koop_node") / "fastdds.xml"))
 
 
-def run(make_node: Callable[[], ManagedNode], args: list[str] | None = None) -> int:
+def run(make_node: Callable[[], ManagedNode[Any]], args: list[str] | None = None) -> int:
     """Run a node until it finishes or the process is told to stop.
 
     SIGINT and SIGTERM end the process cleanly. The handlers only set a flag, so that no callback
@@ -48,15 +50,15 @@ def run(make_node: Callable[[], ManagedNode], args: list[str] | None = None) -> 
     set_dds_profile()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        refuse_other_arguments(args)
         node = make_node()
     except Exception as error:  # whatever the start-up raises, the user gets one line
-        print(f"error: {_first_line(error)}", file=sys.stderr)
+        print(f"error: {_one_line(error)}", file=sys.stderr)
         rclpy.try_shutdown()
         return 2
     executor: Any = EventsExecutor()
     executor.add_node(node)
     try:
-        node.autostart()
         # EventsExecutor.spin() would hang in the Jazzy wheels and ignore the flag
         while node.exit_code is None and not stop:
             executor.spin_once(timeout_sec=POLL)
@@ -73,5 +75,15 @@ def run(make_node: Callable[[], ManagedNode], args: list[str] | None = None) -> 
     return node.exit_code or 0
 
 
-def _first_line(error: Exception) -> str:
+def refuse_other_arguments(args: list[str] | None = None) -> None:
+    """Raise ValueError if there are arguments besides those of ROS, which rclpy would ignore."""
+    own = remove_ros_args(args)
+    own = own[1:] if args is None else own
+    if own:
+        raise ValueError(f"unknown argument {' '.join(own)}; {USAGE}")
+
+
+def _one_line(error: Exception) -> str:
+    if type(error).__name__ == "UnknownROSArgsError":  # its text is a Python list
+        return f"unknown argument after --ros-args: {str(error).strip('[]')}; {USAGE}"
     return (str(error).strip() or repr(error)).splitlines()[0]

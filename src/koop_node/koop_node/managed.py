@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
+import sys
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 
 from koop_node.config import NodeConfig
+from koop_node.entities import Entities, WithoutEvents
 from koop_node.fields import check_type
 from koop_node.parameters import Parameters
-from koop_node.report import ERROR, OK, STALE, WARN, Finding, summary
+from koop_node.report import ERROR, OK, STALE, WARN, Finding, News, summary
 from koop_node.stream import StreamMonitor
 
-# A writer keeps this many samples for a reader that was not scheduled for a while; the oldest are
-# lost after that. In lockstep, at 4 kHz, a depth of 100 lost 2 % of a run to a busy machine.
-RELIABLE = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+__all__ = ["ERROR", "OK", "STALE", "WARN", "Entities", "ManagedNode", "Run", "message_type"]
 
-# Matches any writer: drivers often offer best effort only.
-BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-__all__ = ["BEST_EFFORT", "ERROR", "OK", "RELIABLE", "STALE", "WARN", "ManagedNode", "message_type"]
+REPORT_PERIOD = 1.0  # [s]
 
 
 def message_type(name: str) -> Any:
@@ -45,42 +40,25 @@ def message_type(name: str) -> Any:
         raise ValueError(f"message type {name} is not installed") from None
 
 
-class ManagedNode(LifecycleNode):
-    """Base of the nodes: lifecycle, parameters, diagnostics, end of the run.
+class Run:
+    """What a node works with from configure to cleanup, in one object.
 
-    A subclass implements :meth:`configure`, :meth:`activate`, :meth:`deactivate` and
-    :meth:`cleanup`, which raise ValueError or OSError with a message for the user if they cannot,
-    and :meth:`diagnose`. Timers run on the steady clock: simulated time may stand still.
+    A subclass makes everything in its constructor ``(node, entities)``; what it creates through
+    the entities is destroyed with it, also if the constructor fails midway. Constructor and
+    :meth:`activate` raise ValueError or OSError with a message for the user if they cannot.
     """
 
-    def __init__(self, name: str, *config_classes: type) -> None:
-        super().__init__(name)
-        self.exit_code: int | None = None
-        self.active = False  # whether the lifecycle state is 'active'; read for every message
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._linking: Any = None
-        self._counted = (time.monotonic(), 0)
-        self._told = Finding(OK, "")
-        self.inputs: tuple[StreamMonitor, ...] = ()  # reported on /diagnostics
-        self.parameters = Parameters(
-            self, (NodeConfig, *config_classes), self.check_parameters, self.parameters_changed
-        )
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.steady_timer(1.0, self._publish_diagnostics)
+    inputs: tuple[StreamMonitor, ...] = ()
+    """Reported on /diagnostics."""
 
-    # -- for the subclass ---------------------------------------------------------------------
-
-    def configure(self) -> None:
-        """Load, allocate, compile, create publishers."""
-
-    def activate(self) -> None:
-        """Start working."""
+    def activate(self, entities: Entities) -> None:
+        """Start working; what is created through the entities ends with the active state."""
 
     def deactivate(self) -> None:
-        """Stop working; the opposite of :meth:`activate`."""
+        """Stop working, while the entities of the active state are still there."""
 
-    def cleanup(self) -> None:
-        """Release what :meth:`configure` made."""
+    def close(self) -> None:
+        """Release what is not an entity."""
 
     def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
         """Raise ValueError to refuse changed configurations; ``names`` were set."""
@@ -96,138 +74,219 @@ class ManagedNode(LifecycleNode):
         """Return how many samples were processed, for the rate on /diagnostics."""
         return 0
 
-    # -- services of the base class -----------------------------------------------------------
+
+RunT = TypeVar("RunT", bound=Run)
+
+
+class ManagedNode(WithoutEvents, LifecycleNode, Generic[RunT]):
+    """Base of the nodes: lifecycle, parameters, diagnostics, end of the run.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    make_run : callable
+        ``make_run(node, entities)`` configures.
+    config_classes : type
+        Configurations besides NodeConfig.
+    options
+        As of every rclpy node: ``context``, ``namespace``, ``parameter_overrides`` and so on.
+
+    Attributes
+    ----------
+    run : Run or None
+        There from configure to cleanup.
+    exit_code : int or None
+        Of the process, once the node has finished.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        make_run: Callable[[Any, Entities], RunT],
+        *config_classes: type,
+        **options: Any,
+    ) -> None:
+        super().__init__(name, **options)
+        self.exit_code: int | None = None
+        self.run: RunT | None = None
+        self._make_run = make_run
+        self._while_configured: Entities | None = None
+        self._while_active: Entities | None = None
+        self._counted = (time.monotonic(), 0)
+        self._news = News()
+        global_arguments = sys.argv if options.get("use_global_arguments", True) else []
+        self.parameters = Parameters(
+            self,
+            (NodeConfig, *config_classes),
+            self._check_parameters,
+            self._parameters_changed,
+            [*global_arguments, *(options.get("cli_args") or ())],
+        )
+        self._while_there = Entities(self)
+        self._diagnostics = self._while_there.publisher(
+            DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
+        )
+        self._while_there.timer(REPORT_PERIOD, self._report)
+        if self.parameters[NodeConfig].autostart:
+            self._starter = self._while_there.timer(0.0, self._autostart)
+
+    @property
+    def active(self) -> bool:
+        """Whether the lifecycle state is 'active'."""
+        return self._while_active is not None
+
+    @property
+    def lifecycle_state(self) -> str:
+        """The primary lifecycle state: ``unconfigured``, ``inactive`` or ``active``."""
+        if self.run is None:
+            return "unconfigured"
+        return "active" if self.active else "inactive"
 
     @property
     def hardware_id(self) -> str:
         """What the diagnostics are about: the loop, for a fleet has one in every namespace."""
         return f"koop{self.get_namespace()}".rstrip("/")
 
-    @property
-    def lifecycle_state(self) -> str:
-        """Label of the lifecycle state, for example ``active``."""
-        return str(self._state_machine.current_state[1])
+    def finish(self, exit_code: int = 0) -> None:
+        """End the process after the current callback; in a container, end the work."""
+        self.exit_code = exit_code
 
-    def steady_timer(self, period: float, callback: Callable[[], None]) -> Any:
-        """Create a timer [s] that runs whatever simulated time does."""
-        return self.create_timer(period, callback, clock=self._steady)
+    def close(self) -> None:
+        """Go back to the first state before the process ends; called once, also after a signal."""
+        if self.active:
+            self.trigger_deactivate()
+        if self.run is not None:
+            self.trigger_cleanup()
+        self._while_there.close()
 
-    def autostart(self) -> None:
-        """Configure and activate if the parameter ``autostart`` says so."""
-        if not self.parameters[NodeConfig].autostart:
-            return
-        for transition in (self.trigger_configure, self.trigger_activate):
+    def _autostart(self) -> None:
+        """Do what a lifecycle manager would do."""
+        self._starter.cancel()
+        for state, transition in (
+            ("unconfigured", self.trigger_configure),
+            ("inactive", self.trigger_activate),
+        ):
+            if self.lifecycle_state != state:
+                return  # somebody else was faster
             if transition() != TransitionCallbackReturn.SUCCESS:
                 self.finish(1)
                 return
 
-    def close(self) -> None:
-        """Stop working before the process ends; called once, also after a signal."""
-        if self.active:
-            self.trigger_deactivate()
-        self._deliver_the_last()
-
-    def _deliver_the_last(self) -> None:
-        """Wait until what was said is heard: a writer that goes away takes lost samples with it."""
-        deadline = time.monotonic() + 0.5
-        for publisher in self.publishers:
-            left = deadline - time.monotonic()
-            if left > 0.0 and publisher.get_subscription_count():
-                publisher.wait_for_all_acked(Duration(seconds=left))
-
-    def finish(self, exit_code: int = 0) -> None:
-        """End the process after the current callback."""
-        self.exit_code = exit_code
-
-    def when_matched(self, needed: Mapping[Publisher, int], then: Callable[[], None]) -> None:
-        """Call ``then`` once every publisher has its number of matched subscriptions.
-
-        A reliable writer delivers everything that it wrote after it matched a reader; a node that
-        creates its subscription only then tells those upstream that all downstream is ready, and
-        no first sample is lost.
-        """
-        waited = 0
-
-        def look() -> None:
-            nonlocal waited
-            missing = {
-                publisher.topic_name: count - publisher.get_subscription_count()
-                for publisher, count in needed.items()
-                if publisher.get_subscription_count() < count
-            }
-            if not missing:
-                self.stop_waiting()
-                then()
-            elif waited % 100 == 20:
-                topics = ", ".join(f"{count} on {topic}" for topic, count in missing.items())
-                self.get_logger().info(f"waiting for subscribers: {topics}")
-            waited += 1
-
-        self.stop_waiting()
-        self._linking = self.steady_timer(0.05, look)
-
-    def stop_waiting(self) -> None:
-        """End a wait started by :meth:`when_matched`."""
-        if self._linking is not None:
-            self.destroy_timer(self._linking)
-            self._linking = None
-
     # -- lifecycle transitions ----------------------------------------------------------------
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        return self._transition(self.configure)
+        entities = Entities(self)
+
+        def configure() -> None:
+            self.run = self._make_run(self, entities)
+            self._while_configured = entities
+
+        return self._attempt(configure, entities)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        result = self._transition(self.activate)
-        self.active = result == TransitionCallbackReturn.SUCCESS
-        return result
+        entities = Entities(self)
+
+        def activate() -> None:
+            assert self.run is not None
+            self.run.activate(entities)
+            self._while_active = entities
+
+        return self._attempt(activate, entities)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self.stop_waiting()
-        self.active = False
-        return self._transition(self.deactivate)
+        self._stop_working()
+        return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        return self._transition(self.cleanup)
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        if state.label == "active":
-            self.on_deactivate(state)
+        self._stop_working()
+        self._release()
         self.finish(0)
         return TransitionCallbackReturn.SUCCESS
 
-    def _transition(self, action: Callable[[], None]) -> TransitionCallbackReturn:
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._stop_working()
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _attempt(self, action: Callable[[], None], entities: Entities) -> TransitionCallbackReturn:
+        """Make a transition; one that fails midway leaves nothing behind."""
         try:
             action()
         except (ValueError, OSError) as error:
             self.get_logger().error(str(error))
+            entities.close()
             return TransitionCallbackReturn.FAILURE
+        except Exception:  # a fault of the node's; rclpy would say nothing
+            self.get_logger().error(traceback.format_exc())
+            entities.close()
+            return TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
+
+    def _stop_working(self) -> None:
+        entities, self._while_active = self._while_active, None
+        if entities is not None:
+            try:
+                if self.run is not None:
+                    self.run.deactivate()
+            finally:
+                entities.close()
+
+    def _release(self) -> None:
+        run, self.run = self.run, None
+        entities, self._while_configured = self._while_configured, None
+        try:
+            if run is not None:
+                run.close()
+        finally:
+            if entities is not None:
+                entities.close()
+
+    # -- parameters ---------------------------------------------------------------------------
+
+    def _check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
+        if self.run is not None:
+            self.run.check_parameters(configs, names)
+
+    def _parameters_changed(self, names: set[str]) -> None:
+        if self.run is not None:
+            self.run.parameters_changed(names)
 
     # -- diagnostics --------------------------------------------------------------------------
 
-    def _publish_diagnostics(self) -> None:
-        level, message, own_values = self.diagnose()
-        now, count = time.monotonic(), self.samples()
+    def _report(self) -> None:
+        if self.exit_code is not None:  # in a container the process goes on
+            if self.active:
+                self.trigger_deactivate()
+            return
+        run = self.run or Run()
+        level, message, own_values = run.diagnose()
+        now, count = time.monotonic(), run.samples()
         before, counted = self._counted
         self._counted = (now, count)
         findings = [Finding(level, message)]
         values: dict[str, object] = {
             "lifecycle_state": self.lifecycle_state,
-            "rate_hz": f"{(count - counted) / (now - before):.1f}",
+            "rate_hz": f"{max(count - counted, 0) / (now - before):.1f}",
             **own_values,
         }
-        for monitor in self.inputs:
+        for monitor in run.inputs:
             publishers = self.count_publishers(monitor.topic)
             if self.active:
                 findings += monitor.findings(now, publishers)
             values |= monitor.values(now, time.time(), publishers)
-        told = summary(findings)
-        self._log_change(told)
+        if self._without_time():
+            findings.append(Finding(WARN, "use_sim_time is set, but nothing comes on /clock"))
+        found = summary(findings)
+        self._log(self._news.of(found, now))
         status = DiagnosticStatus(
-            level=bytes([told.level]),
+            level=bytes([found.level]),
             name=self.get_fully_qualified_name(),
-            message=told.text,
+            message=found.text,
             hardware_id=self.hardware_id,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
@@ -235,15 +294,19 @@ class ManagedNode(LifecycleNode):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def _log_change(self, told: Finding) -> None:
-        """Log when the level changes: who reads only the log learns it too."""
-        if told.level != self._told.level:
-            logger = self.get_logger()
-            # rclpy ties a severity to the line of the call
-            if told.level == OK:
-                logger.info(f"all is well again: {told.text}")
-            elif told.level == WARN:
-                logger.warning(told.text)
-            else:
-                logger.error(told.text)
-        self._told = told
+    def _without_time(self) -> bool:
+        """Return True if stamps are 0 because simulated time has not begun."""
+        wanted = self.get_parameter("use_sim_time").value
+        return bool(wanted) and self.get_clock().now().nanoseconds == 0
+
+    def _log(self, news: Finding | None) -> None:
+        if news is None:
+            return
+        logger = self.get_logger()
+        # rclpy ties a severity to the line of the call
+        if news.level == OK:
+            logger.info(f"recovered: {news.text}")
+        elif news.level == WARN:
+            logger.warning(news.text)
+        else:
+            logger.error(news.text)

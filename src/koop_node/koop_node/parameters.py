@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
@@ -17,6 +17,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from koop_node.config import ConfigError, Spec, spec_of
+from koop_node.parameter_files import shared_names
+from koop_node.rclpy_internals import parameter_overrides
 
 Config = TypeVar("Config")
 
@@ -36,11 +38,14 @@ class Parameters:
         the names that were set, before it is taken; it raises ValueError to refuse it.
     changed : callable
         ``changed(names)`` is called after new values were taken.
+    args : sequence of str
+        Command line from which values may come.
 
     Raises
     ------
     ConfigError
-        If a value given at the start is unknown, out of range or of the wrong type.
+        If a value given at the start is unknown, out of range or of the wrong type. What all nodes
+        of a wildcard were given may be unknown.
     """
 
     def __init__(
@@ -49,14 +54,18 @@ class Parameters:
         config_classes: Iterable[type],
         check: Callable[[dict[type, Any], set[str]], None],
         changed: Callable[[set[str]], None],
+        args: Sequence[str] = (),
     ) -> None:
         self._classes = tuple(config_classes)
         self._check = check
         self._changed = changed
-        # rclpy has no public way to ask for all overrides, also those of undeclared parameters
-        overrides = {name: p.value for name, p in node._parameter_overrides.items()}
+        overrides = parameter_overrides(node)
         known = {item.name: item for cls in self._classes for item in fields(cls)}
-        _refuse_unknown(overrides, set(known) | {name for name in node._parameters})
+        unknown = unknown_names(
+            overrides, set(known) | set(node.get_parameters_by_prefix("")), args
+        )
+        if unknown:
+            node.get_logger().info(f"given to all nodes, not known here: {', '.join(unknown)}")
         given = {name: value for name, value in overrides.items() if name in known}
         self._configs = self._build({item.name: item.default for item in known.values()} | given)
         self._pending: dict[type, Any] | None = None
@@ -124,14 +133,22 @@ def descriptor(spec: Spec, default: Any) -> ParameterDescriptor:
     return result
 
 
-def _refuse_unknown(overrides: dict[str, Any], known: set[str]) -> None:
-    unknown = sorted(
-        name for name in overrides if name not in known and "qos_overrides" not in name
-    )
-    if unknown:
+def unknown_names(given: Iterable[str], known: set[str], args: Sequence[str]) -> list[str]:
+    """Return the names that may be ignored: a file gave them to all nodes.
+
+    Raises
+    ------
+    ConfigError
+        If others are unknown.
+    """
+    unknown = sorted(name for name in given if name not in known and "qos_overrides" not in name)
+    shared = shared_names(args) if unknown else set()
+    meant = [name for name in unknown if name not in shared]
+    if meant:
         raise ConfigError(
-            f"unknown parameter {', '.join(unknown)}; this node has: {', '.join(sorted(known))}"
+            f"unknown parameter {', '.join(meant)}; this node has: {', '.join(sorted(known))}"
         )
+    return unknown
 
 
 def _ros_value(value: Any) -> Any:

@@ -6,20 +6,38 @@ replay at any speed decides the same; what is *reported* depends on the steady c
 One meaning of every timeout, in seconds, 0 = off: an input is stale if its newest usable message is
 older than that. The first message after a silence of that length, by its step, follows on nothing:
 filters must not take its difference to the last one.
+
+A message that is stale on arrival, one of many that were kept while a link was cut, is not even
+that: it moves nothing and is not answered, so that a recording shows by the missing answer that it
+was not heard.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from enum import IntEnum
 
-from koop_node.report import ERROR, STALE, WARN, Finding
+from koop_node.age import AgeMeter
+from koop_node.report import ERROR, OK, STALE, WARN, Finding
 
-NEXT = 0  # follows on the last message, perhaps after a few lost ones
-RESUME = 1  # the same run goes on after a silence
-RESTART = 2  # another run: first message, source restarted, bag looped
-REPEAT = 3  # the same step as the last one: asked again, or duplicated on its way
-LATE = 4  # was overtaken by a newer message
+
+class Arrival(IntEnum):
+    """What a message is to those who heard the ones before; the first three are processed."""
+
+    NEXT = 0
+    """Follows on the last message, perhaps after a few lost ones."""
+    RESUME = 1
+    """The same run goes on after a silence."""
+    RESTART = 2
+    """Another run: first message, source restarted, bag looped."""
+    REPEAT = 3
+    """The same step as the last one: asked again, or duplicated on its way."""
+    LATE = 4
+    """Was overtaken by a newer message."""
+    TOO_OLD = 5
+    """Was stale on arrival; it is as if it had never been heard."""
+
 
 WINDOW = 64  # steps that a message may be overtaken by; further back is another run
 
@@ -35,24 +53,30 @@ class StreamMonitor:
         Age at which the input is stale [s]; 0: never.
     dt : float
         Time between two steps [s].
+    may_end : bool
+        Whether silence is no fault where the source has left in order.
     """
 
-    def __init__(self, topic: str, timeout: float, dt: float) -> None:
+    def __init__(self, topic: str, timeout: float, dt: float, may_end: bool = False) -> None:
         self.topic = topic
         self.timeout = timeout
         self.dt = dt
+        self._may_end = may_end
         self.step: int | None = None
         self.count = 0
         self.missed = self.repeated = self.late = self.restarts = self.silences = 0
-        self.unusable = 0
+        self.unusable = self.too_old = 0
         self.problem = ""
         self._stamp = 0.0
         self._heard = math.nan
         self._late_in_a_row = 0
-        self._reported: tuple[int, ...] = (0,) * 5
+        self._reported: tuple[int, ...] = (0,) * 6
+        self._meter = AgeMeter()
+        self._silent = False
+        """Whether silence was found while there was a source."""
 
-    def take(self, step: int, stamp: float, now: float) -> int:
-        """Classify a message; NEXT, RESUME, RESTART, REPEAT or LATE.
+    def classify(self, step: int, stamp: float, now: float, written: float = math.nan) -> Arrival:
+        """Say what a message is.
 
         Parameters
         ----------
@@ -62,24 +86,35 @@ class StreamMonitor:
             Its stamp [s], in whatever clock its source has.
         now : float
             Steady time of its arrival [s].
+        written : float
+            When it was written, on the clock of its writer's host [s]; NaN where age does not
+            matter, as in lockstep: its source waits for the answer.
         """
-        last, self._heard, self._stamp = self.step, now, stamp
+        last = self.step
+        if not math.isnan(written):
+            if last is not None and step < last - WINDOW:
+                self._meter.reset()
+            if 0.0 < self.timeout < self._meter.age(written, now):
+                self.too_old += 1
+                return Arrival.TOO_OLD
+        self._heard, self._stamp, self._silent = now, stamp, False
         if last is None:
-            kind = RESTART
+            kind = Arrival.RESTART
         elif step > last:
             self.missed += step - last - 1
-            kind = RESUME if 0.0 < self.timeout < (step - last) * self.dt else NEXT
-            self.silences += kind
+            silence = 0.0 < self.timeout < (step - last) * self.dt
+            kind = Arrival.RESUME if silence else Arrival.NEXT
+            self.silences += silence
         elif step == last:
             self.repeated += 1
-            return REPEAT
+            return Arrival.REPEAT
         elif 0 < step >= last - WINDOW and self._late_in_a_row < WINDOW:
             self.late += 1
             self._late_in_a_row += 1
-            return LATE
+            return Arrival.LATE
         else:
             self.restarts += 1
-            kind = RESTART
+            kind = Arrival.RESTART
         self._late_in_a_row = 0
         self.step = step
         self.count += 1
@@ -93,6 +128,10 @@ class StreamMonitor:
         """Count a message whose content cannot be used."""
         self.unusable += 1
         self.problem = problem
+
+    def reject_old(self) -> None:
+        """Count a message that its reader knows to be too old."""
+        self.too_old += 1
 
     def age(self, now: float) -> float:
         """Return the time since the last message [s]; NaN before the first."""
@@ -112,8 +151,10 @@ class StreamMonitor:
 
     def findings(self, now: float, publishers: int) -> Iterator[Finding]:
         """Say what is wrong; counts are those since the last call."""
-        counts = (self.unusable, self.missed, self.late, self.restarts, self.repeated)
-        unusable, missed, late, restarts, repeated = (
+        counts = (
+            self.unusable, self.missed, self.late, self.restarts, self.repeated, self.too_old
+        )  # fmt: skip
+        unusable, missed, late, restarts, repeated, too_old = (
             new - old for new, old in zip(counts, self._reported, strict=True)
         )
         self._reported = counts
@@ -122,11 +163,16 @@ class StreamMonitor:
         if unusable:
             yield Finding(ERROR, f"{unusable} unusable on '{self.topic}', last {self.problem}")
         if self.stale(now):
-            text = f"nothing on '{self.topic}' for {self.age(now):.1f} s"
-            yield Finding(STALE, f"{text}, timeout {self.timeout:g} s")
+            if self._may_end and not publishers and not self._silent:
+                yield Finding(OK, f"'{self.topic}' has ended at step {self.step}")
+            else:  # a source that was lost stays so when discovery gives it up
+                self._silent = True
+                text = f"nothing on '{self.topic}' for {self.age(now):.1f} s"
+                yield Finding(STALE, f"{text}, timeout {self.timeout:g} s")
         if restarts:
             yield Finding(WARN, f"steps on '{self.topic}' went back")
-        for number, what in ((missed, "missed"), (late, "late"), (repeated, "repeated")):
+        noted = ((missed, "missed"), (late, "late"), (repeated, "repeated"), (too_old, "too old"))
+        for number, what in noted:
             if number:
                 yield Finding(WARN, f"{number} {what} on '{self.topic}'")
 
@@ -143,6 +189,7 @@ class StreamMonitor:
             f"{name} restarts": self.restarts,
             f"{name} silences": self.silences,
             f"{name} unusable": self.unusable,
+            f"{name} too_old": self.too_old,
             f"{name} publishers": publishers,
             f"{name} watchdog": self.watchdog(now),
         }

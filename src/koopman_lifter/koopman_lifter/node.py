@@ -4,169 +4,154 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from koop_msgs.msg import Cost, MeasuredState
+from rclpy.publisher import Publisher
 
 from koop_node.adapter import StateAdapter
 from koop_node.config import NodeConfig
-from koop_node.fields import check_fields
+from koop_node.fields import Source, check_fields
 from koop_node.main import run
-from koop_node.managed import BEST_EFFORT, OK, RELIABLE, WARN, ManagedNode, message_type
-from koop_node.stream import LATE, NEXT, REPEAT, RESTART, StreamMonitor
+from koop_node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
+from koop_node.qos import BEST_EFFORT, RELIABLE
+from koop_node.stamps import classify
+from koop_node.stream import Arrival, StreamMonitor
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, ModelError, load
 
 
-class LifterNode(ManagedNode):
-    """Answers every state with a cost.
+class Loaded:
+    """A model as the kernel takes it."""
 
-    A state that cannot be used (wrong length, not finite) is answered with r = NaN, on which the
-    controller holds; the detector goes on with the next usable state. A state that was overtaken
-    by a newer one is counted and not answered: the filters can't go back in time.
-    """
+    def __init__(self, model: KoopmanModel) -> None:
+        self.model = model
+        self.n = model.observables.n
+        self.id = model.model_id
+        self.lifting = model.lifting()
+        self.z = np.empty(model.observables.p)
 
-    def __init__(self) -> None:
-        self._candidate: KoopmanModel | None = None
-        self._subscription: Any = None
-        super().__init__("koopman_lifter", LifterConfig, ModelConfig)
 
-    def configure(self) -> None:
-        self._use(self._loaded(self.parameters[ModelConfig].path, self.parameters[LifterConfig]))
-        self._answer = Cost()
-        self._state = cost.initial()
-        config = self.parameters[LifterConfig]
-        self._input = StreamMonitor("state", config.state_timeout, config.dt)
-        self.inputs = (self._input,)
-        self._take_config()
-        self._compile()
-        self._publisher = self.create_publisher(Cost, "cost", RELIABLE)
-        self._adapt(config)
-        self.get_logger().info(
-            f"model {self._model.model_id}: {self._model.observables.p} observables, "
-            f"{self._model.projector.shape[0]} modes kept"
-        )
+class Foreign:
+    """A rig that speaks another message than MeasuredState."""
 
-    def activate(self) -> None:
-        if self._subscription is None:
-            recorders = self.parameters[NodeConfig].recorders
-            needed = {self._publisher: 1 + recorders}
-            if self._state_publisher is not None:
-                needed[self._state_publisher] = recorders
-            self.when_matched(needed, self._listen)
-
-    def cleanup(self) -> None:
-        if self._subscription is not None:
-            self.destroy_subscription(self._subscription)
-            self._subscription = None
-        self.destroy_publisher(self._publisher)
-        if self._state_publisher is not None:
-            self.destroy_publisher(self._state_publisher)
-
-    def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
-        if "model" in names:  # the same path, too: there may be another model in the file by now
-            self._candidate = self._loaded(configs[ModelConfig].path, configs[LifterConfig])
-
-    def parameters_changed(self, names: set[str]) -> None:
-        if self.lifecycle_state in ("unconfigured", "configuring"):
-            return
-        if "model" in names and self._candidate is not None:
-            self._use(self._candidate)
-            self._state = cost.initial()
-            self.get_logger().info(f"model is now {self._model.model_id}")
-        if "cost" in names:  # another quantity: its difference to the last sample means nothing
-            self._state = cost.initial()
-        self._take_config()
-
-    def samples(self) -> int:
-        return self._input.count if self.inputs else 0
-
-    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
-        if not self.inputs:
-            return OK, "", {}
-        values = {"cost": self.parameters[LifterConfig].cost, "model_id": self._answer_id}
-        if self._input.step is None:
-            return OK, "no state yet", values
-        early, taken = self._adapter.early if self._adapter else 0, self._input.count
-        too_fast = early - self._early > (taken - self._taken) / 2
-        self._early, self._taken = early, taken
-        values |= {"step": self._answer.step, "r": self._answer.r}
-        if too_fast:
-            dt = self.parameters[LifterConfig].dt
-            return WARN, f"'{self._topic}' is faster than one message in dt = {dt:g} s", values
-        return OK, "lifting", values
-
-    def _loaded(self, path: Path, config: LifterConfig) -> KoopmanModel:
-        model = load(path)
-        if model.dt != config.dt:
-            raise ModelError(
-                f"{path}: trained at dt = {model.dt} s, this node runs at dt = {config.dt} s; "
-                "train a model at that step or set the parameter dt"
-            )
-        return model
-
-    def _use(self, model: KoopmanModel) -> None:
-        self._model = model
-        self._lifting = model.lifting()
-        self._z = np.empty(model.observables.p)
-        self._answer_id = model.model_id
-
-    def _take_config(self) -> None:
-        config = self.parameters[LifterConfig]
-        self._source = config.source
-        self._detector = config.detector_params()
-        self._input.timeout = config.state_timeout
-
-    def _adapt(self, config: LifterConfig) -> None:
-        """Prepare for a rig that speaks another message than MeasuredState."""
-        self._state_publisher: Any = None
-        self._adapter: StateAdapter | None = None
+    def __init__(self, source: Source, config: LifterConfig) -> None:
+        self.type = message_type(config.input_type)
+        check_fields(source.fields, self.type())
+        self.adapter = StateAdapter(source, config.dt)
+        self.publisher: Publisher | None = None  # of 'state', while the node is active
         self._early = self._taken = 0
-        self._topic, self._type, self._callback = "state", MeasuredState, self._on_state
-        if config.foreign is not None:
-            self._topic, self._type = config.foreign.topic, message_type(config.input_type)
-            check_fields(config.foreign.fields, self._type())
-            self._adapter = StateAdapter(config.foreign, config.dt)
-            self._callback = self._on_foreign
-            self._state_publisher = self.create_publisher(MeasuredState, "state", RELIABLE)
-        self._input.topic = self._topic
 
-    def _listen(self) -> None:
-        self._subscription = self.create_subscription(
-            self._type,
-            self._topic,
-            self._callback,
-            RELIABLE if self._type is MeasuredState else BEST_EFFORT,
-        )
-
-    def _on_foreign(self, message: Any) -> None:
-        """Publish what a rig measured as 'state', for recording and replay, and answer it."""
-        if not self.active or self._adapter is None:
-            return
-        step, x = self._adapter.convert(message)
+    def convert(self, message: Any) -> MeasuredState:
+        """Publish what the rig measured as 'state', for recording and replay, and return it."""
+        step, x = self.adapter.convert(message)
         state = MeasuredState(step=step, x=x)
         header = getattr(message, "header", None)
         if isinstance(header, type(state.header)):  # a package may have a header of its own
             state.header = header
-        self._state_publisher.publish(state)
-        self._on_state(state)
+        if self.publisher is not None:
+            self.publisher.publish(state)
+        return state
 
-    def _on_state(self, state: MeasuredState) -> None:
-        if not self.active:
+    def too_fast(self, taken: int) -> bool:
+        """Return whether most messages since the last call came much sooner than a step."""
+        early, before = self.adapter.early - self._early, self._taken
+        self._early, self._taken = self.adapter.early, taken
+        return early > (taken - before) / 2
+
+
+class LifterRun(Run):
+    """A lifter with its model, from the first state on."""
+
+    def __init__(self, node: LifterNode, entities: Entities) -> None:
+        config = node.parameters[LifterConfig]
+        self._node = node
+        self._loaded = Loaded(read_model(node.parameters[ModelConfig].path, config))
+        self._candidate: KoopmanModel | None = None
+        self._state = cost.initial()
+        self._answer = Cost()
+        self._source, self._detector = config.source, config.detector_params()
+        self._foreign = Foreign(config.foreign, config) if config.foreign is not None else None
+        self._topic = config.foreign.topic if config.foreign is not None else "state"
+        self._input = StreamMonitor(self._topic, config.state_timeout, config.dt, may_end=True)
+        self.inputs = (self._input,)
+        self._publisher: Publisher | None = None
+        self._compile()
+        model = self._loaded.model
+        node.get_logger().info(
+            f"model {model.model_id}: {model.observables.p} observables, "
+            f"{model.projector.shape[0]} modes kept"
+        )
+
+    def activate(self, entities: Entities) -> None:
+        recorders = self._node.parameters[NodeConfig].recorders
+        publisher = self._publisher = entities.publisher(Cost, "cost", RELIABLE)
+        needed = {publisher: 1 + recorders}
+        foreign = self._foreign
+        if foreign is not None:
+            foreign.publisher = entities.publisher(MeasuredState, "state", RELIABLE)
+            needed[foreign.publisher] = recorders
+
+        def listen() -> None:
+            if foreign is None:
+                entities.dated_subscription(MeasuredState, "state", self._on_state, RELIABLE)
+            else:
+                own = foreign.type is MeasuredState
+                qos = RELIABLE if own else BEST_EFFORT
+                entities.dated_subscription(foreign.type, self._topic, self._on_foreign, qos)
+
+        entities.when_matched(needed, listen)
+
+    def deactivate(self) -> None:
+        self._publisher = None
+        if self._foreign is not None:
+            self._foreign.publisher = None
+
+    def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
+        if "model" in names:  # the same path, too: there may be another model in the file by now
+            self._candidate = read_model(configs[ModelConfig].path, configs[LifterConfig])
+
+    def parameters_changed(self, names: set[str]) -> None:
+        if "model" in names and self._candidate is not None:
+            self._loaded, self._candidate = Loaded(self._candidate), None
+            self._state = cost.initial()
+            self._node.get_logger().info(f"model is now {self._loaded.id}")
+        if "cost" in names:  # another quantity: its difference to the last sample means nothing
+            self._state = cost.initial()
+        config = self._node.parameters[LifterConfig]
+        self._source, self._detector = config.source, config.detector_params()
+        self._input.timeout = config.state_timeout
+
+    def samples(self) -> int:
+        return self._input.count
+
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
+        config = self._node.parameters[LifterConfig]
+        values: dict[str, object] = {"cost": config.cost, "model_id": self._loaded.id}
+        if self._input.step is None:
+            return OK, "no state yet", values
+        values |= {"step": self._answer.step, "r": self._answer.r}
+        if self._foreign is not None and self._foreign.too_fast(self._input.count):
+            text = f"'{self._topic}' is faster than one message in dt = {config.dt:g} s"
+            return WARN, text, values
+        return OK, "lifting", values
+
+    def _on_foreign(self, message: Any, written: float) -> None:
+        if self._foreign is not None:
+            self._on_state(self._foreign.convert(message), written)
+
+    def _on_state(self, state: MeasuredState, written: float) -> None:
+        kind = classify(self._input, state, written)
+        if kind >= Arrival.LATE or self._publisher is None:
             return
-        stamp = state.header.stamp
-        kind = self._input.take(state.step, stamp.sec + 1e-9 * stamp.nanosec, time.monotonic())
-        if kind == LATE:
-            return
-        if kind != REPEAT:  # else it was asked again: the same answer, no second update
-            if kind == RESTART:
+        if kind != Arrival.REPEAT:  # else it was asked again: the same answer, no second update
+            if kind == Arrival.RESTART:
                 self._state = cost.initial()
-            elif kind != NEXT:
+            elif kind != Arrival.NEXT:
                 self._state = cost.resume(self._state)
             self._process(state)
         self._publisher.publish(self._answer)
@@ -175,12 +160,13 @@ class LifterNode(ManagedNode):
         answer = self._answer
         answer.header = state.header
         answer.step = state.step
+        answer.lockstep = state.lockstep
         answer.source = self._source
-        answer.model_id = self._answer_id
+        answer.model_id = self._loaded.id
         x = np.frombuffer(state.x)
-        if x.shape[0] == self._model.observables.n:
+        if x.shape[0] == self._loaded.n:
             answer.r, answer.y_out, self._state = cost.step(
-                self._source, self._lifting, self._detector, self._state, x, self._z
+                self._source, self._loaded.lifting, self._detector, self._state, x, self._loaded.z
             )
         else:
             answer.r = answer.y_out = math.nan
@@ -189,19 +175,43 @@ class LifterNode(ManagedNode):
             self._report_unusable(x)
 
     def _report_unusable(self, x: np.ndarray[Any, Any]) -> None:
-        n = self._model.observables.n
+        n = self._loaded.n
         if x.shape[0] != n:
-            problem = f"state has {x.shape[0]} values, the model {self._answer_id} needs {n}"
+            problem = f"state has {x.shape[0]} values, the model {self._loaded.id} needs {n}"
         else:
             problem = f"state {x.tolist()} is not finite or its y_out too large"
         self._input.reject(f"step {self._answer.step}: {problem}")
-        self.get_logger().error(self._input.problem, throttle_duration_sec=1.0)
+        self._node.get_logger().error(self._input.problem, throttle_duration_sec=1.0)
 
     def _compile(self) -> None:
         """Compile the kernel for the types that messages bring, before the first sample."""
-        x = np.frombuffer(MeasuredState(x=[0.0] * self._model.observables.n).x)
+        x = np.frombuffer(MeasuredState(x=[0.0] * self._loaded.n).x)
         for state in (cost.initial(), cost.resume(self._state)):
-            cost.step(self._source, self._lifting, self._detector, state, x, self._z)
+            cost.step(self._source, self._loaded.lifting, self._detector, state, x, self._loaded.z)
+
+
+class LifterNode(ManagedNode[LifterRun]):
+    """Answers every state with a cost.
+
+    A state that cannot be used (wrong length, not finite) is answered with r = NaN, on which the
+    controller holds; the detector goes on with the next usable state. A state that was overtaken
+    by a newer one, or is older than ``state_timeout`` on arrival, is counted and not answered: the
+    filters can't go back in time, and nobody must act on what is long past.
+    """
+
+    def __init__(self, name: str = "koopman_lifter", **options: Any) -> None:
+        super().__init__(name, LifterRun, LifterConfig, ModelConfig, **options)
+
+
+def read_model(path: Path, config: LifterConfig) -> KoopmanModel:
+    """Return the model of a file; raise ModelError if it does not fit the configuration."""
+    model = load(path)
+    if model.dt != config.dt:
+        raise ModelError(
+            f"{path}: trained at dt = {model.dt} s, this node runs at dt = {config.dt} s; "
+            "train a model at that step or set the parameter dt"
+        )
+    return model
 
 
 def main() -> None:

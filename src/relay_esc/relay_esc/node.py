@@ -4,82 +4,69 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Mapping
 from typing import Any
 
 from koop_msgs.msg import ControlInput, Cost
+from rclpy.publisher import Publisher
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from koop_node.config import NodeConfig
 from koop_node.main import run
-from koop_node.managed import OK, RELIABLE, WARN, ManagedNode
-from koop_node.stream import LATE, NEXT, REPEAT, StreamMonitor
+from koop_node.managed import OK, WARN, Entities, ManagedNode, Run
+from koop_node.qos import NEWEST, RELIABLE
+from koop_node.stamps import classify
+from koop_node.stream import Arrival, StreamMonitor
 from relay_esc import relay
 from relay_esc.config import EscConfig
 
 
-class EscNode(ManagedNode):
-    """Answers every cost with a control input.
+class EscRun(Run):
+    """A controller from its first cost on."""
 
-    The control input is held, flagged ``holding``, while the node is inactive, after ``~/hold``,
-    and for a cost that is not finite: silence would look like a dead controller. A cost that was
-    overtaken by a newer one is counted and not answered.
-    """
-
-    def __init__(self) -> None:
-        super().__init__("relay_esc", EscConfig)
-        self._subscription: Any = None
-        self._hold_asked = False
-
-    def configure(self) -> None:
-        config = self.parameters[EscConfig]
+    def __init__(self, node: EscNode, entities: Entities) -> None:
+        config = node.parameters[EscConfig]
+        self._node = node
         self._params, self._largest_change = config.params(), config.largest_change
         self._state = config.initial()
         self._answer = ControlInput(theta=self._state.theta)
-        self._input = StreamMonitor("cost", config.cost_timeout, config.dt)
+        self._input = StreamMonitor("cost", config.cost_timeout, config.dt, may_end=True)
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
+        self._hold_asked = False
+        self._publisher: Publisher | None = None
+        self._command: Publisher | None = None
         _compile(config)
-        self._publisher = self.create_publisher(ControlInput, "theta", RELIABLE)
-        topic = config.command_topic
-        self._command = self.create_publisher(Float64, topic, RELIABLE) if topic else None
-        self._own_services = [
-            self.create_service(Trigger, "~/reset", self._on_reset),
-            self.create_service(SetBool, "~/hold", self._on_hold),
-        ]
+        entities.service(Trigger, "~/reset", self._on_reset)
+        entities.service(SetBool, "~/hold", self._on_hold)
 
-    def activate(self) -> None:
-        if self._subscription is None:
-            recorders = self.parameters[NodeConfig].recorders
-            if self._command is None:
-                needed = {self._publisher: 1 + recorders}
-            else:  # the rig listens there, and to nothing else
-                needed = {self._command: 1, self._publisher: recorders}
-            self.when_matched(needed, self._listen)
+    def activate(self, entities: Entities) -> None:
+        recorders = self._node.parameters[NodeConfig].recorders
+        topic = self._node.parameters[EscConfig].command_topic
+        publisher = self._publisher = entities.publisher(ControlInput, "theta", RELIABLE)
+        if topic:  # the rig listens there, and to nothing else
+            self._command = entities.publisher(Float64, topic, NEWEST)
+            needed = {self._command: 1, publisher: recorders}
+        else:
+            needed = {publisher: 1 + recorders}
+        entities.when_matched(
+            needed, lambda: entities.dated_subscription(Cost, "cost", self._on_cost, RELIABLE)
+        )
 
-    def cleanup(self) -> None:
-        if self._subscription is not None:
-            self.destroy_subscription(self._subscription)
-            self._subscription = None
-        for service in self._own_services:
-            self.destroy_service(service)
-        self.destroy_publisher(self._publisher)
-        if self._command is not None:
-            self.destroy_publisher(self._command)
+    def deactivate(self) -> None:
+        self._publisher = self._command = None
 
     def parameters_changed(self, names: set[str]) -> None:
-        config = self.parameters[EscConfig]
+        config = self._node.parameters[EscConfig]
         self._params, self._largest_change = config.params(), config.largest_change
-        if self.inputs:
-            self._input.timeout = config.cost_timeout
+        self._input.timeout = config.cost_timeout
 
     def samples(self) -> int:
-        return self._input.count if self.inputs else 0
+        return self._input.count
 
     def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
-        if not self.inputs or self._input.step is None:
+        if self._input.step is None:
             return OK, "no cost yet", {}
         answer = self._answer
         values = {
@@ -92,16 +79,12 @@ class EscNode(ManagedNode):
         }
         return (WARN, "holding theta", values) if answer.holding else (OK, "seeking", values)
 
-    def _listen(self) -> None:
-        self._subscription = self.create_subscription(Cost, "cost", self._on_cost, RELIABLE)
-
-    def _on_cost(self, cost: Cost) -> None:
-        stamp = cost.header.stamp
-        kind = self._input.take(cost.step, stamp.sec + 1e-9 * stamp.nanosec, time.monotonic())
-        if kind == LATE:
+    def _on_cost(self, cost: Cost, written: float) -> None:
+        kind = classify(self._input, cost, written)
+        if kind >= Arrival.LATE or self._publisher is None:
             return
-        if kind != REPEAT:  # else it was asked again: the same answer, no second update
-            self._process(cost, kind != NEXT)
+        if kind != Arrival.REPEAT:  # else it was asked again: the same answer, no second update
+            self._process(cost, kind != Arrival.NEXT)
         self._publisher.publish(self._answer)
         if self._command is not None:
             self._command.publish(Float64(data=self._answer.theta))
@@ -112,7 +95,7 @@ class EscNode(ManagedNode):
             from_nothing = True
             self._origin = origin
         self._state, holding = relay.respond(
-            self._params, self._state, cost.r, from_nothing, self._hold_asked or not self.active
+            self._params, self._state, cost.r, from_nothing, self._hold_asked
         )
         if not math.isfinite(cost.r):
             self._input.reject(f"step {cost.step}: r = {cost.r}")
@@ -126,9 +109,9 @@ class EscNode(ManagedNode):
         answer.holding = holding
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._state = self.parameters[EscConfig].initial()
+        self._state = self._node.parameters[EscConfig].initial()
         response.success = True
-        response.message = f"theta is {self._state.theta:g} again, filter and relay start anew"
+        response.message = f"theta is {self._state.theta:g} again, filter and relay are reset"
         return response
 
     def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -137,6 +120,19 @@ class EscNode(ManagedNode):
         held = f"theta held at {self._state.theta:g}"
         response.message = held if request.data else "seeking"
         return response
+
+
+class EscNode(ManagedNode[EscRun]):
+    """Answers every cost with a control input.
+
+    The control input is held, flagged ``holding``, after ``~/hold`` and for a cost that is not
+    finite: silence would look like a dead controller. A cost that was overtaken by a newer one, or
+    is older than ``cost_timeout`` on arrival, is counted and not answered. An inactive controller
+    is silent.
+    """
+
+    def __init__(self, name: str = "relay_esc", **options: Any) -> None:
+        super().__init__(name, EscRun, EscConfig, **options)
 
 
 def _compile(config: EscConfig) -> None:

@@ -173,6 +173,15 @@ class PaceConfig:
                 f"theta_timeout = {self.theta_timeout:g} s: theta is held first"
             )
 
+    def period(self, dt: float) -> float:
+        """Return the shortest real time between two steps of ``dt`` [s]; 0 in lockstep."""
+        return 0.0 if self.pace == "lockstep" else dt / self.scale
+
+    @property
+    def scale(self) -> float:
+        """Simulated per real time of the timed paces."""
+        return self.time_scale if self.pace == "scaled" else 1.0
+
     def command(self, theta: float, age: float) -> tuple[float, str]:
         """Return the theta to apply at the paces realtime and scaled, and the watchdog's state.
 

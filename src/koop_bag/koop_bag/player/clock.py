@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from builtin_interfaces.msg import Time
-from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
 from koop_bag.bag.reader import RawMessage
 from koop_bag.cdr.header import stamp_of
-from koop_node.managed import RELIABLE
+from koop_node.managed import Entities
+from koop_node.qos import RELIABLE
+from koop_node.stamps import to_stamp
 
 PERIOD = 0.005  # [s] between clock messages where the bag is silent
 
@@ -21,7 +21,7 @@ class ClockOutlet:
 
     Parameters
     ----------
-    node : rclpy.node.Node
+    entities : Entities
         Owner of the publisher.
     kind : str
         `off`, `receive` (the log time of each message) or `stamp` (each new header stamp).
@@ -31,12 +31,11 @@ class ClockOutlet:
         Topics whose messages begin with a header.
     """
 
-    def __init__(self, node: Node, kind: str, flows: bool, stamped: set[str]) -> None:
+    def __init__(self, entities: Entities, kind: str, flows: bool, stamped: set[str]) -> None:
         self._kind, self._flows, self._stamped = kind, flows and kind == "receive", stamped
         self._last = -1
-        self._node = node
-        self._publisher: Any = (
-            node.create_publisher(Clock, "/clock", RELIABLE) if kind != "off" else None
+        self._publisher: Publisher | None = (
+            entities.publisher(Clock, "/clock", RELIABLE) if kind != "off" else None
         )
 
     def before(self, message: RawMessage) -> None:
@@ -58,13 +57,7 @@ class ClockOutlet:
         """Time may go back now."""
         self._last = -1
 
-    def close(self) -> None:
-        """Remove the publisher."""
-        if self._publisher is not None:
-            self._node.destroy_publisher(self._publisher)
-
     def _publish(self, nanoseconds: int) -> None:
-        if nanoseconds != self._last:
+        if nanoseconds != self._last and self._publisher is not None:
             self._last = nanoseconds
-            sec, nanosec = divmod(nanoseconds, 1_000_000_000)
-            self._publisher.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+            self._publisher.publish(Clock(clock=to_stamp(nanoseconds)))

@@ -16,7 +16,9 @@ from koop_bag.errors import BagError
 from koop_bag.player.outlet import Outlet, recorded_qos
 from koop_bag.recorder.config import LOOP_TOPICS
 from koop_bag.recorder.topics import message_class
-from koop_node.managed import RELIABLE
+from koop_node.managed import Entities
+from koop_node.qos import RELIABLE
+from koop_node.resend import Due, Resend
 
 RESENDS = 3  # times that a message without an answer is sent again before giving up
 
@@ -27,6 +29,8 @@ class Gate:
     Parameters
     ----------
     node : rclpy.node.Node
+        Whose logger is used.
+    entities : Entities
         Owner of the subscription.
     bag : BagReader
         The bag; tells type and reliability of the answers.
@@ -50,6 +54,7 @@ class Gate:
     def __init__(
         self,
         node: Node,
+        entities: Entities,
         bag: BagReader,
         outlet: Outlet,
         answer: str,
@@ -63,15 +68,14 @@ class Gate:
             raise BagError(f"answer: the bag has no {answer}, so its type is not known")
         types = (type_name, bag.topic(outlet.topic).type_name)
         self._by_step = all(has_step(load_schema(item)) for item in types)
-        self._outlet, self._answer, self._timeout = outlet, answer, timeout
+        self._outlet, self._answer = outlet, answer
         self._answered, self._node = answered, node
         self._asked: RawMessage | None = None
-        self._asked_at = 0.0
-        self._again = 0
+        self._question = Resend(timeout, RESENDS)
         offered = recorded_qos(recorded) if recorded else []
         reliable = all(item.reliability == "reliable" for item in offered)
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        self._subscription = node.create_subscription(
+        entities.subscription(
             message_class(type_name),
             name,
             self._on_answer,
@@ -87,45 +91,38 @@ class Gate:
     @property
     def overdue(self) -> bool:
         """Whether a message had to be sent again and there is still no answer."""
-        return self._again > 0
+        return self._question.overdue
 
     def ask(self, message: RawMessage) -> None:
         """Expect the answer to a message that went out."""
-        self._asked, self._asked_at, self._again = message, time.monotonic(), 0
+        self._asked = message
+        self._question.ask(time.monotonic())
 
-    def forget(self) -> None:
-        """Expect nothing any more."""
-        self._asked, self._again = None, 0
+    def forget(self) -> bool:
+        """Expect nothing any more; return whether an answer was overdue."""
+        self._asked = None
+        return self._question.close()
 
     def check(self) -> bool:
         """Send a message again whose answer is overdue; return False to give up."""
-        if self._asked is None or time.monotonic() - self._asked_at < self._timeout:
-            return True
-        if self._again == RESENDS:
-            return False
-        self._again += 1
-        self._asked_at = time.monotonic()
-        again = f"sending it again ({self._again} of {RESENDS})"
-        self._node.get_logger().warning(f"{self.silence()}: {again}")
-        self._outlet.publish(self._asked.data)
-        return True
+        due = self._question.check(time.monotonic())
+        if due is Due.AGAIN and self._asked is not None:
+            again = f"sending it again ({self._question.resent} of {RESENDS})"
+            self._node.get_logger().warning(f"{self.silence()}: {again}")
+            self._outlet.publish(self._asked.data)
+        return due is not Due.GIVE_UP
 
     def silence(self) -> str:
         """Say who does not answer to what."""
-        what = f"no {self._answer} in {self._timeout:g} s for {self.topic}"
+        what = f"no {self._answer} in {self._question.timeout:g} s for {self.topic}"
         if self._asked is not None and self._by_step:
             what += f" of step {step_of(self._asked.data)}"
         heard = self._outlet.publisher.get_subscription_count()
         return what if heard else what + ", to which nobody listens any more"
 
-    def close(self) -> None:
-        """Remove the subscription."""
-        self._node.destroy_subscription(self._subscription)
-
     def _on_answer(self, data: Any) -> None:
         if self._asked is None or (self._by_step and step_of(data) != step_of(self._asked.data)):
             return
-        if self.overdue:
-            self._node.get_logger().info("the answer came after all")
-        self.forget()
+        if self.forget():
+            self._node.get_logger().info("the answer was received late")
         self._answered()

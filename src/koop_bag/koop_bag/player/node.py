@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from rclpy.timer import Timer
 from std_srvs.srv import SetBool, Trigger
 
 from koop_bag.bag.reader import BagReader, RawMessage
@@ -21,43 +22,34 @@ from koop_bag.player.outlet import Outlet
 from koop_bag.player.playback import Playback, in_time_order
 from koop_node.config import NodeConfig
 from koop_node.main import run
-from koop_node.managed import ERROR, OK, ManagedNode
+from koop_node.managed import ERROR, OK, Entities, ManagedNode, Run
 
 SLICE = 0.005  # [s] of publishing after which services and answers have their turn
 SETTLED = 0.3  # [s] without a new subscriber after which all that are coming have come
 FAREWELL = 2.0  # [s] that the last messages may take to arrive
 
 
-class PlayerNode(ManagedNode):
-    """Plays while it is active, ends when all is played.
+class PlayerRun(Run):
+    """One bag being played."""
 
-    Services: ``~/pause`` (std_srvs/SetBool: true pauses, false resumes) and ``~/step``
-    (std_srvs/Trigger: one step while paused). The parameters ``position``, ``rate`` and ``loop``
-    may be set at any time; setting ``position`` is a seek.
-    """
-
-    def __init__(self) -> None:
-        self._playback: Playback | None = None
-        self._timer: Any = None
-        super().__init__("player", PlayerConfig)
-        self.create_service(SetBool, "~/pause", self._on_pause)
-        self.create_service(Trigger, "~/step", self._on_step)
-
-    # -- lifecycle ----------------------------------------------------------------------------
-
-    def configure(self) -> None:
-        config = self.parameters[PlayerConfig]
+    def __init__(self, node: PlayerNode, entities: Entities) -> None:
+        config = node.parameters[PlayerConfig]
         if not config.bag:
             raise ValueError("which bag? set the parameter bag")
+        self._node = node
+        self._config = config
         self._names = {self._full(old): new for old, new in parse_remap(config.remap).items()}
         try:
             self._bag = BagReader(config.bag)
-            self._outlets = {outlet.topic: outlet for outlet in self._make_outlets(config)}
-            self._gate = self._make_gate(config) if config.pace == "lockstep" else None
-            playback = self._make_playback(config)
+            entities.on_close(self._bag.close)
+            outlets = self._make_outlets(config, entities)
+            self._outlets = {outlet.topic: outlet for outlet in outlets}
+            lockstep = config.pace == "lockstep"
+            self._gate = self._make_gate(config, entities) if lockstep else None
+            self._playback = self._make_playback(config)
         except BagError as error:
             raise ValueError(str(error)) from error
-        if playback.finished:
+        if self._playback.finished:
             raise ValueError(f"{config.bag} holds no message to play there")
         stamped = {
             name
@@ -65,56 +57,46 @@ class PlayerNode(ManagedNode):
             if has_header(load_schema(self._bag.topic(name).type_name))
         }
         flows = math.isfinite(config.speed)
-        self._clock_outlet = ClockOutlet(self, config.clock, flows, stamped)
-        self._playback = playback
+        self._clock_outlet = ClockOutlet(entities, config.clock, flows, stamped)
+        self._timer: Timer | None = None
+        """There from the start of playing to the end of the active state."""
+        entities.service(SetBool, "~/pause", self._on_pause)
+        entities.service(Trigger, "~/step", self._on_step)
 
-    def activate(self) -> None:
-        config = self.parameters[PlayerConfig]
+    def activate(self, entities: Entities) -> None:
+        config = self._config
         counts = {self._full(name): n for name, n in parse_counts(config.wait_for).items()}
         if not config.wait_for and self._gate is not None:
             counts = {self._gate.topic: 1}
         unknown = [name for name in counts if name not in self._outlets]
         if unknown:
             raise ValueError(f"wait_for: {', '.join(unknown)} is not played")
-        recorders = self.parameters[NodeConfig].recorders
+        recorders = self._node.parameters[NodeConfig].recorders
         if counts or recorders:
-            self.when_matched(
+            entities.when_matched(
                 {o.publisher: counts.get(name, 0) + recorders for name, o in self._outlets.items()},
-                self._start,
+                lambda: self._start(entities),
             )
         elif config.wait_for:
-            self._start()
+            self._start(entities)
         else:
-            self._start_when_heard()
+            self._start_when_heard(entities)
 
     def deactivate(self) -> None:
         if self._timer is not None:
-            for timer in (self._timer, self._watch):
-                self.destroy_timer(timer)
             self._timer = None
-            assert self._playback is not None
             self._playback.stop(time.monotonic())
 
-    def cleanup(self) -> None:
-        self._playback = None
-        self._bag.close()
-        self._clock_outlet.close()
-        for outlet in self._outlets.values():
-            self.destroy_publisher(outlet.publisher)
-        if self._gate is not None:
-            self._gate.close()
-
     def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
-        new, old = configs[PlayerConfig], self.parameters[PlayerConfig]
+        new, old = configs[PlayerConfig], self._node.parameters[PlayerConfig]
         if new.rate != old.rate and old.pace != "scaled":
             raise ValueError(f"rate: it counts at the pace scaled, this is {old.pace}")
-        if self._playback is not None and new.position > self._bag.duration:
+        if new.position > self._bag.duration:
             raise ValueError(f"position: the bag is {self._bag.duration:.3f} s long")
 
     def parameters_changed(self, names: set[str]) -> None:
-        if self._playback is None:
-            return
-        config, now = self.parameters[PlayerConfig], time.monotonic()
+        config, now = self._node.parameters[PlayerConfig], time.monotonic()
+        self._config = config
         if "rate" in names:
             self._playback.set_rate(config.rate, now)
         if "loop" in names:
@@ -130,13 +112,9 @@ class PlayerNode(ManagedNode):
         self._go_on()
 
     def samples(self) -> int:
-        if self._playback is None:
-            return 0
         return sum(outlet.count for outlet in self._outlets.values())
 
     def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
-        if self._playback is None:
-            return OK, "", {}
         position = self._playback.position(time.monotonic()) - self._bag.start_time
         values = {
             "messages": self.samples(),
@@ -148,38 +126,46 @@ class PlayerNode(ManagedNode):
         if self._gate is not None and self._gate.overdue:
             return ERROR, self._gate.silence(), values
         if self._timer is None:
-            return OK, "waiting for subscribers" if self.active else "", values
+            return OK, "waiting for subscribers" if self._node.active else "", values
         return OK, "paused" if self._playback.paused else "playing", values
 
     # -- set-up -------------------------------------------------------------------------------
 
     def _full(self, name: str) -> str:
         """Return the name that a topic has in a bag of this node's namespace."""
-        return name if name.startswith("/") else f"{self.get_namespace().rstrip('/')}/{name}"
+        return name if name.startswith("/") else f"{self._node.get_namespace().rstrip('/')}/{name}"
 
     def _log_time(self, position: float) -> int:
         return int(self._bag.start_time + round(position * 1e9))
 
-    def _make_outlets(self, config: PlayerConfig) -> Iterator[Outlet]:
+    def _make_outlets(self, config: PlayerConfig, entities: Entities) -> Iterator[Outlet]:
         chosen = [self._full(name) for name in config.topics.split()]
         present = [topic.name for topic in self._bag.topics]
         for name in chosen or default_topics(present, config.pace == "lockstep"):
             topic = self._bag.topic(name)
             try:
-                yield Outlet(self, topic, self._names.get(name, name))
+                yield Outlet(entities, topic, self._names.get(name, name))
             except BagError as error:
                 if chosen:
                     raise
-                self.get_logger().warning(f"{name} is not played: {error}")
+                self._node.get_logger().warning(f"{name} is not played: {error}")
 
-    def _make_gate(self, config: PlayerConfig) -> Gate:
+    def _make_gate(self, config: PlayerConfig, entities: Entities) -> Gate:
         gate, answer = self._full(config.gate), self._full(config.answer)
         if gate not in self._outlets:
             played = ", ".join(self._outlets) or "none"
             raise BagError(f"gate: {gate} is not among the topics played: {played}")
         name = self._names.get(answer, answer)
-        timeout = config.answer_timeout
-        return Gate(self, self._bag, self._outlets[gate], answer, name, timeout, self._on_answered)
+        return Gate(
+            self._node,
+            entities,
+            self._bag,
+            self._outlets[gate],
+            answer,
+            name,
+            config.answer_timeout,
+            self._on_answered,
+        )
 
     def _make_playback(self, config: PlayerConfig) -> Playback:
         bag, topics = self._bag, [*self._outlets]
@@ -204,7 +190,7 @@ class PlayerNode(ManagedNode):
             playback.pause(0.0)
         return playback
 
-    def _start_when_heard(self) -> None:
+    def _start_when_heard(self, entities: Entities) -> None:
         """Start once there is a subscriber, and the others have had time to come, too."""
         seen, since = 0, time.monotonic()
 
@@ -215,29 +201,28 @@ class PlayerNode(ManagedNode):
             if count != seen:
                 seen, since = count, now
             elif count and now - since >= SETTLED:
-                self.stop_waiting()
-                self._start()
+                timer.cancel()
+                self._start(entities)
             elif not count and now - since >= 5.0:
                 since = now
-                self.get_logger().info("waiting for a subscriber (wait_for:=none plays to nobody)")
+                self._node.get_logger().info(
+                    "waiting for a subscriber (wait_for:=none plays to nobody)"
+                )
 
-        self.stop_waiting()
-        self._linking = self.steady_timer(0.02, look)
+        timer = entities.timer(0.02, look)
 
-    def _start(self) -> None:
-        assert self._playback is not None
+    def _start(self, entities: Entities) -> None:
         self._playback.start(time.monotonic())
-        timeout = self.parameters[PlayerConfig].answer_timeout
-        self._watch = self.steady_timer(timeout / 4.0, self._check_answer)
-        self._timer = self.steady_timer(SLICE, self._tick)
-        self.get_logger().info(f"playing {', '.join(self._outlets)} of {self._bag.path}")
+        entities.timer(self._config.answer_timeout / 4.0, self._check_answer)
+        self._timer = entities.timer(SLICE, self._tick)
+        self._node.get_logger().info(f"playing {', '.join(self._outlets)} of {self._bag.path}")
         self._tick()
 
     # -- playing ------------------------------------------------------------------------------
 
     def _tick(self) -> None:
         playback = self._playback
-        if playback is None or self._timer is None:
+        if self._timer is None or self._node.exit_code is not None:
             return
         now = time.monotonic()
         until = now + SLICE
@@ -261,12 +246,14 @@ class PlayerNode(ManagedNode):
         self._clock_outlet.before(message)
         if self._gate is not None and message.topic == self._gate.topic:
             self._gate.ask(message)
-        if self.parameters[PlayerConfig].pace == "fast":
+        if self._config.pace == "fast":
             outlet.publish_acknowledged(message.data)
         else:
             outlet.publish(message.data)
 
     def _wake_in(self, wait: float) -> None:
+        if self._timer is None:
+            return
         if math.isinf(wait):
             self._timer.cancel()
         else:
@@ -275,47 +262,55 @@ class PlayerNode(ManagedNode):
 
     def _go_on(self) -> None:
         """Look again at what is due, after the playback was told something."""
-        if self._timer is not None:
-            self._wake_in(0.0)
+        self._wake_in(0.0)
 
     def _end(self) -> None:
-        self._timer.cancel()
+        self._wake_in(math.inf)
         for outlet in self._outlets.values():
             outlet.wait_for_listeners(FAREWELL)
-        self.get_logger().info(f"done: {self.samples()} messages")
-        self.finish(0)
+        self._node.get_logger().info(f"done: {self.samples()} messages")
+        self._node.finish(0)
 
     def _give_up(self, error: BagError) -> None:
         """End at a place of the bag that cannot be read."""
-        self.get_logger().error(str(error))
-        self.finish(1)
+        self._node.get_logger().error(str(error))
+        self._node.finish(1)
 
     def _on_answered(self) -> None:
-        if self._playback is not None:
-            self._playback.answered()
-            self._tick()
+        self._playback.answered()
+        self._tick()
 
     def _check_answer(self) -> None:
         if self._gate is not None and not self._gate.check():
-            self.get_logger().error(self._gate.silence())
-            self.finish(1)
+            self._node.get_logger().error(self._gate.silence())
+            self._node.finish(1)
 
     # -- services -----------------------------------------------------------------------------
 
     def _on_pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
-        answer.success = self._playback is not None
-        if self._playback is not None:
-            act = self._playback.pause if request.data else self._playback.resume
-            act(time.monotonic())
-            self._go_on()
-        answer.message = "" if answer.success else "the player is not configured"
+        act = self._playback.pause if request.data else self._playback.resume
+        act(time.monotonic())
+        self._go_on()
+        answer.success = True
         return answer
 
     def _on_step(self, request: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        answer.success = self._playback is not None and self._playback.step()
+        answer.success = self._playback.step()
         answer.message = "" if answer.success else "only a paused player goes step by step"
         self._go_on()
         return answer
+
+
+class PlayerNode(ManagedNode[PlayerRun]):
+    """Plays while it is active, ends when all is played.
+
+    Services: ``~/pause`` (std_srvs/SetBool: true pauses, false resumes) and ``~/step``
+    (std_srvs/Trigger: one step while paused). The parameters ``position``, ``rate`` and ``loop``
+    may be set at any time; setting ``position`` is a seek.
+    """
+
+    def __init__(self, name: str = "player", **options: Any) -> None:
+        super().__init__(name, PlayerRun, PlayerConfig, **options)
 
 
 def main() -> None:

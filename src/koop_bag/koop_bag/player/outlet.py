@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -20,6 +18,7 @@ from koop_bag.bag.reader import Topic
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.recorder.topics import message_class
+from koop_node.managed import Entities
 
 DEPTH = 1000
 """Messages that a writer keeps at least. Discovery doesn't tell a recorder the depth that was
@@ -37,7 +36,7 @@ class Outlet:
 
     Parameters
     ----------
-    node : rclpy.node.Node
+    entities : Entities
         Owner of the publisher.
     topic : Topic
         Topic of the bag.
@@ -51,7 +50,7 @@ class Outlet:
         installed, or one that is installed in another version than the recorded one.
     """
 
-    def __init__(self, node: Node, topic: Topic, name: str) -> None:
+    def __init__(self, entities: Entities, topic: Topic, name: str) -> None:
         if topic.encoding != "cdr":
             raise BagError(f"{topic.name} is encoded as '{topic.encoding}', not as cdr")
         installed = load_schema(topic.type_name).type_hash
@@ -63,7 +62,7 @@ class Outlet:
             )
         self.topic = topic.name
         self.count = 0
-        self.publisher: Any = node.create_publisher(
+        self.publisher = entities.publisher(
             message_class(topic.type_name), name, qos_profile(recorded_qos(topic))
         )
         self._unacknowledged = 0

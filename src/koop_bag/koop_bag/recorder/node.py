@@ -18,62 +18,54 @@ from koop_bag.errors import BagError, BagWriteError
 from koop_bag.recorder import run_folder
 from koop_bag.recorder.config import COMMON_TOPICS, LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.recorder.parameters import ParameterCollector
-from koop_bag.recorder.topics import RecordedTopic, fetch
+from koop_bag.recorder.topics import RecordedTopic, fetch, polled
 from koop_node.main import run
-from koop_node.managed import ERROR, OK, WARN, ManagedNode
+from koop_node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
 QUIET = 0.05  # [s] without a message after which a run that was stopped has said everything
 PATIENCE = 0.5  # [s] and no longer than this
 
 
-class RecorderNode(ManagedNode):
-    """Records while it is active.
+class RecorderRun(Run):
+    """A recording, from its empty bag to its end."""
 
-    A failing disk ends the recording and this node, with exit code 1; no other node notices.
-    """
-
-    def __init__(self) -> None:
+    def __init__(self, node: RecorderNode, entities: Entities) -> None:
+        config = node.parameters[RecorderConfig]
+        self._node = node
+        self._config = config
         self._topics: dict[str, RecordedTopic] = {}
-        self._writer: BagWriter | None = None
         self._problem = ""
-        super().__init__("recorder", RecorderConfig)
-
-    @property
-    def subscriptions(self) -> Iterator[Any]:
-        """The subscriptions that the executor serves: not those that are polled."""
-        polled = {id(topic.subscription) for topic in self._topics.values()}
-        return (item for item in super().subscriptions if id(item) not in polled)
-
-    # -- lifecycle ----------------------------------------------------------------------------
-
-    def configure(self) -> None:
-        config = self.parameters[RecorderConfig]
         self._recording = False
         self._refused: set[str] = set()
         self._models: dict[str, str] = {}
         self._complete_from: dict[str, int] = {}
-        try:
-            self._folder = run_folder.make_run_folder(config.output)
-            self._versions = run_folder.write_versions(self._folder)
-            self._writer = BagWriter(self._folder / "bag", config.writer_options())
-            self._subscribe_in_advance(config)
-        except BagError as error:
-            raise ValueError(str(error)) from error
-        self._collector = ParameterCollector(self, self.get_namespace())
-        self._events = self.create_subscription(
+        chosen = wanted_topics(config.topics) or LOOP_TOPICS | COMMON_TOPICS
+        self._awaited = {node.resolve_topic_name(name): kind for name, kind in chosen.items()}
+        self._take_all = not config.topics.strip()
+        self._writer: BagWriter | None = None
+        self._collector = ParameterCollector(node, node.get_namespace())
+        entities.on_close(self._release)
+        entities.subscription(
             ParameterEvent,
             "/parameter_events",
             self._on_parameter_event,
             qos_profile_parameter_events,
         )
-        self._tickers = (
-            self.steady_timer(config.poll_period, self._poll),
-            self.steady_timer(LOOK_PERIOD, self._look_around),
-        )
-        self.get_logger().info(f"recording to {self._folder}")
+        entities.timer(config.poll_period, self._poll)
+        entities.timer(LOOK_PERIOD, self._look_around)
+        try:
+            for name, kind in self._awaited.items():
+                if kind:  # before there are publishers: they wait for it with their first message
+                    self._add_topic(name, kind)
+            self._folder = run_folder.make_run_folder(config.output)
+            self._versions = run_folder.write_versions(self._folder)
+            self._writer = BagWriter(self._folder / "bag", config.writer_options())
+        except BagError as error:
+            raise ValueError(str(error)) from error
+        node.get_logger().info(f"recording to {self._folder}")
 
-    def activate(self) -> None:
+    def activate(self, entities: Entities) -> None:
         # What already waits is recorded: publishers begin as soon as the subscriptions exist.
         self._recording = True
 
@@ -83,20 +75,7 @@ class RecorderNode(ManagedNode):
         if self._writer is not None:
             self._guarded(self._writer.flush)
 
-    def cleanup(self) -> None:
-        self._finish_bag()
-        for timer in self._tickers:
-            self.destroy_timer(timer)
-        self._collector.close()
-        self.destroy_subscription(self._events)
-        for topic in self._topics.values():
-            self.destroy_subscription(topic.subscription)
-        self._topics = {}
-
     def close(self) -> None:
-        if self._writer is not None and self.active:
-            self._fetch_the_last()
-        super().close()
         self._finish_bag()
 
     def samples(self) -> int:
@@ -115,27 +94,33 @@ class RecorderNode(ManagedNode):
         total = sum(lost.values())
         return (WARN, f"{total} messages lost", values) if total else (OK, "recording", values)
 
-    # -- topics -------------------------------------------------------------------------------
+    def fetch_the_last(self) -> None:
+        """Go on until nothing comes any more: those who were stopped too are still sending."""
+        begin = last = time.monotonic()
+        count = self.samples()
+        while time.monotonic() - begin < PATIENCE and time.monotonic() - last < QUIET:
+            self._poll()
+            if self.samples() > count:
+                count, last = self.samples(), time.monotonic()
+            time.sleep(0.005)
 
-    def _subscribe_in_advance(self, config: RecorderConfig) -> None:
-        """Subscribe before there are publishers: they wait for it before their first message."""
-        chosen = wanted_topics(config.topics) or LOOP_TOPICS | COMMON_TOPICS
-        self._awaited = {
-            self.resolve_topic_name(name): type_name for name, type_name in chosen.items()
-        }
-        self._take_all = not config.topics.strip()
-        for name, type_name in self._awaited.items():
-            if type_name:
-                self._add_topic(name, type_name)
+    def _release(self) -> None:
+        """Give back what is no entity of the run, whatever of it there is."""
+        self._collector.close()
+        for topic in self._topics.values():
+            self._node.destroy_subscription(topic.subscription)
+        self._topics = {}
+
+    # -- topics -------------------------------------------------------------------------------
 
     def _look_around(self) -> None:
         """Find what is new in the graph: topics, publishers with another QoS, nodes."""
         if self._writer is None:
             return
-        prefix = self.get_namespace().rstrip("/") + "/"
-        for name, types in self.get_topic_names_and_types():
+        prefix = self._node.get_namespace().rstrip("/") + "/"
+        for name, types in self._node.get_topic_names_and_types():
             in_reach = name in self._awaited or (self._take_all and name.startswith(prefix))
-            if name not in self._topics and in_reach and self.count_publishers(name):
+            if name not in self._topics and in_reach and self._node.count_publishers(name):
                 self._awaited.setdefault(name, "")
                 self._try_topic(name, types[0])
         for topic in self._topics.values():
@@ -150,11 +135,12 @@ class RecorderNode(ManagedNode):
         except BagError as error:
             if name not in self._refused:
                 self._refused.add(name)
-                self.get_logger().warning(f"{name} is not recorded: {error}")
+                self._node.get_logger().warning(f"{name} is not recorded: {error}")
 
     def _add_topic(self, name: str, type_name: str) -> None:
-        queue = self.parameters[RecorderConfig].queue
-        self._topics[name] = RecordedTopic(self, name, type_name, queue, self._announce)
+        self._topics[name] = RecordedTopic(
+            self._node, name, type_name, self._config.queue, self._announce
+        )
 
     def _announce(self, topic: RecordedTopic) -> int:
         assert self._writer is not None
@@ -176,16 +162,6 @@ class RecorderNode(ManagedNode):
         self._writer.write_many(fetch(self._topics.values()))
         self._writer.flush_due(time.time_ns())
 
-    def _fetch_the_last(self) -> None:
-        """Go on until nothing comes any more: those who were stopped too are still sending."""
-        begin = last = time.monotonic()
-        count = self.samples()
-        while time.monotonic() - begin < PATIENCE and time.monotonic() - last < QUIET:
-            self._poll()
-            if self.samples() > count:
-                count, last = self.samples(), time.monotonic()
-            time.sleep(0.005)
-
     def _finish_bag(self) -> None:
         if self._writer is None:
             return
@@ -197,7 +173,7 @@ class RecorderNode(ManagedNode):
             self._fail(str(error))
             return
         losses = ", ".join(f"{count} on {name}" for name, count in lost.items() if count)
-        self.get_logger().info(
+        self._node.get_logger().info(
             f"{self.samples()} messages, {writer.bytes_written} bytes in {writer.folder}; "
             f"lost messages: {losses or 'none'}"
         )
@@ -218,9 +194,9 @@ class RecorderNode(ManagedNode):
         counters = self._counters()
         for name, counter in counters.items():
             if counter.first:
-                self.get_logger().warning(f"{name} begins at step {counter.first}, not at 0")
+                self._node.get_logger().warning(f"{name} begins at step {counter.first}, not at 0")
         for name, missing in early_ends({n: c.last for n, c in counters.items()}).items():
-            self.get_logger().warning(f"{name} ends {missing} steps before the loop does")
+            self._node.get_logger().warning(f"{name} ends {missing} steps before the loop does")
 
     def _keep_parameters(self) -> None:
         """Write what is known of the nodes beside the bag and, to outlive a crash, into it."""
@@ -232,7 +208,7 @@ class RecorderNode(ManagedNode):
     def _on_parameter_event(self, event: ParameterEvent) -> None:
         """Keep a model that a node changes to: the one from its first parameters is not enough."""
         names = {p.name: p.value.string_value for p in event.changed_parameters}
-        within = event.node.startswith(self.get_namespace().rstrip("/") + "/")
+        within = event.node.startswith(self._node.get_namespace().rstrip("/") + "/")
         if self._writer is None or not within or not names.get("model"):
             return
         writer, folder = self._writer, self._folder
@@ -264,7 +240,9 @@ class RecorderNode(ManagedNode):
         complete = complete_from({name: c.first for name, c in self._counters().items()})
         for loop, step in complete.items():
             if self._complete_from.get(loop) != step:
-                self.get_logger().info(f"the topics of {loop}/ are complete from step {step} on")
+                self._node.get_logger().info(
+                    f"the topics of {loop}/ are complete from step {step} on"
+                )
         self._complete_from = complete
 
     def _guarded(self, action: Callable[[], None]) -> None:
@@ -280,8 +258,28 @@ class RecorderNode(ManagedNode):
 
     def _fail(self, problem: str) -> None:
         self._problem = problem
-        self.get_logger().error(problem)
-        self.finish(1)
+        self._node.get_logger().error(problem)
+        self._node.finish(1)
+
+
+class RecorderNode(ManagedNode[RecorderRun]):
+    """Records while it is active.
+
+    A failing disk ends the recording and this node, with exit code 1; no other node notices.
+    """
+
+    def __init__(self, name: str = "recorder", **options: Any) -> None:
+        super().__init__(name, RecorderRun, RecorderConfig, **options)
+
+    @property
+    def subscriptions(self) -> Iterator[Any]:
+        """The subscriptions that the executor serves: not those that are polled."""
+        return (item for item in super().subscriptions if item.callback is not polled)
+
+    def close(self) -> None:
+        if self.run is not None and self.active:
+            self.run.fetch_the_last()
+        super().close()
 
 
 def main() -> None:

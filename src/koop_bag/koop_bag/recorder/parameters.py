@@ -46,9 +46,11 @@ class ParameterCollector:
         }
         before = len(self.values)
         if self._own not in self.values:
-            own = self._node.get_parameters_by_prefix("").items()
+            own: Any = self._node.get_parameters_by_prefix("")  # declared as values, are Parameters
             self.values[self._own] = {
-                name: _plain(item.value) for name, item in own if name not in ("output", WAITED_FOR)
+                name: _plain(item.value)
+                for name, item in own.items()
+                if name not in ("output", WAITED_FOR)
             }
         for name in nodes:
             if name.startswith(self._prefix) and name not in self.values | self._asked:

@@ -126,7 +126,7 @@ class RecordedTopic:
         return self._node.create_subscription(
             self._type,
             self.name,
-            _never,
+            polled,
             profile,
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
@@ -187,5 +187,6 @@ def offered_qos(profile: QoSProfile) -> OfferedQos:
     )
 
 
-def _never(message: bytes) -> None:
+def polled(message: bytes) -> None:
+    """Stand in for the callback: a subscription with this one is no executor's business."""
     raise AssertionError("recorded topics are polled, not executed")

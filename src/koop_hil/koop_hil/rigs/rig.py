@@ -60,6 +60,7 @@ class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
 class MeasuredState(IdlStruct, typename="koop_msgs.msg.dds_.MeasuredState_"):
     header: Header
     step: uint64
+    lockstep: bool  # a rig waits for nobody: False
     x: sequence[float64]
 
 
@@ -136,7 +137,8 @@ def main() -> int:
     qos = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(1000))
     states = DataWriter(participant, Topic(participant, "rt/" + args.state, MeasuredState), qos)
     ground_truths = DataWriter(participant, Topic(participant, "rt/ground_truth", PlantTruth), qos)
-    thetas = DataReader(participant, Topic(participant, "rt/" + args.theta, ControlInput), qos)
+    newest = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(1))
+    thetas = DataReader(participant, Topic(participant, "rt/" + args.theta, ControlInput), newest)
     while len(states.get_matched_subscriptions()) < args.readers and not stop:
         time.sleep(0.02)
     print("connected", flush=True)
@@ -158,7 +160,7 @@ def main() -> int:
         # the rig's own clock: its start is real time, its seconds are a little too long
         stamp = round((wall + t) * 1e9)
         header = Header(Time(stamp // 10**9, stamp % 10**9), "rig")
-        states.write(MeasuredState(header, k, measure(rig, t, state, rng)))
+        states.write(MeasuredState(header, k, False, measure(rig, t, state, rng)))
         ground_truths.write(PlantTruth(header, k, list(state), actuator.theta, math.nan))
         for sample in thetas.take(N=100):
             if isinstance(sample, ControlInput) and math.isfinite(sample.theta):

@@ -27,7 +27,7 @@ def main(rate: float, seconds: float) -> None:
 
     from koop_bag.recorder.topics import message_class
     from koop_node.main import set_dds_profile
-    from koop_node.managed import RELIABLE
+    from koop_node.qos import RELIABLE
 
     set_dds_profile()
     rclpy.init()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from koop_lab.replay.plan import Plan
 from koop_lab.replay.recording import Recording
-from koop_node.stream import LATE, NEXT, RESTART, RESUME, StreamMonitor
+from koop_node.stream import Arrival, StreamMonitor
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
 from koopman_lifter.model import load
@@ -69,7 +69,7 @@ def replay_kernel(
         Whether the first cost is of another quantity than the one before.
     heard, heard_cost : ndarray, shape (M,)
         What the lifter's StreamMonitor says about each state, and the controller's about its cost;
-        LATE for a state that newer ones had overtaken.
+        Arrival.LATE for a state that newer ones had overtaken.
     x : ndarray, shape (M, n)
         Measured states; one that is not finite has no cost.
     hold : ndarray, shape (M,)
@@ -85,17 +85,17 @@ def replay_kernel(
     detector, relay_state, last = state.detector, state.relay, state.theta
     z = np.empty(lifting.parent.shape[0])
     for k in range(heard.shape[0]):
-        if heard[k] == LATE:
+        if heard[k] == Arrival.LATE:
             r[k] = theta[k] = np.nan
             continue
-        if heard[k] == RESTART:
+        if heard[k] == Arrival.RESTART:
             detector = fresh
-        elif heard[k] == RESUME:
+        elif heard[k] == Arrival.RESUME:
             detector = cost.resume(detector)
         r[k], _, detector = cost.step(source, lifting, detector_params, detector, x[k], z)
         if np.isnan(r[k]):
             detector = cost.resume(detector)
-        from_nothing = anew or heard_cost[k] != NEXT
+        from_nothing = anew or heard_cost[k] != Arrival.NEXT
         relay_state, _ = relay.respond(esc, relay_state, r[k], from_nothing, hold[k])
         anew = False
         last = relay.slew(last, relay_state.theta, largest_change)
@@ -131,8 +131,10 @@ def replay_offline(
         anew, origin = origin != (lifter.source, model.model_id), (lifter.source, model.model_id)
         states.timeout, costs.timeout = lifter.state_timeout, esc.cost_timeout
         heard = listen(states, recording.step[part])
-        heard_cost = np.full_like(heard, LATE)
-        heard_cost[heard != LATE] = listen(costs, recording.step[part][heard != LATE])
+        heard_cost = np.full_like(heard, Arrival.LATE)
+        heard_cost[heard != Arrival.LATE] = listen(
+            costs, recording.step[part][heard != Arrival.LATE]
+        )
         state = replay_kernel(
             lifter.source,
             model.lifting(),
@@ -154,4 +156,4 @@ def replay_offline(
 
 def listen(monitor: StreamMonitor, step: NDArray[np.int64]) -> NDArray[np.int8]:
     """Return what a monitor says about messages."""
-    return np.array([monitor.take(number, 0.0, 0.0) for number in step.tolist()], np.int8)
+    return np.array([monitor.classify(number, 0.0, 0.0) for number in step.tolist()], np.int8)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from koop_bag.bag.columns import Columns, read_columns, read_tables
 from koop_bag.bag.reader import BagReader
 from koop_lab.replay.settings import Change, first_values, recorded_changes, recorded_values
-from koop_node.stream import LATE, NEXT, REPEAT, RESTART, StreamMonitor
+from koop_node.stream import Arrival, StreamMonitor
 from koopman_lifter.config import SOURCES
 
 STATE_TYPE = "koop_msgs/msg/MeasuredState"
@@ -139,13 +139,13 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         state = _Messages(tables[topic])
         cost = _Messages(tables.get(f"{base}/cost"))
         theta = _Messages(tables.get(f"{base}/theta"))
-        rows = state.kind != REPEAT
+        rows = state.kind != Arrival.REPEAT
         # A state without a cost was not seen by the lifter: its filters know nothing of it.
-        lacking = rows & (state.kind != LATE) & ~cost.hold(state.key)
+        lacking = rows & (state.kind != Arrival.LATE) & ~cost.hold(state.key)
         if cost.key.size:
             rows &= ~lacking
         message = np.flatnonzero(rows)
-        late = state.kind[message] == LATE
+        late = state.kind[message] == Arrival.LATE
         key = np.where(late, -1, state.key[message])  # no key: no answer
         values = recorded_values(bag, path, namespace)
         r, model = cost.at(key, "r", np.nan), cost.at(key, "model_id", "").astype(np.str_)
@@ -177,7 +177,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         values,
         changes,
         unknown,
-        int(np.count_nonzero(state.kind == REPEAT)),
+        int(np.count_nonzero(state.kind == Arrival.REPEAT)),
         int(np.count_nonzero(lacking)) if cost.key.size else 0,
     )
 
@@ -197,7 +197,7 @@ class _Messages:
         self._columns = columns or {"step": np.empty(0, np.int64)}
         self.step = self._columns["step"].astype(np.int64)
         self.kind, self.key = keys(self.step)
-        heard = np.flatnonzero((self.kind != REPEAT) & (self.kind != LATE))
+        heard = np.flatnonzero((self.kind != Arrival.REPEAT) & (self.kind != Arrival.LATE))
         self._heard = heard[np.argsort(self.key[heard], kind="stable")]
         self._sorted = self.key[self._heard]
 
@@ -224,9 +224,9 @@ def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
     """
     if step.size and not 0 <= step.min() <= step.max() < MAX_STEP:
         raise ValueError("a step is no count of steps: the recording is damaged")
-    kinds = np.full(step.size, NEXT, np.int8)
-    kinds[:1] = RESTART
+    kinds = np.full(step.size, Arrival.NEXT, np.int8)
+    kinds[:1] = Arrival.RESTART
     if (np.diff(step) <= 0).any():
         monitor = StreamMonitor("", 0.0, 0.0)
-        kinds[:] = [monitor.take(number, 0.0, 0.0) for number in step.tolist()]
-    return kinds, np.cumsum(kinds == RESTART) * MAX_STEP + step
+        kinds[:] = [monitor.classify(number, 0.0, 0.0) for number in step.tolist()]
+    return kinds, np.cumsum(kinds == Arrival.RESTART) * MAX_STEP + step

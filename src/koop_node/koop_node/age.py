@@ -1,0 +1,54 @@
+"""How old a message is on arrival, whatever the clock of the host that wrote it. Pure: no ROS.
+
+The time from writing to arrival, on two clocks, is the message's age plus the unknown difference of
+the clocks. The smallest such delay of late stands for no age at all; what is above it is the age.
+
+A clock that is set back, or drifts, must not make all messages old for ever. So the smallest delay
+may rise, but only to what two periods of unbroken arrivals agree on. Kept messages that arrive
+after a cut do not look like that: their delays fall while they drain, or there are gaps.
+"""
+
+from __future__ import annotations
+
+import math
+
+PERIOD = 10.0  # [s]
+FALL = 0.1  # [s] from one period to the next: the link is draining what it kept
+GAP = 1.0  # [s] between two arrivals, from which on the periods start over
+
+
+class AgeMeter:
+    """Tells the age of the messages of one writer."""
+
+    def __init__(self) -> None:
+        self._best = self._low = self._low_before = math.inf
+        self._end = -math.inf
+        self._last = math.nan
+
+    def reset(self) -> None:
+        """Forget the clock: another writer follows."""
+        self._best = self._low = self._low_before = math.inf
+
+    def age(self, written: float, now: float) -> float:
+        """Return the age of a message [s].
+
+        Parameters
+        ----------
+        written : float
+            When it was written, on its writer's clock [s].
+        now : float
+            Steady time of its arrival [s].
+        """
+        delay = now - written
+        if now - self._last > GAP:
+            self._low = self._low_before = math.inf
+            self._end = now + PERIOD
+        elif now >= self._end:
+            if self._low > self._low_before - FALL:
+                self._best = min(self._low, self._low_before)
+            self._low_before, self._low = self._low, math.inf
+            self._end = now + PERIOD
+        self._last = now
+        self._low = min(self._low, delay)
+        self._best = min(self._best, delay)
+        return delay - self._best

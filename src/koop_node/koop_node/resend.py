@@ -1,0 +1,65 @@
+"""Asks, waits, asks again, gives up. Pure: no ROS, and time is an argument."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Due(Enum):
+    """What is to be done about a question."""
+
+    WAIT = "wait"
+    AGAIN = "ask again"
+    GIVE_UP = "give up"
+
+
+class Resend:
+    """One question at a time.
+
+    Parameters
+    ----------
+    timeout : float
+        How long an answer may take before it is asked for again [s]; 0: for ever.
+    resends : int
+        How often it is asked for again before giving up.
+
+    Attributes
+    ----------
+    resent : int
+        How often the open question was asked again; 0 if none is open.
+    """
+
+    def __init__(self, timeout: float, resends: int) -> None:
+        self.timeout = timeout
+        self.resends = resends
+        self.resent = 0
+        self._since: float | None = None
+
+    @property
+    def open(self) -> bool:
+        """Whether an answer is expected."""
+        return self._since is not None
+
+    @property
+    def overdue(self) -> bool:
+        """Whether the open question was asked again."""
+        return self.resent > 0
+
+    def ask(self, now: float) -> None:
+        """Expect an answer to a question that went out."""
+        self._since, self.resent = now, 0
+
+    def close(self) -> bool:
+        """Expect no answer any more; return whether the question was overdue."""
+        overdue, self.resent, self._since = self.overdue, 0, None
+        return overdue
+
+    def check(self, now: float) -> Due:
+        """Return what is due; AGAIN counts as asked, and the waiting starts over."""
+        if self._since is None or self.timeout == 0.0 or now - self._since < self.timeout:
+            return Due.WAIT
+        if self.resent == self.resends:
+            return Due.GIVE_UP
+        self.resent += 1
+        self._since = now
+        return Due.AGAIN

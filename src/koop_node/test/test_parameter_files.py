@@ -1,0 +1,52 @@
+"""Which parameters of a file are for all nodes, and which were meant for one."""
+
+import pytest
+
+from koop_node.config import ConfigError
+from koop_node.parameter_files import shared_names
+
+
+@pytest.fixture
+def file(tmp_path):
+    def write(text, name="params.yaml"):
+        (tmp_path / name).write_text(text)
+        return ["--ros-args", "--params-file", str(tmp_path / name)]
+
+    return write
+
+
+@pytest.mark.parametrize("section", ["/**", "/*", "/rig/**", "/rig: {'**'"])
+def test_what_stands_under_a_wildcard_only_is_shared(file, section):
+    end = "}" if "{" in section else ""
+    args = file(f"{section}: {{ros__parameters: {{robot_description: x, a: {{b: 1}}}}}}{end}")
+    assert shared_names(args) == {"robot_description", "a.b"}
+
+
+@pytest.mark.parametrize("section", ["relay_esc", "/relay_esc", "/rig/relay_esc", "/**/relay_esc"])
+def test_what_is_given_to_a_node_by_its_name_is_not(file, section):
+    args = file(f"/**: {{ros__parameters: {{dampening: 1.0}}}}\n{section}: {{ros__parameters: "
+                "{dampening: 2.0}}")  # fmt: skip
+    assert shared_names(args) == set()
+
+
+def test_what_is_given_on_the_command_line_is_meant_for_the_node(file):
+    args = file("/**: {ros__parameters: {x: 1, y: 2, z: 3}}")
+    assert shared_names([*args, "-p", "x:=2", "--param", "relay_esc:y:=2"]) == {"z"}
+    assert shared_names([*args[1:]]) == set()  # not within --ros-args
+    assert shared_names([*args[:1], "--", *args[1:]]) == set()
+
+
+@pytest.mark.parametrize("text", ["[", "3", "a: 1", "/**: {ros__parameters: 3}", "\x00"])
+def test_a_file_that_means_nothing_shares_nothing(file, text):
+    assert shared_names(file(text)) == set()
+    assert shared_names(["--ros-args", "--params-file", "/nowhere"]) == set()
+    assert shared_names(["--ros-args", "--params-file"]) == set()
+
+
+def test_unknown_names_are_refused_unless_shared(file):
+    from koop_node.parameters import unknown_names
+
+    args = file("/**: {ros__parameters: {robot_description: x}}")
+    assert unknown_names(["dwell", "robot_description"], {"dwell"}, args) == ["robot_description"]
+    with pytest.raises(ConfigError, match="unknown parameter dampening; this node has: dwell"):
+        unknown_names(["dampening", "robot_description"], {"dwell"}, args)

@@ -1,0 +1,30 @@
+"""ROS node of the plant: ``theta`` in, ``state`` and ``ground_truth`` out, at three paces."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from koop_node.main import run
+from koop_node.managed import Entities, ManagedNode
+from vdp_plant.config import PaceConfig, PlantConfig
+from vdp_plant.node.base import PlantRun
+from vdp_plant.node.lockstep import LockstepRun
+from vdp_plant.node.timed import TimedRun
+
+
+class PlantNode(ManagedNode[PlantRun]):
+    """Simulates the plant step by step and publishes its corrupted state."""
+
+    def __init__(self, name: str = "vdp_plant", **options: Any) -> None:
+        super().__init__(name, _make_run, PlantConfig, PaceConfig, **options)
+
+
+def _make_run(node: PlantNode, entities: Entities) -> PlantRun:
+    lockstep = node.parameters[PaceConfig].pace == "lockstep"
+    return LockstepRun(node) if lockstep else TimedRun(node)
+
+
+def main() -> None:
+    """Run the node until it is told to stop."""
+    sys.exit(run(PlantNode))

@@ -1,0 +1,187 @@
+"""A plant step by step: what the paces share."""
+
+from __future__ import annotations
+
+import math
+import time
+from array import array
+from collections.abc import Mapping
+
+from builtin_interfaces.msg import Time
+from koop_msgs.msg import ControlInput, MeasuredState, PlantTruth
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Header
+
+from koop_node.config import NodeConfig
+from koop_node.managed import OK, Entities, ManagedNode, Run
+from koop_node.qos import RELIABLE
+from koop_node.stamps import to_seconds, to_stamp
+from koop_node.stream import Arrival, StreamMonitor
+from vdp_plant import dynamics
+from vdp_plant.config import PaceConfig, PlantConfig
+from vdp_plant.pacing import SentStates
+
+
+class Outlets:
+    """What an active plant publishes on."""
+
+    def __init__(self, entities: Entities, publish_clock: bool) -> None:
+        self.state = entities.publisher(MeasuredState, "state", RELIABLE)
+        self.ground_truth = entities.publisher(PlantTruth, "ground_truth", RELIABLE)
+        self.clock: Publisher | None = (
+            entities.publisher(Clock, "/clock", RELIABLE) if publish_clock else None
+        )
+
+
+class PlantRun(Run):
+    """A plant from its first step on; the pace is the subclass's."""
+
+    theta_qos = RELIABLE
+    theta_ages = False
+    """Whether a theta is refused that answers a state older than ``theta_timeout``."""
+
+    def __init__(self, node: ManagedNode[PlantRun]) -> None:
+        config, pace = node.parameters[PlantConfig], node.parameters[PaceConfig]
+        self._node = node
+        self._params = config.params()
+        self._k = 0
+        self._steps = round(pace.duration / config.dt) if pace.duration > 0.0 else math.inf
+        self._theta = self._theta_applied = config.theta_initial
+        x, y = config.initial_state or dynamics.initial_state(config.seed)
+        self._x, self._y = float(x), float(y)
+        self._simulated_stamp = pace.pace != "realtime"
+        self._input = StreamMonitor("theta", pace.theta_timeout, config.dt)
+        self.inputs = (self._input,)
+        self._sent = SentStates(pace.period(config.dt))
+        self._round_trip = math.nan
+        self.late = 0
+        self._state_message, self._ground_truth_message = MeasuredState(), PlantTruth()
+        self._outlets: Outlets | None = None
+        """There while the node is active."""
+        self._connected = False
+        self._compile()
+
+    def activate(self, entities: Entities) -> None:
+        outlets = Outlets(entities, self._node.parameters[PaceConfig].publish_clock)
+        recorders = self._node.parameters[NodeConfig].recorders
+        needed = {outlets.state: 1 + recorders, outlets.ground_truth: recorders}
+
+        def start() -> None:
+            self._connected = True
+            self._input.watch_from(time.monotonic())
+            self.start(entities)
+
+        self._outlets = outlets
+        entities.subscription(ControlInput, "theta", self.on_theta, self.theta_qos)
+        entities.when_matched(needed, start)
+
+    def deactivate(self) -> None:
+        self._outlets, self._connected = None, False
+
+    def start(self, entities: Entities) -> None:
+        """Begin, or go on after a pause: all who listen are there."""
+        raise NotImplementedError
+
+    def on_theta(self, message: ControlInput) -> None:
+        """Take a control input."""
+        raise NotImplementedError
+
+    def condition(self) -> tuple[int, str, Mapping[str, object]]:
+        """Return level, message and values of this pace for /diagnostics."""
+        raise NotImplementedError
+
+    def parameters_changed(self, names: set[str]) -> None:
+        self._params = self._node.parameters[PlantConfig].params()
+        self._input.timeout = self._node.parameters[PaceConfig].theta_timeout
+
+    def samples(self) -> int:
+        return self._k
+
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
+        if not self._connected:
+            return OK, "waiting for the loop to connect" if self._node.active else "", {}
+        level, text, values = self.condition()
+        return level, text, {
+            "step": self._k,
+            "theta": self._theta,
+            "theta_applied": self._theta_applied,
+            "round_trip_ms": f"{self._round_trip * 1e3:.2f}",
+            **values,
+        }  # fmt: skip
+
+    def _publish(self) -> None:
+        """Publish x'(t_k) first, for the loop waits for it, then what is only looked at."""
+        k, params, outlets = self._k, self._params, self._outlets
+        x, y = self._x, self._y
+        if outlets is None:
+            return
+        if not (math.isfinite(x) and math.isfinite(y)):
+            self._node.get_logger().error(
+                f"the plant diverged at step {k}: use the rk4 integrator or a smaller dt"
+            )
+            self._node.finish(1)
+            return
+        header = Header(stamp=self._stamp(k))
+        state = self._state_message
+        state.header = header
+        state.step = k
+        state.x = array("d", dynamics.measure(params, k, x, y))
+        self._sent.send(k, time.monotonic())
+        outlets.state.publish(state)
+        ground_truth = self._ground_truth_message
+        ground_truth.header = header
+        ground_truth.step = k
+        ground_truth.x = array("d", (x, y))
+        ground_truth.theta_applied = self._theta_applied
+        ground_truth.epsilon0 = dynamics.damping(params, k * params.dt)
+        outlets.ground_truth.publish(ground_truth)
+        if outlets.clock is not None:
+            outlets.clock.publish(Clock(clock=to_stamp(round(k * params.dt * 1e9))))
+
+    def _advance(self, theta: float) -> None:
+        theta = dynamics.actuate(self._params, self._theta_applied, theta)
+        self._x, self._y = dynamics.step(self._params, self._k, self._x, self._y, theta)
+        self._theta_applied = theta
+        self._k += 1
+        if self._k >= self._steps:
+            self._end()
+
+    def _stamp(self, k: int) -> Time:
+        if self._simulated_stamp:
+            return to_stamp(round(k * self._params.dt * 1e9))
+        now: Time = self._node.get_clock().now().to_msg()
+        return now
+
+    def _end(self) -> None:
+        assert self._outlets is not None
+        for publisher in (self._outlets.state, self._outlets.ground_truth):
+            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        self._node.get_logger().info(f"done: {self._k} steps, {self.late} late ticks")
+        self._node.finish(0)
+
+    def _usable(self, message: ControlInput) -> bool:
+        """Return whether a theta may be applied."""
+        step, now = message.step, time.monotonic()
+        if not math.isfinite(message.theta):
+            self._input.reject(f"step {step}: theta = {message.theta}")
+            return False
+        age = self._sent.age(step, now)
+        if math.isnan(age):
+            self._input.reject(f"step {step}: this run has published no such state")
+            return False
+        if self.theta_ages and 0.0 < self._input.timeout < age:
+            self._input.reject_old()
+            return False
+        if self._input.classify(step, to_seconds(message.header.stamp), now) == Arrival.LATE:
+            return False
+        self._round_trip = age
+        return True
+
+    def _compile(self) -> None:
+        """Compile the kernels before the first step."""
+        theta = dynamics.actuate(self._params, self._theta, self._theta)
+        x, y = dynamics.step(self._params, 0, self._x, self._y, theta)
+        dynamics.measure(self._params, 0, x, y)
+        dynamics.damping(self._params, 0.0)

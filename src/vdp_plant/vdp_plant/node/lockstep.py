@@ -1,0 +1,100 @@
+"""The plant in lockstep."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from koop_msgs.msg import ControlInput, Cost
+
+from koop_node.managed import ERROR, OK, Entities, ManagedNode
+from koop_node.qos import RELIABLE
+from koop_node.resend import Due, Resend
+from vdp_plant.config import RESENDS, PaceConfig
+from vdp_plant.node.base import PlantRun
+from vdp_plant.pacing import silent_node
+
+CHECK_PERIOD = 0.05  # [s] between looks whether an answer is overdue
+
+
+class LockstepRun(PlantRun):
+    """Pace lockstep: every step waits for its theta, and asks for it again."""
+
+    def __init__(self, node: ManagedNode[PlantRun]) -> None:
+        super().__init__(node)
+        self._state_message.lockstep = True
+        self._question = Resend(node.parameters[PaceConfig].theta_timeout, RESENDS)
+        self._cost_seen: int | None = None
+        self._probe: Entities | None = None
+
+    def start(self, entities: Entities) -> None:
+        entities.timer(CHECK_PERIOD, self._check_answer)
+        if self._question.open:  # activated again: ask for the theta that is still missing
+            self._send_again()
+            self._question.ask(time.monotonic())
+        else:
+            self._ask()
+
+    def deactivate(self) -> None:
+        super().deactivate()
+        self._end_probe()
+
+    def parameters_changed(self, names: set[str]) -> None:
+        super().parameters_changed(names)
+        self._question.timeout = self._node.parameters[PaceConfig].theta_timeout
+
+    def condition(self) -> tuple[int, str, Mapping[str, object]]:
+        if self._question.overdue:
+            return ERROR, self._silent_node(), {"command": "overdue"}
+        return OK, "running", {"command": "ok"}
+
+    def _ask(self) -> None:
+        self._publish()
+        self._question.ask(time.monotonic())
+
+    def _send_again(self) -> None:
+        if self._outlets is not None:
+            self._sent.send(self._k, time.monotonic())
+            self._outlets.state.publish(self._state_message)
+
+    def on_theta(self, message: ControlInput) -> None:
+        if message.step != self._k or not self._question.open or not self._usable(message):
+            return
+        self._theta = message.theta
+        if self._question.close():
+            self._end_probe()
+            self._node.get_logger().info(f"theta for step {self._k} was received late")
+        self._advance(self._theta)
+        if self._node.exit_code is None:
+            self._ask()
+
+    def _check_answer(self) -> None:
+        due = self._question.check(time.monotonic())
+        if due is Due.WAIT or self._node.exit_code is not None:
+            return
+        what = f"no theta for step {self._k}"
+        if due is Due.GIVE_UP:
+            self._node.get_logger().error(f"{what}: {self._silent_node()}")
+            self._node.finish(1)
+            return
+        if self._probe is None:
+            self._probe = Entities(self._node)
+            self._probe.subscription(Cost, "cost", self._on_cost, RELIABLE)
+        question = self._question
+        self._node.get_logger().warning(
+            f"{what} in {question.timeout:g} s: sending the state again "
+            f"({question.resent} of {question.resends})"
+        )
+        self._send_again()
+
+    def _on_cost(self, cost: Cost) -> None:
+        self._cost_seen = cost.step
+
+    def _end_probe(self) -> None:
+        if self._probe is not None:
+            self._probe.close()
+            self._probe = None
+
+    def _silent_node(self) -> str:
+        listeners = self._outlets.state.get_subscription_count() if self._outlets else 0
+        return silent_node(self._k, self._cost_seen, listeners)

@@ -1,0 +1,62 @@
+"""The plant at the paces realtime and scaled."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from koop_msgs.msg import ControlInput
+from rclpy.timer import Timer
+
+from koop_node.managed import OK, WARN, Entities, ManagedNode
+from koop_node.qos import NEWEST
+from vdp_plant.config import PaceConfig
+from vdp_plant.node.base import PlantRun
+from vdp_plant.pacing import Ticks
+
+LATE_SHARE = 0.02  # of all ticks that may be late without a word; a busy machine has some
+
+
+class TimedRun(PlantRun):
+    """Paces realtime and scaled: a timer, the latest theta acts."""
+
+    theta_qos = NEWEST
+    theta_ages = True
+
+    def __init__(self, node: ManagedNode[PlantRun]) -> None:
+        super().__init__(node)
+        self._period = node.parameters[PaceConfig].period(self._params.dt)
+        self._ticks = Ticks(self._period)
+        self._late_before = self._k_before = 0
+        self._timer: Timer | None = None
+        self._command = "waiting"
+
+    def start(self, entities: Entities) -> None:
+        self._ticks.start(time.monotonic())
+        self._timer = entities.timer(self._period, self._tick)
+
+    def condition(self) -> tuple[int, str, Mapping[str, object]]:
+        late, self._late_before = self.late - self._late_before, self.late
+        ticks, self._k_before = self._k - self._k_before, self._k
+        values = {"late_ticks": self.late, "command": self._command}
+        if self._command == "safe":
+            safe = self._node.parameters[PaceConfig].theta_safe
+            return WARN, f"theta_safe = {safe:g} acts", values
+        if late > LATE_SHARE * ticks:
+            return WARN, f"{late} late ticks", values
+        return OK, "running", values
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        self.late += self._ticks.tick(now)
+        self._publish()
+        theta, self._command = self._node.parameters[PaceConfig].command(
+            self._theta, self._input.age(now)
+        )
+        self._advance(theta)
+        if self._node.exit_code is not None and self._timer is not None:
+            self._timer.cancel()
+
+    def on_theta(self, message: ControlInput) -> None:
+        if self._usable(message):
+            self._theta = message.theta

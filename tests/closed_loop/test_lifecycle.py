@@ -1,0 +1,101 @@
+"""The nodes as a lifecycle manager meets them."""
+
+import itertools
+
+from diagnostic_msgs.msg import DiagnosticArray
+from koop_msgs.msg import ControlInput, Cost, MeasuredState
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
+
+from koopman_lifter.config import shipped_model
+
+CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP = (
+    Transition.TRANSITION_CONFIGURE,
+    Transition.TRANSITION_ACTIVATE,
+    Transition.TRANSITION_DEACTIVATE,
+    Transition.TRANSITION_CLEANUP,
+)
+
+
+def change(probe, node, *transitions):
+    """Ask for transitions; return whether all succeeded."""
+    requests = [ChangeState.Request(transition=Transition(id=number)) for number in transitions]
+    return all([probe.call(ChangeState, f"/{node}/change_state", r).success for r in requests])
+
+
+def state_of(probe, node):
+    return probe.call(GetState, f"/{node}/get_state", GetState.Request()).current_state.label
+
+
+def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, probe):
+    """Both are there all the time; theta says by its value whose it is."""
+    thetas, reports = (
+        probe.collect(ControlInput, "theta"),
+        probe.collect(DiagnosticArray, "/diagnostics"),
+    )
+    numbers = probe.collect(Float64, "/rig/theta")
+    probe.node.create_subscription(Float64, "/other/theta", lambda message: None, 10)
+    start("vdp_plant")
+    start("koopman_lifter")
+    start("relay_esc", step_size=0.0, theta_initial=1.0, command_topic="/rig/theta")
+    start("relay_esc", "-r", "__node:=second", autostart="false", step_size=0.0, theta_initial=2.0,
+          command_topic="/other/theta")  # fmt: skip
+    assert change(probe, "second", CONFIGURE)
+    publishers = set()
+
+    def from_now_on(theta, count=100):
+        """Wait until so many more thetas have come; all of them are of this controller."""
+        begin = len(thetas)
+
+        def enough():
+            publishers.add(probe.node.count_publishers("theta"))
+            return len(thetas) >= begin + count
+
+        probe.spin_until(enough, f"theta = {theta}")
+        assert {message.theta for message in thetas[begin:]} == {theta}
+
+    probe.spin_until(lambda: thetas, "the loop")
+    from_now_on(1.0)
+    assert probe.call(SetBool, "/relay_esc/hold", SetBool.Request(data=True)).success
+    probe.spin_until(lambda: thetas[-1].holding, "a held theta")
+    from_now_on(1.0)  # held is not silent
+    assert all(message.holding for message in thetas[-100:])
+
+    for active, standby, theta in (("relay_esc", "second", 2.0), ("second", "relay_esc", 1.0)):
+        assert change(probe, active, DEACTIVATE)
+        assert state_of(probe, active) == "inactive"
+        told, silence = len(numbers), len(reports)
+        begin = len(thetas)
+        probe.spin_until(lambda n=silence: len(reports) > n + 6, "two seconds of reports")
+        assert {m.theta for m in thetas[begin:]} <= set()
+        assert len(numbers) == told
+        assert change(probe, standby, ACTIVATE)
+        probe.spin_until(lambda n=begin: len(thetas) > n, f"{standby} to take over")
+        from_now_on(theta)
+    assert publishers == {1}
+    values = [message.theta for message in thetas]
+    assert [theta for theta, _ in itertools.groupby(values)] == [1.0, 2.0, 1.0]
+    texts = {status.message for array in reports for status in array.status}
+    assert not [text for text in texts if "publishers" in text]
+
+
+def test_a_configure_that_fails_leaves_nothing_and_the_next_one_works(start, probe, tmp_path):
+    missing = tmp_path / "model.npz"
+    start("koopman_lifter", autostart="false", model=missing)
+    assert not change(probe, "koopman_lifter", CONFIGURE)
+    assert state_of(probe, "koopman_lifter") == "unconfigured"
+    missing.write_bytes(shipped_model().read_bytes())
+    for _ in range(2):  # and again after a clean-up
+        assert change(probe, "koopman_lifter", CONFIGURE, ACTIVATE)
+        assert state_of(probe, "koopman_lifter") == "active"
+        costs = probe.collect(Cost, "cost")
+        states = probe.publisher(MeasuredState, "state")
+        states.publish(MeasuredState(step=0, x=[1.0, 2.0]))
+        probe.spin_until(lambda costs=costs: costs, "the cost")
+        assert probe.node.count_publishers("cost") == 1
+        assert change(probe, "koopman_lifter", DEACTIVATE, CLEANUP)
+        assert state_of(probe, "koopman_lifter") == "unconfigured"
+        probe.spin_until(lambda: not probe.node.count_publishers("cost"), "the cost to go")
+        probe.node.destroy_publisher(states)
