@@ -217,14 +217,16 @@ class Monitor:
         """Answer every ``state`` with ``theta(step)``, in the place of a controller."""
         from koop_msgs.msg import ControlInput, MeasuredState
 
-        publisher = self._node.create_publisher(ControlInput, "theta", 100)
+        from koop_node.qos import RELIABLE
+
+        publisher = self._node.create_publisher(ControlInput, "theta", RELIABLE)
 
         def answer(state: MeasuredState) -> None:
             publisher.publish(
                 ControlInput(header=state.header, step=state.step, theta=theta(state.step))
             )
 
-        self._node.create_subscription(MeasuredState, "state", answer, 5000)
+        self._node.create_subscription(MeasuredState, "state", answer, RELIABLE)
 
     def close(self) -> None:
         """Leave the DDS domain."""
