@@ -24,6 +24,8 @@ from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.player.config import PlayerConfig
+from koop_bag.recorder.config import RecorderConfig
+from koop_node.config import ConfigError
 
 
 @pytest.fixture
@@ -333,6 +335,19 @@ def test_every_parameter_of_the_player_is_an_option_and_reaches_it(koop, monkeyp
     assert calls[1][-2:] == ["-r", "__ns:=/rig"]
     assert "topics:='state imu:sensor_msgs/msg/Imu'" in calls[1]
     assert PlayerConfig(bag="b'ag", pace="scaled", rate=2.0).speed == 2.0
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"compression": "lzma"}, "compression"),
+        ({"topics": "state a:b"}, "'a:b' is neither a name nor name:pkg/msg/Type"),
+        ({"poll_period": 0.0}, "poll_period"),
+    ],
+)
+def test_settings_of_the_recorder_that_cannot_be_are_refused(given, said):
+    with pytest.raises(ConfigError, match=said):
+        RecorderConfig(**given)
 
 
 @pytest.mark.ros

@@ -2,11 +2,9 @@
 
 import resource
 import struct
-import subprocess
-import sys
 import zlib
 from collections import Counter
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -25,7 +23,7 @@ from koop_bag.bag.metadata import OfferedQos
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
-from koop_bag.errors import BagError, BagWriteError
+from koop_bag.errors import BagError, BagWriteError, DiskFullError
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -256,35 +254,26 @@ def test_wrong_options_and_a_closed_bag_are_refused(write_loop, tmp_path):
         writer.write(1, 0, 0, b"")
 
 
-FILL = """
-import resource, signal, sys
-from koop_bag.errors import DiskFullError
-from koop_bag.cdr.schema import load_schema
-from koop_bag.bag.writer import BagWriter, WriterOptions
-limit = int(sys.argv[2])
-resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-writer = BagWriter(sys.argv[1], WriterOptions(compression="none"))
-channel = writer.add_topic("/blob", load_schema("std_msgs/msg/UInt8MultiArray"))
-count = 0
-try:
-    for k in range(100_000):
-        writer.write(channel, 1_000_000_000 + k, k, k.to_bytes(4, "little") * 25)
-except DiskFullError as error:
-    print(writer.topics[0].count, error)
-    assert writer.closed
-    writer.close()
-else:
-    sys.exit("no error")
-"""
+@contextmanager
+def file_limit(size):
+    """Let no file of this process grow beyond a size: to a writer, a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def fill(folder, limit):
     """Write until the limit is met; return how many messages were accepted, and the error."""
-    command = [sys.executable, "-c", FILL, folder, str(limit)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    count, _, message = done.stdout.partition(" ")
-    return int(count), message
+    with BagWriter(folder, WriterOptions(compression="none")) as writer:
+        channel = writer.add_topic("/blob", load_schema("std_msgs/msg/UInt8MultiArray"))
+        rows = ((10**9 + k, channel, k, k.to_bytes(4, "little") * 25) for k in range(100_000))
+        with file_limit(limit), pytest.raises(DiskFullError) as caught:
+            writer.write_many(rows)
+        assert writer.closed
+    return writer.topics[0].count, str(caught.value)
 
 
 @pytest.mark.parametrize("limit", [100_000, 200_000, 300_000, 999_983])
@@ -308,10 +297,6 @@ def test_a_full_disk_leaves_a_bag_for_every_reader_if_the_summary_finds_room(tmp
         assert reader.message_count == sum(1 for _ in reader.messages()) == count
     with open(folder / "run_0.mcap", "rb") as stream:
         list(StreamReader(stream, validate_crcs=True).records)
-
-
-def test_the_file_size_limit_of_this_process_is_untouched():
-    assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
 
 
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path):
