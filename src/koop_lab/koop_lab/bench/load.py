@@ -1,7 +1,8 @@
 """A publisher of the loop's four topics at any rate, for measuring recorders.
 
-Run as ``python -m koop_lab.bench.load RATE SECONDS``; prints a line of JSON a second
-and at its end.
+Run as ``python -m koop_lab.bench.load RATE SECONDS [FAREWELL]``; prints a line of JSON ten times a
+second, when all is sent, and at its end: at the latest FAREWELL seconds later, whoever still lacks
+something.
 The messages are serialized in advance, their values random, so that compression has nothing to
 find that a real run would not have.
 """
@@ -20,7 +21,7 @@ VARIANTS = 2000  # different messages of a topic: more than a chunk of the file 
 STEP_AT = 20  # bytes before the step of a message whose frame id is empty
 
 
-def main(rate: float, seconds: float) -> None:
+def main(rate: float, seconds: float, farewell: float = 10.0) -> None:
     """Publish; step k goes out k / rate after the first."""
     import rclpy
     from rclpy.duration import Duration
@@ -48,12 +49,14 @@ def main(rate: float, seconds: float) -> None:
         for publisher, pool in zip(publishers, pools, strict=True):
             head, tail = pool[k % VARIANTS]
             publisher.publish(head + step + tail)
-        if now - told >= 1.0:
+        if now - told >= 0.1:
             told = now
             print(json.dumps({"sent": k + 1}), flush=True)
     elapsed = time.monotonic() - begin
+    print(json.dumps({"sent": steps}), flush=True)
+    over = time.monotonic() + farewell
     for publisher in publishers:
-        publisher.wait_for_all_acked(Duration(seconds=10))
+        publisher.wait_for_all_acked(Duration(seconds=max(0.0, over - time.monotonic())))
     payload = sum(sum(len(a) + 8 + len(b) for a, b in pool) for pool in pools)
     mean = payload / (len(pools) * VARIANTS)
     print(json.dumps({"sent": steps, "elapsed": elapsed, "payload": mean}), flush=True)

@@ -110,7 +110,12 @@ class LoadReport:
 
 
 def record_load(
-    folder: Path, rate: float, seconds: float, stall: float = 0.0, **parameters: object
+    folder: Path,
+    rate: float,
+    seconds: float,
+    stall: float = 0.0,
+    farewell: float = 10.0,
+    **parameters: object,
 ) -> LoadReport:
     """Record a load of `rate` steps a second on four topics; a stalled recorder is not scheduled.
 
@@ -121,18 +126,20 @@ def record_load(
     rate, seconds : float
         Steps a second, and how long.
     stall : float
-        The recorder is stopped for so long in the middle [s].
+        After a second the recorder is stopped until so much more was sent [s], or everything.
+    farewell : float
+        How long those who sent stay for a recorder that lacks something [s].
     parameters
         Of the recorder.
     """
     recorder = _start_recorder(folder, **parameters)
-    load = _start_load(rate, seconds)
+    load = _start_load(rate, seconds, farewell)
     try:
-        last = _progress(load)  # the first second has passed
+        last = _progress_to(load, rate)  # the first second is left out
         begin, used = time.monotonic(), _cpu_time(recorder)
         if stall:
             recorder.process.send_signal(signal.SIGSTOP)
-            time.sleep(stall)
+            last = _progress_to(load, min(last["sent"] + stall * rate, rate * seconds))
             recorder.process.send_signal(signal.SIGCONT)
         cpu = math.nan  # of a load that is over within the second that is left out
         while said := _progress(load):
@@ -213,8 +220,9 @@ def _start_recorder(folder: Path, **parameters: object) -> NodeProcess:
     return NodeProcess("recorder", ["--ros-args", *words], folder / "recorder.log")
 
 
-def _start_load(rate: float, seconds: float) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "koop_lab.bench.load", str(rate), str(seconds)]
+def _start_load(rate: float, seconds: float, farewell: float = 10.0) -> subprocess.Popen[str]:
+    given = [str(rate), str(seconds), str(farewell)]
+    command = [sys.executable, "-m", "koop_lab.bench.load", *given]
     return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
 
 
@@ -223,6 +231,14 @@ def _progress(load: subprocess.Popen[str]) -> dict[str, float]:
     assert load.stdout is not None
     line = load.stdout.readline()
     return dict(json.loads(line)) if line else {}
+
+
+def _progress_to(load: subprocess.Popen[str], steps: float) -> dict[str, float]:
+    """Read on until so many steps were sent; return what was said then."""
+    last: dict[str, float] = {}
+    while last.get("sent", 0) < round(steps) and (said := _progress(load)):
+        last = said
+    return last
 
 
 def _end(load: subprocess.Popen[str]) -> None:
