@@ -6,6 +6,7 @@ import re
 import runpy
 import sys
 import xml.etree.ElementTree as ElementTree
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -43,7 +44,7 @@ def sources(package):
 
 
 def imported(package, files):
-    """Return the modules that files import, and the packages of messages that they load by name."""
+    """Return the modules that files import, run by ``-m``, or load as messages by name."""
     beside = {path.stem for path in files}
     is_there = importlib.util.find_spec
     found = set()
@@ -57,8 +58,11 @@ def imported(package, files):
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 message = re.fullmatch(r"(\w+)/(msg|srv)/\w+", node.value)
                 found |= {message[1]} if message and is_there(message[1]) else set()
+            elif isinstance(node, ast.List):
+                words = [getattr(item, "value", "") for item in node.elts]
+                found |= {name for flag, name in pairwise(words) if flag == "-m"}
     names = {name.split(".")[0] for name in found}
-    return names - set(sys.stdlib_module_names) - beside - {package}
+    return names - set(sys.stdlib_module_names) - beside - {package, ""}
 
 
 def manifest(package):

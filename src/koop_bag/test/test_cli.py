@@ -350,13 +350,24 @@ def test_settings_of_the_recorder_that_cannot_be_are_refused(given, said):
         RecorderConfig(**given)
 
 
+# `koop bag`, without the package that has `koop`
+PROGRAM = """
+import argparse, sys
+from koop_bag import cli
+parser = argparse.ArgumentParser()
+cli.register(parser.add_subparsers(dest="command"))
+args = parser.parse_args(["bag", *sys.argv[1:]])
+sys.exit(args.func(args))
+"""
+
+
 @pytest.mark.ros
 def test_what_is_recorded_is_played(tmp_path, messages):
     running = []
 
     def start(*words):
         log = tmp_path / f"{words[0]}.log"
-        command = [sys.executable, "-m", "koop_lab", "bag", *map(str, words)]
+        command = [sys.executable, "-c", PROGRAM, *map(str, words)]
         with log.open("wb") as output:
             running.append(subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT))
         return running[-1], log
