@@ -65,9 +65,9 @@ def _the_papers_claim(tables: Tables) -> Claim | None:
     )
     verdict = "holds" if _number(lifted) < _number(raw) else "does not hold"
     return Claim(
-        f"The paper's claim {verdict} at our default constants: the lifted cost brings θ to its "
-        f"optimum with a median IAE of {lifted}, the raw one with {raw}, and the lifted one is "
-        f"ahead with {wins} % of the seeds.",
+        f"At our default constants the paper's claim {verdict}: seeking on the lifted cost comes "
+        f"to a median IAE, the integral of |θ − θ*|, of {lifted}, on the raw cost to {raw}, and "
+        f"lifted is ahead with {wins} % of the seeds.",
         "robustness",
     )
 
@@ -81,10 +81,10 @@ def _the_open_constants(tables: Tables) -> Claim | None:
         return None
     verdict = "beats" if _number(best) < _number(default) else "does not beat"
     return Claim(
-        "But three filter constants, which the paper leaves open, count for as much as the "
-        f"lifting: with its best choice of them the raw cost {verdict} the lifted one at the "
-        f"defaults, a median IAE of {best} against {default}, though it converges in "
-        f"{table.cell('raw', 'best_converged')} % of its runs only.",
+        "But the paper leaves three filter constants open, and they matter as much as the lifting: "
+        f"with its best choice of them the raw cost {verdict} the lifted one at the defaults, "
+        f"{best} against {default}, and {table.cell('raw', 'best_converged')} % of its runs "
+        "converge.",
         "sensitivity",
     )
 
@@ -96,8 +96,8 @@ def _convexity(tables: Tables) -> Claim | None:
     raw, lifted = (tables["static_maps"].cell(row, "convexity") for row in rows)
     verdict = "is more convex" if _number(lifted) > _number(raw) else "is not more convex"
     return Claim(
-        f"The lifted cost {verdict} in θ once it has settled, which the paper gives as the reason: "
-        f"{lifted} % of its second differences are positive, of the raw one's {raw} %.",
+        f"The settled map r(θ) {verdict} when lifted, which is the paper's explanation: {lifted} % "
+        f"of its second differences are positive, of the raw map's {raw} %.",
         "static_maps",
     )
 
@@ -124,10 +124,10 @@ def _the_limit(tables: Tables) -> Claim | None:
     table = tables[name]
     lag = str(table.rows[-1][0])
     at, with_lag = (table.cell(row, "contrast_iae_median") for row in ("0", lag))
-    verdict = "falls back" if _number(with_lag) > 1.1 * _number(at) else "does not fall back"
+    verdict = "grows" if _number(with_lag) > 1.1 * _number(at) else "hardly changes"
     return Claim(
-        "Contrast takes the interference to reach both states at the same time: with a lag of "
-        f"{lag} s between them it {verdict}, from {at} to {with_lag}.",
+        "Contrast relies on interference that reaches both states at the same time: with a lag of "
+        f"{lag} s between them its IAE {verdict}, from {at} to {with_lag}.",
         name,
     )
 
