@@ -79,7 +79,8 @@ def ages(state: Columns, theta: Columns, ground_truth: Columns) -> Ages:
         given[value].append(step)
     acted, unexplained = 0, 0
     applied = ground_truth["theta_applied"]
-    for i in (np.flatnonzero(np.diff(applied)) + 1).tolist():
+    known = np.diff(ground_truth["step"].astype(np.int64)) == 1  # else it moved nobody knows when
+    for i in (np.flatnonzero(known & (np.diff(applied) != 0.0)) + 1).tolist():
         answers = given.get(float(applied[i]), [])
         older = bisect_left(answers, int(ground_truth["step"][i]))
         if older == 0:

@@ -58,6 +58,16 @@ def test_a_held_theta_may_be_sent_at_any_age():
     assert found.acted == pytest.approx(0.005)
 
 
+def test_a_move_while_nothing_was_recorded_happened_at_no_known_time():
+    state, theta, ground_truth = loop()
+    kept = (theta["step"] < 50) | (theta["step"] > 150)
+    seen = {name: values[kept] for name, values in ground_truth.items()}
+    seen["theta_applied"][seen["step"] == 151] = theta["theta"][49]  # moved to it during the cut
+    found = ages(state, theta, seen)
+    assert found.acted == pytest.approx(0.005)
+    assert found.unexplained == 0
+
+
 def test_a_theta_that_nobody_sent_is_noticed():
     state, theta, ground_truth = loop()
     ground_truth["theta_applied"][100] = 7.0
