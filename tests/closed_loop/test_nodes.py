@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from koop_msgs.msg import ControlInput, Cost, MeasuredState, PlantTruth
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from koop_loop.parameters import make
@@ -170,6 +173,48 @@ def test_without_autostart_the_node_waits_to_be_configured(start, probe):
     assert change_state(probe, "relay_esc", Transition.TRANSITION_DEACTIVATE)
     assert change_state(probe, "relay_esc", Transition.TRANSITION_CLEANUP)
     assert state_of(probe, "relay_esc") == "unconfigured"
+
+
+def test_an_argument_that_ros_does_not_know_is_named_with_what_a_node_takes(start):
+    for arguments in (["--foo"], ["extra"]):
+        process = start("relay_esc", *arguments)
+        assert ended(process) == 2
+        text = process.log.read_text().strip().splitlines()[-1]
+        assert text.startswith("error: unknown argument")
+        assert arguments[0] in text
+        assert "-p NAME:=VALUE" in text
+
+
+def test_what_a_file_gives_to_all_nodes_may_be_unknown_to_one(start, probe, tmp_path):
+    file = tmp_path / "params.yaml"
+    file.write_text(
+        "/**: {ros__parameters: {robot_description: x, dwell: 3.0}}\n"
+        "/relay_esc: {ros__parameters: {tau_f: 4.0}}\n"
+    )
+    process = start("relay_esc", "--params-file", str(file))
+    assert get_parameter(probe, "relay_esc", "dwell") == 3.0
+    assert get_parameter(probe, "relay_esc", "tau_f") == 4.0
+    assert process.log.read_text().count("robot_description") == 1
+    file.write_text("relay_esc: {ros__parameters: {robot_description: x}}")
+    refused = start("relay_esc", "--params-file", str(file))
+    assert ended(refused) == 2
+    assert "error: unknown parameter robot_description" in refused.log.read_text()
+
+
+def test_simulated_time_that_never_comes_is_said(start, probe):
+    reports = probe.collect(DiagnosticArray, "/diagnostics")
+    process = start("relay_esc", use_sim_time="true")
+    text = "use_sim_time is set, but nothing comes on /clock"
+    probe.spin_until(lambda: any(text in r.status[0].message for r in reports), "the report")
+    assert process.log.read_text().count(text) == 1
+    clock = probe.node.create_publisher(Clock, "/clock", 10)
+
+    def recovered():
+        clock.publish(Clock(clock=Time(sec=7)))
+        return "recovered" in process.log.read_text()
+
+    probe.spin_until(recovered, "the line that all is well")
+    assert reports[-1].header.stamp.sec == 7
 
 
 # -- parameters at run time ---------------------------------------------------------------------
@@ -371,8 +416,6 @@ def test_lockstep_waits_for_theta_sends_again_and_names_the_silent_node(start, p
 
 
 def test_the_plant_ends_after_its_duration_and_publishes_the_clock(start, probe):
-    from rosgraph_msgs.msg import Clock
-
     states, clocks = probe.collect(MeasuredState, "state"), probe.collect(Clock, "/clock")
     ground_truths = probe.collect(PlantTruth, "ground_truth")
     process = start(

@@ -8,7 +8,8 @@ for one part and ``**`` for any number of them; what comes later in the file win
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -149,6 +150,39 @@ def write(values: Mapping[str, Mapping[str, Any]], path: str | Path) -> None:
     content = {f"/**/{node}": {"ros__parameters": dict(given)} for node, given in values.items()}
     text = yaml.dump(content, Dumper=_Dumper, sort_keys=False)
     Path(path).write_text(text, encoding="utf-8")
+
+
+def shared_names(args: Sequence[str]) -> set[str]:
+    """Return the parameters that files give to nodes of any name only, and nobody to one by name.
+
+    A file for several nodes may hold under ``/**`` what only some of them know.
+
+    Parameters
+    ----------
+    args : sequence of str
+        Command line: ``--params-file FILE`` and ``-p NAME:=VALUE`` between ``--ros-args`` and
+        ``--`` count.
+    """
+    shared: set[str] = set()
+    named: set[str] = set()
+    for option, value in _ros_options(args):
+        if option == "--params-file":
+            with suppress(ConfigError):
+                for section in read(value).sections:
+                    (shared if section.node in ("*", "**") else named).update(section.values)
+        elif option in ("-p", "--param"):
+            named.add(value.partition(":=")[0].rpartition(":")[2])
+    return shared - named
+
+
+def _ros_options(args: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield each word of the ROS arguments with the word after it."""
+    ros = False
+    for word, following in zip(args, [*args[1:], ""], strict=False):
+        if word in ("--ros-args", "--"):
+            ros = word == "--ros-args"
+        elif ros:
+            yield word, following
 
 
 def _sections(path: str, above: str, content: dict[Any, Any]) -> Iterator[Section]:

@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from koop_node.config import ConfigError, Spec, spec_of
-from koop_node.parameter_files import shared_names
+from koop_node.parameter_file import shared_names
 from koop_node.rclpy_internals import parameter_overrides
 
 Config = TypeVar("Config")

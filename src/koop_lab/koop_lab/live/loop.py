@@ -114,12 +114,14 @@ class Monitor:
         from diagnostic_msgs.msg import DiagnosticArray
         from rclpy.experimental.events_executor import EventsExecutor
 
+        from koop_node.entities import WithoutEvents
+
         self.progress = Progress()
         self.levels: dict[str, int] = {}  # that every node last reported
         self._clients: dict[str, Any] = {}
         self._context = rclpy.Context()
         self._context.init(args=[])
-        self._node = rclpy.create_node("koop_monitor", context=self._context)
+        self._node = WithoutEvents("koop_monitor", context=self._context)
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 20)
         self._executor: Any = EventsExecutor(context=self._context)
         self._executor.add_node(self._node)

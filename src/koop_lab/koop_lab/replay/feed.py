@@ -24,6 +24,7 @@ from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER
 from koop_node import parameter_file
 from koop_node.domain import free_domain
+from koop_node.resend import Due, Resend
 
 TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
 RESENDS = 2
@@ -82,16 +83,19 @@ class Feeder:
         from rclpy.experimental.events_executor import EventsExecutor
         from rclpy.qos import QoSProfile
 
+        from koop_node.entities import WithoutEvents
+
         self._nodes = nodes
         self._context = rclpy.Context()
         self._context.init(args=[], domain_id=domain)
-        self._node = rclpy.create_node("koop_replay", context=self._context)
+        self._node = WithoutEvents("koop_replay", context=self._context)
         qos = QoSProfile(depth=100)
         self._publisher = self._node.create_publisher(MeasuredState, "state", qos)
         self._node.create_subscription(Cost, "cost", self._on_cost, qos)
         self._node.create_subscription(ControlInput, "theta", self._on_theta, qos)
         self._executor: Any = EventsExecutor(context=self._context)
         self._executor.add_node(self._node)
+        self._question = Resend(TIMEOUT, RESENDS)
         self._cost: tuple[int, float] | None = None
         self._theta: tuple[int, float] | None = None
 
@@ -135,15 +139,20 @@ class Feeder:
     def _ask(self, step: int, message: bytes) -> tuple[float, float]:
         """Send a state and return both answers to it."""
         self._cost = self._theta = None
-        for _ in range(1 + RESENDS):
-            self._publisher.publish(message)
-            deadline = time.monotonic() + TIMEOUT
-            while time.monotonic() < deadline:
-                cost, theta = self._cost, self._theta
-                if cost is not None and theta is not None and cost[0] == theta[0] == step:
-                    return cost[1], theta[1]
-                self._executor.spin_once(timeout_sec=0.2)
-                self._check_nodes()
+        self._publisher.publish(message)
+        self._question.ask(time.monotonic())
+        while True:
+            cost, theta = self._cost, self._theta
+            if cost is not None and theta is not None and cost[0] == theta[0] == step:
+                self._question.close()
+                return cost[1], theta[1]
+            self._executor.spin_once(timeout_sec=0.2)
+            self._check_nodes()
+            due = self._question.check(time.monotonic())
+            if due is Due.AGAIN:
+                self._publisher.publish(message)
+            elif due is Due.GIVE_UP:
+                break
         silent = CONTROLLER[0] if self._cost is None or self._cost[0] != step else CONTROLLER[1]
         raise LiveError(
             f"{silent} does not answer step {step}:\n{self._nodes[silent].last_lines()}"

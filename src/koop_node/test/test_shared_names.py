@@ -3,7 +3,7 @@
 import pytest
 
 from koop_node.config import ConfigError
-from koop_node.parameter_files import shared_names
+from koop_node.parameter_file import shared_names
 
 
 @pytest.fixture
