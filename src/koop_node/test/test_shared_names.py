@@ -30,8 +30,8 @@ def test_what_is_given_to_a_node_by_its_name_is_not(file, section):
 
 
 def test_what_is_given_on_the_command_line_is_meant_for_the_node(file):
-    args = file("/**: {ros__parameters: {x: 1, y: 2, z: 3}}")
-    assert shared_names([*args, "-p", "x:=2", "--param", "relay_esc:y:=2"]) == {"z"}
+    args = file("/**: {ros__parameters: {a: 1, b: 2, c: 3}}")
+    assert shared_names([*args, "-p", "a:=2", "--param", "relay_esc:b:=2"]) == {"c"}
     assert shared_names([*args[1:]]) == set()  # not within --ros-args
     assert shared_names([*args[:1], "--", *args[1:]]) == set()
 
