@@ -83,42 +83,64 @@ class Ask:
         return self.answers[-1]
 
 
+@pytest.fixture(scope="module")
+def shared_lifter(module_start, module_probe):
+    module_start("koopman_lifter", "-r", "__ns:=/shared")
+    return Ask(module_probe, MeasuredState, "/shared/state", Cost, "/shared/cost")
+
+
 @pytest.fixture
-def lifter(start, probe):
+def lifter(shared_lifter):
+    """A lifter that begins again with a test's step 0."""
+    shared_lifter.answers.clear()
+    return shared_lifter
+
+
+@pytest.fixture
+def fresh_lifter(start, probe):
     start("koopman_lifter")
     return Ask(probe, MeasuredState, "state", Cost, "cost")
 
 
+@pytest.fixture(scope="module")
+def shared_esc(module_start, module_probe):
+    module_start("relay_esc", "-r", "__ns:=/shared", dwell=0.0, step_size=0.01)
+    return Ask(module_probe, Cost, "/shared/cost", ControlInput, "/shared/theta")
+
+
 @pytest.fixture
-def esc(start, probe):
-    start("relay_esc", dwell=0.0, step_size=0.01)
-    return Ask(probe, Cost, "cost", ControlInput, "theta")
+def esc(shared_esc, module_probe):
+    """A controller after a reset."""
+    assert module_probe.call(Trigger, "/shared/relay_esc/reset", Trigger.Request()).success
+    shared_esc.answers.clear()
+    return shared_esc
 
 
 # -- start and end ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("node", NODES)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_node_with_exit_code_0(start, probe, tmp_path, node, number):
-    given = {"output": tmp_path / "run"} if node == "recorder" else {}
-    process = start(node, **given)
-    probe.spin_until(lambda: state_of(probe, node) == "active", f"{node} to be active")
-    asked = time.monotonic()
-    process.process.send_signal(number)
-    assert ended(process) == 0
-    print(f"{node} ended {time.monotonic() - asked:.2f} s after the signal")
+def test_a_signal_ends_a_node_with_exit_code_0(start, probe, tmp_path, number):
+    given = {"recorder": {"output": tmp_path / "run"}}
+    processes = [start(node, **given.get(node, {})) for node in NODES]
+    for node in NODES:
+        probe.spin_until(lambda n=node: state_of(probe, n) == "active", f"{node} to be active")
+    for process in processes:
+        process.process.send_signal(number)
+        assert ended(process) == 0
 
 
-@pytest.mark.parametrize("node", NODES)
-def test_ctrl_c_during_the_imports_is_a_clean_end_too(start, node):
-    process = start(node)
-    maps = Path(f"/proc/{process.process.pid}/maps")
-    while "_rclpy" not in maps.read_text():  # the messages and numba come after it
-        assert process.poll() is None
-    process.process.send_signal(signal.SIGINT)
-    assert ended(process) == 0
-    assert process.last_lines() == ""
+def test_ctrl_c_during_the_imports_is_a_clean_end_too(start):
+    importing = [start(node) for node in NODES]
+    while importing:
+        for process in tuple(importing):
+            maps = Path(f"/proc/{process.process.pid}/maps").read_text()
+            assert process.poll() is None
+            if "_rclpy" in maps:  # the messages and numba come after it
+                process.process.send_signal(signal.SIGINT)
+                assert ended(process) == 0
+                assert process.last_lines() == ""
+                importing.remove(process)
 
 
 def test_ctrl_c_that_comes_again_and_again_is_still_a_clean_end(start, probe):
@@ -131,21 +153,38 @@ def test_ctrl_c_that_comes_again_and_again_is_still_a_clean_end(start, probe):
     assert process.poll() == 0
 
 
-@pytest.mark.parametrize("node", NODES)
-@pytest.mark.parametrize(
-    ("parameter", "value", "message"),
-    [
-        ("dampening", "1.0", "error: unknown parameter dampening; this node has: autostart, "),
-        ("recorders", "-1", "error: recorders = -1: must be 0 to 10"),
-        ("autostart", "7", "error: autostart: expected bool, got 7"),
-    ],
-)
-def test_a_bad_parameter_stops_the_node_with_one_line(start, node, parameter, value, message):
-    process = start(node, **{parameter: value})
-    assert ended(process) == 2
-    text = process.log.read_text().strip()
-    assert text.startswith(message)
-    assert "\n" not in text
+WITH_A_BAD_PARAMETER = """
+import sys
+from importlib import import_module
+
+for module in ("vdp_plant", "koopman_lifter", "relay_esc", "koop_bag.recorder"):
+    node = import_module(f"{module}.node")
+    for parameter in ("dampening:=1.0", "recorders:=-1", "autostart:=7"):
+        sys.argv[1:] = ["--ros-args", "-p", parameter]
+        try:
+            node.main()
+        except SystemExit as end:
+            print(f"exit code {end.code}", file=sys.stderr)
+"""
+
+
+@pytest.mark.ros
+def test_a_bad_parameter_stops_the_node_with_one_line():
+    """Of each node the main function; the imports are paid for once."""
+    done = subprocess.run(
+        [sys.executable, "-c", WITH_A_BAD_PARAMETER], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stdout) == (0, "")
+    lines = iter(done.stderr.splitlines())
+    for _ in NODES:
+        known = "error: unknown parameter dampening; this node has: autostart, "
+        assert next(lines).startswith(known)
+        assert next(lines) == "exit code 2"
+        assert next(lines) == "error: recorders = -1: must be 0 to 10"
+        assert next(lines) == "exit code 2"
+        assert next(lines) == "error: autostart: expected bool, got 7 (int)"
+        assert next(lines) == "exit code 2"
+    assert list(lines) == []
 
 
 def test_an_unreadable_parameter_file_is_named(start, tmp_path):
@@ -219,42 +258,47 @@ def test_simulated_time_that_never_comes_is_said(start, probe):
 
 # -- parameters at run time ---------------------------------------------------------------------
 
+TUNED = "tuned/relay_esc"
 
-def test_a_change_is_taken_whole_or_refused_whole_with_the_reason(start, probe):
-    start("relay_esc")
-    refused = set_parameters(probe, "relay_esc", theta_min=1.0, theta_max=0.5)
+
+@pytest.fixture(scope="module")
+def tuned(module_start, module_probe):
+    """A controller whose parameters are changed; returns the probe."""
+    module_start("relay_esc", "-r", "__ns:=/tuned")
+    return module_probe
+
+
+def test_a_change_is_taken_whole_or_refused_whole_with_the_reason(tuned):
+    refused = set_parameters(tuned, TUNED, theta_min=1.0, theta_max=0.5)
     assert not refused.successful
     assert refused.reason == "theta_min = 1 must be below theta_max = 0.5"
-    assert get_parameter(probe, "relay_esc", "theta_min") == -5.0
-    refused = set_parameters(probe, "relay_esc", tau_f=5.0, dwell=-1.0)
+    assert get_parameter(tuned, TUNED, "theta_min") == -5.0
+    refused = set_parameters(tuned, TUNED, tau_f=5.0, dwell=-1.0)
     assert not refused.successful
     assert "dwell" in refused.reason
-    assert get_parameter(probe, "relay_esc", "tau_f") == 10.0
-    assert set_parameters(probe, "relay_esc", tau_f=5, dwell=1.0).successful
-    assert get_parameter(probe, "relay_esc", "dwell") == 1.0
+    assert get_parameter(tuned, TUNED, "tau_f") == 10.0
+    assert set_parameters(tuned, TUNED, tau_f=5, dwell=1.0).successful
+    assert get_parameter(tuned, TUNED, "dwell") == 1.0
 
 
-def test_what_cannot_change_is_read_only(start, probe):
-    start("relay_esc")
-    refused = set_parameters(probe, "relay_esc", dt=0.01)
+def test_what_cannot_change_is_read_only(tuned):
+    refused = set_parameters(tuned, TUNED, dt=0.01)
     assert not refused.successful
     assert "read-only" in refused.reason
 
 
-def test_limits_can_be_narrowed_past_the_first_theta_if_it_moves_too(start, probe):
-    start("relay_esc")
-    refused = set_parameters(probe, "relay_esc", theta_max=0.0)
+def test_limits_can_be_narrowed_past_the_first_theta_if_it_moves_too(tuned):
+    refused = set_parameters(tuned, TUNED, theta_max=0.0)
     assert "theta_initial = 2 must lie within" in refused.reason
-    assert set_parameters(probe, "relay_esc", theta_max=0.0, theta_initial=-2.0).successful
-    answer = probe.call(Trigger, "/relay_esc/reset", Trigger.Request())
+    assert set_parameters(tuned, TUNED, theta_max=0.0, theta_initial=-2.0).successful
+    answer = tuned.call(Trigger, "/tuned/relay_esc/reset", Trigger.Request())
     assert answer.message.startswith("theta is -2 again")
 
 
-def test_descriptors_carry_range_and_unit(start, probe):
-    start("relay_esc")
+def test_descriptors_carry_range_and_unit(tuned):
     request = DescribeParameters.Request(names=["tau_f", "objective", "dt"])
-    tau_f, objective, dt = probe.call(
-        DescribeParameters, "/relay_esc/describe_parameters", request
+    tau_f, objective, dt = tuned.call(
+        DescribeParameters, "/tuned/relay_esc/describe_parameters", request
     ).descriptors
     assert tau_f.description.endswith("[s]")
     limits = tau_f.floating_point_range[0]
@@ -267,18 +311,16 @@ def test_descriptors_carry_range_and_unit(start, probe):
 # -- lifter -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "x", [[1.0], [1.0, 2.0, 3.0], [], [math.nan, 0.0], [math.inf, 0.0], [1e300, 0.0]]
-)
-def test_a_state_that_cannot_be_used_costs_nan_and_the_lifter_goes_on(lifter, x):
-    lifter(0, x=[1.0, 2.0])
-    good = lifter(1, x=[1.1, 2.1])
-    assert math.isnan(lifter(2, x=x).r)
-    after = lifter(3, x=[1.2, 2.2])
-    assert math.isfinite(after.r)
-    assert after.r > 0.0
-    assert good.source == Cost.LIFTED
-    assert len(good.model_id) == 12
+def test_a_state_that_cannot_be_used_costs_nan_and_the_lifter_goes_on(lifter):
+    for x in ([1.0], [1.0, 2.0, 3.0], [], [math.nan, 0.0], [math.inf, 0.0], [1e300, 0.0]):
+        lifter(0, x=[1.0, 2.0])
+        good = lifter(1, x=[1.1, 2.1])
+        assert math.isnan(lifter(2, x=x).r), x
+        after = lifter(3, x=[1.2, 2.2])
+        assert math.isfinite(after.r)
+        assert after.r > 0.0
+        assert good.source == Cost.LIFTED
+        assert len(good.model_id) == 12
 
 
 def test_a_repeated_step_gets_the_same_answer_and_moves_no_filter(lifter):
@@ -291,7 +333,8 @@ def test_a_repeated_step_gets_the_same_answer_and_moves_no_filter(lifter):
     assert back[5].r == continued.r
 
 
-def test_the_cost_is_switched_at_run_time(lifter, probe):
+def test_the_cost_is_switched_at_run_time(fresh_lifter, probe):
+    lifter = fresh_lifter
     x = [3.0, 4.0]
     assert lifter(0, x=x).source == Cost.LIFTED
     assert set_parameters(probe, "koopman_lifter", cost="raw").successful
@@ -302,7 +345,8 @@ def test_the_cost_is_switched_at_run_time(lifter, probe):
     assert not set_parameters(probe, "koopman_lifter", cost="both").successful
 
 
-def test_the_model_is_replaced_at_run_time_or_refused(lifter, probe, tmp_path):
+def test_the_model_is_replaced_at_run_time_or_refused(fresh_lifter, probe, tmp_path):
+    lifter = fresh_lifter
     x = [3.0, 4.0]
     before = lifter(0, x=x)
     other = tmp_path / "other.npz"
@@ -348,7 +392,8 @@ def test_the_first_state_waits_for_no_compilation():
     assert done.returncode == 0, done.stderr
 
 
-def test_an_inactive_lifter_is_silent(lifter, probe):
+def test_an_inactive_lifter_is_silent(fresh_lifter, probe):
+    lifter = fresh_lifter
     lifter(0, x=[1.0, 1.0])
     assert change_state(probe, "koopman_lifter", Transition.TRANSITION_DEACTIVATE)
     probe.spin_until(lambda: not probe.node.count_publishers("cost"), "the cost to go")
@@ -375,18 +420,18 @@ def test_the_controller_holds_on_a_cost_that_is_not_finite(esc):
     assert after.theta < primed.theta == moved[4].theta
 
 
-def test_hold_and_reset(esc, probe):
+def test_hold_and_reset(esc, module_probe):
     esc(0, r=1.0)
     moved = esc(1, r=0.9)
     assert moved.theta == pytest.approx(1.99)
-    answer = probe.call(SetBool, "/relay_esc/hold", SetBool.Request(data=True))
+    answer = module_probe.call(SetBool, "/shared/relay_esc/hold", SetBool.Request(data=True))
     assert answer.success
     held = esc(2, r=0.8)
     assert (held.holding, held.theta) == (True, moved.theta)
-    probe.call(SetBool, "/relay_esc/hold", SetBool.Request(data=False))
+    module_probe.call(SetBool, "/shared/relay_esc/hold", SetBool.Request(data=False))
     esc(3, r=0.7)
     assert esc(4, r=0.6).theta == pytest.approx(1.98)
-    assert probe.call(Trigger, "/relay_esc/reset", Trigger.Request()).success
+    assert module_probe.call(Trigger, "/shared/relay_esc/reset", Trigger.Request()).success
     assert esc(5, r=0.5).theta == 2.0
 
 
