@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import fcntl
 import html
 import json
 import os
@@ -48,7 +49,29 @@ class Quick:
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
-    folder, out = tmp_path_factory.mktemp("experiments"), tmp_path_factory.mktemp("study")
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent  # of all processes of this test run: one study serves them all
+    folder, out = shared / "small_experiments", shared / "small_study"
+    printed = shared / "small_study.txt"
+    with open(shared / "small_study.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not printed.exists():
+            write_small(folder)
+            done = subprocess.run(
+                [sys.executable, "-m", "koop_lab", "study", "--quick", "--out", str(out),
+                 "--experiments", str(folder)],
+                capture_output=True, text=True, check=False,
+            )  # fmt: skip
+            assert done.returncode == 0, done.stderr
+            printed.write_text(done.stdout)
+        sections = run_all(read_folder(folder, True), Store(out / "units"), 1)
+    return Quick(out, printed.read_text(), sections)
+
+
+def write_small(folder: Path) -> None:
+    """Write the repository's experiments with everything that takes long made small."""
+    folder.mkdir()
     for path in EXPERIMENTS.glob("*.yaml"):
         content = yaml.safe_load(path.read_text())
         content["settings"] = SMALL
@@ -56,14 +79,6 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
             if ablation["name"] in ("trajectories", "training_duration"):
                 ablation["values"] = [4, 8]
         (folder / path.name).write_text(yaml.safe_dump(content))
-    done = subprocess.run(
-        [sys.executable, "-m", "koop_lab", "study", "--quick", "--out", str(out),
-         "--experiments", str(folder)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    sections = run_all(read_folder(folder, True), Store(out / "units"), 1)
-    return Quick(out, done.stdout, sections)
 
 
 @pytest.mark.slow
