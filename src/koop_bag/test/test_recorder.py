@@ -143,8 +143,12 @@ def test_what_a_killed_recorder_had_written_is_recovered(tmp_path, messages):
         publish(talker.publishers(LOOP), messages.loop, range(300))
         for topic in LOOP:
             recorder.wait_for(topic, 300)
-        path = tmp_path / "run" / "parameters.yaml"
-        talker.spin_until(lambda: path.exists() and "talker" in path.read_text(), "parameters")
+
+        def kept():
+            with BagReader(tmp_path / "run") as reader:
+                return "gain: 2.5" in reader.custom_data().get("parameters", "")
+
+        talker.spin_until(kept, "parameters in the bag")
         recorder.process.kill()
         recorder.process.wait()
     assert not (tmp_path / "run" / "bag" / "metadata.yaml").exists()
