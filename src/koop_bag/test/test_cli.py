@@ -127,16 +127,16 @@ def test_a_copy_is_identical_whatever_the_times_and_the_order_of_topics(write, k
 def test_differences_are_counted_and_the_first_and_the_largest_are_told(write, koop, messages):
     a = write("a", [("/cost", k, None) for k in range(20)])
     # cost k says r = 1.5 k, y_out = 2 k
-    other = {7: messages.loop("/cost", 8), 12: messages.loop("/cost", 4)}
+    other = {8: messages.loop("/cost", 9), 12: messages.loop("/cost", 4)}
     rows = [("/cost", k, _with_step(other[k], k) if k in other else None) for k in range(18)]
     b = write("b", rows)
     code, text, _ = koop("diff", a, b, "--topic", "/cost", "--ignore", "header")
     assert code == 1
     assert text.splitlines() == [
         "/cost: different, 18 messages by step, 2 only in A",
-        "  r: 2 differ, first at step 7 (10.5, 12.0), largest difference 12 at step 12",
-        "  y_out: 2 differ, first at step 7 (14.0, 16.0), largest difference 16 at step 12",
-        "  source: 1 differ, first at step 7 (1, 0), largest difference 1 at step 7",
+        "  r: 2 differ, first at step 8 (12.0, 13.5), largest difference 12 at step 12",
+        "  y_out: 2 differ, first at step 8 (16.0, 18.0), largest difference 16 at step 12",
+        "  source: 1 differ, first at step 8 (0, 1), largest difference 1 at step 8",
     ]
     with BagReader(a) as first, BagReader(b) as second:
         (found,) = compare(first, second, ["/cost"], ignore=["header", "source"], tolerance=2.0)
