@@ -378,10 +378,10 @@ from koopman_lifter.node import LifterNode
 rclpy.init()
 node = LifterNode()
 node.trigger_configure()
-compiled = list(cost.step.signatures)
+compiled = list(cost.answer.signatures)
 node.trigger_activate()
 node.run._on_state(MeasuredState(step=0, x=[1.0, 2.0]), 0.0)
-assert cost.step.signatures == compiled, "the first state was compiled for"
+assert cost.answer.signatures == compiled, "the first state was compiled for"
 """
 
 

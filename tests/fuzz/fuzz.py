@@ -37,6 +37,7 @@ from koop_bag.errors import BagError
 from koop_bag.recorder.config import RecorderConfig
 from koop_hil import faults, scenario
 from koop_node.adapter import StateAdapter
+from koop_node.arrival import Arrival
 from koop_node.config import ConfigError
 from koop_node.fields import check_fields, check_type, parse_source
 from koopman_lifter import cost
@@ -141,7 +142,9 @@ def targets(folder: Path) -> dict[str, tuple[Trial, tuple[type[Exception], ...]]
         x, z = np.full(loaded.observables.n, 0.5), np.empty(loaded.observables.p)
         for source in (cost.RAW, cost.LIFTED):
             params = cost.detector_params(20.0, 0.3, loaded.dt)
-            cost.step(source, loaded.lifting(), params, cost.initial(), x, z)
+            cost.answer(
+                source, loaded.lifting(), params, cost.initial(), int(Arrival.RESTART), x, z
+            )
 
     def read_bag(rng: Random) -> None:
         bag_file.write_bytes(bag(rng))

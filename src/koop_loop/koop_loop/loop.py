@@ -1,25 +1,27 @@
 """The closed loop offline: the nodes' kernels composed in one compiled function, without ROS.
 
 The order of events is that of the nodes in lockstep. At step k the plant publishes x'(t_k), the
-lifter answers with r_k, the relay with theta_k, and the plant then advances with theta_k.
+lifter answers with r_k, the relay with theta_k, and the plant then advances with theta_k. Nothing
+is late or lost, so no timeout acts; every other setting does what it does in the nodes.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from koop_loop.kernel import Controller, Memory, control
+from koop_node.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
+from koopman_lifter.cost import Lifting
 from koopman_lifter.model import KoopmanModel
 from koopman_lifter.observables import Monomials
-from relay_esc import relay
 from relay_esc.config import EscConfig
-from relay_esc.relay import RelayParams, RelayState
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantParams
@@ -67,12 +69,8 @@ class LoopResult:
 @njit(cache=True)
 def run_kernel(
     plant: PlantParams,
-    source: int,
-    lifting: Lifting,
-    detector: DetectorParams,
-    detector_state: DetectorState,
-    esc: RelayParams,
-    relay_state: RelayState,
+    controller: Controller,
+    memory: Memory,
     x: float,
     y: float,
     measured: NDArray[np.float64],
@@ -82,24 +80,28 @@ def run_kernel(
 ) -> int:
     """Run the loop for ``theta.size`` steps and fill the four arrays; return the steps done.
 
-    Fewer than asked for are done only if the state or its cost stops being finite.
+    Fewer than asked for are done only if the plant's state stops being finite.
     """
-    z = np.empty(lifting.parent.shape[0])
+    z = np.empty(controller.lifting.parent.shape[0])
     state = np.empty(2)
-    applied = relay_state.theta
+    source, lifting, detector_params, relay_params = controller
+    detector, relay = memory
+    applied = relay.output
     for k in range(theta.shape[0]):
-        state[0], state[1] = dynamics.measure(plant, k, x, y)
-        r[k], _, detector_state = cost.step(source, lifting, detector, detector_state, state, z)
-        if not np.isfinite(r[k]):
+        if not (math.isfinite(x) and math.isfinite(y)):
             return k
-        relay_state = relay.step(esc, relay_state, r[k])
+        arrival = Arrival.RESTART if k == 0 else Arrival.NEXT
+        state[0], state[1] = dynamics.measure(plant, k, x, y)
+        r[k], detector, relay = control(
+            source, lifting, detector_params, relay_params, detector, relay,
+            arrival, arrival, False, False, state, z,
+        )  # fmt: skip
         measured[k, 0] = state[0]
         measured[k, 1] = state[1]
         ground_truth[k, 0] = x
         ground_truth[k, 1] = y
-        theta[k] = relay_state.theta
-        applied = dynamics.actuate(plant, applied, relay_state.theta)
-        x, y = dynamics.step(plant, k, x, y, applied)
+        theta[k] = relay.output
+        x, y, applied = dynamics.advance(plant, k, x, y, applied, relay.output, 0.0)
     return len(theta)
 
 
@@ -107,6 +109,12 @@ def no_lifting() -> Lifting:
     """Return a placeholder for the raw cost, which needs no model."""
     observables = Monomials(2, 1)
     return Lifting(observables.parent, observables.factor, np.zeros((1, observables.p)))
+
+
+def controller(lifter: LifterConfig, esc: EscConfig, model: KoopmanModel | None) -> Controller:
+    """Return the kernel's parameters of lifter and controller."""
+    lifting = model.lifting() if model is not None else no_lifting()
+    return Controller(lifter.source, lifting, lifter.detector_params(), esc.params())
 
 
 def initial_state(plant: PlantConfig) -> tuple[float, float]:
@@ -141,18 +149,13 @@ def simulate(
         If the plant's state stops being finite.
     """
     check_fit(plant, lifter, esc, model)
-    lifting = model.lifting() if model is not None else no_lifting()
     x, y = initial_state(plant)
     measured, ground_truth = np.empty((steps, 2)), np.empty((steps, 2))
     r, theta = np.empty(steps), np.empty(steps)
     done = run_kernel(
         plant.params(),
-        lifter.source,
-        lifting,
-        lifter.detector_params(),
-        cost.initial(),
-        esc.params(),
-        esc.initial(),
+        controller(lifter, esc, model),
+        Memory(cost.initial(), esc.initial()),
         x,
         y,
         measured,

@@ -43,10 +43,14 @@ class TrainingConfig:
 def trajectory_kernel(
     plant: PlantParams, x: float, y: float, theta: float, states: NDArray[np.float64]
 ) -> bool:
-    """Fill ``states``, shape (2, M), with x'(t_k) at constant theta; False if it diverges."""
+    """Fill ``states``, shape (2, M), with x'(t_k) at constant theta; False if it diverges.
+
+    The plant's actuator has been at ``theta``, or as near as its bounds allow, before.
+    """
+    applied = min(max(theta, plant.theta_min), plant.theta_max)
     for k in range(states.shape[1]):
         states[0, k], states[1, k] = dynamics.measure(plant, k, x, y)
-        x, y = dynamics.step(plant, k, x, y, theta)
+        x, y, applied = dynamics.advance(plant, k, x, y, applied, theta, 0.0)
         if not (np.isfinite(x) and np.isfinite(y)):
             return False
     return True

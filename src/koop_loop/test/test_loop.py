@@ -9,6 +9,7 @@ from koop_loop.loop import LoopDiverged, simulate
 from koop_loop.metrics import evaluate
 from koop_loop.parameters import make
 from koop_loop.training import TrainingConfig, simulated_gram, train
+from koop_node.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, shipped_model
 from koopman_lifter.model import load
@@ -17,27 +18,60 @@ from relay_esc.config import EscConfig
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 
+# every limit where it acts: y_out passes 1e13 for some 2 % of the time
+LIMITED = {
+    "plant": PlantConfig(seed=3, theta_min=1.7, theta_max=2.2, theta_rate=0.04),
+    "lifter": LifterConfig(y_out_max=1e13),
+    "esc": EscConfig(dwell=2.0, theta_min=1.5, theta_max=2.1, rate_limit=0.06),
+}
 
-def test_the_compiled_loop_is_the_kernels_called_one_by_one():
+
+@pytest.mark.parametrize(
+    "configs",
+    [{"plant": PlantConfig(seed=3), "lifter": LifterConfig(), "esc": EscConfig()}, LIMITED],
+)
+def test_the_compiled_loop_is_the_kernels_called_one_by_one(configs):
     """As the nodes call them: an inlined kernel must round like a called one."""
-    plant, lifter, esc, model = (
-        PlantConfig(seed=3),
-        LifterConfig(),
-        EscConfig(),
-        load(shipped_model()),
-    )
+    plant, lifter, esc = configs["plant"], configs["lifter"], configs["esc"]
+    model = load(shipped_model())
     result = simulate(plant, lifter, esc, model, 4000)
     x, y = dynamics.initial_state(3)
     detector, state, z = cost.initial(), esc.initial(), np.empty(10)
+    applied = plant.theta_initial
     for k in range(4000):
+        arrival = int(Arrival.NEXT if k else Arrival.RESTART)
         measured = np.array(dynamics.measure(plant.params(), k, x, y))
-        r, _, detector = cost.step(
-            cost.LIFTED, model.lifting(), lifter.detector_params(), detector, measured, z
+        r, _, settling, detector = cost.answer(
+            cost.LIFTED, model.lifting(), lifter.detector_params(), detector, arrival, measured, z
         )
-        state = relay.step(esc.params(), state, r)
-        assert (result.r[k], result.theta[k]) == (r, state.theta)
+        state, _, _ = relay.answer(esc.params(), state, arrival, False, settling, r, False)
+        np.testing.assert_equal((result.r[k], result.theta[k]), (r, state.output))
         assert result.measured[k].tolist() == measured.tolist()
-        x, y = dynamics.step(plant.params(), k, x, y, state.theta)
+        x, y, applied = dynamics.advance(plant.params(), k, x, y, applied, state.output, 0.0)
+
+
+def test_unusable_states_hold_theta_and_the_run_goes_on():
+    model = load(shipped_model())
+    result = simulate(**LIMITED, model=model, steps=20_000)
+    unusable = np.flatnonzero(np.isnan(result.r))
+    assert 100 < unusable.size < 10_000
+    assert (result.theta[unusable[1:]] == result.theta[unusable[1:] - 1]).all()
+    energies = [np.sum((model.projector @ model.observables.lift(x)) ** 2) for x in result.measured]
+    assert (np.isnan(result.r) == (np.array(energies) > 1e13)).all()
+
+
+def test_the_limits_of_the_controller_and_of_the_actuator_act():
+    model, lifter = load(shipped_model()), LifterConfig()
+    plant, esc = LIMITED["plant"], replace(LIMITED["esc"], dwell=1e3)  # it never turns
+    result = simulate(plant, lifter, esc, model, 4000)
+    assert np.abs(np.diff(result.theta)).max() == pytest.approx(0.06 * 0.005, rel=1e-9)
+    assert result.theta[-1] == 1.5
+    # to the oscillator, an actuator of 0.04 a second that stops at 1.7 is a controller that does
+    free = replace(plant, theta_min=-9.0, theta_max=9.0, theta_rate=0.0)
+    stopped = replace(esc, theta_min=1.7, rate_limit=0.04)
+    other = simulate(free, lifter, stopped, model, 4000)
+    np.testing.assert_array_equal(other.ground_truth, result.ground_truth)
+    assert other.theta[-1] == 1.7
 
 
 def run(duration, seed):

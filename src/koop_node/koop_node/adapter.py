@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from koop_node.arrival import WINDOW
 from koop_node.fields import Source, read_field
-from koop_node.stream import WINDOW
 
 
 class StepCounter:
@@ -13,7 +13,8 @@ class StepCounter:
 
     With stamps, the step grows by the whole number of periods between two of them, so that a lost
     message is a gap in the steps; jitter and a drifting clock don't add up, for only neighbours are
-    compared. A message without a stamp (zero) is the next step.
+    compared. A message without a stamp (zero) is the next step. Counting begins at 1: step 0 is
+    where a run begins, and a source without steps is under way whenever it is heard.
 
     Parameters
     ----------
@@ -28,7 +29,7 @@ class StepCounter:
 
     def __init__(self, dt: float) -> None:
         self._dt = dt
-        self._step = -1
+        self._step = 0
         self._stamp = 0.0
         self.early = 0
 
@@ -41,9 +42,9 @@ class StepCounter:
         since = stamp - self._stamp
         periods = round(min(max(since / self._dt, -1e15), 1e15))
         if since < 0.0 and periods >= -WINDOW:  # overtaken; the newest one stays the reference
-            return max(0, self._step + min(periods, -1))
+            return max(1, self._step + min(periods, -1))
         elif since < 0.0:
-            self._step = 0  # the source started again
+            self._step = 1  # the source started again
         elif since > 0.0:
             self._step += max(periods, 1)
             self.early += periods == 0

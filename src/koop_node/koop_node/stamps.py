@@ -8,7 +8,8 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 
-from koop_node.stream import Arrival, StreamMonitor
+from koop_node.arrival import Arrival
+from koop_node.stream import StreamMonitor
 
 
 def to_seconds(stamp: Any) -> float:

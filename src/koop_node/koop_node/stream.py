@@ -16,30 +16,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from enum import IntEnum
 
 from koop_node.age import AgeMeter
+from koop_node.arrival import NOTHING, WINDOW, Arrival, classify
 from koop_node.report import ERROR, OK, STALE, WARN, Finding
-
-
-class Arrival(IntEnum):
-    """What a message is to those who heard the ones before; the first three are processed."""
-
-    NEXT = 0
-    """Follows on the last message, perhaps after a few lost ones."""
-    RESUME = 1
-    """The same run goes on after a silence."""
-    RESTART = 2
-    """Another run: first message, source restarted, bag looped."""
-    REPEAT = 3
-    """The same step as the last one: asked again, or duplicated on its way."""
-    LATE = 4
-    """Was overtaken by a newer message."""
-    TOO_OLD = 5
-    """Was stale on arrival; it is as if it had never been heard."""
-
-
-WINDOW = 64  # steps that a message may be overtaken by; further back is another run
 
 
 class StreamMonitor:
@@ -62,18 +42,22 @@ class StreamMonitor:
         self.timeout = timeout
         self.dt = dt
         self._may_end = may_end
-        self.step: int | None = None
         self.count = 0
         self.missed = self.repeated = self.late = self.restarts = self.silences = 0
         self.unusable = self.too_old = 0
         self.problem = ""
         self._stamp = 0.0
         self._heard = math.nan
-        self._late_in_a_row = 0
+        self._stream = NOTHING
         self._reported: tuple[int, ...] = (0,) * 6
         self._meter = AgeMeter()
         self._silent = False
         """Whether silence was found while there was a source."""
+
+    @property
+    def step(self) -> int | None:
+        """Step of the newest message; None before the first."""
+        return self._stream.step if self._stream.step >= 0 else None
 
     def classify(self, step: int, stamp: float, now: float, written: float = math.nan) -> Arrival:
         """Say what a message is.
@@ -90,35 +74,27 @@ class StreamMonitor:
             When it was written, on the clock of its writer's host [s]; NaN where age does not
             matter, as in lockstep: its source waits for the answer.
         """
-        last = self.step
+        last = self._stream.step
         if not math.isnan(written):
-            if last is not None and step < last - WINDOW:
+            if step < last - WINDOW:
                 self._meter.reset()
             if 0.0 < self.timeout < self._meter.age(written, now):
                 self.too_old += 1
                 return Arrival.TOO_OLD
         self._heard, self._stamp, self._silent = now, stamp, False
-        if last is None:
-            kind = Arrival.RESTART
-        elif step > last:
-            self.missed += step - last - 1
-            silence = 0.0 < self.timeout < (step - last) * self.dt
-            kind = Arrival.RESUME if silence else Arrival.NEXT
-            self.silences += silence
-        elif step == last:
+        arrival, self._stream = classify(self._stream, step, self.timeout, self.dt)
+        if arrival is Arrival.REPEAT:
             self.repeated += 1
-            return Arrival.REPEAT
-        elif 0 < step >= last - WINDOW and self._late_in_a_row < WINDOW:
+        elif arrival is Arrival.LATE:
             self.late += 1
-            self._late_in_a_row += 1
-            return Arrival.LATE
         else:
-            self.restarts += 1
-            kind = Arrival.RESTART
-        self._late_in_a_row = 0
-        self.step = step
-        self.count += 1
-        return kind
+            self.count += 1
+            if arrival is Arrival.NEXT or arrival is Arrival.RESUME:
+                self.missed += step - last - 1
+                self.silences += arrival is Arrival.RESUME
+            else:
+                self.restarts += last >= 0
+        return arrival
 
     def watch_from(self, now: float) -> None:
         """Let the age count from ``now`` although nothing was heard yet."""

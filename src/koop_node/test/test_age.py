@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from koop_node.age import AgeMeter
-from koop_node.stream import Arrival, StreamMonitor
+from koop_node.arrival import Arrival
+from koop_node.stream import StreamMonitor
 
 DT = 0.005
 LIMIT = 0.5

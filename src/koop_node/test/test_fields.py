@@ -86,8 +86,8 @@ def steps(stamps):
 def test_steps_follow_the_stamps_over_jitter_drift_and_losses():
     drift = 1.0002
     stamps = [100.0 + k * DT * drift + (0.0015 if k % 2 else 0.0) for k in range(20_000)]
-    assert steps(stamps) == list(range(20_000))
-    assert steps([100.0, 100.005, 100.020, 100.025]) == [0, 1, 4, 5]
+    assert steps(stamps) == list(range(1, 20_001))
+    assert steps([100.0, 100.005, 100.020, 100.025]) == [1, 2, 5, 6]
 
 
 def test_a_source_faster_than_the_steps_is_noticed_and_jitter_is_not():
@@ -101,25 +101,25 @@ def test_a_source_faster_than_the_steps_is_noticed_and_jitter_is_not():
 
 
 def test_repeated_overtaken_and_restarted_stamps():
-    assert steps([50.0, 50.005, 50.005, 50.015, 50.010, 50.020]) == [0, 1, 1, 3, 2, 4]
-    assert steps([50.0, 50.005, 1.0, 1.005]) == [0, 1, 0, 1]
+    assert steps([50.0, 50.005, 50.005, 50.015, 50.010, 50.020]) == [1, 2, 2, 4, 3, 5]
+    assert steps([50.0, 50.005, 1.0, 1.005]) == [1, 2, 1, 2]
 
 
 def test_without_stamps_every_message_is_the_next_step():
-    assert steps([0.0] * 4) == [0, 1, 2, 3]
+    assert steps([0.0] * 4) == [1, 2, 3, 4]
 
 
 def test_a_source_that_stamps_only_some_messages_makes_no_gaps():
     """As a driver before it knows the time, which counted as billions of lost messages."""
-    assert steps([0.0, 0.0, 1e9, 1e9 + DT, 1e9 + 3 * DT]) == [0, 1, 2, 3, 5]
-    assert steps([1e9, 1e9 + DT, 0.0, 1e9 + 3 * DT]) == [0, 1, 2, 3]
+    assert steps([0.0, 0.0, 1e9, 1e9 + DT, 1e9 + 3 * DT]) == [1, 2, 3, 4, 6]
+    assert steps([1e9, 1e9 + DT, 0.0, 1e9 + 3 * DT]) == [1, 2, 3, 4]
 
 
 def test_the_adapter_makes_states():
     adapter = StateAdapter(parse_source("/js:position[0],velocity[0]"), DT)
-    assert adapter.convert(message(9.0, position=[1.0], velocity=[2.0])) == (0, [1.0, 2.0])
+    assert adapter.convert(message(9.0, position=[1.0], velocity=[2.0])) == (1, [1.0, 2.0])
     step, values = adapter.convert(message(9.01, position=[1.0], velocity=[]))
-    assert step == 2
+    assert step == 3
     assert values[0] == 1.0
     assert math.isnan(values[1])
 
@@ -127,4 +127,4 @@ def test_the_adapter_makes_states():
 @pytest.mark.parametrize("header", [None, SimpleNamespace(), SimpleNamespace(stamp=5.0)])
 def test_a_header_of_another_kind_is_no_stamp(header):
     adapter = StateAdapter(parse_source("/js:x"), DT)
-    assert adapter.convert(SimpleNamespace(header=header, x=1.0)) == (0, [1.0])
+    assert adapter.convert(SimpleNamespace(header=header, x=1.0)) == (1, [1.0])

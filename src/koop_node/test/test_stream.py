@@ -4,10 +4,11 @@ import math
 
 import pytest
 
+from koop_node.arrival import WINDOW, Arrival
 from koop_node.report import ERROR, OK, STALE, WARN, Finding, summary
-from koop_node.stream import WINDOW, Arrival, StreamMonitor
+from koop_node.stream import StreamMonitor
 
-NEXT, RESUME, RESTART, REPEAT, LATE, TOO_OLD = Arrival
+NEXT, RESUME, RESTART, JOIN, REPEAT, LATE, TOO_OLD = Arrival
 
 DT = 0.005
 
@@ -22,7 +23,7 @@ def monitor():
 
 
 def test_consecutive_steps_follow_on_each_other(monitor):
-    assert feed(monitor, range(7, 12)) == [RESTART, NEXT, NEXT, NEXT, NEXT]
+    assert feed(monitor, range(7, 12)) == [JOIN, NEXT, NEXT, NEXT, NEXT]
     assert (monitor.missed, monitor.restarts, monitor.count) == (0, 0, 5)
 
 
@@ -38,7 +39,7 @@ def test_a_gap_longer_than_the_timeout_follows_on_nothing(monitor):
 
 
 def test_only_the_steps_decide_what_follows(monitor):
-    assert monitor.classify(4, 1000.0, 0.0) == RESTART
+    assert monitor.classify(4, 1000.0, 0.0) == JOIN
     assert (
         monitor.classify(5, 0.0, 99.0) == NEXT
     )  # neither the clock nor the stamp: a replay is alike
@@ -52,19 +53,25 @@ def test_a_timeout_of_0_is_off(monitor):
 
 
 def test_overtaken_messages_are_late_and_repeated_ones_repeat(monitor):
-    assert feed(monitor, [10, 12, 11, 12, 13]) == [RESTART, NEXT, LATE, REPEAT, NEXT]
+    assert feed(monitor, [10, 12, 11, 12, 13]) == [JOIN, NEXT, LATE, REPEAT, NEXT]
     assert (monitor.late, monitor.repeated, monitor.step) == (1, 1, 13)
 
 
 def test_a_source_that_starts_again_is_another_run(monitor):
     assert feed(monitor, [0, 1, 2, 0, 1]) == [RESTART, NEXT, NEXT, RESTART, NEXT]
-    assert feed(monitor, [5000, 37, 38]) == [RESUME, RESTART, NEXT]
+    assert feed(monitor, [5000, 37, 38]) == [RESUME, JOIN, NEXT]
     assert monitor.restarts == 2
+
+
+def test_only_step_0_is_where_a_run_begins(monitor):
+    assert feed(monitor, [0]) == [RESTART]
+    assert feed(StreamMonitor("state", 0.5, DT), [1, 2]) == [JOIN, NEXT]
+    assert feed(monitor, [90_000, 70_000, 70_001, 0, 1]) == [RESUME, JOIN, NEXT, RESTART, NEXT]
 
 
 def test_a_bag_loop_shorter_than_the_window_is_noticed_after_the_window(monitor):
     kinds = feed(monitor, [30, *range(10, 30), *range(10, 30), *range(10, 30), *range(10, 30)])
-    assert kinds.index(RESTART, 1) == WINDOW + 1
+    assert kinds.index(JOIN, 1) == WINDOW + 1
     assert kinds[-1] in (NEXT, LATE)
 
 
@@ -106,7 +113,7 @@ def test_the_summary_is_the_most_urgent():
 
 
 def test_the_kinds_that_are_processed_come_first():
-    assert max(NEXT, RESUME, RESTART) < REPEAT < min(LATE, TOO_OLD)
+    assert max(NEXT, RESUME, RESTART, JOIN) < REPEAT < min(LATE, TOO_OLD)
 
 
 def test_a_source_that_left_in_order_has_ended_and_one_that_was_lost_is_stale():

@@ -7,10 +7,16 @@
     y_lp,k = a_lp y_lp,k-1 + (1 - a_lp) y_hp,k^2,                a_lp = exp(-omega_l dt)
     r_k    = max(y_lp,k, 0)                     (after Wang and Krstic 2000)
 
-The detector starts from the first measurement, not from zero: the first difference is 0.
+The detector starts from the first measurement, not from zero: the first difference is 0. y_lp
+starts from 0, and r climbs, where a run begins. A detector that joins a run under way does not know
+what was before: a cost that climbs there looks like one that gets worse, and turns the relay for
+nothing. So it has no r (NaN) until both filters have settled, and then takes for y_lp the mean over
+the n samples that it has seen, with the filter's own weights: y_lp / (1 - a_lp^n). Nothing is left
+to climb.
 
 Functions that take arrays are inlined before compilation: each call would count references to them,
-which costs as much as the arithmetic.
+which costs as much as the arithmetic. So are those that every sample passes: the whole loop is 8 %
+faster for it.
 """
 
 from __future__ import annotations
@@ -23,10 +29,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from koop_node.arrival import Arrival
 from koopman_lifter.observables import lift_into
 
 RAW = 0
 LIFTED = 1
+SETTLED = 3.0  # time constants after which a filter has settled: to e^-3 = 5 %
 
 
 class Lifting(NamedTuple):
@@ -54,42 +62,68 @@ class DetectorParams(NamedTuple):
         Filter coefficients exp(-omega dt) [-].
     y_max : float
         Largest y_out that is believed; finite.
+    settling : int
+        Samples that both filters need to settle.
+    settled : float
+        Share of y_lp that these samples have: 1 - alpha_lp^settling.
     """
 
     alpha_hp: float
     alpha_lp: float
     y_max: float
+    settling: int
+    settled: float
 
 
 class DetectorState(NamedTuple):
-    """What the detector remembers; ``primed`` is False if the next sample follows on none."""
+    """What the detector remembers.
+
+    Attributes
+    ----------
+    y_previous, y_hp, y_lp : float
+        Last energy, high-pass and low-pass filter.
+    primed : bool
+        False if the next sample follows on none.
+    settling : int
+        Samples until the filters have settled and there is a cost.
+    """
 
     y_previous: float
     y_hp: float
     y_lp: float
     primed: bool
+    settling: int
 
 
 def detector_params(
     omega_h: float, omega_l: float, dt: float, y_max: float = sys.float_info.max
 ) -> DetectorParams:
     """Return the scalars for corner frequencies [rad/s], a sampling time [s] and a limit."""
-    return DetectorParams(math.exp(-omega_h * dt), math.exp(-omega_l * dt), y_max)
+    settling = math.ceil(SETTLED * (1.0 / omega_h + 1.0 / omega_l) / dt)
+    alpha_lp = math.exp(-omega_l * dt)
+    settled = -math.expm1(-omega_l * dt * settling)
+    return DetectorParams(math.exp(-omega_h * dt), alpha_lp, y_max, settling, settled)
 
 
+@njit(cache=True)
 def initial() -> DetectorState:
-    """Return the state before the first sample."""
-    return DetectorState(0.0, 0.0, 0.0, False)
+    """Return the state before the first sample of a run."""
+    return DetectorState(0.0, 0.0, 0.0, False, 0)
+
+
+@njit(cache=True)
+def joining(p: DetectorParams) -> DetectorState:
+    """Return the state before the first sample of a run that is under way.
+
+    It serves a switch to another cost or model too, whose energies are another quantity.
+    """
+    return DetectorState(0.0, 0.0, 0.0, False, p.settling)
 
 
 @njit(cache=True)
 def resume(state: DetectorState) -> DetectorState:
-    """Keep the filters over a silence, so that the next sample is no jump.
-
-    Starting them from zero instead would let r climb again, which looks like a cost that gets
-    worse and turns the relay for nothing.
-    """
-    return DetectorState(state.y_previous, state.y_hp, state.y_lp, False)
+    """Keep the filters over a silence, so that the next sample is no jump."""
+    return DetectorState(state.y_previous, state.y_hp, state.y_lp, False, state.settling)
 
 
 @njit(cache=True, inline="always")
@@ -143,22 +177,91 @@ def detect(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float
         State after this sample.
     """
     if not state.primed:
-        return max(state.y_lp, 0.0), DetectorState(y_out, state.y_hp, state.y_lp, True)
+        return max(state.y_lp, 0.0), DetectorState(
+            y_out, state.y_hp, state.y_lp, True, state.settling
+        )
     y_hp = p.alpha_hp * state.y_hp + (1.0 - p.alpha_hp) * (y_out - state.y_previous)
     y_lp = p.alpha_lp * state.y_lp + (1.0 - p.alpha_lp) * (y_hp * y_hp)
-    return max(y_lp, 0.0), DetectorState(y_out, y_hp, y_lp, True)
+    return max(y_lp, 0.0), DetectorState(y_out, y_hp, y_lp, True, state.settling)
 
 
 @njit(cache=True, inline="always")
-def step(
+def take(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float, DetectorState]:
+    """Process an energy that may be unusable: above y_max, or r is not finite.
+
+    It has no r (NaN) and leaves the filters as they were; the next usable one is no jump.
+    """
+    if not y_out <= p.y_max:  # nor if it is NaN
+        return math.nan, resume(state)
+    r, after = detect(p, state, y_out)
+    if math.isfinite(r):
+        return r, after
+    return math.nan, resume(state)  # an infinite low-pass filter would stay so for ever
+
+
+@njit(cache=True)
+def settle(p: DetectorParams, before: DetectorState, after: DetectorState) -> DetectorState:
+    """Count a sample of a detector that settles; with the last one, y_lp becomes a mean."""
+    if not (before.primed and after.primed):  # no sample of the filters
+        return after
+    settling = after.settling - 1
+    y_lp = after.y_lp / p.settled if settling == 0 else after.y_lp
+    return DetectorState(after.y_previous, after.y_hp, y_lp, True, settling)
+
+
+@njit(cache=True, inline="always")
+def follow(
+    p: DetectorParams, state: DetectorState, arrival: int, y_out: float
+) -> tuple[float, DetectorState]:
+    """Answer one energy, whatever it is and whatever came before it.
+
+    Parameters
+    ----------
+    p : DetectorParams
+        Filter coefficients and limit.
+    state : DetectorState
+        State after the previous sample.
+    arrival : int
+        What the sample is to the ones before: an :class:`koop_node.arrival.Arrival` up to JOIN.
+    y_out : float
+        Instantaneous energy; anything.
+
+    Returns
+    -------
+    r : float
+        Cost; NaN where the energy is unusable, see :func:`take`, and while the detector settles.
+    state : DetectorState
+        State after this sample.
+    """
+    if arrival == Arrival.NEXT and state.settling == 0:  # apart: the loop is 5 % faster for it
+        return take(p, state, y_out)
+    if arrival == Arrival.RESTART:
+        state = initial()
+    elif arrival == Arrival.JOIN:
+        state = joining(p)
+    elif arrival == Arrival.RESUME:
+        state = resume(state)
+    r, after = take(p, state, y_out)
+    if state.settling > 0:
+        after = settle(p, state, after)
+        r = max(after.y_lp, 0.0) if after.settling == 0 else math.nan
+    return r, after
+
+
+@njit(cache=True, inline="always")
+def answer(
     source: int,
     lifting: Lifting,
     p: DetectorParams,
     state: DetectorState,
+    arrival: int,
     x: NDArray[np.float64],
     z: NDArray[np.float64],
-) -> tuple[float, float, DetectorState]:
-    """Process one measured state.
+) -> tuple[float, float, bool, DetectorState]:
+    """Answer one measured state: what the lifter does with a message.
+
+    Node, offline loop, study and replay call this. From Python, ``arrival`` must be a plain int:
+    numba takes 15 us to recognise an enum.
 
     Parameters
     ----------
@@ -167,25 +270,25 @@ def step(
     lifting : Lifting
         Arrays of the model.
     p : DetectorParams
-        Filter coefficients.
+        Filter coefficients and limit.
     state : DetectorState
-        Detector after the previous sample.
+        Detector after the previous message.
+    arrival : int
+        What the message is to the ones before: an :class:`koop_node.arrival.Arrival` up to JOIN.
     x : ndarray, shape (n,)
-        Measured state x'_k.
+        Measured state x'_k; NaN where there is none, as for a message of another size.
     z : ndarray, shape (p,)
         Scratch; receives g(x'_k) for LIFTED.
 
     Returns
     -------
     r, y_out : float
-        Cost and instantaneous energy; r is NaN where y_out is above y_max, or r not finite.
+        Cost and instantaneous energy; see :func:`follow` for where r is NaN.
+    settling : bool
+        Whether the detector has joined a run and has not settled: there is no cost yet.
     state : DetectorState
-        Detector after this sample; unchanged where r is NaN.
+        Detector after this message.
     """
     y_out = energy(source, lifting, x, z)
-    if not y_out <= p.y_max:  # nor if it is NaN
-        return math.nan, y_out, state
-    r, after = detect(p, state, y_out)
-    if not math.isfinite(r):  # an infinite low-pass filter would stay so for ever
-        return math.nan, y_out, state
-    return r, y_out, after
+    r, state = follow(p, state, arrival, y_out)
+    return r, y_out, state.settling > 0, state

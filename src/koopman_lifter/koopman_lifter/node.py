@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from array import array
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,14 @@ from koop_msgs.msg import Cost, MeasuredState
 from rclpy.publisher import Publisher
 
 from koop_node.adapter import StateAdapter
+from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
 from koop_node.fields import Source, check_fields
 from koop_node.main import run
 from koop_node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.qos import BEST_EFFORT, RELIABLE
 from koop_node.stamps import classify
-from koop_node.stream import Arrival, StreamMonitor
+from koop_node.stream import StreamMonitor
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, ModelError, load
@@ -34,6 +36,7 @@ class Loaded:
         self.id = model.model_id
         self.lifting = model.lifting()
         self.z = np.empty(model.observables.p)
+        self.nothing = np.full(self.n, math.nan)
 
 
 class Foreign:
@@ -118,12 +121,11 @@ class LifterRun(Run):
     def parameters_changed(self, names: set[str]) -> None:
         if "model" in names and self._candidate is not None:
             self._loaded, self._candidate = Loaded(self._candidate), None
-            self._state = cost.initial()
             self._node.get_logger().info(f"model is now {self._loaded.id}")
-        if "cost" in names:  # another quantity: its difference to the last sample means nothing
-            self._state = cost.initial()
         config = self._node.parameters[LifterConfig]
         self._source, self._detector = config.source, config.detector_params()
+        if {"cost", "model"} & names:  # of another quantity the filters know nothing
+            self._state = cost.joining(self._detector)
         self._input.timeout = config.state_timeout
 
     def samples(self) -> int:
@@ -138,6 +140,9 @@ class LifterRun(Run):
         if self._foreign is not None and self._foreign.too_fast(self._input.count):
             text = f"'{self._topic}' is faster than one message in dt = {config.dt:g} s"
             return WARN, text, values
+        if self._state.settling:
+            wait = self._state.settling * config.dt
+            return OK, f"joined a run: no cost until the filters settle in {wait:.1f} s", values
         return OK, "lifting", values
 
     def _on_foreign(self, message: Any, written: float) -> None:
@@ -145,39 +150,33 @@ class LifterRun(Run):
             self._on_state(self._foreign.convert(message), written)
 
     def _on_state(self, state: MeasuredState, written: float) -> None:
-        kind = classify(self._input, state, written)
-        if kind >= Arrival.LATE or self._publisher is None:
+        arrival = classify(self._input, state, written)
+        if arrival >= Arrival.LATE or self._publisher is None:
             return
-        if kind != Arrival.REPEAT:  # else it was asked again: the same answer, no second update
-            if kind == Arrival.RESTART:
-                self._state = cost.initial()
-            elif kind != Arrival.NEXT:
-                self._state = cost.resume(self._state)
-            self._process(state)
+        if arrival is not Arrival.REPEAT:  # else asked again: the same answer, no second update
+            self._process(state, arrival)
         self._publisher.publish(self._answer)
 
-    def _process(self, state: MeasuredState) -> None:
+    def _process(self, state: MeasuredState, arrival: Arrival) -> None:
         answer = self._answer
         answer.header = state.header
         answer.step = state.step
         answer.lockstep = state.lockstep
         answer.source = self._source
         answer.model_id = self._loaded.id
-        x = np.frombuffer(state.x)
-        if x.shape[0] == self._loaded.n:
-            answer.r, answer.y_out, self._state = cost.step(
-                self._source, self._loaded.lifting, self._detector, self._state, x, self._loaded.z
-            )
-        else:
-            answer.r = answer.y_out = math.nan
-        if math.isnan(answer.r):
-            self._state = cost.resume(self._state)
-            self._report_unusable(x)
+        loaded, x = self._loaded, np.frombuffer(state.x)
+        if x.shape[0] != loaded.n:
+            x = loaded.nothing
+        answer.r, answer.y_out, answer.settling, self._state = cost.answer(
+            self._source, loaded.lifting, self._detector, self._state, int(arrival), x, loaded.z
+        )
+        if math.isnan(answer.r) and not (answer.settling and answer.y_out <= self._detector.y_max):
+            self._report_unusable(state.x)
 
-    def _report_unusable(self, x: np.ndarray[Any, Any]) -> None:
+    def _report_unusable(self, x: array[float]) -> None:
         n = self._loaded.n
-        if x.shape[0] != n:
-            problem = f"state has {x.shape[0]} values, the model {self._loaded.id} needs {n}"
+        if len(x) != n:
+            problem = f"state has {len(x)} values, the model {self._loaded.id} needs {n}"
         else:
             problem = f"state {x.tolist()} is not finite or its y_out too large"
         self._input.reject(f"step {self._answer.step}: {problem}")
@@ -186,15 +185,18 @@ class LifterRun(Run):
     def _compile(self) -> None:
         """Compile the kernel for the types that messages bring, before the first sample."""
         x = np.frombuffer(MeasuredState(x=[0.0] * self._loaded.n).x)
-        for state in (cost.initial(), cost.resume(self._state)):
-            cost.step(self._source, self._loaded.lifting, self._detector, state, x, self._loaded.z)
+        cost.answer(
+            self._source, self._loaded.lifting, self._detector, cost.joining(self._detector),
+            int(Arrival.NEXT), x, self._loaded.z,
+        )  # fmt: skip
 
 
 class LifterNode(ManagedNode[LifterRun]):
     """Answers every state with a cost.
 
     A state that cannot be used (wrong length, not finite) is answered with r = NaN, on which the
-    controller holds; the detector goes on with the next usable state. A state that was overtaken
+    controller holds; the detector goes on with the next usable state. So are the first states of a
+    run that is under way already, flagged ``settling``. A state that was overtaken
     by a newer one, or is older than ``state_timeout`` on arrival, is counted and not answered: the
     filters can't go back in time, and nobody must act on what is long past.
     """

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from koop_node.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, shipped_model
 from koopman_lifter.model import load
@@ -55,35 +56,78 @@ def test_raw_and_lifted_energy_are_the_paper_s_formulas():
         assert lifted == pytest.approx(np.linalg.norm(modal) ** 2, rel=1e-6)
 
 
-def test_an_unusable_state_costs_nan_and_leaves_the_detector_alone():
-    model, config = load(shipped_model()), LifterConfig()
-    z = np.empty(model.observables.p)
-    arguments = (cost.LIFTED, model.lifting(), config.detector_params())
-    before = cost.step(*arguments, cost.initial(), np.array([1.0, 2.0]), z)[2]
+def answers(states, arrivals=None, state=None, **given):
+    """Return r and settling of every state, and the detector after them, for the lifted cost."""
+    model, z = load(shipped_model()), np.empty(10)
+    params, state = LifterConfig(**given).detector_params(), state or cost.initial()
+    arrivals = arrivals or [Arrival.RESTART, *[Arrival.NEXT] * (len(states) - 1)]
+    found = []
+    for x, arrival in zip(states, arrivals, strict=True):
+        r, _, settling, state = cost.answer(
+            cost.LIFTED, model.lifting(), params, state, int(arrival), np.asarray(x), z
+        )
+        found.append((r, settling))
+    r, settling = np.array(found).T
+    return r, settling.astype(bool), state
+
+
+def test_an_unusable_state_costs_nan_and_leaves_the_filters_alone():
+    x = 10.0 * np.random.default_rng(3).standard_normal((100, 2))
+    _, _, before = answers(x)
     # of the last one the energy is finite, its square is not
     for bad in ([np.nan, 0.0], [np.inf, 0.0], [1e200, 0.0], [1e30, 0.0]):
-        r, _, after = cost.step(*arguments, before, np.array(bad), z)
-        assert math.isnan(r)
-        assert after == before
+        r, settling, after = answers([bad], [Arrival.NEXT], before)
+        assert math.isnan(r[0])
+        assert not settling[0]
+        assert after == cost.resume(before)
 
 
 def test_a_spike_beyond_the_limit_is_unusable_and_leaves_no_trace():
     model, z = load(shipped_model()), np.empty(10)
     x = 10.0 * np.random.default_rng(0).standard_normal((4000, 2))
     spiked = np.insert(x, 2000, [300.0, 0.0], axis=0)
-
-    def costs(states, **given):
-        params, state, found = LifterConfig(**given).detector_params(), cost.initial(), []
-        for row in states:
-            r, _, state = cost.step(cost.LIFTED, model.lifting(), params, state, row, z)
-            found.append(r)
-        return np.array(found)
-
     limit = 10.0 * max(cost.energy(cost.LIFTED, model.lifting(), row, z) for row in x)
-    free, limited = costs(spiked), costs(spiked, y_out_max=limit)
+    free, limited = answers(spiked)[0], answers(spiked, y_out_max=limit)[0]
     assert np.isnan(limited[2000])
-    assert np.array_equal(np.delete(limited, 2000), costs(x))
+    # as if the spike had not been, but for the difference to it
+    resumed = [Arrival.RESTART, *[Arrival.NEXT] * 1999, Arrival.RESUME, *[Arrival.NEXT] * 1999]
+    assert np.array_equal(np.delete(limited, 2000), answers(x, resumed)[0])
     assert free[2001:].min() > 100.0 * limited[:2000].max()  # else r only falls, for seconds
+
+
+def test_a_detector_that_joins_a_run_has_the_mean_of_what_it_saw_for_its_first_cost():
+    config = LifterConfig()
+    x = 10.0 * np.random.default_rng(4).standard_normal((6000, 2))
+    r, settling, _ = answers(x, [Arrival.JOIN, *[Arrival.NEXT] * 5999])
+    n = math.ceil(3.0 * (1.0 / 20.0 + 1.0 / 0.3) / config.dt)  # three times both time constants
+    assert np.array_equal(np.isnan(r), settling)
+    assert settling.sum() == n
+    model = load(shipped_model())
+    y = np.sum((model.projector @ model.observables.lift(x.T)) ** 2, axis=0)
+    a_hp, a_lp = math.exp(-config.omega_h * config.dt), math.exp(-config.omega_l * config.dt)
+    squares = lfilter([1 - a_hp, -(1 - a_hp)], [1, -a_hp], y - y[0])[1:] ** 2
+    weights = a_lp ** np.arange(n)[::-1]
+    assert r[n] == pytest.approx(np.average(squares[:n], weights=weights), rel=1e-9)
+    expected, _ = lfilter([1 - a_lp], [1, -a_lp], squares[n:], zi=[a_lp * r[n]])
+    np.testing.assert_allclose(r[n + 1 :], expected, rtol=1e-9)
+
+
+def test_settling_goes_on_over_a_silence_and_an_unusable_state():
+    x = 10.0 * np.random.default_rng(5).standard_normal((3000, 2))
+    x[700] = np.nan
+    arrivals = [Arrival.JOIN, *[Arrival.NEXT] * 2999]
+    arrivals[400] = Arrival.RESUME
+    settling = answers(x, arrivals)[1]
+    # neither they nor the state after the unusable one is a sample of the filters
+    assert settling.sum() == LifterConfig().detector_params().settling + 3
+
+
+def test_a_run_that_begins_is_answered_from_its_first_state_on():
+    x = 10.0 * np.random.default_rng(6).standard_normal((50, 2))
+    _, _, before = answers(x)
+    again = answers(x, [Arrival.RESTART, *[Arrival.NEXT] * 49], before)[0]
+    assert np.array_equal(again, answers(x)[0])
+    assert again[0] == 0.0
 
 
 def test_after_a_silence_the_cost_goes_on_from_where_it_was():

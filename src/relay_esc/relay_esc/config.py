@@ -95,6 +95,8 @@ class EscConfig:
             self.theta_min,
             self.theta_max,
             1.0 if self.objective == "minimise" else -1.0,
+            self.largest_change,
+            dwell_samples(max(self.dwell, self.tau_f), self.dt),
         )
 
     def initial(self) -> RelayState:

@@ -12,12 +12,13 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
+from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
 from koop_node.main import run
 from koop_node.managed import OK, WARN, Entities, ManagedNode, Run
 from koop_node.qos import NEWEST, RELIABLE
 from koop_node.stamps import classify
-from koop_node.stream import Arrival, StreamMonitor
+from koop_node.stream import StreamMonitor
 from relay_esc import relay
 from relay_esc.config import EscConfig
 
@@ -28,7 +29,7 @@ class EscRun(Run):
     def __init__(self, node: EscNode, entities: Entities) -> None:
         config = node.parameters[EscConfig]
         self._node = node
-        self._params, self._largest_change = config.params(), config.largest_change
+        self._params = config.params()
         self._state = config.initial()
         self._answer = ControlInput(theta=self._state.theta)
         self._input = StreamMonitor("cost", config.cost_timeout, config.dt, may_end=True)
@@ -59,7 +60,7 @@ class EscRun(Run):
 
     def parameters_changed(self, names: set[str]) -> None:
         config = self._node.parameters[EscConfig]
-        self._params, self._largest_change = config.params(), config.largest_change
+        self._params = config.params()
         self._input.timeout = config.cost_timeout
 
     def samples(self) -> int:
@@ -77,39 +78,41 @@ class EscRun(Run):
             "holding": answer.holding,
             "model_id": self._origin[1] if self._origin else "",
         }
+        if self._state.since_flip < 0:
+            wait = -self._state.since_flip * self._node.parameters[EscConfig].dt
+            return WARN, f"joined a run: holding theta, seeking in {wait:.1f} s", values
         return (WARN, "holding theta", values) if answer.holding else (OK, "seeking", values)
 
     def _on_cost(self, cost: Cost, written: float) -> None:
-        kind = classify(self._input, cost, written)
-        if kind >= Arrival.LATE or self._publisher is None:
+        arrival = classify(self._input, cost, written)
+        if arrival >= Arrival.LATE or self._publisher is None:
             return
-        if kind != Arrival.REPEAT:  # else it was asked again: the same answer, no second update
-            self._process(cost, kind != Arrival.NEXT)
+        if arrival is not Arrival.REPEAT:  # else asked again: the same answer, no second update
+            self._process(cost, arrival)
         self._publisher.publish(self._answer)
         if self._command is not None:
             self._command.publish(Float64(data=self._answer.theta))
 
-    def _process(self, cost: Cost, from_nothing: bool) -> None:
+    def _process(self, cost: Cost, arrival: Arrival) -> None:
         origin = (cost.source, cost.model_id)
-        if origin != self._origin:  # another quantity: its difference to the last means nothing
-            from_nothing = True
-            self._origin = origin
-        self._state, holding = relay.respond(
-            self._params, self._state, cost.r, from_nothing, self._hold_asked
-        )
-        if not math.isfinite(cost.r):
+        switched, self._origin = origin != self._origin, origin
+        answer = self._answer
+        self._state, answer.holding, answer.saturated = relay.answer(
+            self._params, self._state, int(arrival), switched, cost.settling, cost.r,
+            self._hold_asked,
+        )  # fmt: skip
+        if not (math.isfinite(cost.r) or cost.settling):
             self._input.reject(f"step {cost.step}: r = {cost.r}")
-        state, answer = self._state, self._answer
+        state = self._state
         answer.header = cost.header
         answer.step = cost.step
-        answer.theta = relay.slew(answer.theta, state.theta, self._largest_change)
+        answer.theta = state.output
         answer.epsilon = state.epsilon
         answer.cost_rise_filtered = state.cost_rise_filtered
-        answer.saturated = relay.saturated(self._params, answer.theta)
-        answer.holding = holding
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._state = self._node.parameters[EscConfig].initial()
+        config = self._node.parameters[EscConfig]
+        self._state = relay.reset(self._state, config.theta_initial, config.epsilon_initial)
         response.success = True
         response.message = f"theta is {self._state.theta:g} again, filter and relay are reset"
         return response
@@ -137,9 +140,8 @@ class EscNode(ManagedNode[EscRun]):
 
 def _compile(config: EscConfig) -> None:
     """Compile the kernels for the types that messages bring, before the first sample."""
-    state, _ = relay.respond(config.params(), config.initial(), 0.0, True, False)
-    relay.respond(config.params(), state, 1.0, False, True)
-    relay.saturated(config.params(), relay.slew(state.theta, state.theta, math.inf))
+    state, arrival = config.initial(), int(Arrival.RESTART)
+    relay.answer(config.params(), state, arrival, False, False, 0.0, False)
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from koop_node.arrival import Arrival
 from koop_node.config import ConfigError
 from relay_esc import relay
 from relay_esc.config import EscConfig
@@ -75,8 +76,8 @@ def test_theta_stops_at_its_limits():
     config = EscConfig(theta_initial=-4.999)
     states = run(config, np.linspace(1.0, 0.0, 100))
     assert states[-1].theta == -5.0
-    assert relay.saturated(config.params(), states[-1].theta)
-    assert not relay.saturated(config.params(), states[0].theta)
+    assert answer(config, states[-1], 0.0)[2]
+    assert not answer(config, states[0], 1.0)[2]
 
 
 def test_maximising_is_minimising_the_negated_cost():
@@ -118,49 +119,102 @@ def test_a_bad_value_is_refused_with_the_reason(values, message):
         EscConfig(**values)
 
 
-def test_an_answer_is_held_anew_or_the_next_step():
-    params, state = EscConfig(dwell=0.0).params(), EscConfig().initial()
+def answer(config, state, r, arrival=Arrival.NEXT, *, switched=False, settling=False, hold=False):
+    return relay.answer(config.params(), state, int(arrival), switched, settling, r, hold)
+
+
+def same(state, **changes):
+    return state._replace(output=changes.get("theta", state.theta), **changes)
+
+
+def test_an_answer_is_held_or_the_next_step_or_the_first():
+    config = EscConfig(dwell=0.0)
+    state = config.initial()
     for r in (3.0, 2.5, 2.2):
-        state, holding = relay.respond(params, state, r, False, False)
+        state, holding, _ = answer(config, state, r)
         assert not holding
-    moved = relay.step(params, state, 9.0)
-    assert relay.respond(params, state, 9.0, False, False) == (moved, False)
-    assert relay.respond(params, state, 9.0, False, True) == (relay.hold(state), True)
-    assert relay.respond(params, state, math.nan, False, False) == (relay.hold(state), True)
-    anew, holding = relay.respond(params, state, 9.0, True, False)
-    assert not holding
-    assert (anew.theta, anew.epsilon, anew.cost_rise_filtered, anew.primed) == (
-        state.theta, state.epsilon, 0.0, True,
-    )  # fmt: skip
+    moved = same(relay.step(config.params(), state, 9.0))
+    assert answer(config, state, 9.0)[:2] == (same(moved), False)
+    assert answer(config, state, 9.0, hold=True)[:2] == (relay.hold(state), True)
+    assert answer(config, state, math.nan)[:2] == (relay.hold(state), True)
+    first = same(state, cost_rise_filtered=0.0, r_previous=9.0, since_flip=0)
+    for how in ({"arrival": Arrival.RESUME}, {"arrival": Arrival.RESTART}, {"switched": True}):
+        assert answer(config, state, 9.0, **how)[:2] == (first, False)
 
 
-def test_after_a_start_from_nothing_the_dwell_time_guards_the_unsettled_filter():
+def test_after_a_reset_filter_the_dwell_time_guards_what_has_not_settled():
     config = EscConfig(dwell=0.05)  # 10 samples
-    params = config.params()
     state = run(config, np.linspace(1.0, 0.5, 50))[-1]  # falling, the dwell time is long past
-    state, _ = relay.respond(params, state, 7.0, True, False)
+    state, _, _ = answer(config, same(state), 7.0, Arrival.RESUME)
     for _ in range(9):  # a rise that would turn the relay at once
-        state, holding = relay.respond(params, state, state.r_previous + 1e-6, False, False)
+        state, holding, _ = answer(config, state, state.r_previous + 1e-6)
         assert not holding
         assert state.epsilon == 1
-    state, _ = relay.respond(params, state, state.r_previous + 1e-6, False, False)
+    state, _, _ = answer(config, state, state.r_previous + 1e-6)
     assert state.epsilon == -1
+
+
+def test_a_controller_that_joins_holds_theta_while_its_filter_settles_and_then_dwells():
+    config = EscConfig(dwell=2.0, tau_f=3.0, dt=0.1)
+    r = np.random.default_rng(7).normal(size=60).cumsum() + 0.2 * np.arange(60)
+    state, held = config.initial(), []
+    for k in range(60):
+        arrival = Arrival.NEXT if k else Arrival.JOIN
+        # neither a cost that is unusable nor a hold of the user's begins the wait again
+        cost = math.nan if k == 5 else r[k]
+        state, holding, _ = answer(config, state, cost, arrival, hold=k == 9)
+        held.append(holding)
+        if k == 4:
+            b = math.exp(-0.1 / 3.0)
+            expected = lfilter([1 - b, b - 1], [1, -b], r[:5] - r[0])[-1]
+            assert state.cost_rise_filtered == pytest.approx(expected, rel=1e-9)
+        if holding:
+            assert (state.output, state.epsilon) == (2.0, 1)
+        if not holding and k < 49:
+            assert state.epsilon == 1
+    assert held == [True] * 30 + [False] * 30  # 3 s, the longer of both times
+    assert state.epsilon == -1  # the cost rose all the time, and 2 s of dwell are over
+
+
+def test_while_the_cost_settles_the_filter_waits_and_then_the_dwell_time_begins():
+    config = EscConfig(dwell=0.05)
+    before = same(run(config, np.linspace(1.0, 0.5, 50))[-1])
+    state, holding, _ = answer(config, before, math.nan, Arrival.RESUME, settling=True)
+    for _ in range(100):
+        state, holding, _ = answer(config, state, math.nan, settling=True)
+        assert holding
+    assert state.cost_rise_filtered == before.cost_rise_filtered < 0.0
+    assert (state.theta, state.since_flip) == (before.theta, 0)
+    state, holding, _ = answer(config, state, 1e9)  # no rise: nobody knows the cost before it
+    assert not holding
+    assert (state.cost_rise_filtered, state.theta) == (before.cost_rise_filtered, before.theta)
 
 
 def test_a_held_filter_goes_on_from_where_it_was():
     config = EscConfig(dwell=0.0)
-    before = run(config, np.linspace(1.0, 0.5, 50))[-1]
+    before = same(run(config, np.linspace(1.0, 0.5, 50))[-1])
     for r, asked in ((math.nan, False), (math.inf, False), (0.4, True)):
-        held, holding = relay.respond(config.params(), before, r, False, asked)
+        held, holding, _ = answer(config, before, r, hold=asked)
         assert holding
-        assert (held.theta, held.cost_rise_filtered, held.epsilon) == (
-            before.theta,
-            before.cost_rise_filtered,
-            before.epsilon,
-        )
-    after, _ = relay.respond(config.params(), held, 1e9, False, False)  # a jump while blind
+        assert held == before._replace(primed=False)
+    after, _, _ = answer(config, held, 1e9)  # a jump while blind
     assert after.epsilon == before.epsilon
     assert after.cost_rise_filtered == before.cost_rise_filtered
+
+
+def test_what_is_given_out_gets_to_a_jump_at_its_limited_rate():
+    config = EscConfig(rate_limit=0.02)  # 1e-4 a sample
+    away = same(run(config, np.linspace(1.0, 0.0, 201))[-1])
+    state = relay.reset(away, 2.0, 1)
+    for k in range(1, 4):
+        state, _, _ = answer(config, state, 1.0, hold=True)
+        assert state.output == pytest.approx(away.output + k * 1e-4)
+    narrow = EscConfig(rate_limit=0.02, theta_max=1.5, theta_initial=1.0)
+    state = same(config.initial())
+    for k in range(1, 4):
+        state, _, saturated = answer(narrow, state, 1.0 - k)
+        assert state.output == pytest.approx(2.0 - max(k - 1, 0) * 1e-4)  # the first only primes
+        assert saturated
 
 
 def test_theta_changes_no_faster_than_its_rate_limit():

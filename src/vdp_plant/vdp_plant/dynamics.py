@@ -6,8 +6,9 @@
     epsilon0(t) = epsilon0 + drift sin(omega_d t),   f(t) = A_f sin(omega_f t)
     x'(t) = x(t) + i(t),  i(t) = A1 sin(omega_1 t + phi_1) + A2 sin(omega_2 t + phi_2)
 
-The same functions serve the node, one call a step, and the offline loop, which inlines them: a run
-over DDS and an offline run agree bit for bit.
+:func:`advance` is one step of the plant: the actuator's bounds and rate, then the integrator. The
+node calls it once a step; offline loop, study, training and benchmark inline it: a run over DDS and
+an offline run agree bit for bit.
 """
 
 from __future__ import annotations
@@ -71,7 +72,9 @@ def acceleration(
 
 @njit(cache=True)
 def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[float, float]:
-    """Advance the true state by one step, theta held: x(t_{k+1}) = Phi(x(t_k), theta).
+    """Integrate the true state over one step, theta held: x(t_{k+1}) = Phi(x(t_k), theta).
+
+    The integrator alone, without the actuator; see :func:`advance`.
 
     Parameters
     ----------
@@ -133,6 +136,40 @@ def actuate(p: PlantParams, applied: float, theta: float) -> float:
     most = p.theta_rate * p.dt
     theta = min(max(theta, p.theta_min), p.theta_max)
     return min(max(theta, applied - most), applied + most)
+
+
+@njit(cache=True)
+def advance(
+    p: PlantParams, k: int, x: float, y: float, applied: float, theta: float, displaced: float
+) -> tuple[float, float, float]:
+    """Advance the plant by one step under a commanded theta: actuate, then integrate.
+
+    Parameters
+    ----------
+    p : PlantParams
+        Plant parameters.
+    k : int
+        Step index; t_k = k dt.
+    x, y : float
+        True state at t_k.
+    applied : float
+        Theta that acted in the step before.
+    theta : float
+        Commanded theta.
+    displaced : float
+        How far the optimum is from ``p.theta_star`` in this step. The oscillator sees only
+        theta - theta*, the actuator theta itself.
+
+    Returns
+    -------
+    x, y : float
+        True state at t_{k+1}; not finite if the integration diverges.
+    applied : float
+        Theta that acted, for the next step.
+    """
+    applied = actuate(p, applied, theta)
+    x, y = step(p, k, x, y, applied - displaced)
+    return x, y, applied
 
 
 @njit(cache=True)

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_loop.loop import initial_state, no_lifting, run_kernel, simulate
+from koop_loop.kernel import Memory
+from koop_loop.loop import controller, initial_state, no_lifting, run_kernel, simulate
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
@@ -106,15 +107,15 @@ def compare(loop: Loop, program: Path | None, rounds: int) -> tuple[float, float
 
 def time_kernel(loop: Loop, rounds: int) -> tuple[float, NDArray[np.float64]]:
     """Return the best time [s] of the compiled loop, and theta of every 1000th step."""
-    lifting = no_lifting() if loop.model is None else loop.model.lifting()
+    parameters = controller(loop.lifter, loop.esc, loop.model)
     buffers = (np.empty((STEPS, 2)), np.empty((STEPS, 2)), np.empty(STEPS), np.empty(STEPS))
     x, y = initial_state(loop.plant)
     best = np.inf
     for number in range(rounds + 1):
         begin = time.process_time()
         run_kernel(
-            loop.plant.params(), loop.lifter.source, lifting, loop.lifter.detector_params(),
-            cost.initial(), loop.esc.params(), loop.esc.initial(), x, y, *buffers,
+            loop.plant.params(), parameters, Memory(cost.initial(), loop.esc.initial()), x, y,
+            *buffers,
         )  # fmt: skip
         if number:  # the first run compiles and touches the memory
             best = min(best, time.process_time() - begin)
@@ -158,10 +159,11 @@ def time_c(program: Path, loop: Loop, rounds: int) -> tuple[float, NDArray[np.fl
     lifting = no_lifting() if loop.model is None else loop.model.lifting()
     rows, p = lifting.projector.shape
     plant, detector = loop.plant.params(), loop.lifter.detector_params()
+    relay = loop.esc.params()
     numbers = [
         STEPS, rounds, EVERY, *initial_state(loop.plant), loop.esc.theta_initial,
         *plant[: plant._fields.index("integrator")],
-        detector.alpha_hp, detector.alpha_lp, *loop.esc.params(),
+        detector.alpha_hp, detector.alpha_lp, *relay[: relay._fields.index("largest_change")],
         loop.lifter.source, p, rows, *lifting.parent, *lifting.factor, *lifting.projector.ravel(),
     ]  # fmt: skip
     text = "\n".join(repr(float(number)) for number in numbers)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from koop_bag.bag.columns import Columns, read_columns, read_tables
 from koop_bag.bag.reader import BagReader
 from koop_lab.replay.settings import Change, first_values, recorded_changes, recorded_values
-from koop_node.stream import Arrival, StreamMonitor
+from koop_loop.kernel import listen
+from koop_node.arrival import NOTHING, Arrival
 from koopman_lifter.config import SOURCES
 
 STATE_TYPE = "koop_msgs/msg/MeasuredState"
@@ -224,9 +225,7 @@ def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
     """
     if step.size and not 0 <= step.min() <= step.max() < MAX_STEP:
         raise ValueError("a step is no count of steps: the recording is damaged")
-    kinds = np.full(step.size, Arrival.NEXT, np.int8)
-    kinds[:1] = Arrival.RESTART
-    if (np.diff(step) <= 0).any():
-        monitor = StreamMonitor("", 0.0, 0.0)
-        kinds[:] = [monitor.classify(number, 0.0, 0.0) for number in step.tolist()]
-    return kinds, np.cumsum(kinds == Arrival.RESTART) * MAX_STEP + step
+    kinds = np.empty(step.size, np.int8)
+    listen(step, 0.0, 0.0, NOTHING, kinds)
+    begins = (kinds == Arrival.RESTART) | (kinds == Arrival.JOIN)
+    return kinds, np.cumsum(begins) * MAX_STEP + step

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from numba import njit
 
+from koop_node.arrival import Arrival
 from koop_node.config import parameter, validate
 from relay_esc.config import EscConfig
 from relay_esc.relay import dwell_samples
@@ -110,3 +111,23 @@ def step(p: AdaptiveParams, state: AdaptiveState, r: float) -> AdaptiveState:
         since_flip = 0
     theta = min(max(state.theta - size * epsilon, p.theta_min), p.theta_max)
     return AdaptiveState(theta, epsilon, size, rise, r, since_flip, True)
+
+
+@njit(cache=True)
+def answer(p: AdaptiveParams, state: AdaptiveState, arrival: int, r: float) -> AdaptiveState:
+    """Answer one cost, whatever it is; hold where there is none, as the paper's relay does.
+
+    After a silence or a hold the next cost is no rise: it only starts the moving average.
+    """
+    usable = math.isfinite(r)
+    if not usable or arrival != Arrival.NEXT:
+        state = AdaptiveState(
+            state.theta,
+            state.epsilon,
+            state.step,
+            state.rise,
+            state.r_previous,
+            state.since_flip,
+            False,
+        )
+    return step(p, state, r) if usable else state

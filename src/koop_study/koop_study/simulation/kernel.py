@@ -1,7 +1,10 @@
 """The study's closed loop: the nodes' kernels under a scenario and one of several controllers.
 
-Without a scenario and with the relay this is ``koop_loop.loop.run_kernel`` to the last bit; a test
-holds the two together.
+Plant, cost and relay are the functions that the nodes call, with every setting that they have. The
+scenario disturbs what the nodes would hear: a lost state is not answered, and steps tell what
+follows on a silence. Two things are the study's own: the logarithm of an energy, and the other
+controllers, which hold and resume where the relay does. Without a scenario and with the relay this
+is ``koop_loop.loop.run_kernel`` to the last bit; a test holds the two together.
 """
 
 from __future__ import annotations
@@ -13,12 +16,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from koop_loop.kernel import classify
+from koop_node.arrival import NOTHING
 from koop_study.controllers import adaptive, perturbation
 from koop_study.controllers.adaptive import AdaptiveParams, AdaptiveState
 from koop_study.controllers.perturbation import PerturbationParams, PerturbationState
 from koop_study.simulation.scenario import Exposure
 from koopman_lifter import cost
-from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
+from koopman_lifter.cost import DetectorParams, Lifting
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 from vdp_plant import dynamics
@@ -32,18 +37,26 @@ FLOOR = 1e-12  # of an energy before its logarithm
 
 
 class Sensing(NamedTuple):
-    """What makes the cost: source RAW or LIFTED, optionally the logarithm of the energy."""
+    """What makes the cost: source RAW or LIFTED, optionally the logarithm of the energy.
+
+    ``timeout`` is the silence after which the state resumes [s]; 0: never.
+    """
 
     source: int
     logarithm: bool
     lifting: Lifting
     detector: DetectorParams
+    timeout: float
 
 
 class Control(NamedTuple):
-    """Parameters and states of every controller; ``kind`` says which one acts."""
+    """Parameters and states of every controller; ``kind`` says which one acts.
+
+    ``timeout`` is the silence after which the cost resumes [s]; 0: never.
+    """
 
     kind: int
+    timeout: float
     relay: RelayParams
     relay_state: RelayState
     adaptive: AdaptiveParams
@@ -69,39 +82,54 @@ def run_kernel(
     Returns
     -------
     int
-        Steps done; fewer than asked for only if the state stops being finite.
+        Steps done; fewer than asked for only if the plant's state stops being finite.
     """
     kind = control.kind
     relay_state = control.relay_state
     adaptive_state = control.adaptive_state
     perturbation_state = control.perturbation_state
-    detector_state = DetectorState(0.0, 0.0, 0.0, False)
+    detector_state = cost.initial()
+    states = costs = NOTHING
     z = np.empty(sensing.lifting.parent.shape[0])
     state = np.empty(2)
-    now_r, now_theta = 0.0, relay_state.theta
+    now_r, now_theta = 0.0, relay_state.output
+    applied = now_theta
+    if exposure.schedule.shape[0] > 0:  # the actuator rests where the schedule begins
+        applied = min(max(exposure.schedule[0], plant.theta_min), plant.theta_max)
     for k in range(theta.shape[0]):
+        if not (math.isfinite(x) and math.isfinite(y)):
+            return k
         state[0], state[1] = dynamics.measure(plant, k, x, y)
         if exposure.added.shape[0] > 0:
             state[0] += exposure.added[k, 0]
             state[1] += exposure.added[k, 1]
         if exposure.lost.shape[0] == 0 or not exposure.lost[k]:
+            state_arrival, states = classify(states, k, sensing.timeout, plant.dt)
+            cost_arrival, costs = classify(costs, k, control.timeout, plant.dt)
             y_out = cost.energy(sensing.source, sensing.lifting, state, z)
             if sensing.logarithm:
-                y_out = math.log(max(y_out, FLOOR))
-            now_r, detector_state = cost.detect(sensing.detector, detector_state, y_out)
-            if not math.isfinite(now_r):
-                return k
+                y_out = math.log(FLOOR if y_out < FLOOR else y_out)
+            now_r, detector_state = cost.follow(
+                sensing.detector, detector_state, state_arrival, y_out
+            )
             if kind == RELAY:
-                relay_state = relay.step(control.relay, relay_state, now_r)
-                now_theta = relay_state.theta
-            elif kind == ADAPTIVE:
-                adaptive_state = adaptive.step(control.adaptive, adaptive_state, now_r)
-                now_theta = adaptive_state.theta
-            else:
-                perturbation_state = perturbation.step(
-                    control.perturbation, perturbation_state, now_r
+                relay_state, _, _ = relay.answer(
+                    control.relay, relay_state, cost_arrival, False, False, now_r, False
                 )
-                now_theta = perturbation_state.theta
+                now_theta = relay_state.output
+            else:
+                if kind == ADAPTIVE:
+                    adaptive_state = adaptive.answer(
+                        control.adaptive, adaptive_state, cost_arrival, now_r
+                    )
+                    wanted = adaptive_state.theta
+                else:
+                    if math.isfinite(now_r):
+                        perturbation_state = perturbation.step(
+                            control.perturbation, perturbation_state, now_r
+                        )
+                    wanted = perturbation_state.theta
+                now_theta = relay.slew(now_theta, wanted, control.relay.largest_change)
         if exposure.schedule.shape[0] > 0:
             now_theta = exposure.schedule[k]
         r[k] = now_r
@@ -110,5 +138,5 @@ def run_kernel(
             ground_truth[k, 0] = x
             ground_truth[k, 1] = y
         displaced = exposure.displaced[k] if exposure.displaced.shape[0] > 0 else 0.0
-        x, y = dynamics.step(plant, k, x, y, now_theta - displaced)
+        x, y, applied = dynamics.advance(plant, k, x, y, applied, now_theta, displaced)
     return theta.shape[0]

@@ -59,14 +59,19 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: boo
         check_fit(case.plant, lifter, case.esc, model)
     except ValueError as error:
         raise ConfigError(str(error)) from None
+    detector = lifter.detector_params()
+    if case.cost == "log":  # the limit is of the energy, before its logarithm
+        detector = detector._replace(y_max=math.log(detector.y_max))
     sensing = Sensing(
         lifter.source,
         case.cost == "log",
         no_lifting() if model is None else model.lifting(),
-        lifter.detector_params(),
+        detector,
+        lifter.state_timeout,
     )
     control = Control(
         CONTROLLERS[case.controller],
+        case.esc.cost_timeout,
         case.esc.params(),
         case.esc.initial(),
         case.adaptive.params(case.esc),

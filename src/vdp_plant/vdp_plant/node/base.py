@@ -14,11 +14,12 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
+from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
 from koop_node.managed import OK, Entities, ManagedNode, Run
 from koop_node.qos import RELIABLE
 from koop_node.stamps import to_seconds, to_stamp
-from koop_node.stream import Arrival, StreamMonitor
+from koop_node.stream import StreamMonitor
 from vdp_plant import dynamics
 from vdp_plant.config import PaceConfig, PlantConfig
 from vdp_plant.pacing import SentStates
@@ -141,9 +142,9 @@ class PlantRun(Run):
             outlets.clock.publish(Clock(clock=to_stamp(round(k * params.dt * 1e9))))
 
     def _advance(self, theta: float) -> None:
-        theta = dynamics.actuate(self._params, self._theta_applied, theta)
-        self._x, self._y = dynamics.step(self._params, self._k, self._x, self._y, theta)
-        self._theta_applied = theta
+        self._x, self._y, self._theta_applied = dynamics.advance(
+            self._params, self._k, self._x, self._y, self._theta_applied, theta, 0.0
+        )
         self._k += 1
         if self._k >= self._steps:
             self._end()
@@ -181,7 +182,7 @@ class PlantRun(Run):
 
     def _compile(self) -> None:
         """Compile the kernels before the first step."""
-        theta = dynamics.actuate(self._params, self._theta, self._theta)
-        x, y = dynamics.step(self._params, 0, self._x, self._y, theta)
+        x, y, theta = self._x, self._y, self._theta
+        dynamics.advance(self._params, 0, x, y, theta, theta, 0.0)
         dynamics.measure(self._params, 0, x, y)
         dynamics.damping(self._params, 0.0)

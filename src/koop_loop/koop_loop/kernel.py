@@ -1,0 +1,133 @@
+"""One step of lifter and controller, compiled: the nodes' answers composed, without ROS.
+
+The rules for a gap, a restart, a join, an unusable state and a limit stand in
+:func:`koopman_lifter.cost.answer` and :func:`relay_esc.relay.answer`, which the nodes call once a
+message. What is here puts them together in the order of the nodes: the offline loop, the replay and
+the benchmarks call :func:`control`, the study the same two functions with other costs and
+controllers in their places.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from koop_node import arrival
+from koop_node.arrival import Heard
+from koopman_lifter import cost
+from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
+from relay_esc import relay
+from relay_esc.relay import RelayParams, RelayState
+
+classify = njit(cache=True)(arrival.classify)
+
+
+class Controller(NamedTuple):
+    """Parameters of lifter and controller.
+
+    Attributes
+    ----------
+    source : int
+        RAW or LIFTED.
+    lifting : Lifting
+        Arrays of the model.
+    detector : DetectorParams
+        Of the lifter.
+    relay : RelayParams
+        Of the controller.
+    """
+
+    source: int
+    lifting: Lifting
+    detector: DetectorParams
+    relay: RelayParams
+
+
+class Memory(NamedTuple):
+    """What lifter and controller remember between two messages."""
+
+    detector: DetectorState
+    relay: RelayState
+
+
+@njit(cache=True, inline="always")
+def control(
+    source: int,
+    lifting: Lifting,
+    detector_params: DetectorParams,
+    relay_params: RelayParams,
+    detector: DetectorState,
+    relay_state: RelayState,
+    state_arrival: int,
+    cost_arrival: int,
+    switched: bool,
+    hold_asked: bool,
+    x: NDArray[np.float64],
+    z: NDArray[np.float64],
+) -> tuple[float, DetectorState, RelayState]:
+    """Answer one measured state with a control input.
+
+    The parameters stand one by one because tuples of tuples of arrays cost the loop 5 %.
+
+    Parameters
+    ----------
+    source, lifting, detector_params, relay_params
+        What a :class:`Controller` holds.
+    detector, relay_state
+        What a :class:`Memory` holds, after the previous state.
+    state_arrival, cost_arrival : int
+        What the state is to the lifter and its cost to the controller: an
+        :class:`koop_node.arrival.Arrival` up to JOIN.
+    switched : bool
+        Whether the cost is of another quantity than the one before.
+    hold_asked : bool
+        Whether the user holds theta.
+    x : ndarray, shape (n,)
+        Measured state x'_k; NaN where it is unusable.
+    z : ndarray, shape (p,)
+        Scratch.
+
+    Returns
+    -------
+    r : float
+        Cost; NaN for an unusable state and while the detector settles.
+    detector, relay_state
+        After this state; ``relay_state.output`` is the control input.
+    """
+    r, _, settling, detector = cost.answer(
+        source, lifting, detector_params, detector, state_arrival, x, z
+    )
+    relay_state, _, _ = relay.answer(
+        relay_params, relay_state, cost_arrival, switched, settling, r, hold_asked
+    )
+    return r, detector, relay_state
+
+
+@njit(cache=True)
+def listen(
+    steps: NDArray[np.int64], timeout: float, dt: float, heard: Heard, arrivals: NDArray[np.int8]
+) -> Heard:
+    """Say of every message what a node's StreamMonitor would say.
+
+    Parameters
+    ----------
+    steps : ndarray, shape (M,)
+        Steps of the messages in the order in which they came.
+    timeout, dt : float
+        Silence after which the stream resumes and time between two steps [s].
+    heard : Heard
+        The stream before.
+    arrivals : ndarray, shape (M,)
+        Receives an :class:`koop_node.arrival.Arrival` each.
+
+    Returns
+    -------
+    Heard
+        The stream after.
+    """
+    for i in range(steps.shape[0]):
+        arrivals[i], heard = classify(heard, steps[i], timeout, dt)
+    return heard

@@ -1,0 +1,83 @@
+"""What a message is to those who heard the ones before. Pure: no ROS, no clock.
+
+Only steps decide, so that a replay at any speed decides the same. ``classify`` is plain Python in
+the nodes, one call a message, and is compiled into the loops that answer a million messages.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+
+class Arrival(IntEnum):
+    """What a message is; those up to JOIN are processed, those up to REPEAT answered."""
+
+    NEXT = 0
+    """Follows on the last message, perhaps after a few lost ones."""
+    RESUME = 1
+    """The same run goes on after a silence."""
+    RESTART = 2
+    """A run begins: step 0, as the first message or after another run."""
+    JOIN = 3
+    """A run that is under way: the first message, or the steps went back, but not to 0."""
+    REPEAT = 4
+    """The same step as the last one: asked again, or duplicated on its way."""
+    LATE = 5
+    """Was overtaken by a newer message."""
+    TOO_OLD = 6
+    """Was stale on arrival; it is as if it had never been heard."""
+
+
+WINDOW = 64  # steps that a message may be overtaken by; further back is another run
+
+
+class Heard(NamedTuple):
+    """What is remembered of a stream.
+
+    Attributes
+    ----------
+    step : int
+        Step of the newest message; -1 before the first.
+    late : int
+        Messages in a row that newer ones had overtaken.
+    """
+
+    step: int
+    late: int
+
+
+NOTHING = Heard(-1, 0)
+
+
+def classify(heard: Heard, step: int, timeout: float, dt: float) -> tuple[Arrival, Heard]:
+    """Say what a message is.
+
+    Parameters
+    ----------
+    heard : Heard
+        The stream so far.
+    step : int
+        Step of the message.
+    timeout : float
+        Silence after which the stream resumes [s]; 0: never.
+    dt : float
+        Time between two steps [s].
+
+    Returns
+    -------
+    arrival : Arrival
+        What the message is; never TOO_OLD, which no step tells.
+    heard : Heard
+        The stream with it.
+    """
+    last = heard.step
+    if step == last:
+        return Arrival.REPEAT, heard
+    if step < last and 0 < step >= last - WINDOW and heard.late < WINDOW:
+        return Arrival.LATE, Heard(last, heard.late + 1)
+    if last >= 0 and step > last:
+        arrival = Arrival.RESUME if 0.0 < timeout < (step - last) * dt else Arrival.NEXT
+    else:
+        arrival = Arrival.RESTART if step == 0 else Arrival.JOIN
+    return arrival, Heard(step, 0)
