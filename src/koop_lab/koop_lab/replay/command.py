@@ -16,7 +16,7 @@ from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import Plan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
 
-SHOWN = 10  # places where a node began anew
+SHOWN = 10  # places where a node was restarted
 
 
 def register(commands: Any) -> None:
@@ -100,13 +100,13 @@ def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[
             f"the recording begins in mid-run (the first cost is {recording.r[0]:.6g}, not 0): "
             "what the filters held before it is not in the bag"
         )
-    return lines + begun_anew(recording, plan)
+    return lines + restarted(recording, plan)
 
 
-def begun_anew(recording: Recording, plan: Plan) -> list[str]:
-    """Say where recorded answers show that a node began anew, which a replay does not.
+def restarted(recording: Recording, plan: Plan) -> list[str]:
+    """Say where recorded answers show that a node was restarted, which a replay does not.
 
-    A cost of exactly 0 in mid-run is the detector's first answer. Theta moves by a relay step at
+    A lifter that is started in mid-run says that it has to settle. Theta moves by a relay step at
     the most, unless it is set back.
     """
     changed = {change.index for stretch in plan.stretches for change in stretch.changed}
@@ -114,10 +114,10 @@ def begun_anew(recording: Recording, plan: Plan) -> list[str]:
     rows = np.flatnonzero(recording.has_r)
     for before, k in pairwise(rows):
         on = recording.step[k] > recording.step[before] and k not in changed
-        if on and recording.r[k] == 0.0 and recording.r[before] > 0.0:
+        if on and recording.settling[k] and not recording.settling[before]:
             lines.append(
-                f"the recorded cost is 0 at step {recording.step[k]}: the lifter was started anew "
-                "there, which is not replayed"
+                f"the lifter was restarted before step {recording.step[k]}: the recorded cost has "
+                "to settle there, which is not replayed"
             )
     largest = max(stretch.parameters.esc.step_size for stretch in plan.stretches)
     rows = np.flatnonzero(recording.has_theta)
@@ -128,6 +128,6 @@ def begun_anew(recording: Recording, plan: Plan) -> list[str]:
             lines.append(
                 f"the recorded theta jumps from {recording.theta[before]:.6g} to "
                 f"{recording.theta[k]:.6g} at step {recording.step[k]}: the controller was reset "
-                "or started anew there, which is not replayed"
+                "or restarted there, which is not replayed"
             )
     return lines[:SHOWN]

@@ -24,7 +24,7 @@ STATE_TYPE = "koop_msgs/msg/MeasuredState"
 NO_SOURCE = 255  # none of koop_msgs/Cost
 MAX_STEP = 2**40  # 170 years at 200 Hz; leaves room for the number of the pass in 64 bits
 FIELDS = {
-    "cost": ["step", "r", "source", "model_id", "publish_time"],
+    "cost": ["step", "r", "settling", "source", "model_id", "publish_time"],
     "theta": ["step", "theta", "holding", "publish_time"],
 }
 
@@ -47,6 +47,8 @@ class Recording:
         Whether a newer state had overtaken it, so that it has no answer.
     r, theta : ndarray, shape (M,)
         Recorded answers; NaN where there is none.
+    settling : ndarray of bool, shape (M,)
+        Whether the lifter had joined a run and its filters had not settled.
     has_r, has_theta : ndarray of bool, shape (M,)
         Whether the answer was recorded.
     hold : ndarray of bool, shape (M,)
@@ -72,6 +74,7 @@ class Recording:
     late: NDArray[np.bool_]
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
+    settling: NDArray[np.bool_]
     has_r: NDArray[np.bool_]
     has_theta: NDArray[np.bool_]
     hold: NDArray[np.bool_]
@@ -96,9 +99,10 @@ class Recording:
 
     @property
     def in_progress(self) -> bool:
-        """Whether the recording began in mid-run: the detector's first answer is always 0."""
+        """Whether the recording began in mid-run: the detector's first r is 0, or it settles."""
         first = np.flatnonzero(self.has_r & np.isfinite(self.r))
-        return bool(first.size) and float(self.r[first[0]]) != 0.0
+        begun = self.settling[: first[0]].any() if first.size else True
+        return not begun and float(self.r[first[0]]) != 0.0
 
     def states(self, n: int) -> NDArray[np.float64]:
         """Return x', shape (M, n); a row of NaN, an unusable state, where its length is not n."""
@@ -170,6 +174,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         late,
         r,
         theta.at(key, "theta", np.nan),
+        np.asarray(cost.at(key, "settling", False).astype(np.bool_)),
         cost.hold(key),
         theta.hold(key),
         np.asarray(theta.at(key, "holding", False).astype(np.bool_) & np.isfinite(r)),
