@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from koop_lab.live.loop import NodeProcess
+from koop_lab.live.process import NodeProcess
 
 TIMEOUT = (
     30.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well

@@ -8,6 +8,8 @@ import sys
 import time
 
 import pytest
+from koop_msgs.msg import MeasuredState
+from mcap.reader import make_reader
 
 from koop_bag.bag.reader import BagReader
 from koop_lab.recorded.run import read_run
@@ -17,10 +19,13 @@ pytestmark = pytest.mark.ros
 TIMEOUT = 60.0  # [s] to start four processes on a busy machine
 
 
-def demo(folder, *arguments, **options):
-    command = [sys.executable, "-m", "koop_lab", "demo", "--out", str(folder), *arguments]
+def command(folder, *arguments):
+    return [sys.executable, "-m", "koop_lab", "demo", "--out", str(folder), *arguments]
+
+
+def demo(folder, *arguments, stdout=subprocess.PIPE):
     return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, **options
+        command(folder, *arguments), stdout=stdout, stderr=subprocess.STDOUT, text=True
     )
 
 
@@ -40,7 +45,12 @@ def processes_of(folder):
 
 def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path):
     folder = tmp_path / "run"
-    process = demo(folder, "--duration", "20", "--cost", "raw", "--seed", "2")
+    file = tmp_path / "my.yaml"
+    file.write_text(
+        "vdp_plant: {ros__parameters: {duration: 20, seed: 1}}\n"
+        "recorder: {ros__parameters: {compression: none, output: /nowhere}}\n"
+    )
+    process = demo(folder, "--params-file", str(file), "--cost", "raw", "--seed", "2")
     printed, _ = process.communicate(timeout=120)
     assert process.returncode == 0, printed
     for text in ("raw cost", "IAE_theta [s]", "5125.7", "lost messages: none", str(folder)):
@@ -54,29 +64,75 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path):
     for name in ("parameters.yaml", "versions.yaml", "model/vdp.npz", "bag/metadata.yaml"):
         assert (folder / name).is_file(), name
     assert read_run(folder / "bag").step.size == 4000
+    text = (folder / "parameters.yaml").read_text()
+    assert "compression: none" in text
+    assert "seed: 2" in text
+    assert "output" not in text
+    assert "recorders" not in text
     again = demo(folder, "--duration", "20")
     printed, _ = again.communicate(timeout=120)
     assert again.returncode == 2
     assert "holds a recording already: choose another --out" in printed
 
 
+def wait_for(condition, process, what):
+    deadline = time.monotonic() + TIMEOUT
+    while not condition():
+        assert process.poll() is None, process.stdout.read()
+        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        time.sleep(0.05)
+
+
+def begun(folder):
+    """Return whether a recording holds more than a second."""
+    bag = folder / "bag" / "bag_0.mcap"
+    return bag.is_file() and bag.stat().st_size > 50_000
+
+
+def test_who_comes_second_starts_nothing_and_a_killed_demo_leaves_nothing(tmp_path, probe):
+    """The one under way goes on, notes who comes in all the same, and ends with who started it."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    with open(tmp_path / "printed", "w") as printed:
+        process = demo(first, "--pace", "realtime", "--duration", "600", stdout=printed)
+    wait_for(lambda: begun(first), process, "the recording")
+    refused = subprocess.run(command(second), capture_output=True, text=True, timeout=TIMEOUT)
+    assert refused.returncode == 2
+    assert "another loop runs on ROS domain" in refused.stderr
+    assert "Set ROS_DOMAIN_ID to a free one, such as " in refused.stderr
+    assert not second.exists()
+    probe.node.create_publisher(MeasuredState, "state", 10)  # nodes that were started by hand
+    text = tmp_path / "printed"
+    wait_for(lambda: "note: another loop has come" in text.read_text(), process, "the note")
+    process.kill()
+    process.wait()
+    deadline = time.monotonic() + TIMEOUT
+    while processes_of(first):
+        assert time.monotonic() < deadline, processes_of(first)
+        time.sleep(0.05)
+    assert_whole(first)
+
+
+def assert_whole(folder):
+    """Check that a bag was closed and can be read to its end, by us and by the mcap project."""
+    with BagReader(folder / "bag") as reader:
+        assert reader.complete
+        counts = {topic.name: topic.count for topic in reader.topics}
+    assert min(counts[topic] for topic in ("/state", "/cost", "/theta")) > 0
+    with open(folder / "bag" / "bag_0.mcap", "rb") as stream:
+        summary = make_reader(stream).get_summary()
+        assert summary.statistics.message_count == sum(counts.values())
+        assert sum(1 for _ in make_reader(stream).iter_messages()) == sum(counts.values())
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_demo_that_is_stopped_leaves_a_whole_bag_and_no_process(tmp_path, number):
     folder = tmp_path / "run"
     process = demo(folder, "--pace", "realtime", "--duration", "600")
-    deadline = time.monotonic() + TIMEOUT
-    bag = folder / "bag" / "bag_0.mcap"
-    while not (bag.is_file() and bag.stat().st_size > 50_000):
-        assert process.poll() is None, process.stdout.read()
-        assert time.monotonic() < deadline, "the recording did not begin"
-        time.sleep(0.05)
+    wait_for(lambda: begun(folder), process, "the recording")
     process.send_signal(number)
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 130
     assert printed.rstrip().endswith("interrupted")
     assert "Traceback" not in printed
     assert not processes_of(folder)
-    with BagReader(folder / "bag") as reader:
-        assert reader.complete
-        counts = {topic.name: topic.count for topic in reader.topics}
-    assert min(counts[topic] for topic in ("/state", "/cost", "/theta")) > 0
+    assert_whole(folder)

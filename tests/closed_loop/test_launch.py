@@ -62,6 +62,14 @@ def nodes_of(process):
     return found
 
 
+def is_running(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
 def wait_for(condition, process):
     deadline = time.monotonic() + TIMEOUT
     while not (found := condition()):
@@ -97,8 +105,10 @@ def test_a_run_s_own_parameters_run_the_same_experiment_again(launch, tmp_path):
         assert process.returncode == 0, printed
         (out,) = tmp_path.glob(folder)
         with BagReader(out / "bag") as bag:
-            contents.append([message.data for message in bag.messages(["/cost", "/theta"])])
-    assert len(contents[0]) == 800
+            contents.append(
+                [[m.data for m in bag.messages([topic])] for topic in ("/cost", "/theta")]
+            )
+    assert [len(messages) for messages in contents[0]] == [400, 400]
     assert contents[0] == contents[1]
     text = (out / "parameters.yaml").read_text()
     for line in ("seed: 7", "cost: raw", "compression: none", "pace: lockstep"):
@@ -115,6 +125,21 @@ def test_the_end_of_a_node_ends_the_launch_with_its_reason(launch, executable, n
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 1
     assert f"{name} was killed by signal 9" in printed
+
+
+def test_the_nodes_end_with_a_launch_that_is_killed(launch, tmp_path):
+    process = launch("record:=true", f"output:={tmp_path / 'run'}")
+    bag = tmp_path / "run" / "bag" / "bag_0.mcap"
+    wait_for(lambda: bag.is_file() and bag.stat().st_size > 50_000, process)
+    nodes = nodes_of(process)
+    assert len(nodes) == 4
+    process.kill()
+    deadline = time.monotonic() + TIMEOUT
+    while running := [name for name, pid in nodes.items() if is_running(pid)]:
+        assert time.monotonic() < deadline, running
+        time.sleep(0.05)
+    with BagReader(bag.parent) as reader:
+        assert reader.complete
 
 
 def test_a_rig_keeps_its_controller_when_the_recorder_ends(launch):

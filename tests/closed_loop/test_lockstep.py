@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_lab.errors import LiveError
 from koop_lab.live.loop import LiveLoop
 from koop_lab.recorded.run import RecordedRun, read_run
 from koop_loop.loop import simulate
 from koop_loop.parameters import LoopParameters, make, read
+from koop_node.errors import LiveError
 
 pytestmark = pytest.mark.ros
 

@@ -10,7 +10,7 @@ from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_hil.excite import HOLD, excite
 from koop_hil.scenario import find, parse, read
-from koop_lab.errors import LiveError
+from koop_node.errors import LiveError
 
 pytestmark = pytest.mark.ros
 

@@ -12,14 +12,14 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from koop_bag.recorder.config import RecorderConfig
+from koop_bag.recorder.config import RECORDER, RecorderConfig
 from koop_loop.parameters import EXECUTABLES, NODES, build, names_of
 from koop_node import parameter_file
-from koop_node.config import ConfigError, NodeConfig
+from koop_node.config import ConfigError
 from koopman_lifter.config import ModelConfig
 from koopman_lifter.model import load
 
-ALL_NODES = {**NODES, "recorder": (RecorderConfig, NodeConfig)}
+ALL_NODES = {**NODES, **RECORDER}
 WORDS = {"true": True, "1": True, "false": False, "0": False}
 
 

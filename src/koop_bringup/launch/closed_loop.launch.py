@@ -8,6 +8,7 @@ With ``plant:=false`` your own rig takes the plant's place: it publishes ``state
 """
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -24,8 +25,11 @@ from launch_ros.actions import Node
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_unknown
 from koop_loop.ending import Ending, ending, told
+from koop_node.alone import TOPICS, alone
+from koop_node.lifeline import TIED
 from koop_node.parameter_file import write
 
+PLACE = ExitStack()  # of the loop in its ROS domain, held until the launch ends
 STOP_TIMEOUT = "10"  # [s] for a recorder to close its bag
 
 
@@ -54,6 +58,8 @@ def _start(context: LaunchContext) -> list:
     name = f"given_parameters{planned.namespace.replace('/', '-')}.yaml"
     file = Path(launch_config.log_dir) / name
     write(planned.parameters, file)
+    published = [name for name in TOPICS if name != "state" or not planned.rig]
+    PLACE.enter_context(alone(planned.namespace, published))
     lost: list[str] = []
     return [
         *(LogInfo(msg=note) for note in planned.notes),
@@ -63,6 +69,7 @@ def _start(context: LaunchContext) -> list:
                 executable=node.executable,
                 namespace=planned.namespace or "/",
                 parameters=[file],
+                additional_env=TIED,  # launch holds a pipe to their stdin
                 on_exit=_on_exit(node.name, planned.rig, lost),
                 output="screen",
                 sigterm_timeout=STOP_TIMEOUT,

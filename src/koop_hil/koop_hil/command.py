@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
+from koop_bag.recorder.run_folder import default_folder
 from koop_hil import report
 from koop_hil.excite import excite
 from koop_hil.run import run
@@ -50,8 +50,7 @@ def main(args: argparse.Namespace) -> int:
     if not paths:
         raise ConfigError("name a scenario, or --all; --list shows them")
     scenarios = [read(path) for path in paths]  # a bad file is reported before an hour has passed
-    stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
-    out = args.out or Path("recordings") / f"{stamp}-hil"
+    out = args.out or default_folder("hil")
     if args.excite is not None:
         for scenario in scenarios:
             bag = record_excitation(scenario, out / scenario.name, args.excite)

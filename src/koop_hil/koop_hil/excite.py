@@ -12,8 +12,10 @@ from koop_hil.processes import Processes
 from koop_hil.run import BAR
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import refuse_dead, refuse_others, wait_until
-from koop_lab.errors import LiveError
-from koop_lab.live.loop import START_TIMEOUT, Monitor
+from koop_lab.live.monitor import Monitor
+from koop_lab.live.process import START_TIMEOUT
+from koop_node.alone import alone
+from koop_node.errors import LiveError
 from vdp_plant.config import PlantConfig
 
 HOLD = 20.0  # [s] that theta stays, long enough for the limit cycle of that theta
@@ -45,6 +47,10 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
     LiveError
         If a process ends, another loop runs on the domain, or no more states come.
     """
+    from koop_msgs.msg import ControlInput, MeasuredState
+
+    from koop_node.qos import RELIABLE
+
     dt = PlantConfig().dt
     rng = random.Random(scenario.setting.seed)
     chosen = [rng.uniform(low, high) for _ in range(int(duration // HOLD) + 2)]
@@ -55,9 +61,15 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
         reached = step
         return chosen[min(int(step * dt // HOLD), len(chosen) - 1)]
 
-    monitor = Monitor()
-    try:
-        monitor.answer_states(theta)
+    with alone(), Monitor() as monitor:
+        publisher = monitor.node.create_publisher(ControlInput, "theta", RELIABLE)
+
+        def answer(state: MeasuredState) -> None:
+            publisher.publish(
+                ControlInput(header=state.header, step=state.step, theta=theta(state.step))
+            )
+
+        monitor.node.create_subscription(MeasuredState, "state", answer, RELIABLE)
         with (
             Processes(folder, scenario, controlled=False) as processes,
             tqdm(
@@ -79,8 +91,6 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
                     raise LiveError(f"no state for {START_TIMEOUT:g} s: see {processes.logs}")
                 bar.n = t
                 bar.set_postfix_str(f"theta {theta(reached):+.2f}")
-    finally:
-        monitor.close()
     for name, code in processes.exit_codes:
         if code != 0:
             raise LiveError(f"{name} ended with exit code {code}: see {processes.logs}")

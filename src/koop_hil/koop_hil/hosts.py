@@ -14,15 +14,14 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from koop_lab.errors import LiveError
+from koop_node.errors import LiveError
 
 HOSTS = {"koop0": "198.18.0.1/30", "koop1": "198.18.0.2/30"}  # kept free for tests (RFC 2544)
 HERE, THERE = HOSTS
 TOOLS = {
     "ip": "iproute2",
-    **dict.fromkeys(("mount", "nsenter", "setpriv", "unshare"), "util-linux"),
+    **dict.fromkeys(("mount", "nsenter", "unshare"), "util-linux"),
 }
-BOUND = ("setpriv", "--pdeathsig=TERM")  # before a command: it ends with who started it
 OWN = ("unshare", "--net", "--mount", "sh", "-ec")
 SETUP = 'mount -t tmpfs tmpfs /dev/shm; ip link set lo up; exec "$@"'
 SWITCH = "ip link add switch type bridge mcast_snooping 0; ip link set switch up"
@@ -125,7 +124,7 @@ def other_host() -> Iterator[OtherHost]:
 
     Raises
     ------
-    koop_lab.errors.LiveError
+    koop_node.errors.LiveError
         If the system refuses.
     """
     with Namespace() as switch, Namespace() as host:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import subprocess
-
-from koop_hil.hosts import BOUND, entrance, environment
+from koop_hil.hosts import entrance, environment
+from koop_lab.live.process import TiedProcess
 
 
 def call(command: list[str]) -> int:
@@ -15,12 +14,8 @@ def call(command: list[str]) -> int:
     koop_hil.hosts.HostsError
         If no such host can be made here.
     """
-    process = subprocess.Popen(
-        [*entrance(), *BOUND, *command],
-        env=environment(),
-        stdin=subprocess.DEVNULL,
-        start_new_session=True,  # Ctrl-C reaches it once, from here
-    )
+    # in a session of its own, Ctrl-C reaches it once, from here
+    process = TiedProcess([*entrance(), *command], environment(), start_new_session=True)
     try:
         return process.wait()
     except BaseException:

@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 from koop_hil import installed
-from koop_hil.hosts import BOUND, OtherHost
+from koop_hil.hosts import OtherHost
 from koop_hil.scenario import SECOND, Scenario
-from koop_lab.live.loop import EXECUTABLES, NodeProcess, executable
+from koop_lab.live.process import NodeProcess
 from koop_node import parameter_file
 
 ORDER = (
@@ -92,11 +92,9 @@ class Processes:
         log = self.logs / f"{name}.log"
         arguments, command = self._command(name)
         node = {"plant": "vdp_plant", SECOND: "relay_esc"}.get(name, name)
-        if self._other_host is not None:
-            there = name == self._scenario.setting.remote
-            command = command or [str(executable(*EXECUTABLES[node]))]
-            command = [*(self._other_host.words if there else ()), *BOUND, *command]
-        self._running[name] = NodeProcess(node, arguments, log, command)
+        there = self._other_host is not None and name == self._scenario.setting.remote
+        before = tuple(self._other_host.words) if there and self._other_host else ()
+        self._running[name] = NodeProcess(node, arguments, log, command, before=before)
 
     def kill(self, name: str) -> None:
         """End a process as a power cut would."""
@@ -181,4 +179,4 @@ class Processes:
             **({"state": "rig/state", "theta": "rig/theta"} if injects else {}),
         }
         words = [f"--{key}={value}" for key, value in options.items()]
-        return [setting.plant, *words], [sys.executable, str(rig_script())]
+        return [setting.plant, "--until-eof", *words], [sys.executable, str(rig_script())]

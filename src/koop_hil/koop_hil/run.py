@@ -20,8 +20,9 @@ from koop_hil.hosts import HostsError
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import Supervisor
 from koop_hil.verdict import Verdict, judge
-from koop_lab.errors import LiveError
 from koop_node.config import ConfigError
+from koop_node.errors import LiveError
+from koop_node.lifeline import end_with_parent
 
 VERDICT = "verdict.json"
 BAR = "{desc:<24} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
@@ -88,6 +89,7 @@ def main(file: Path, folder: Path) -> int:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, on_signal)
+    end_with_parent()
     try:
         _write(run_here(scenarios.read(file), folder), folder)
     except KeyboardInterrupt:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 import itertools
-import math
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -15,8 +14,10 @@ from pathlib import Path
 from koop_hil.hosts import OtherHost, other_host
 from koop_hil.processes import Processes
 from koop_hil.scenario import SECOND, Event, Scenario
-from koop_lab.errors import LiveError
-from koop_lab.live.loop import START_TIMEOUT, Monitor
+from koop_lab.live.monitor import Monitor
+from koop_lab.live.process import START_TIMEOUT
+from koop_node.alone import alone
+from koop_node.errors import LiveError
 from vdp_plant.config import PlantConfig
 
 FIRST = "relay_esc"
@@ -79,8 +80,8 @@ class Supervisor:
         with ExitStack() as stack:
             if self._scenario.setting.remote:  # before the monitor: DDS looks for devices once
                 self._other_host = stack.enter_context(other_host())
-            monitor = Monitor()
-            stack.callback(monitor.close)
+            stack.enter_context(alone())
+            monitor = stack.enter_context(Monitor())
             processes = stack.enter_context(
                 Processes(self._folder, self._scenario, other_host=self._other_host)
             )
@@ -175,12 +176,12 @@ def wait_until(condition: Callable[[], bool], monitor: Monitor, processes: Proce
     LiveError
         If it does not, or a process ends.
     """
-    deadline = time.monotonic() + START_TIMEOUT
-    while not condition():
-        monitor.spin(TICK)
-        refuse_dead(processes)
-        if time.monotonic() > deadline:
-            raise LiveError(f"no state in {START_TIMEOUT:g} s: see {processes.logs}")
+    monitor.wait_for(
+        condition,
+        START_TIMEOUT,
+        f"a state (see {processes.logs})",
+        lambda: refuse_dead(processes),
+    )
 
 
 def refuse_dead(processes: Processes) -> None:
@@ -210,20 +211,22 @@ def handover(monitor: Monitor, old: str, new: str) -> None:
     LiveError
         If no theta comes, or a node refuses or does not answer.
     """
+    from koop_msgs.msg import ControlInput
     from std_srvs.srv import Trigger
 
-    with monitor.newest_theta() as theta:
-        deadline = time.monotonic() + PATIENCE
-        while math.isnan(theta()):
-            if time.monotonic() > deadline:
-                raise LiveError(f"no theta of {old} in {PATIENCE:g} s")
-            monitor.spin(TICK)
+    heard: list[float] = []
+    subscription = monitor.node.create_subscription(
+        ControlInput, "theta", lambda message: heard.append(message.theta), 1
+    )
+    try:
+        monitor.wait_for(lambda: heard, PATIENCE, f"a theta of {old}")
         monitor.change_state(old, "deactivate")
         deadline = time.monotonic() + ARRIVAL
         while time.monotonic() < deadline:
             monitor.spin(TICK)
-        last = theta()
-    monitor.set_parameters(new, {"theta_initial": last})
+    finally:
+        monitor.node.destroy_subscription(subscription)
+    monitor.set_parameters(new, {"theta_initial": heard[-1]})
     if not monitor.call(Trigger, f"/{new}/reset", Trigger.Request()).success:
         raise LiveError(f"{new} cannot be reset")
     monitor.change_state(new, "activate")

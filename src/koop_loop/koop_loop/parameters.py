@@ -108,7 +108,7 @@ def _build(node: str, classes: tuple[type, ...], given: Mapping[str, Any]) -> di
         raise ConfigError(f"{node}: {error}") from None
 
 
-def make(values: dict[str, dict[str, Any]]) -> LoopParameters:
+def make(values: Mapping[str, Mapping[str, Any]]) -> LoopParameters:
     """Build the configurations from values by node; what is not given is the default.
 
     Raises

@@ -15,6 +15,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from koop_node.lifeline import end_with_parent
 from koop_node.managed import ManagedNode
 
 USAGE = "a node takes --ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO]"
@@ -47,6 +48,7 @@ def run(make_node: Callable[[], ManagedNode[Any]], args: list[str] | None = None
 
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
+    end_with_parent()
     set_dds_profile()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)

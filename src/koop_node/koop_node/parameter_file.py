@@ -38,6 +38,11 @@ class Section(NamedTuple):
         """The namespace of the node, such as ``/rig``; ``/`` is the root."""
         return self.key.rsplit("/", 1)[0] or "/"
 
+    @property
+    def for_any(self) -> bool:
+        """Whether it is for nodes of any name."""
+        return self.node in ("*", "**")
+
     def names(self, node: str) -> bool:
         """Return whether the key stands for a node, given by its full name."""
         parts = (
@@ -67,11 +72,10 @@ class ParameterFile:
         found: dict[str, Any] = {}
         for section in self.sections:
             if section.names(node):
-                shared = section.node in ("*", "**")
                 found.update(
                     (name, value)
                     for name, value in section.values.items()
-                    if not shared or name in known or name.startswith(ROS_OWN)
+                    if not section.for_any or name in known or name.startswith(ROS_OWN)
                 )
         return found
 
@@ -169,7 +173,7 @@ def shared_names(args: Sequence[str]) -> set[str]:
         if option == "--params-file":
             with suppress(ConfigError):
                 for section in read(value).sections:
-                    (shared if section.node in ("*", "**") else named).update(section.values)
+                    (shared if section.for_any else named).update(section.values)
         elif option in ("-p", "--param"):
             named.add(value.partition(":=")[0].rpartition(":")[2])
     return shared - named
@@ -213,6 +217,23 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict[Any, Any] = {}  # noqa: RUF012 - PyYAML's own attribute
     bool_values = {**yaml.SafeLoader.bool_values, "y": True, "n": False}  # noqa: RUF012
 
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Take a key as it is written, for `y` is a name; of one that comes again, all counts."""
+        found: dict[Any, Any] = {}
+        for key, value in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(None, None, "a key is not a name")
+            _merge(found, {key.value: self.construct_object(value, deep=True)})
+        return found
+
+
+def _merge(found: dict[Any, Any], more: dict[Any, Any]) -> None:
+    for key, value in more.items():
+        if isinstance(value, dict) and isinstance(found.get(key), dict):
+            _merge(found[key], value)
+        else:
+            found[key] = value
+
 
 class _Dumper(yaml.SafeDumper):
     """Quotes a text that rcl would take for a number, such as 1e3."""
@@ -226,7 +247,6 @@ for _tag, _pattern in (
     ("int", "[-+]?(0x[0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)"),
     ("float", rf"{_REAL}|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"),
     ("null", "null|Null|NULL|~|"),
-    ("merge", "<<"),
 ):
     for _yaml in (_Loader, _Dumper):
         _yaml.add_implicit_resolver(

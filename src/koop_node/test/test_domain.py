@@ -3,14 +3,19 @@
 import socket
 from contextlib import ExitStack
 
-from koop_node.domain import DISCOVERY_PORT, DOMAINS, free_domain, hold_domain
+import pytest
+
+from koop_node.domain import DOMAINS, FIRST_PORT, PORTS, free_domain, hold_domain, is_taken
 
 
-def test_a_domain_in_which_somebody_listens_is_not_free():
+@pytest.mark.parametrize("port", [0, 10, 13])  # for all; one participant's own
+def test_a_domain_in_which_somebody_listens_is_not_free(port):
     taken = free_domain()
     assert taken in DOMAINS
+    assert not is_taken(taken)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
-        listener.bind(("127.0.0.1", DISCOVERY_PORT + 250 * taken))
+        listener.bind(("127.0.0.1", FIRST_PORT + PORTS * taken + port))
+        assert is_taken(taken)
         assert free_domain([taken, 0]) != taken
     assert free_domain([taken, 0]) == taken
 
@@ -20,3 +25,14 @@ def test_who_holds_a_domain_holds_it_alone():
         held = [stack.enter_context(hold_domain()) for _ in range(30)]
         assert len(set(held)) == 30
     assert set(held) <= set(DOMAINS)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
+def test_a_participant_takes_its_domain(monkeypatch, reach):
+    from koop_node.client import Client
+
+    domain = free_domain()
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
+    with Client("somebody", domain):
+        assert is_taken(domain)

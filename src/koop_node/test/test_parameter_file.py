@@ -52,6 +52,8 @@ def test_a_file_says_to_a_node_what_rcl_says(tmp_path, rcl):
     names = {f"k{i}" for i in range(len(KEYS))} | {f"v{i}" for i in range(len(VALUES))}
     text = "".join(section(key, f"k{i}: 1, last: {i}") for i, key in enumerate(KEYS))
     text += "/a: {node: {ros__parameters: {nested: 1, of: {one: 2, more: {deep: 3}}}}}\n"
+    text += section("/**/node", "y: 1, on: 2, true: 3, 5: 4")
+    names |= {"y", "on", "true", "5"}
     text += "/**/values/node:\n  ros__parameters:\n"
     text += "".join(f"    v{i}: {value}\n" for i, value in enumerate(VALUES))
     file.write_text(text)
@@ -105,6 +107,7 @@ def test_a_file_for_another_namespace_is_refused(tmp_path):
         ("a: {node: 3}", "'/a/node' has no ros__parameters"),
         ("node: {ros__parameters: 3}", "ros__parameters of '/node' is not a mapping"),
         ("node: [", "cannot be read as YAML"),
+        ("[1, 2]: 3", "a key is not a name"),
         ("node: !!python/object/apply:os.system ['true']", "cannot be read as YAML"),
     ],
 )

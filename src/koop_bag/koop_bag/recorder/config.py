@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from koop_bag.bag.writer import WriterOptions
-from koop_node.config import ConfigError, parameter, validate
+from koop_node.config import ConfigError, NodeConfig, parameter, validate
 
 LOOP_TOPICS = {
     "state": "koop_msgs/msg/MeasuredState",
@@ -84,6 +84,10 @@ class RecorderConfig:
             split_bytes=int(self.split_size * 1e6),
             split_seconds=self.split_duration,
         )
+
+
+RECORDER: dict[str, tuple[type, ...]] = {"recorder": (RecorderConfig, NodeConfig)}
+"""The node with its configuration classes."""
 
 
 def wanted_topics(text: str) -> dict[str, str]:

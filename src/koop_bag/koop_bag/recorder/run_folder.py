@@ -19,6 +19,11 @@ _DISTRIBUTIONS = ("numpy", "numba", "scipy", "mcap", "rclpy", "koop_msgs", "koop
 _PACKAGES = ("koop_msgs", "koop_node", "koop_bag", "vdp_plant", "koopman_lifter", "relay_esc")
 
 
+def default_folder(label: str) -> Path:
+    """Return the folder of a new run under recordings/, named after the time."""
+    return Path("recordings") / f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{label}"
+
+
 def make_run_folder(output: str) -> Path:
     """Return the folder of a new run, created: `output`, or one named after the time.
 
@@ -28,8 +33,7 @@ def make_run_folder(output: str) -> Path:
         If it cannot be created or holds a recording already.
     """
     # The suffix keeps apart two recorders that are started in the same second.
-    name = f"{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}-{secrets.token_hex(2)}"
-    folder = Path(output).expanduser() if output else Path("recordings") / name
+    folder = Path(output).expanduser() if output else default_folder(secrets.token_hex(2))
     if (folder / "bag").exists():
         raise BagWriteError(f"{folder} holds a recording already: choose another output")
     try:

@@ -15,6 +15,7 @@ import os
 import random
 import signal
 import sys
+import threading
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -124,6 +125,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--rate", type=float, default=1.0, help="of the actuator [1/s]")
     parser.add_argument("--readers", type=int, default=1, help="of the state to wait for")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--until-eof", action="store_true", help="end when stdin is closed")
     return parser.parse_args()
 
 
@@ -133,6 +135,8 @@ def main() -> int:
     rig, rng, stop = RIGS[args.rig], random.Random(args.seed), []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.append(True))
+    if args.until_eof:  # nobody writes to it: a read returns when who started the rig has ended
+        threading.Thread(target=lambda: stop.append(os.read(0, 1)), daemon=True).start()
     participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
     qos = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(1000))
     states = DataWriter(participant, Topic(participant, "rt/" + args.state, MeasuredState), qos)

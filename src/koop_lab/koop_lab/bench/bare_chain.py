@@ -16,6 +16,8 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from koop_node.lifeline import end_with_parent
+
 LINKS: dict[str, tuple[Any, str, Any, str]] = {
     "a": (ControlInput, "bare_theta", MeasuredState, "bare_state"),
     "b": (MeasuredState, "bare_state", Cost, "bare_cost"),
@@ -27,6 +29,7 @@ def main(role: str, steps: int = 0) -> None:
     """Run one process of the chain; ``a`` starts it, counts and prints the rate [1/s]."""
     stop: list[int] = []
     signal.signal(signal.SIGTERM, lambda number, frame: stop.append(number))
+    end_with_parent()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Node(f"bare_{role}")
     in_type, in_topic, out_type, out_topic = LINKS[role]
@@ -57,7 +60,7 @@ def main(role: str, steps: int = 0) -> None:
             publisher.publish(answer)
             started = time.perf_counter()
         executor.spin_once(timeout_sec=0.2)
-    if role == "a":
+    if role == "a" and answer.step >= steps:  # else it was told to stop
         print((steps - 1) / (time.perf_counter() - started))
 
 

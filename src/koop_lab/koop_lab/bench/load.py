@@ -27,9 +27,11 @@ def main(rate: float, seconds: float, farewell: float = 10.0) -> None:
     from rclpy.duration import Duration
 
     from koop_bag.recorder.topics import message_class
+    from koop_node.lifeline import end_with_parent
     from koop_node.main import set_dds_profile
     from koop_node.qos import RELIABLE
 
+    end_with_parent()
     set_dds_profile()
     rclpy.init()
     node = rclpy.create_node("load")

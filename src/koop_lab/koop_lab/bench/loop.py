@@ -9,10 +9,13 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from koop_lab.live.demo import with_pace
-from koop_lab.live.loop import LiveLoop, Progress
+from koop_lab.live.loop import LiveLoop
+from koop_lab.live.monitor import Progress
+from koop_lab.live.process import TiedProcess
 from koop_lab.recorded.run import read_run
+from koop_loop.ending import told
 from koop_loop.parameters import make
+from koop_node.errors import LiveError
 
 
 def register(benchmarks: Any) -> None:
@@ -45,9 +48,9 @@ def main(args: argparse.Namespace) -> int:
 
 def loop_rate(steps: int) -> float:
     """Return the lockstep rate [1/s] of plant, lifter, controller and recorder."""
-    parameters = make({"vdp_plant": {"duration": steps * 0.005}})
+    parameters = make({"vdp_plant": {"duration": steps * 0.005, "pace": "lockstep"}})
     with tempfile.TemporaryDirectory() as folder:
-        with LiveLoop(Path(folder), with_pace(parameters, "lockstep", None)) as loop:
+        with LiveLoop(Path(folder), parameters) as loop:
             loop.run(_ignore)
         run = read_run(Path(folder) / "bag")
     return (run.counts["state"] - 1) / run.duration
@@ -56,17 +59,18 @@ def loop_rate(steps: int) -> float:
 def bare_rate(steps: int) -> float:
     """Return the rate [1/s] of the bare chain."""
     command = [sys.executable, "-m", "koop_lab.bench.bare_chain"]
-    others = [subprocess.Popen([*command, role]) for role in ("b", "c")]
+    others = [TiedProcess([*command, role]) for role in ("b", "c")]
+    first = TiedProcess([*command, "a", str(steps)], stdout=subprocess.PIPE)
     try:
-        done = subprocess.run(
-            [*command, "a", str(steps)], check=True, capture_output=True, text=True, timeout=300
-        )
+        printed, _ = first.communicate(timeout=300)
     finally:
-        for process in others:
+        for process in (first, *others):
             process.terminate()
-        for process in others:
+        for process in (first, *others):
             process.wait()
-    return float(done.stdout.split()[-1])
+    if first.returncode != 0:
+        raise LiveError(told("the bare chain", first.returncode))
+    return float(printed.split()[-1])
 
 
 def _ignore(progress: Progress) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_lab.live.demo import run_with_progress, with_pace
+from koop_lab.live.demo import run_with_progress
 from koop_lab.recorded.run import read_run
 from koop_loop.parameters import make
 
@@ -26,10 +26,10 @@ def register(benchmarks: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
-    parameters = make({"vdp_plant": {"duration": args.duration}})
+    parameters = make({"vdp_plant": {"duration": args.duration, "pace": "realtime"}})
     dt = parameters.plant.dt
     with tempfile.TemporaryDirectory() as folder:
-        run_with_progress(Path(folder), with_pace(parameters, "realtime", None))
+        run_with_progress(Path(folder), parameters)
         run = read_run(Path(folder) / "bag")
     expected = run.duration / dt + 1
     print(

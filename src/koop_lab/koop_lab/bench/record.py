@@ -25,8 +25,8 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
 from koop_bag.recorder.config import LOOP_TOPICS
-from koop_lab.errors import LiveError
-from koop_lab.live.loop import NodeProcess
+from koop_lab.live.process import NodeProcess, TiedProcess
+from koop_node.errors import LiveError
 
 LIMIT = 0.2  # [s] of messages that a killed recorder may lack
 PATIENCE = 60.0  # [s] for a recorder to start on a busy machine
@@ -220,20 +220,20 @@ def _start_recorder(folder: Path, **parameters: object) -> NodeProcess:
     return NodeProcess("recorder", ["--ros-args", *words], folder / "recorder.log")
 
 
-def _start_load(rate: float, seconds: float, farewell: float = 10.0) -> subprocess.Popen[str]:
+def _start_load(rate: float, seconds: float, farewell: float = 10.0) -> TiedProcess:
     given = [str(rate), str(seconds), str(farewell)]
     command = [sys.executable, "-m", "koop_lab.bench.load", *given]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    return TiedProcess(command, stdout=subprocess.PIPE)
 
 
-def _progress(load: subprocess.Popen[str]) -> dict[str, float]:
+def _progress(load: TiedProcess) -> dict[str, float]:
     """Return the next line that a load says; empty at its end."""
     assert load.stdout is not None
     line = load.stdout.readline()
     return dict(json.loads(line)) if line else {}
 
 
-def _progress_to(load: subprocess.Popen[str], steps: float) -> dict[str, float]:
+def _progress_to(load: TiedProcess, steps: float) -> dict[str, float]:
     """Read on until so many steps were sent; return what was said then."""
     last: dict[str, float] = {}
     while last.get("sent", 0) < round(steps) and (said := _progress(load)):
@@ -241,7 +241,7 @@ def _progress_to(load: subprocess.Popen[str], steps: float) -> dict[str, float]:
     return last
 
 
-def _end(load: subprocess.Popen[str]) -> None:
+def _end(load: TiedProcess) -> None:
     load.kill()
     load.communicate()
 

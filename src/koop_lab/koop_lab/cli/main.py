@@ -18,7 +18,7 @@ from importlib.resources import files
 from types import FrameType
 
 from koop_bag.errors import BagError
-from koop_lab.errors import LiveError
+from koop_node.errors import LiveError
 
 
 def registered() -> dict[str, list[EntryPoint]]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
+from typing import Any
 
 from koop_loop import parameters
-from koop_loop.parameters import LoopParameters
+from koop_loop.parameters import NODES, LoopParameters
 from koop_node.config import ConfigError
 
 
@@ -20,21 +22,25 @@ def add_loop_options(parser: argparse.ArgumentParser, duration: float) -> None:
     parser.add_argument(
         "--duration",
         type=float,
-        default=duration,
         metavar="S",
         help=f"simulated time in seconds (default {duration:g}, as in the paper)",
     )
+    parser.set_defaults(usual_duration=duration)
 
 
-def loop_parameters(args: argparse.Namespace) -> LoopParameters:
-    """Return the parameters that the options of :func:`add_loop_options` describe.
+def given_values(
+    args: argparse.Namespace, nodes: Mapping[str, tuple[type, ...]] = NODES
+) -> dict[str, dict[str, Any]]:
+    """Return what the options of :func:`add_loop_options` and the parameter file say, by node.
+
+    An option that is given wins over the file, the file over what the command does by default.
 
     Raises
     ------
     koop_node.config.ConfigError
-        If the parameter file or a value cannot be used, or the run has no two steps to judge.
+        If the parameter file cannot be used.
     """
-    values = parameters.read(args.params_file) if args.params_file else {}
+    values = parameters.read(args.params_file, nodes) if args.params_file else {}
     values = parameters.changed(
         values,
         ("koopman_lifter", "cost", args.cost),
@@ -45,6 +51,18 @@ def loop_parameters(args: argparse.Namespace) -> LoopParameters:
         ("relay_esc", "theta_initial", args.theta_initial),
         ("vdp_plant", "duration", args.duration),
     )
+    values.setdefault("vdp_plant", {}).setdefault("duration", args.usual_duration)
+    return values
+
+
+def loop_parameters(values: Mapping[str, Mapping[str, Any]]) -> LoopParameters:
+    """Return the parameters of a run that has an end, from values by node.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a value cannot be used, or the run has no two steps to judge.
+    """
     made = parameters.make(values)
     if made.pace.duration < 2 * made.plant.dt:
         raise ConfigError("--duration must cover at least two steps")

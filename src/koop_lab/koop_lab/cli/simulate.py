@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.cli.options import add_loop_options, loop_parameters
+from koop_lab.cli.options import add_loop_options, given_values, loop_parameters
 from koop_lab.cli.table import metrics_table
 from koop_loop.loop import LoopResult, simulate
 from koop_loop.metrics import PAPER_DURATION, Metrics
@@ -38,7 +38,7 @@ def run(parameters: LoopParameters) -> tuple[LoopResult, Metrics]:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
-    parameters = loop_parameters(args)
+    parameters = loop_parameters(given_values(args))
     started = time.perf_counter()
     result, metrics = run(parameters)
     elapsed = time.perf_counter() - started

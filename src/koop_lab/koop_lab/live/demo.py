@@ -5,21 +5,24 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from koop_lab.cli.options import add_loop_options
-from koop_lab.cli.options import loop_parameters as parameters_from
+from koop_bag.recorder.config import RECORDER, RecorderConfig
+from koop_bag.recorder.run_folder import default_folder
+from koop_lab.cli.options import add_loop_options, given_values
+from koop_lab.cli.options import loop_parameters as finite
 from koop_lab.cli.table import metrics_table
-from koop_lab.live.loop import LiveLoop, Progress
+from koop_lab.live.loop import LiveLoop
+from koop_lab.live.monitor import Progress
 from koop_lab.recorded.run import RecordedRun, read_run
 from koop_loop import parameters as loop_parameters
 from koop_loop.metrics import PAPER_DURATION, Metrics
 from koop_loop.parameters import LoopParameters
 from koop_loop.static_map import performance
+from koop_node.config import ConfigError
 
 BAR = "{desc:<10} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
@@ -31,7 +34,6 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--pace",
         choices=("lockstep", "realtime", "scaled"),
-        default="lockstep",
         help="lockstep (default): as fast as the machine allows, and deterministic",
     )
     parser.add_argument(
@@ -45,16 +47,16 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 if the loop ran, whether or not it converged."""
-    parameters = with_pace(parameters_from(args), args.pace, args.time_scale)
+    parameters, recorder = chosen(args)
     parameters.load_model()  # one that cannot be used is said before anything is started
     folder = args.out or default_folder("demo")
     print(
         f"{parameters.pace.duration:g} s of the {parameters.lifter.cost} cost at pace "
         f"{parameters.pace.pace}: plant, lifter, controller and recorder"
     )
-    wall = run_with_progress(folder, parameters)
+    wall, notes = run_with_progress(folder, parameters, recorder)
     run = read_run(folder / "bag")
-    metrics = write_results(folder, parameters, run, wall)
+    metrics = write_results(folder, parameters, run, wall, notes)
     print(metrics_table(metrics, parameters.lifter.cost))
     if parameters.pace.duration != PAPER_DURATION:
         print(f"(the paper's figures are those of {PAPER_DURATION:g} s)")
@@ -66,6 +68,8 @@ def main(args: argparse.Namespace) -> int:
         f"{rate:.0f} steps a second, {rate * dt:.1f} x real time; lost messages: "
         + (", ".join(f"{n} on {t}" for t, n in run.lost.items() if n) or "none")
     )
+    for note in notes:
+        print(f"note: {note}")
     print(f"\nrun folder    {folder}/")
     for name, what in (
         ("plot.png", "state, cost and theta, as in the paper's figures"),
@@ -77,30 +81,40 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def with_pace(parameters: LoopParameters, pace: str, time_scale: float | None) -> LoopParameters:
-    """Return the parameters at another pace.
+def chosen(args: argparse.Namespace) -> tuple[LoopParameters, RecorderConfig]:
+    """Return the parameters that the options and the parameter file describe.
 
     Raises
     ------
-    ValueError
-        If a time scale is given for a pace that has none.
+    koop_node.config.ConfigError
+        If one cannot be used, or a time scale is given for a pace that has none.
     """
-    if time_scale is not None and pace != "scaled":
-        raise ValueError("--time-scale needs --pace scaled")
     values = loop_parameters.changed(
-        parameters.as_ros(), ("vdp_plant", "pace", pace), ("vdp_plant", "time_scale", time_scale)
+        given_values(args, {**loop_parameters.NODES, **RECORDER}),
+        ("vdp_plant", "pace", args.pace),
+        ("vdp_plant", "time_scale", args.time_scale),
     )
-    return loop_parameters.make(values)
+    pace = values["vdp_plant"].setdefault("pace", "lockstep")
+    if args.time_scale is not None and pace != "scaled":
+        raise ConfigError("--time-scale needs --pace scaled")
+    recorder = loop_parameters.build({"recorder": values.pop("recorder", {})}, RECORDER)
+    return finite(values), recorder["recorder"][RecorderConfig]
 
 
-def default_folder(label: str) -> Path:
-    """Return a new run folder under recordings/, named after the time."""
-    stamp = datetime.now(timezone.utc).strftime("%Y%m%dT%H%M%SZ")
-    return Path("recordings") / f"{stamp}-{label}"
+def run_with_progress(
+    folder: Path,
+    parameters: LoopParameters,
+    recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
+) -> tuple[float, list[str]]:
+    """Run the live loop with a progress bar.
 
-
-def run_with_progress(folder: Path, parameters: LoopParameters) -> float:
-    """Run the live loop with a progress bar; return the wall-clock time of the whole run [s]."""
+    Returns
+    -------
+    wall : float
+        Wall-clock time of the whole run [s].
+    notes : list of str
+        What a reader of the results should know.
+    """
     if (folder / "bag").exists():
         raise ValueError(f"{folder} holds a recording already: choose another --out")
     dt = parameters.plant.dt
@@ -108,7 +122,7 @@ def run_with_progress(folder: Path, parameters: LoopParameters) -> float:
     started = time.monotonic()
     with (
         tqdm(total=steps * dt, unit="s", desc="connecting", bar_format=BAR, disable=None) as bar,
-        LiveLoop(folder, parameters) as loop,
+        LiveLoop(folder, parameters, recorder) as loop,
     ):
 
         def show(progress: Progress) -> None:
@@ -126,11 +140,11 @@ def run_with_progress(folder: Path, parameters: LoopParameters) -> float:
         bar.n = steps * dt
         bar.set_description_str("done")
         bar.refresh()
-    return time.monotonic() - started
+    return time.monotonic() - started, loop.notes
 
 
 def write_results(
-    folder: Path, parameters: LoopParameters, run: RecordedRun, wall: float
+    folder: Path, parameters: LoopParameters, run: RecordedRun, wall: float, notes: list[str]
 ) -> Metrics:
     """Write metrics.json and plot.png of a recorded run."""
     from koop_lab.plots.paper import plot_run  # matplotlib takes half a second to import
@@ -147,6 +161,7 @@ def write_results(
         "wall_time": wall,
         "steps": run.counts["state"],
         "lost": run.lost,
+        "notes": notes,
     }
     (folder / "metrics.json").write_text(json.dumps(result, indent=1) + "\n")
     plot_run(

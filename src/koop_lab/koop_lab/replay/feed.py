@@ -6,6 +6,7 @@ depend on the machine's speed. The states go out as the bytes that were recorded
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 from collections.abc import Iterator
@@ -17,13 +18,14 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from koop_bag.bag.reader import BagReader
-from koop_lab.errors import LiveError
-from koop_lab.live.loop import EXECUTABLES, START_TIMEOUT, NodeProcess, executable, uninterrupted
+from koop_lab.live.process import START_TIMEOUT, NodeProcess, uninterrupted
 from koop_lab.replay.plan import Plan, Stretch
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER
 from koop_node import parameter_file
+from koop_node.client import Client
 from koop_node.domain import free_domain
+from koop_node.errors import LiveError
 from koop_node.resend import Due, Resend
 
 TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
@@ -42,7 +44,7 @@ def replay_live(
 
     Raises
     ------
-    koop_lab.errors.LiveError
+    koop_node.errors.LiveError
         If a node ends, does not answer or refuses a parameter.
     """
     with tempfile.TemporaryDirectory(prefix="koop-replay-") as name:
@@ -51,13 +53,11 @@ def replay_live(
         domain = free_domain()
         try:
             for node in reversed(CONTROLLER):
-                command = ["env", f"ROS_DOMAIN_ID={domain}", str(executable(*EXECUTABLES[node]))]
-                nodes[node] = NodeProcess(node, arguments, Path(name) / f"{node}.log", command)
-            feeder = Feeder(nodes, domain)
-            try:
+                log = Path(name) / f"{node}.log"
+                there = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+                nodes[node] = NodeProcess(node, arguments, log, environment=there)
+            with Feeder(nodes, domain) as feeder:
                 return feeder.run(recording, plan)
-            finally:
-                feeder.close()
         finally:
             with uninterrupted():
                 for process in nodes.values():
@@ -74,27 +74,19 @@ def _parameter_file(folder: Path, plan: Plan) -> Path:
     return file
 
 
-class Feeder:
+class Feeder(Client):
     """The plant's place in the loop, taken by a recording."""
 
     def __init__(self, nodes: dict[str, NodeProcess], domain: int) -> None:
-        import rclpy
         from koop_msgs.msg import ControlInput, Cost, MeasuredState
-        from rclpy.experimental.events_executor import EventsExecutor
         from rclpy.qos import QoSProfile
 
-        from koop_node.entities import WithoutEvents
-
+        super().__init__("koop_replay", domain)
         self._nodes = nodes
-        self._context = rclpy.Context()
-        self._context.init(args=[], domain_id=domain)
-        self._node = WithoutEvents("koop_replay", context=self._context)
         qos = QoSProfile(depth=100)
-        self._publisher = self._node.create_publisher(MeasuredState, "state", qos)
-        self._node.create_subscription(Cost, "cost", self._on_cost, qos)
-        self._node.create_subscription(ControlInput, "theta", self._on_theta, qos)
-        self._executor: Any = EventsExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._publisher = self.node.create_publisher(MeasuredState, "state", qos)
+        self.node.create_subscription(Cost, "cost", self._on_cost, qos)
+        self.node.create_subscription(ControlInput, "theta", self._on_theta, qos)
         self._question = Resend(TIMEOUT, RESENDS)
         self._cost: tuple[int, float] | None = None
         self._theta: tuple[int, float] | None = None
@@ -103,8 +95,13 @@ class Feeder:
         self, recording: Recording, plan: Plan
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Play all states and return the answers r, theta."""
-        self._wait(self._publisher.get_subscription_count, START_TIMEOUT, "the lifter to listen")
-        if max(self._node.count_publishers(topic) for topic in ("state", "cost", "theta")) > 1:
+        self.wait_for(
+            self._publisher.get_subscription_count,
+            START_TIMEOUT,
+            "the lifter to listen",
+            self._check_nodes,
+        )
+        if max(self.node.count_publishers(topic) for topic in ("state", "cost", "theta")) > 1:
             raise LiveError("another loop has come into the ROS domain of the replay: try again")
         size = recording.step.size
         r, theta = np.empty(size), np.empty(size)
@@ -123,13 +120,6 @@ class Feeder:
                 r[k], theta[k] = self._ask(int(recording.step[k]), message)
         return r, theta
 
-    def close(self) -> None:
-        """Leave the DDS domain."""
-        self._executor.remove_node(self._node)
-        self._node.destroy_node()
-        self._executor.shutdown()
-        self._context.try_shutdown()
-
     def _on_cost(self, message: Any) -> None:
         self._cost = (message.step, message.r)
 
@@ -146,7 +136,7 @@ class Feeder:
             if cost is not None and theta is not None and cost[0] == theta[0] == step:
                 self._question.close()
                 return cost[1], theta[1]
-            self._executor.spin_once(timeout_sec=0.2)
+            self.spin(0.2)
             self._check_nodes()
             due = self._question.check(time.monotonic())
             if due is Due.AGAIN:
@@ -160,50 +150,21 @@ class Feeder:
 
     def _change(self, stretch: Stretch) -> None:
         """Set parameters as they were set while recording."""
-        from rcl_interfaces.srv import SetParametersAtomically
-        from rclpy.parameter import Parameter
-
         for change in stretch.changed:
             given = stretch.parameters.as_ros()[change.node]
-            request = SetParametersAtomically.Request(
-                parameters=[
-                    Parameter(name, value=given[name]).to_parameter_msg() for name in change.values
-                ]
-            )
-            service = f"{change.node}/set_parameters_atomically"
-            result = self._call(SetParametersAtomically, service, request).result
-            if not result.successful:
-                raise LiveError(f"{change.node} refuses {change.values}: {result.reason}")
+            values = {name: given[name] for name in change.values}
+            self.set_parameters(change.node, values, START_TIMEOUT, self._check_nodes)
 
     def _hold(self, data: bool) -> None:
         from std_srvs.srv import SetBool
 
-        self._call(SetBool, f"{CONTROLLER[1]}/hold", SetBool.Request(data=data))
-
-    def _call(self, service_type: Any, name: str, request: Any) -> Any:
-        client = self._node.create_client(service_type, name)
-        try:
-            self._wait(client.service_is_ready, START_TIMEOUT, f"service {name}")
-            future = client.call_async(request)
-            self._wait(future.done, START_TIMEOUT, f"an answer of {name}")
-            return future.result()
-        finally:
-            self._node.destroy_client(client)
-
-    def _wait(self, condition: Any, timeout: float, what: str) -> None:
-        deadline = time.monotonic() + timeout
-        while not condition():
-            self._executor.spin_once(timeout_sec=0.05)
-            self._check_nodes()
-            if time.monotonic() > deadline:
-                raise LiveError(f"waited {timeout:g} s in vain for {what}")
+        request = SetBool.Request(data=data)
+        self.call(SetBool, f"{CONTROLLER[1]}/hold", request, START_TIMEOUT, self._check_nodes)
 
     def _check_nodes(self) -> None:
-        for node, process in self._nodes.items():
+        for process in self._nodes.values():
             if process.poll() is not None:
-                raise LiveError(
-                    f"{node} ended with exit code {process.poll()}:\n{process.last_lines()}"
-                )
+                raise process.failure()
 
 
 def _states(recording: Recording) -> Iterator[bytes]:

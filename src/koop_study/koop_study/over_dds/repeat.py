@@ -9,7 +9,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from koop_lab.live.loop import LiveLoop, Progress
+from koop_lab.live.loop import LiveLoop
+from koop_lab.live.monitor import Progress
 from koop_lab.recorded.run import RecordedRun, read_run
 from koop_loop.parameters import LoopParameters
 from koop_study.experiments.kinds import Experiment
@@ -37,7 +38,7 @@ def repeat(experiments: list[Experiment], out: Path) -> bool:
 
     Raises
     ------
-    koop_lab.errors.LiveError
+    koop_node.errors.LiveError
         If a node fails.
     """
     runs = [

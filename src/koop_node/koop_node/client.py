@@ -1,0 +1,162 @@
+"""A guest in a ROS domain: looks at the graph, publishes, listens and calls, on its own context.
+
+For programs that are no node themselves: they leave the domain when they are done with it. rclpy
+is imported only when one is made, so that what can do without ROS does.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, TypeVar
+
+from koop_node.errors import LiveError
+
+ANSWER = 5.0  # [s] for a node to answer a call
+Found = TypeVar("Found")
+Own = TypeVar("Own", bound="Client")
+
+
+class Client:
+    """A node with a context and an executor of its own; a context manager.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+    domain : int, optional
+        ROS domain; by default that of the environment.
+    """
+
+    def __init__(self, name: str, domain: int | None = None) -> None:
+        import rclpy
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        from koop_node.entities import WithoutEvents
+        from koop_node.main import set_dds_profile
+
+        set_dds_profile()
+        self._context = rclpy.Context()
+        self._context.init(args=[], domain_id=domain)
+        self.node = WithoutEvents(name, context=self._context)
+        self._executor: Any = EventsExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._services: dict[str, Any] = {}
+
+    def __enter__(self: Own) -> Own:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._executor.remove_node(self.node)
+        self.node.destroy_node()
+        self._executor.shutdown()
+        self._context.try_shutdown()
+
+    def spin(self, seconds: float) -> None:
+        """Wait for an event, no longer than a time, and process it."""
+        self._executor.spin_once(timeout_sec=seconds)
+
+    def wait_for(
+        self,
+        condition: Callable[[], Found],
+        seconds: float,
+        what: str,
+        check: Callable[[], object] | None = None,
+    ) -> Found:
+        """Spin until a condition is true, and return it.
+
+        Parameters
+        ----------
+        condition : callable
+            What is waited for.
+        seconds : float
+            No longer than this.
+        what : str
+            The condition in words.
+        check : callable, optional
+            Called meanwhile; it may raise.
+
+        Raises
+        ------
+        LiveError
+            If the condition did not become true.
+        """
+        deadline = time.monotonic() + seconds
+        while not (found := condition()):
+            if time.monotonic() > deadline:
+                raise LiveError(f"waited {seconds:g} s in vain for {what}")
+            self.spin(0.05)
+            if check is not None:
+                check()
+        return found
+
+    def call(
+        self,
+        service_type: Any,
+        name: str,
+        request: Any,
+        seconds: float = ANSWER,
+        check: Callable[[], object] | None = None,
+    ) -> Any:
+        """Call a service and return its answer; as :meth:`wait_for`."""
+        if name not in self._services:
+            self._services[name] = self.node.create_client(service_type, name)
+        client = self._services[name]
+        self.wait_for(client.service_is_ready, seconds, f"the service {name}", check)
+        future = client.call_async(request)
+        self.wait_for(future.done, seconds, f"an answer of {name}", check)
+        return future.result()
+
+    def set_parameters(
+        self,
+        node: str,
+        values: Mapping[str, Any],
+        seconds: float = ANSWER,
+        check: Callable[[], object] | None = None,
+    ) -> None:
+        """Change parameters of a node while it runs, all or none; as :meth:`wait_for`.
+
+        Raises
+        ------
+        LiveError
+            If the node does not answer or refuses.
+        """
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        asked = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        request = SetParametersAtomically.Request(parameters=asked)
+        service = f"{node}/set_parameters_atomically"
+        answer = self.call(SetParametersAtomically, service, request, seconds, check).result
+        if not answer.successful:
+            raise LiveError(f"{node} refuses {', '.join(values)}: {answer.reason}")
+
+    def change_state(self, node: str, transition: str, seconds: float = ANSWER) -> None:
+        """Make a node ``configure``, ``activate``, ``deactivate`` or ``cleanup``.
+
+        Raises
+        ------
+        LiveError
+            If the node does not answer or refuses.
+        """
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        request = ChangeState.Request()
+        request.transition.id = getattr(Transition, f"TRANSITION_{transition.upper()}")
+        if not self.call(ChangeState, f"{node}/change_state", request, seconds).success:
+            raise LiveError(f"{node} cannot {transition}")
+
+    def count_publishers(self, topic: str) -> int:
+        """Return how many publishers of a topic are on this domain."""
+        return int(self.node.count_publishers(topic))

@@ -1,0 +1,41 @@
+"""Ends a process with the one that started it, however that one ended. Pure: no ROS.
+
+Who starts the process holds the other end of its stdin and says so in its environment. When that
+end closes, with a clean exit or with SIGKILL, the process tells itself to stop, as SIGTERM would:
+a recorder closes its bag. A pipe, not the kernel's parent-death signal, because that one goes by
+the thread that started the process and is lost if the parent is gone before it is asked for.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+import time
+
+VARIABLE = "KOOP_LIFELINE"
+TIED = {VARIABLE: "stdin"}  # to be added to the environment of a process whose stdin is a pipe
+PATIENCE = 20.0  # [s] after which a process that does not stop is killed
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it has ended, if that asked for it."""
+    if os.environ.get(VARIABLE) != TIED[VARIABLE]:
+        return
+    if sys.platform == "linux":  # one that was stopped by SIGSTOP would see nothing
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT)
+    threading.Thread(target=_watch, daemon=True, name="lifeline").start()
+
+
+def _watch() -> None:
+    try:
+        while os.read(0, 1024):
+            pass
+    except OSError:  # a terminal that has gone
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(PATIENCE)
+    os.kill(os.getpid(), signal.SIGKILL)

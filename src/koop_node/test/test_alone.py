@@ -1,0 +1,51 @@
+"""One loop in a namespace of a ROS domain."""
+
+import pytest
+
+from koop_node.alone import alone
+from koop_node.domain import free_domain
+from koop_node.errors import LiveError
+
+
+@pytest.fixture(autouse=True)
+def domain(monkeypatch):
+    """A domain in which nobody is, so that nobody has to be looked for."""
+    domain = free_domain()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    return domain
+
+
+def test_who_comes_second_is_refused_until_the_first_has_gone(domain):
+    with (
+        alone(),
+        pytest.raises(LiveError, match=f"on ROS domain {domain}: it goes on") as caught,
+        alone(),
+    ):
+        pytest.fail("there is a loop already")
+    proposed = int(str(caught.value).rsplit(" ", 1)[1])
+    assert proposed != domain
+    with alone():
+        pass
+
+
+def test_loops_of_other_namespaces_and_domains_do_not_meet(monkeypatch):
+    with alone(), alone("/rig1"), alone("/rig2"):
+        with pytest.raises(LiveError, match="in the namespace /rig1"), alone("/rig1"):
+            pytest.fail("there is a loop already")
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+        with alone():
+            pass
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("topic", ["state", "theta"])
+def test_nodes_that_were_started_by_hand_are_seen(topic):
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    from koop_node.client import Client
+
+    with Client("by_hand") as client:
+        client.node.create_publisher(DiagnosticArray, topic, 1)
+        with pytest.raises(LiveError, match="another loop runs"), alone():
+            pytest.fail("there is a loop already")
