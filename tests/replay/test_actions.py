@@ -2,10 +2,14 @@
 
 import math
 import signal
+import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from koop_msgs.msg import ControlInput, MeasuredState
+from koop_msgs.msg import ControlInput, Cost, MeasuredState
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParametersAtomically
 from std_srvs.srv import SetBool, Trigger
@@ -25,6 +29,7 @@ class Rig:
     def __init__(self, probe):
         self.probe = probe
         self.answers = probe.collect(ControlInput, "theta")
+        self.costs = probe.collect(Cost, "cost")
         self.publisher = probe.node.create_publisher(MeasuredState, "state", 1000)
         probe.spin_until(
             lambda: self.publisher.get_subscription_count() == 2, "the lifter and the recorder"
@@ -41,6 +46,30 @@ class Rig:
     def swing(self, steps, size=1.0):
         for k in steps:
             self(k, (size * math.sin(0.3 * k), size * math.cos(0.3 * k) + 0.01 * k))
+
+    def change_state(self, node, number):
+        request = ChangeState.Request(transition=Transition(id=number))
+        assert self.probe.call(ChangeState, f"/{node}/change_state", request).success
+        listening = 2 + (number == Transition.TRANSITION_ACTIVATE)
+        self.probe.spin_until(
+            lambda: self.probe.node.count_subscribers("cost") == listening, f"{node} on 'cost'"
+        )
+
+    def unanswered(self, steps, costs):
+        """Send states that get no theta, but so many costs."""
+        before = len(self.costs)
+        for k in steps:
+            self.send(k, (math.sin(0.3 * k), math.cos(0.3 * k)))
+        self.probe.spin_until(lambda: len(self.costs) == before + costs, "the costs")
+
+    @contextmanager
+    def stopped(self, process):
+        """Stop a process until what it has not heard is older than its timeout."""
+        process.process.send_signal(signal.SIGSTOP)
+        yield
+        last = time.monotonic()
+        self.probe.spin_until(lambda: time.monotonic() > last + 0.6, "it to be too old")
+        process.process.send_signal(signal.SIGCONT)
 
     def set(self, node, name, value):
         kind = ParameterType.PARAMETER_STRING if isinstance(value, str) else 3
@@ -98,6 +127,18 @@ def eventful(module_start, module_probe, tmp_path_factory):
     rig.swing(range(160, 200))
     rig.swing(range(400, 430))  # a second of silence
     rig.swing(range(60))  # the plant was started again
+    esc, lifter = controller
+    # from here on the steps go on without a gap, though nobody answers some of them
+    rig.change_state("relay_esc", Transition.TRANSITION_DEACTIVATE)
+    rig.unanswered(range(60, 70), costs=10)
+    rig.change_state("relay_esc", Transition.TRANSITION_ACTIVATE)
+    rig.swing(range(70, 80))
+    with rig.stopped(esc):  # ten costs wait for it, until they are too old
+        rig.unanswered(range(80, 90), costs=10)
+    rig.swing(range(90, 100))
+    with rig.stopped(lifter):
+        rig.unanswered(range(100, 110), costs=0)
+    rig.swing(range(110, 130))
     recorder.process.send_signal(signal.SIGINT)
     assert recorder.process.wait(20.0) == 0
     assert [node.stop() for node in controller] == [0, 0]
@@ -119,8 +160,10 @@ def test_an_eventful_run_is_replayed_bit_for_bit(eventful, how, capfd):
     code = main(["replay", str(eventful), *how])
     printed, error = capfd.readouterr()
     assert code == 0, printed + error
-    assert "r      identical bit for bit in all 280 steps" in printed
-    assert "theta  identical bit for bit in all 280 steps" in printed
+    assert "r      identical bit for bit in all 340 steps" in printed
+    assert "theta  identical bit for bit in all 320 steps" in printed
+    assert "10 states without a recorded cost are left out" in printed
+    assert "20 costs without a recorded theta are kept from the controller" in printed
     assert "2 states of a step asked again are left out" in printed
     assert "from step 130 on, as recorded: koopman_lifter cost = raw" in printed
 

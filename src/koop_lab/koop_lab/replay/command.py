@@ -80,6 +80,8 @@ def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[
         lines.append(f"{recording.repeated} states of a step asked again are left out")
     if recording.unanswered:
         lines.append(f"{recording.unanswered} states without a recorded cost are left out")
+    if unheard := int(np.count_nonzero(plan.unheard)):
+        lines.append(f"{unheard} costs without a recorded theta are kept from the controller")
     lines += [
         f"from step {recording.step[change.index]} on, as recorded: {change.node} "
         + ", ".join(f"{name} = {value}" for name, value in change.values.items())

@@ -6,6 +6,7 @@ depend on the machine's speed. The states go out as the bytes that were recorded
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import time
@@ -87,6 +88,7 @@ class Feeder(Client):
         self._publisher = self.node.create_publisher(MeasuredState, "state", qos)
         self.node.create_subscription(Cost, "cost", self._on_cost, qos)
         self.node.create_subscription(ControlInput, "theta", self._on_theta, qos)
+        self._controlled = True
         self._question = Resend(TIMEOUT, RESENDS)
         self._cost: tuple[int, float] | None = None
         self._theta: tuple[int, float] | None = None
@@ -113,6 +115,8 @@ class Feeder(Client):
             if recording.hold[k] != held:
                 held = bool(recording.hold[k])
                 self._hold(held)
+            if plan.unheard[k] == self._controlled:
+                self._control(not plan.unheard[k])
             if recording.late[k]:  # has no answer
                 self._publisher.publish(message)
                 r[k] = theta[k] = np.nan
@@ -132,7 +136,7 @@ class Feeder(Client):
         self._publisher.publish(message)
         self._question.ask(time.monotonic())
         while True:
-            cost, theta = self._cost, self._theta
+            cost, theta = self._cost, self._theta if self._controlled else (step, math.nan)
             if cost is not None and theta is not None and cost[0] == theta[0] == step:
                 self._question.close()
                 return cost[1], theta[1]
@@ -154,6 +158,23 @@ class Feeder(Client):
             given = stretch.parameters.as_ros()[change.node]
             values = {name: given[name] for name in change.values}
             self.set_parameters(change.node, values, START_TIMEOUT, self._check_nodes)
+
+    def _control(self, controlled: bool) -> None:
+        """Let the controller hear the costs that follow, or not: it is active, or silent."""
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        number = Transition.TRANSITION_ACTIVATE if controlled else Transition.TRANSITION_DEACTIVATE
+        request = ChangeState.Request(transition=Transition(id=number))
+        if not self._call(ChangeState, f"{CONTROLLER[1]}/change_state", request).success:
+            raise LiveError(f"{CONTROLLER[1]} refuses to be made active or inactive")
+        listeners = 1 + controlled  # this one, too
+        self._wait(
+            lambda: self.node.count_subscribers("cost") == listeners,
+            START_TIMEOUT,
+            f"{CONTROLLER[1]} to {'listen' if controlled else 'be silent'}",
+        )
+        self._controlled = controlled
 
     def _hold(self, data: bool) -> None:
         from std_srvs.srv import SetBool

@@ -6,10 +6,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER, Change, Models, known_parameters
+from koop_lab.replay.unheard import unheard_costs
 from koop_loop import parameters
 from koop_loop.parameters import LoopParameters
 from koop_node.config import ConfigError
@@ -52,11 +55,14 @@ class Plan:
         (parameter, recorded, replayed) where the user's choice differs from the recording.
     notes : list of str
         What the user should know about the parameters.
+    unheard : ndarray of bool, shape (M,)
+        Whose costs the controller did not hear.
     """
 
     stretches: tuple[Stretch, ...]
     differences: list[tuple[str, Any, Any]]
     notes: list[str]
+    unheard: NDArray[np.bool_]
 
 
 def make_plan(
@@ -105,7 +111,8 @@ def make_plan(
         recorded["koopman_lifter"]["model"] = ""
     used = {node: {**recorded[node], **given[node], **OWN_TOPICS[node]} for node in CONTROLLER}
     stretches = _stretches(used, changes, recording.step.size)
-    before = parameters.make(recorded).as_ros()
+    recorded_loop = parameters.make(recorded)
+    before = recorded_loop.as_ros()
     differences = []
     for node in CONTROLLER:
         after = stretches[0].parameters.as_ros()[node]
@@ -115,7 +122,11 @@ def make_plan(
     now = stretches[0].parameters.load_model().model_id
     if first and now != first:
         differences.append(("koopman_lifter.model", first, now))
-    return Plan(stretches, differences, notes)
+    step_size = max(
+        recorded_loop.esc.step_size, *(item.parameters.esc.step_size for item in stretches)
+    )
+    unheard = unheard_costs(recording.has_r, recording.has_theta, recording.theta, step_size)
+    return Plan(stretches, differences, notes, unheard)
 
 
 def _given(params: str | None, model: str | None, settings: Iterable[str]) -> Values:
