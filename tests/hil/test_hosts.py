@@ -18,7 +18,7 @@ from koop_hil import hosts
 from koop_hil.command import main
 from koop_hil.hosts import HostsError, entrance
 from koop_hil.run import run
-from koop_hil.scenario import Limits, find, read
+from koop_hil.scenario import find, read
 
 CUT = 8.0  # [s] of simulated time in the scenario
 
@@ -38,7 +38,7 @@ def test_the_plant_runs_on_while_the_link_is_cut_and_no_step_is_lost(two_hosts, 
     scenario = read(find("link-cut"))
     setting = replace(scenario.setting, duration=20.0)
     events = tuple(replace(event, at=4.0) for event in scenario.events)
-    limits = Limits(tail_error=1e3)  # converging takes longer than this
+    limits = replace(scenario.limits, tail_error=1e3)  # converging takes longer than this
     verdict = run(replace(scenario, setting=setting, events=events, limits=limits), tmp_path)
     assert verdict.passed, verdict.failures
     with BagReader(tmp_path / "bag") as bag:

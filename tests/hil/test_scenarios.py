@@ -1,7 +1,7 @@
 """The scenario files, run and judged by pytest; `koop hil` runs the same files by hand.
 
-By default one rig and one fault, shortened; KOOP_HIL names scenarios or files that are run as they
-are, and `all` is every scenario:
+By default a rig, a fault and a handover, shortened; KOOP_HIL names scenarios or files that are run
+as they are, and `all` is every scenario:
 
     KOOP_HIL=all ./koop test tests/hil/test_scenarios.py --junitxml=hil.xml
 """
@@ -19,10 +19,11 @@ NAMES = [path.stem for path in shipped()]
 FIGURES = ("tail_error", "max_error", "time_out_of_tolerance", "unrecorded")
 
 
-def shortened(name, at=0.0, **setting):
-    """Return a scenario with another setting, its events at another time."""
+def shortened(name, events=(), **setting):
+    """Return a scenario with another setting, its events at other times."""
     scenario = read(find(name))
-    events = tuple(replace(event, at=at) for event in scenario.events)
+    times = [{"at": begin, "lasts": lasts} for begin, lasts in events]
+    events = tuple(replace(e, **time) for e, time in zip(scenario.events, times, strict=True))
     return replace(scenario, setting=replace(scenario.setting, **setting), events=events)
 
 
@@ -34,7 +35,8 @@ def judged():
     # theta begins 1.5 and 1 from the optimum: one that does not move fails
     return [
         shortened("rig-other", theta_initial=0.0, duration=60.0, time_scale=6.0),
-        shortened("kill-lifter", at=4.0, duration=40.0),
+        shortened("kill-lifter", [(4.0, 4.0)], duration=40.0),
+        shortened("handover", [(8.0, 16.0)], duration=48.0, time_scale=8.0),
     ]
 
 

@@ -123,6 +123,9 @@ def options() -> argparse.Namespace:
     parser.add_argument("--jitter", type=float, default=0.1, help="of every period [periods]")
     parser.add_argument("--delay", type=float, default=0.02, help="of the actuator [s]")
     parser.add_argument("--rate", type=float, default=1.0, help="of the actuator [1/s]")
+    parser.add_argument(
+        "--theta-timeout", type=float, default=0.5, help="age of the state behind a command [s]"
+    )
     parser.add_argument("--readers", type=int, default=1, help="of the state to wait for")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--until-eof", action="store_true", help="end when stdin is closed")
@@ -150,6 +153,7 @@ def main() -> int:
     actuator = Actuator(args.theta_initial, args.delay, args.rate)
     command, state, k = args.theta_initial, rig.start, 0
     period = DT / args.scale * (1.0 + args.drift)
+    oldest = args.theta_timeout * args.scale / DT  # [steps]
     steps = round(args.duration / DT) if args.duration else math.inf
     started = time.monotonic()
     wall = time.time()
@@ -167,7 +171,8 @@ def main() -> int:
         states.write(MeasuredState(header, k, False, measure(rig, t, state, rng)))
         ground_truths.write(PlantTruth(header, k, list(state), actuator.theta, math.nan))
         for sample in thetas.take(N=100):
-            if isinstance(sample, ControlInput) and math.isfinite(sample.theta):
+            known = isinstance(sample, ControlInput) and math.isfinite(sample.theta)
+            if known and 0 <= k - sample.step <= oldest:  # not what was kept while a link was cut
                 command = sample.theta
         state = advance(rig, t, DT, state, actuator.move(command))
         if not math.isfinite(state[0] + state[1]):
