@@ -60,7 +60,8 @@ def ages(state: Columns, theta: Columns, ground_truth: Columns) -> Ages:
     """Return how old the states were that theta answered.
 
     A theta that acts is known by its value, so the plant must not limit its rate. Where several
-    answers have that very value, the newest counts: it would have acted just so.
+    answers have that very value, the newest counts: it would have acted just so. A move in a gap of
+    the recording counts as early as it can have been.
 
     Parameters
     ----------
@@ -78,15 +79,15 @@ def ages(state: Columns, theta: Columns, ground_truth: Columns) -> Ages:
     for step, value in sorted(zip(theta["step"].tolist(), theta["theta"].tolist(), strict=True)):
         given[value].append(step)
     acted, unexplained = 0, 0
-    applied = ground_truth["theta_applied"]
-    known = np.diff(ground_truth["step"].astype(np.int64)) == 1  # else it moved nobody knows when
-    for i in (np.flatnonzero(known & (np.diff(applied) != 0.0)) + 1).tolist():
+    applied, at = ground_truth["theta_applied"], ground_truth["publish_time"].astype(np.int64)
+    dated = np.diff(ground_truth["step"].astype(np.int64), prepend=-1) == 1
+    for i in (np.flatnonzero(np.diff(applied)) + 1).tolist():
         answers = given.get(float(applied[i]), [])
         older = bisect_left(answers, int(ground_truth["step"][i]))
         if older == 0:
-            unexplained += 1
+            unexplained += int(dated[i])
         elif (measured_at := measured.get(answers[older - 1])) is not None:
-            acted = max(acted, int(ground_truth["publish_time"][i]) - measured_at)
+            acted = max(acted, int(at[i] if dated[i] else at[i - 1]) - measured_at)
     sent = 0
     order = np.argsort(theta["publish_time"], kind="stable")
     for i in order[np.flatnonzero(np.diff(theta["theta"][order])) + 1].tolist():

@@ -73,7 +73,13 @@ class Limits:
     )
     answered_twice: int = parameter(0, "answers that a second controller gave besides", low=0)
     answer_age: float = parameter(
-        NO_LIMIT, "age of a state when an answer to it moves theta, in real time", unit="s", low=0.0
+        NO_LIMIT,
+        "age of a state when an answer to it moves theta on vdp_plant, in real time",
+        unit="s",
+        low=0.0,
+    )
+    sent_age: float = parameter(
+        NO_LIMIT, "age of a state when an answer to it is sent and moves theta", unit="s", low=0.0
     )
     unrecorded: int = parameter(
         0, "messages that the recording may lack: those under way when a node was killed", low=0

@@ -27,7 +27,8 @@ FIELDS = {
 }
 TRANSITION = ["publish_time", "start_state.label", "goal_state.label"]
 LIMITED = (
-    "tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answered_twice", "answer_age"
+    "tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answered_twice",
+    "answer_age", "sent_age",
 )  # fmt: skip
 LEAST = 0.3  # of the duration that must be known
 
@@ -57,9 +58,9 @@ class Verdict:
         Answers of every controller while it alone was active, if the scenario has a second one.
     contested : int
         Answers while both or none of the controllers were active.
-    answer_age : float
-        Largest age of a state [s] when an answer to it moved theta, on the plant or as it was
-        sent, in real time; if there is a limit.
+    answer_age, sent_age : float
+        Largest age of a state [s], in real time, when an answer to it moved theta on the plant,
+        and when the controller sent one that moved theta; if there is a limit.
     memory_slope : dict
         Growth of the resident memory of every process over the second half [MB/h].
     round_trip : tuple of float
@@ -86,6 +87,7 @@ class Verdict:
     answers: dict[str, int] = field(default_factory=dict)
     contested: int = 0
     answer_age: float = math.nan
+    sent_age: float = math.nan
     memory_slope: dict[str, float] = field(default_factory=dict)
     round_trip: tuple[float, float] = (math.nan, math.nan)
     levels: dict[str, list[str]] = field(default_factory=dict)
@@ -185,7 +187,7 @@ def _look_for_authors(scenario: Scenario, recorded: dict[str, Columns], verdict:
 def _look_for_old_answers(recorded: dict[str, Columns], verdict: Verdict) -> None:
     """Fill in how old the states were that theta answered."""
     found = ages(recorded["state"], recorded["theta"], recorded["ground_truth"])
-    verdict.answer_age = max(found.acted, found.sent)
+    verdict.answer_age, verdict.sent_age = found.acted, found.sent
     if found.unexplained:
         verdict.failures.append(f"theta moved {found.unexplained} times without a recorded answer")
 

@@ -114,3 +114,14 @@ def test_an_answer_is_of_the_controller_that_was_active():
 def test_a_controller_without_transitions_in_the_recording_was_active_all_the_time():
     nothing = columns(publish_time=[], start_state__label=[], goal_state__label=[])
     assert active_times(nothing) == [(0, np.iinfo(np.int64).max)]
+
+
+def test_a_move_in_a_gap_of_the_recording_counts_as_early_as_it_can_have_been():
+    state, theta, ground_truth = loop()
+    kept = np.r_[0:50, 90:200]
+    gap = {name: column[kept] for name, column in ground_truth.items()}
+    gap["theta_applied"][50] = theta["theta"][48]  # the answer that was the next to act
+    found = ages(state, theta, gap)
+    assert found.acted == pytest.approx(0.005)
+    gap["theta_applied"][50] = theta["theta"][30]
+    assert ages(state, theta, gap).acted == pytest.approx(0.095)
