@@ -34,7 +34,8 @@ def remarks(verdict: Verdict) -> list[str]:
         said.append(f"theta known for {verdict.simulated:.0f} of {verdict.duration:.0f} s")
     if not math.isnan(verdict.answer_age):
         said.append(
-            f"oldest answer that acted {verdict.answer_age:.2f} s, that was sent {verdict.sent_age:.2f} s"
+            f"oldest answer that acted {verdict.answer_age:.2f} s, "
+            f"that was sent {verdict.sent_age:.2f} s"
         )
     said += [f"{count} answers of {name}" for name, count in verdict.answers.items()]
     if verdict.contested:

@@ -166,13 +166,16 @@ class Feeder(Client):
 
         number = Transition.TRANSITION_ACTIVATE if controlled else Transition.TRANSITION_DEACTIVATE
         request = ChangeState.Request(transition=Transition(id=number))
-        if not self._call(ChangeState, f"{CONTROLLER[1]}/change_state", request).success:
+        service = f"{CONTROLLER[1]}/change_state"
+        answer = self.call(ChangeState, service, request, START_TIMEOUT, self._check_nodes)
+        if not answer.success:
             raise LiveError(f"{CONTROLLER[1]} refuses to be made active or inactive")
         listeners = 1 + controlled  # this one, too
-        self._wait(
+        self.wait_for(
             lambda: self.node.count_subscribers("cost") == listeners,
             START_TIMEOUT,
             f"{CONTROLLER[1]} to {'listen' if controlled else 'be silent'}",
+            self._check_nodes,
         )
         self._controlled = controlled
 
