@@ -48,7 +48,7 @@ class Messages:
             fields |= {"x": np.array([k + 0.25, -k - 0.5]), "lockstep": k % 7 == 0}
         elif topic == "/cost":
             fields |= {"r": k * 1.5, "y_out": k * 2.0, "source": k % 2, "model_id": model_id}
-            fields["lockstep"] = k % 7 == 0
+            fields |= {"lockstep": k % 7 == 0, "settling": k % 11 == 0}
         elif topic == "/theta":
             fields |= {"theta": -k / 7, "epsilon": 1 - 2 * (k % 2), "cost_rise_filtered": k / 3}
             fields |= {"saturated": k % 3 == 0, "holding": k % 5 == 0}
