@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from koop_msgs.msg import Cost, MeasuredState
@@ -36,10 +37,10 @@ def test_a_standard_message_is_lifted_like_a_state(start, probe, kind):
             message = Float64MultiArray(data=[4.0, 9.0, 3.0 + k])
         rig.publish(message)
         probe.spin_until(lambda k=k: len(costs) > k and len(states) > k, "state and cost")
-    assert [c.step for c in costs] == [s.step for s in states] == list(range(5))
+    assert [c.step for c in costs] == [s.step for s in states] == list(range(1, 6))
     assert [list(s.x) for s in states] == [[3.0 + k, 4.0] for k in range(5)]
     reference = start_reference(start, probe, states)
-    assert [c.r for c in costs] == [c.r for c in reference]
+    np.testing.assert_array_equal([c.y_out for c in costs], [c.y_out for c in reference])
     rig.publish(message_type())  # too short: a state that can't be used
     probe.spin_until(lambda: len(costs) > 5, "the answer")
     assert math.isnan(costs[5].r)

@@ -99,7 +99,7 @@ def detector_params(
     omega_h: float, omega_l: float, dt: float, y_max: float = sys.float_info.max
 ) -> DetectorParams:
     """Return the scalars for corner frequencies [rad/s], a sampling time [s] and a limit."""
-    settling = math.ceil(SETTLED * (1.0 / omega_h + 1.0 / omega_l) / dt)
+    settling = math.ceil(min(SETTLED * (1.0 / omega_h + 1.0 / omega_l) / dt, 1e15))
     alpha_lp = math.exp(-omega_l * dt)
     settled = -math.expm1(-omega_l * dt * settling)
     return DetectorParams(math.exp(-omega_h * dt), alpha_lp, y_max, settling, settled)

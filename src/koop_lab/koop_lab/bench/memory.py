@@ -25,7 +25,7 @@ STATE = np.dtype(  # a koop_msgs/MeasuredState of two values as little-endian CD
     {
         "names": ["encoding", "sec", "nanosec", "frame_id", "step", "count", "x"],
         "formats": ["<u4", "<i4", "<u4", "<u4", "<u8", "<u4", ("<f8", 2)],
-        "offsets": [0, 4, 8, 12, 20, 28, 36],
+        "offsets": [0, 4, 8, 12, 20, 32, 36],
         "itemsize": 52,
     }
 )
