@@ -39,7 +39,7 @@ def replay_kernel(
         Whether the first cost is of another quantity than the one before.
     state_arrivals, cost_arrivals : ndarray, shape (M,)
         What each state is to the lifter and its cost to the controller; LATE for a state that newer
-        ones had overtaken, which has no answer.
+        ones had overtaken, which has no answer, and for a cost that the controller did not hear.
     x : ndarray, shape (M, n)
         Measured states; one that is not finite has no cost.
     hold : ndarray, shape (M,)
@@ -58,6 +58,12 @@ def replay_kernel(
     for k in range(r.shape[0]):
         if state_arrivals[k] == Arrival.LATE:
             r[k] = theta[k] = np.nan
+            continue
+        if cost_arrivals[k] == Arrival.LATE:  # the controller did not hear this cost
+            r[k], _, _, detector = cost.answer(
+                source, lifting, detector_params, detector, state_arrivals[k], x[k], z
+            )
+            theta[k] = np.nan
             continue
         r[k], detector, relay = control(
             source, lifting, detector_params, relay_params, detector, relay,
@@ -101,9 +107,10 @@ def replay_offline(
         states = listen(step, lifter.state_timeout, lifter.dt, states, state_arrivals)
         answered = state_arrivals != Arrival.LATE
         cost_arrivals = np.full_like(state_arrivals, Arrival.LATE)
-        found = np.empty(np.count_nonzero(answered), np.int8)
-        costs = listen(step[answered], esc.cost_timeout, esc.dt, costs, found)
-        cost_arrivals[answered] = found
+        heard = answered & ~plan.unheard[part]
+        found = np.empty(np.count_nonzero(heard), np.int8)
+        costs = listen(step[heard], esc.cost_timeout, esc.dt, costs, found)
+        cost_arrivals[heard] = found
         memory = replay_kernel(
             controller(lifter, esc, model),
             memory,
