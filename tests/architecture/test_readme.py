@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from ament_index_python.packages import get_package_prefix
 
-from koop_bringup.plan import plan, refuse_unknown
+from koop_bringup.plan import plan, refuse_other_arguments
 from koop_lab.cli.main import main, parser
 from koop_loop.parameters import NODES
 
@@ -48,7 +48,7 @@ def test_a_ros2_command_names_what_exists(line):
         assert_executable(words[2], words[3])
     if words[1:3] == ["launch", "koop_bringup"]:
         assert (ROOT / "src/koop_bringup/launch" / words[3]).is_file()
-        refuse_unknown(words[4:])
+        refuse_other_arguments(words[4:])
         plan(dict(word.split(":=", 1) for word in words[4:]))
     if words[1] in ("param", "lifecycle", "service"):
         node = words[3].split("/")[1]

@@ -177,7 +177,7 @@ def test_a_bad_parameter_stops_the_node_with_one_line():
     assert (done.returncode, done.stdout) == (0, "")
     lines = iter(done.stderr.splitlines())
     for _ in NODES:
-        known = "error: unknown parameter dampening; this node has: autostart, "
+        known = "error: unknown parameter 'dampening': "
         assert next(lines).startswith(known)
         assert next(lines) == "exit code 2"
         assert next(lines) == "error: recorders = -1: must be 0 to 10"
@@ -237,7 +237,7 @@ def test_what_a_file_gives_to_all_nodes_may_be_unknown_to_one(start, probe, tmp_
     file.write_text("relay_esc: {ros__parameters: {robot_description: x}}")
     refused = start("relay_esc", "--params-file", str(file))
     assert ended(refused) == 2
-    assert "error: unknown parameter robot_description" in refused.log.read_text()
+    assert "error: unknown parameter 'robot_description'" in refused.log.read_text()
 
 
 def test_simulated_time_that_never_comes_is_said(start, probe):

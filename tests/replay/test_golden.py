@@ -67,7 +67,10 @@ def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["--set", "relay_esc.dwel=2"], "relay_esc: unknown parameter dwel; known:"),
+        (
+            ["--set", "relay_esc.dwel=2"],
+            "unknown parameter 'dwel': did you mean 'dwell'?",
+        ),
         (["--set", "dwell=2"], "--set dwell=2: write koopman_lifter.PARAMETER=VALUE or"),
         (["--set", "relay_esc.dwell=["], "in YAML"),
         (["--set", "relay_esc.dwell=-1"], "relay_esc: dwell = -1: must be 0 to 10000 s"),

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from koop_bag.recorder.config import RECORDER, RecorderConfig
 from koop_loop.parameters import EXECUTABLES, NODES, build, names_of
 from koop_node import parameter_file
-from koop_node.config import ConfigError
+from koop_node.config import ConfigError, refuse_unknown
 from koopman_lifter.config import ModelConfig
 from koopman_lifter.model import load
 
@@ -136,7 +136,7 @@ def plan(given: Mapping[str, str]) -> Plan:
     return Plan(namespace, nodes, values, not simulated, tuple(notes))
 
 
-def refuse_unknown(words: list[str]) -> None:
+def refuse_other_arguments(words: list[str]) -> None:
     """Refuse arguments that the launch does not have, which launch itself would ignore.
 
     Parameters
@@ -149,11 +149,9 @@ def refuse_unknown(words: list[str]) -> None:
     ConfigError
         On the first one.
     """
+    names = (word.partition(":=")[0] for word in words)
     known = [argument.name for argument in ARGUMENTS]
-    for word in words:
-        name = word.partition(":=")[0]
-        if name not in OF_LAUNCH and name not in known:
-            raise ConfigError(f"unknown argument {name}; this launch has {', '.join(known)}")
+    refuse_unknown((name for name in names if name not in OF_LAUNCH), known, "argument")
 
 
 def _from_file(

@@ -23,7 +23,7 @@ from launch.events.process import ProcessExited
 from launch.logging import get_logger, launch_config
 from launch_ros.actions import Node
 
-from koop_bringup.plan import ARGUMENTS, plan, refuse_unknown
+from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
 from koop_loop.ending import Ending, ending, told
 from koop_node.alone import TOPICS, alone
 from koop_node.lifeline import TIED
@@ -49,7 +49,7 @@ def generate_launch_description() -> LaunchDescription:
 def _start(context: LaunchContext) -> list:
     """Check everything, then return the nodes."""
     if any(Path(word).name == Path(__file__).name for word in sys.argv):  # not included by another
-        refuse_unknown(context.argv)
+        refuse_other_arguments(context.argv)
     given = {item.name: context.launch_configurations[item.name] for item in ARGUMENTS}
     if not given["namespace"].startswith("/"):
         around = context.launch_configurations.get("ros_namespace", "")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from koop_bringup.plan import ARGUMENTS, plan, refuse_unknown
+from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
 from koop_node.config import ConfigError
 
 MINE = """
@@ -111,7 +111,7 @@ def test_a_bad_argument_is_refused_before_a_node_starts(arguments, message):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("vdp_plant: {ros__parameters: {mass: 1.0}}", "vdp_plant: unknown parameter mass"),
+        ("vdp_plant: {ros__parameters: {mass: 1.0}}", "vdp_plant: unknown parameter 'mass'"),
         ("recorder: {ros__parameters: {compression: lz4}}", "compression = 'lz4': must be one of"),
         ("another: {ros__parameters: {gain: 1}}", "says nothing to /recorder, .* it has /another"),
         ("{}", "it has no section"),
@@ -131,6 +131,6 @@ def test_a_folder_that_holds_a_recording_is_refused(mine, tmp_path):
 
 
 def test_an_argument_that_the_launch_does_not_have_is_refused():
-    refuse_unknown(["duration:=3", "sigterm_timeout:=20"])
-    with pytest.raises(ConfigError, match="unknown argument durations; this launch has namespace,"):
-        refuse_unknown(["durations:=3"])
+    refuse_other_arguments(["duration:=3", "sigterm_timeout:=20"])
+    with pytest.raises(ConfigError, match="unknown argument 'durations': did you mean"):
+        refuse_other_arguments(["durations:=3"])

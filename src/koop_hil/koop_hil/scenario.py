@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -12,12 +11,12 @@ from typing import Any
 import yaml
 
 from koop_hil import faults, installed
-from koop_node.config import ConfigError, parameter, validate
+from koop_node.config import ConfigError, mapping, parameter, refuse_unknown, validate
+from koop_node.yaml_file import read_yaml
 
 NODES = ("plant", "koopman_lifter", "relay_esc")
 ACTIONS = ("inject", "kill", "pause", "second_controller", "handover", "set", "cut")
 SECOND = "second_controller"  # a node of this name stands by where an event is about it
-MAX_BYTES = 1 << 16
 NO_LIMIT = 1e9
 
 
@@ -180,33 +179,29 @@ def read(path: Path) -> Scenario:
     koop_node.config.ConfigError
         If it cannot be read or says something meaningless; names file and entry.
     """
+    content = read_yaml(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise ConfigError("is too large for a scenario")
-        content = yaml.safe_load(path.read_text())
         return parse(path.stem, content, path.parent)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
-    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
-        raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
 
 
 def parse(name: str, content: Any, folder: Path) -> Scenario:
     """Return the scenario that the content of a file describes."""
-    top = _mapping(content, "a scenario")
+    top = mapping(content, "a scenario")
     setting_names = {item.name for item in fields(Setting)}
     own = {"parameters", "events", "limits", "levels"}
-    _refuse_unknown(top, setting_names | own, "a scenario")
+    refuse_unknown(top, sorted(setting_names | own), "key", "a scenario")
     given = {key: value for key, value in top.items() if key in setting_names}
     if given.get("model"):
         given["model"] = str((folder / str(given["model"])).resolve())
-    limits = _mapping(top.get("limits", {}), "limits")
-    _refuse_unknown(limits, {item.name for item in fields(Limits)}, "limits")
-    parameters = _mapping(top.get("parameters", {}), "parameters")
+    limits = mapping(top.get("limits", {}), "limits")
+    refuse_unknown(limits, [item.name for item in fields(Limits)], "key", "limits")
+    parameters = mapping(top.get("parameters", {}), "parameters")
     events = top.get("events", [])
     if not isinstance(events, list):
         raise ConfigError("events must be a list")
-    levels = _mapping(top.get("levels", {}), "levels")
+    levels = mapping(top.get("levels", {}), "levels")
     for node, level in levels.items():
         if level not in ("WARN", "ERROR", "STALE"):
             raise ConfigError(f"levels: {node} must be WARN, ERROR or STALE")
@@ -223,7 +218,7 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     return Scenario(
         name,
         setting,
-        {str(node): _mapping(values, str(node)) for node, values in parameters.items()},
+        {str(node): mapping(values, str(node)) for node, values in parameters.items()},
         happens,
         Limits(**limits),
         {str(node): level for node, level in levels.items()},
@@ -243,15 +238,15 @@ def write(scenario: Scenario, path: Path) -> None:
 
 
 def _event(item: Any, folder: Path) -> Event:
-    given = _mapping(item, "an event")
-    _refuse_unknown(given, {"at", "for", *ACTIONS}, "an event")
+    given = mapping(item, "an event")
+    refuse_unknown(given, ("at", "for", *ACTIONS), "key", "an event")
     actions = [key for key in given if key in ACTIONS]
     if len(actions) != 1:
         raise ConfigError(f"an event has one of {', '.join(ACTIONS)}: {given}")
     at, lasts = (_number(given.get(key, 0.0), key) for key in ("at", "for"))
     action, what = actions[0], given[actions[0]]
     if action == "inject":
-        for topic, text in _mapping(what, "inject").items():
+        for topic, text in mapping(what, "inject").items():
             if topic not in ("state", "theta"):
                 raise ConfigError(f"inject: into state or theta, not '{topic}'")
             if not isinstance(text, str):
@@ -269,7 +264,7 @@ def _event(item: Any, folder: Path) -> Event:
         if what != SECOND:
             raise ConfigError(f"handover: {SECOND}, not {what!r}")
     else:
-        what = {node: _mapping(v, "set") for node, v in _mapping(what, "set").items()}
+        what = {node: mapping(v, "set") for node, v in mapping(what, "set").items()}
         for values in what.values():
             if "model" in values:
                 values["model"] = str((folder / str(values["model"])).resolve())
@@ -292,15 +287,3 @@ def _number(value: Any, name: str) -> float:
     if not known or not -1e15 < value < 1e15:
         raise ConfigError(f"{name}: {value!r} is not a number")
     return float(value)
-
-
-def _mapping(value: Any, name: str) -> dict[str, Any]:
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"{name} must be a mapping, not {value!r:.60}")
-    return {str(key): item for key, item in value.items()}
-
-
-def _refuse_unknown(given: Mapping[str, Any], known: set[str], name: str) -> None:
-    unknown = sorted(set(given) - known)
-    if unknown:
-        raise ConfigError(f"{name} has no {', '.join(unknown)}; it has {', '.join(sorted(known))}")

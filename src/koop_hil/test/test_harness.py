@@ -71,7 +71,7 @@ def test_a_fault_that_is_none_is_refused(text):
     [
         ([], "a scenario must be a mapping"),
         ({"duration": -1}, "duration = -1: must be"),
-        ({"durations": 1}, "a scenario has no durations"),
+        ({"durations": 1}, "a scenario: unknown key 'durations': did you mean 'duration'"),
         ({"events": {"at": 1}}, "events must be a list"),
         ({"events": [{"at": 1}]}, "an event has one of inject, kill"),
         ({"events": [{"at": "x", "kill": "plant"}]}, "at: 'x' is not a number"),
@@ -85,7 +85,7 @@ def test_a_fault_that_is_none_is_refused(text):
         ({"events": [{"handover": "plant"}]}, "handover: second_controller, not 'plant'"),
         ({"events": [{"second_controller": 1}, {"second_controller": 2}]}, "one theta, and no"),
         ({"events": [{"second_controller": "x"}]}, "second_controller: 'x' is not a number"),
-        ({"limits": {"tail": 1}}, "limits has no tail"),
+        ({"limits": {"tail": 1}}, "limits: unknown key 'tail': did you mean"),
         ({"levels": {"relay_esc": "BAD"}}, "must be WARN, ERROR or STALE"),
         ({"pace": "lockstep", "events": [{"kill": "plant"}]}, "without events"),
     ],

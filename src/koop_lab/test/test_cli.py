@@ -48,7 +48,10 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
     ("argv", "message"),
     [
         (["simulate", "--model", "nowhere.npz"], "simulate: error: nowhere.npz: cannot be read"),
-        (["simulate", "--params-file", "nowhere.yaml"], "nowhere.yaml: cannot be read as YAML"),
+        (
+            ["simulate", "--params-file", "nowhere.yaml"],
+            "nowhere.yaml: cannot be read: No such",
+        ),
         (["simulate", "--theta-initial", "9"], "relay_esc: theta_initial = 9 must lie within"),
         (["simulate", "--duration", "-1"], "duration = -1: must be 0 to 1e+09 s"),
         (["simulate", "--duration", "0"], "--duration must cover at least two steps"),
@@ -125,7 +128,10 @@ def test_written_parameters_are_read_back(tmp_path):
     [
         ("[1, 2]", "is not a ROS 2 parameter file"),
         ("vdp_plant: 3", "'/vdp_plant' has no ros__parameters"),
-        ("vdp_plant: {ros__parameters: {mass: 1.0}}", "vdp_plant: unknown parameter mass; known:"),
+        (
+            "vdp_plant: {ros__parameters: {mass: 1.0}}",
+            "vdp_plant: unknown parameter 'mass'",
+        ),
         ("vdp_plant: {ros__parameters: {mu: fast}}", "vdp_plant: mu: expected float, got 'fast'"),
         ("a: [", "cannot be read as YAML"),
     ],

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_node import parameter_file
-from koop_node.config import ConfigError, NodeConfig
+from koop_node.config import ConfigError, NodeConfig, refuse_unknown
 from koop_node.parameter_file import ROS_OWN
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load
@@ -86,20 +86,13 @@ def build(
     ConfigError
         On an unknown node or parameter or a value that cannot be used; names the node.
     """
-    for node in values:
-        if node not in nodes:
-            raise ConfigError(f"unknown node {node}; the loop has {', '.join(nodes)}")
+    refuse_unknown(values, nodes, "node")
     return {node: _build(node, classes, values.get(node, {})) for node, classes in nodes.items()}
 
 
 def _build(node: str, classes: tuple[type, ...], given: Mapping[str, Any]) -> dict[type, Any]:
-    known = names_of(classes)
-    unknown = sorted(name for name in given if name not in known)
-    if unknown:
-        raise ConfigError(
-            f"{node}: unknown parameter {', '.join(unknown)}; known: {', '.join(sorted(known))}"
-        )
     try:
+        refuse_unknown(given, sorted(names_of(classes)))
         return {
             cls: cls(**{name: given[name] for name in names_of([cls]) if name in given})
             for cls in classes

@@ -7,7 +7,9 @@ descriptors (``koop_node.parameters``) and the documentation all read it.
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -151,6 +153,37 @@ def _check(name: str, value: Any, spec: Spec) -> None:
                 raise ConfigError(f"{name} = {element}: must be a finite number")
             if not spec.low <= element <= spec.high:
                 raise ConfigError(f"{name} = {element:g}: must be {spec.constraint}")
+
+
+def mapping(value: Any, where: str) -> dict[str, Any]:
+    """Return a mapping by names, or raise ConfigError that says where none is."""
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"{where} must be a mapping, not {value!r:.60}")
+    return {str(key): item for key, item in value.items()}
+
+
+def refuse_unknown(
+    given: Iterable[str], known: Iterable[str], kind: str = "parameter", where: str = ""
+) -> None:
+    """Raise ConfigError on the first name that is not known; ``where`` comes before the message.
+
+    >>> refuse_unknown(["dwel"], ["dwell", "tau_f"])
+    Traceback (most recent call last):
+    ...
+    koop_node.config.ConfigError: unknown parameter 'dwel': did you mean 'dwell'?
+    """
+    names = list(known)
+    for name in given:
+        if name not in names:
+            begin = f"{where}: " if where else ""
+            raise ConfigError(f"{begin}unknown {kind} '{name}': {nearest(name, names)}")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Say which known name is meant by an unknown one, or which there are."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from koop_node.config import ConfigError
 _PART = re.compile(r"([A-Za-z](?:_?[A-Za-z0-9])*)(?:\[(0|[1-9][0-9]{0,5})\])?", re.ASCII)
 _TOPIC = re.compile(r"[~/]?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*", re.ASCII)
 _TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*", re.ASCII)
-MAX_DEPTH = 8
+MAX_DEPTH = 20
 MAX_FIELDS = 64  # as many states as a model can have
 
 Path = tuple[tuple[str, int | None], ...]
@@ -43,13 +43,20 @@ def parse_field(text: str) -> Path:
     Raises
     ------
     koop_node.config.ConfigError
-        If the text is no field expression.
+        If the text is not a field expression.
     """
     parts = text.strip().split(".", MAX_DEPTH)
     matches = [_PART.fullmatch(part) for part in parts]
     if len(parts) > MAX_DEPTH or not all(matches):
-        raise ConfigError(f"{_short(text)} is no field: write, for example, position[0] or twist.x")
+        raise ConfigError(
+            f"{_short(text)} is not a field: write, for example, x, position[0] or twist.linear.x"
+        )
     return tuple((m[1], int(m[2]) if m[2] else None) for m in matches if m)
+
+
+def format_field(path: Path) -> str:
+    """Return the text of a path; the opposite of :func:`parse_field`."""
+    return ".".join(name if index is None else f"{name}[{index}]" for name, index in path)
 
 
 def parse_source(text: str) -> Source:
@@ -63,8 +70,8 @@ def parse_source(text: str) -> Source:
     topic, colon, fields = text.strip().partition(":")
     if not colon or not _TOPIC.fullmatch(topic):
         raise ConfigError(
-            f"{_short(text)} is no source: write topic:field,field, "
-            "for example /joint_states:position[0],velocity[0]"
+            f"{_short(text)} is not a source: write /topic:field or /topic:field,field, "
+            "such as /joint_states:position[0],velocity[0]"
         )
     names = fields.split(",", MAX_FIELDS)
     if len(names) > MAX_FIELDS:
@@ -75,14 +82,14 @@ def parse_source(text: str) -> Source:
 def check_topic(text: str) -> str:
     """Return a topic name or raise ConfigError."""
     if not _TOPIC.fullmatch(text):
-        raise ConfigError(f"{_short(text)} is no topic name: write, for example, /rig/theta")
+        raise ConfigError(f"{_short(text)} is not a topic name: write, for example, /rig/theta")
     return text
 
 
 def check_type(text: str) -> str:
     """Return ``pkg/msg/Type`` or raise ConfigError."""
     if not _TYPE.fullmatch(text):
-        raise ConfigError(f"{_short(text)} is no message type: write, for example, pkg/msg/Type")
+        raise ConfigError(f"{_short(text)} is not a message type: write, for example, pkg/msg/Type")
     return text
 
 
@@ -111,7 +118,7 @@ def check_fields(fields: tuple[Path, ...], message: Any) -> None:
                 value = value[index]
         else:
             if not isinstance(value, Real):
-                raise ConfigError(f"{type(message).__name__}: '{name}' is no number")
+                raise ConfigError(f"{type(message).__name__}: '{name}' is not a number")
 
 
 def read_field(path: Path, message: Any) -> float:

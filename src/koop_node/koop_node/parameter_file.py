@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from koop_node.config import ConfigError
+from koop_node.yaml_file import read_yaml
 
 # What every node has, whatever it is: it says nothing about the loop.
 ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
@@ -140,10 +141,7 @@ def read(path: str | Path) -> ParameterFile:
     ConfigError
         If it cannot be read or is not a parameter file.
     """
-    try:
-        content = yaml.load(Path(path).read_text(encoding="utf-8"), _Loader)
-    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
-        raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
+    content = read_yaml(path, _Loader)
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: is not a ROS 2 parameter file")
     return ParameterFile(Path(path), tuple(_sections(str(path), "", content)))

@@ -16,7 +16,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from koop_node.config import ConfigError, Spec, spec_of
+from koop_node.config import Spec, refuse_unknown, spec_of
 from koop_node.parameter_file import shared_names
 from koop_node.rclpy_internals import parameter_overrides
 
@@ -144,10 +144,7 @@ def unknown_names(given: Iterable[str], known: set[str], args: Sequence[str]) ->
     unknown = sorted(name for name in given if name not in known and "qos_overrides" not in name)
     shared = shared_names(args) if unknown else set()
     meant = [name for name in unknown if name not in shared]
-    if meant:
-        raise ConfigError(
-            f"unknown parameter {', '.join(meant)}; this node has: {', '.join(sorted(known))}"
-        )
+    refuse_unknown(meant, sorted(known))
     return unknown
 
 

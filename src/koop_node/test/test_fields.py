@@ -11,6 +11,7 @@ from koop_node.config import ConfigError
 from koop_node.fields import (
     check_fields,
     check_type,
+    format_field,
     parse_field,
     parse_source,
     read_field,
@@ -37,7 +38,7 @@ def test_a_source_names_topic_and_fields():
     [
         "", ":", "/a", "/a:", "/a:x,", "/a:x y", "a b:x", "/a:x[]", "/a:x[-1]", "/a:x[01]",
         "/a:x[1e3]", "/a:x[0][1]", "/a:__class__", "/a:x.__init__", "/a:_private", "/a:x()",
-        "/a:x[9999999]", "/a:x;y", "/a:" + ".".join("abcdefghi"), "/a:" + ",".join(["x"] * 65),
+        "/a:x[9999999]", "/a:x;y", "/a:" + ".".join("x" * 21), "/a:" + ",".join(["x"] * 65),
         "/a:x\n.y", "/ä:x", "/a:x[٣]", "//a:x", "/a/:x",
     ],
 )  # fmt: skip
@@ -52,6 +53,13 @@ def test_anything_else_is_refused_and_named(text):
 def test_a_type_is_a_package_and_a_message(text):
     with pytest.raises(ConfigError):
         check_type(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["x", "position[0]", "header.stamp.sec", "status[3].values[12].key"]
+)
+def test_a_field_is_written_as_it_was_read(text):
+    assert format_field(parse_field(text)) == text
 
 
 def test_numbers_are_read_and_what_is_none_is_nan():

@@ -48,5 +48,5 @@ def test_unknown_names_are_refused_unless_shared(file):
 
     args = file("/**: {ros__parameters: {robot_description: x}}")
     assert unknown_names(["dwell", "robot_description"], {"dwell"}, args) == ["robot_description"]
-    with pytest.raises(ConfigError, match="unknown parameter dampening; this node has: dwell"):
+    with pytest.raises(ConfigError, match="unknown parameter 'dampening': known are dwell"):
         unknown_names(["dampening", "robot_description"], {"dwell"}, args)

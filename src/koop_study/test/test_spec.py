@@ -18,12 +18,12 @@ from koop_study.simulation.case import Case, override
         ("seeds: {first: 0, count: 2}", "unknown experiment None"),
         ("experiment: modes", "'seeds' is missing"),
         ("experiment: modes\nseed: 3", r"unknown key 'seed': did you mean 'seeds'\?"),
-        ("experiment: modes\nseeds: 3", "expected a mapping, got 3"),
+        ("experiment: modes\nseeds: 3", "seeds must be a mapping, not 3"),
         ("experiment: modes\nseeds: {first: 0, count: 0}", "need at least one"),
         ("experiment: modes\nseeds: {first: zero, count: 1}", "expected int, got 'zero'"),
-        ("experiment: modes\nseeds: {first: 0, count: 2}\nquick: 5", "quick: must be a mapping"),
-        ("- a\n- b", "must contain a mapping"),
-        ("a: [", "is not YAML"),
+        ("experiment: modes\nseeds: {first: 0, count: 2}\nquick: 5", "quick must be a mapping"),
+        ("- a\n- b", "the file must be a mapping"),
+        ("a: [", "cannot be read as YAML"),
     ],
 )
 def test_a_wrong_file_is_refused_with_the_reason(text: str, message: str, tmp_path: Path) -> None:

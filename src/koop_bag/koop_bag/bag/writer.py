@@ -13,38 +13,38 @@ from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError, BagWriteError
 from koop_bag.mcap.chunk import ChunkBuffer, Row
 from koop_bag.mcap.file_writer import McapFileWriter
+from koop_node.config import parameter, validate
 
 
 @dataclass(frozen=True)
 class WriterOptions:
     """How a bag is written.
 
-    Attributes
-    ----------
-    compression : str
-        `none` or `zstd`.
-    chunk_bytes : int
-        A chunk goes to disk when it holds this much [B].
-    chunk_seconds : float
-        ... or when its first message is this old [s]: what a killed recorder can lose at low rates.
-    split_bytes, split_seconds : float
-        Start the next file when this one is that large [B] or covers that much time [s]. 0: never.
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a value has the wrong type or is out of range.
     """
 
-    compression: str = "zstd"
-    chunk_bytes: int = 64 * 1024
-    chunk_seconds: float = 0.1
-    split_bytes: int = 0
-    split_seconds: float = 0.0
+    compression: str = parameter("zstd", "of the file's chunks", choices=("none", "zstd"))
+    chunk_bytes: int = parameter(
+        64 * 1024, "a chunk goes to disk when it holds this much", unit="B", low=1024
+    )
+    chunk_seconds: float = parameter(
+        0.1,
+        "or when its first message is this old: what a killed recorder can lose at low rates",
+        unit="s",
+        low=0.0,
+    )
+    split_bytes: int = parameter(
+        0, "start the next file when this one is that large; 0: never", unit="B", low=0
+    )
+    split_seconds: float = parameter(
+        0.0, "start the next file when this one covers that much; 0: never", unit="s", low=0.0
+    )
 
     def __post_init__(self) -> None:
-        if self.compression not in ("none", "zstd"):
-            raise BagError(f"compression '{self.compression}' is not offered: none or zstd")
-        if (
-            self.chunk_bytes < 1024
-            or min(self.chunk_seconds, self.split_bytes, self.split_seconds) < 0
-        ):
-            raise BagError("chunk_bytes must be at least 1024, and no size or duration negative")
+        validate(self)
 
 
 class BagWriter:

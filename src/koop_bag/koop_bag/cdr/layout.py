@@ -5,7 +5,6 @@ before it. So one message is walked; every other message with the same length wo
 places has the same layout, and its fields can be taken out without a walk.
 """
 
-import re
 import struct
 from dataclasses import dataclass, field
 
@@ -13,12 +12,13 @@ import numpy as np
 
 from koop_bag.cdr.definition import Array, MessageType, Primitive, Struct, Text, leaf_fields
 from koop_bag.errors import BagError
+from koop_node.config import ConfigError
+from koop_node.fields import parse_field
 
 ENCAPSULATION = 4
 """Bytes before the serialized data; alignment counts from their end."""
 
 _LENGTH = struct.Struct("<I")
-_PATH = re.compile(r"([A-Za-z]\w*)|\[(\d+)\]|(\.)")
 _Key = str | int
 
 
@@ -166,21 +166,11 @@ class _Walk:
 
 
 def _keys(name: str) -> list[_Key]:
-    keys: list[_Key] = []
-    at = 0
-    while at < len(name):
-        match = _PATH.match(name, at)
-        if match is None:
-            raise BagError(
-                f"'{name}' is not a field: write it like header.stamp, x, position[0] "
-                "or status[0].level"
-            )
-        if match[1]:
-            keys.append(match[1])
-        elif match[2]:
-            keys.append(int(match[2]))
-        at = match.end()
-    return keys
+    try:
+        path = parse_field(name.removeprefix("."))  # a dot tells it from a stored column
+    except ConfigError as error:
+        raise BagError(str(error)) from None
+    return [key for pair in path for key in pair if key is not None]
 
 
 def _check(root: Struct, name: str, shown: str) -> None:

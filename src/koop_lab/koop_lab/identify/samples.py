@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from koop_bag.bag.columns import LOG_TIME, iter_columns, list_fields
 from koop_bag.bag.files import find_files
 from koop_bag.bag.reader import BagReader
+from koop_node.fields import format_field, parse_source
 
 STAMP, STEP = "header.stamp", "step"
 
@@ -44,14 +45,13 @@ class StateSpec:
         ValueError
             If the text names no topic or no field.
         """
-        topic, _, fields = text.partition(":")
-        names = tuple(name.strip() for name in fields.split(",") if name.strip())
-        if not topic.startswith("/") or not names or len(set(names)) < len(names):
-            raise ValueError(
-                f"state {text!r}: write /topic:field or /topic:field,field, "
-                "such as /joint_states:position[0],velocity[0]"
-            )
-        return cls(topic, names)
+        source = parse_source(text)
+        if not source.topic.startswith("/"):
+            raise ValueError(f"state {text!r}: a bag knows topics by their full names: /topic")
+        names = tuple(map(format_field, source.fields))
+        if len(set(names)) < len(names):
+            raise ValueError(f"state {text!r}: a field stands there twice")
+        return cls(source.topic, names)
 
     def __str__(self) -> str:
         return f"{self.topic}:{','.join(self.fields)}"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from koop_node.config import ConfigError
+from koop_node.config import ConfigError, nearest
 from koop_study.experiments import (
     ablations,
     beyond,
@@ -85,9 +84,7 @@ def read(path: Path, quick: bool) -> Experiment:
     content = quickened(read_file(path), quick)
     kind = content.pop("experiment", None)
     if kind not in KINDS:
-        near = difflib.get_close_matches(str(kind), KINDS, n=1, cutoff=0.5)
-        hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(KINDS)}"
-        raise ConfigError(f"{path}: unknown experiment {kind!r}: {hint}")
+        raise ConfigError(f"{path}: unknown experiment {kind!r}: {nearest(str(kind), KINDS)}")
     return Experiment(path, kind, content, parse(KINDS[kind][0], content, str(path)))
 
 

@@ -6,15 +6,13 @@ mapping ``quick:`` replaces some of them for ``koop study --quick``.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-import yaml
-
-from koop_node.config import ConfigError
+from koop_node.config import ConfigError, mapping, refuse_unknown
+from koop_node.yaml_file import read_yaml
 
 T = TypeVar("T")
 
@@ -43,22 +41,12 @@ def read_file(path: Path) -> dict[str, Any]:
     koop_node.config.ConfigError
         If it cannot be read or is not a mapping.
     """
-    try:
-        content = yaml.safe_load(path.read_text())
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(content, dict):
-        raise ConfigError(f"{path}: must contain a mapping of settings")
-    return content
+    return mapping(read_yaml(path), f"{path}: the file")
 
 
 def quickened(content: Mapping[str, Any], quick: bool) -> dict[str, Any]:
     """Return the settings with those under ``quick`` in force, or left out."""
-    changes = content.get("quick", {})
-    if not isinstance(changes, Mapping):
-        raise ConfigError("quick: must be a mapping of settings")
+    changes = mapping(content.get("quick", {}), "quick")
     rest = {name: value for name, value in content.items() if name != "quick"}
     return {**rest, **changes} if quick else rest
 
@@ -81,15 +69,10 @@ def parse(kind: type[T], content: Any, where: str) -> T:
     koop_node.config.ConfigError
         If a key is unknown (the nearest known one is named) or missing, or a value does not fit.
     """
-    if not isinstance(content, Mapping):
-        raise ConfigError(f"{where}: expected a mapping, got {content!r}")
+    content = mapping(content, where)
     hints = get_type_hints(kind)
     known = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
-    for key in content:
-        if key not in known:
-            near = difflib.get_close_matches(str(key), list(known), n=1, cutoff=0.5)
-            hint = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
-            raise ConfigError(f"{where}: unknown key '{key}': {hint}")
+    refuse_unknown(content, known, "key", where)
     values = {key: convert(hints[key], content[key], f"{where}: {key}") for key in content}
     for name, item in known.items():
         if name not in values and item.default is MISSING and item.default_factory is MISSING:
@@ -110,9 +93,8 @@ def convert(hint: Any, value: Any, where: str) -> Any:
             raise ConfigError(f"{where}: expected a list, got {value!r}")
         return tuple(convert(args[0], item, f"{where}[{i}]") for i, item in enumerate(value))
     if origin is dict:
-        if not isinstance(value, Mapping):
-            raise ConfigError(f"{where}: expected a mapping, got {value!r}")
-        return {str(key): convert(args[1], item, f"{where}.{key}") for key, item in value.items()}
+        items = mapping(value, where).items()
+        return {key: convert(args[1], item, f"{where}.{key}") for key, item in items}
     if hint is Any:
         return value
     if hint is float and type(value) is int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from koop_loop.training import TrainingConfig
-from koop_node.config import ConfigError
+from koop_node.config import ConfigError, refuse_unknown
 from koop_study.controllers.adaptive import AdaptiveConfig
 from koop_study.controllers.perturbation import PerturbationConfig
 from koop_study.simulation.kernel import CONTROLLERS
@@ -94,11 +93,7 @@ def override(case: Case, settings: Mapping[str, Any]) -> Case:
 
 def check_path(path: str) -> None:
     """Raise ConfigError unless ``path`` names a setting of a :class:`Case`."""
-    if path not in known_paths():
-        near = difflib.get_close_matches(path, known_paths(), n=1, cutoff=0.5)
-        raise ConfigError(
-            f"unknown setting '{path}'" + (f": did you mean '{near[0]}'?" if near else "")
-        )
+    refuse_unknown([path], known_paths(), "setting")
 
 
 @lru_cache(maxsize=1)
