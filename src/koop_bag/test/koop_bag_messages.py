@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -45,13 +46,16 @@ class Messages:
         """Return message k of one of the loop's topics; every value tells k."""
         fields: dict[str, Any] = {"header": self.header(k, frame_id), "step": k}
         if topic == "/state":
-            fields |= {"x": np.array([k + 0.25, -k - 0.5]), "lockstep": k % 7 == 0}
+            fields["x"] = np.array([k + 0.25, -k - 0.5])
         elif topic == "/cost":
             fields |= {"r": k * 1.5, "y_out": k * 2.0, "source": k % 2, "model_id": model_id}
-            fields |= {"lockstep": k % 7 == 0, "settling": k % 11 == 0}
         elif topic == "/theta":
             fields |= {"theta": -k / 7, "epsilon": 1 - 2 * (k % 2), "cost_rise_filtered": k / 3}
             fields |= {"saturated": k % 3 == 0, "holding": k % 5 == 0}
         else:
             fields |= {"x": np.array([k, k * 2.0]), "theta_applied": k / 9, "epsilon0": k / 11}
+        flags = [
+            f.name for f in dataclasses.fields(self.store.types[LOOP[topic]]) if f.type == "bool"
+        ]
+        fields = dict.fromkeys(flags, k % 7 == 0) | fields
         return self.serialize(LOOP[topic], self.make(LOOP[topic], **fields))
