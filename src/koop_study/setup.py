@@ -12,6 +12,7 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     install_requires=[
+        "koop_bag",
         "koop_lab",
         "koop_loop",
         "koop_node",

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from koop_bag.bag.column_diff import column_diff
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.extent import measure
 from koop_bag.bag.reader import BagReader, Topic
@@ -35,7 +35,7 @@ class FieldDiff:
     values : tuple
         What the two bags say there.
     largest : float
-        Largest difference; NaN where it is not a number on one side, or text.
+        Largest difference: infinite where only one side is a number, NaN for text.
     largest_at : int
         Step, or number, of that message.
     """
@@ -145,11 +145,19 @@ def _compare_topic(
     result = TopicDiff(name, by_step, common.size)
     result.only_a, result.only_b = (np.unique(key).size - common.size for key in (key_a, key_b))
     for item in fields:
-        found = _compare_field(
-            item, columns[0][item][rows_a], columns[1][item][rows_b], common, tolerance
-        )
+        values = columns[0][item][rows_a], columns[1][item][rows_b]
+        found = column_diff(*values, tolerance=tolerance)
         if found is not None:
-            result.fields.append(found)
+            result.fields.append(
+                FieldDiff(
+                    item,
+                    found.count,
+                    int(common[found.first]),
+                    (values[0][found.first], values[1][found.first]),
+                    found.largest,
+                    int(common[found.largest_at]),
+                )
+            )
     left_out = [item for item in extents[0].left_out if not _matches(item, ignore)]
     if left_out:
         data_a, data_b = ([m.data for m in bag.messages([name])] for bag in (a, b))
@@ -160,36 +168,6 @@ def _compare_topic(
             count = int(unequal.sum())
             result.fields.append(FieldDiff(what, count, at, ("bytes", "bytes"), math.nan, at))
     return result
-
-
-def _compare_field(
-    name: str, a: NDArray[Any], b: NDArray[Any], keys: NDArray[Any], tolerance: float
-) -> FieldDiff | None:
-    if a.dtype == object or b.dtype == object:
-        a, b = a.astype(object), b.astype(object)
-        same = np.array([x == y or (x != x and y != y) for x, y in zip(a, b, strict=True)], bool)
-        distance = np.where(same, 0.0, np.nan)
-    else:
-        if a.dtype == b.dtype and a.dtype.kind in "iu":
-            # in integers: a float holds a stamp of today to 256 ns only
-            distance = np.where(a > b, a - b, b - a).astype(np.float64)
-        else:
-            distance = np.abs(a.astype(np.float64) - b.astype(np.float64))
-        same = (a == b) | ((a != a) & (b != b)) | (distance <= tolerance)
-    if same.all():
-        return None
-    distance = np.where(same, 0.0, distance)
-    at = int(np.argmin(same))
-    # argmax takes NaN for the largest
-    worst = int(np.argmax(distance))
-    return FieldDiff(
-        name,
-        int((~same).sum()),
-        int(keys[at]),
-        (a[at], b[at]),
-        float(distance[worst]),
-        int(keys[worst]),
-    )
 
 
 def _matches(name: str, patterns: Collection[str]) -> bool:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_bag.bag.column_diff import column_diff
+
 
 @dataclass(frozen=True)
 class Comparison:
@@ -66,20 +68,14 @@ def compare(
     present : ndarray of bool, shape (M,)
         Which values were recorded.
     """
-    same = recorded.view(np.int64) == replayed.view(np.int64)
-    same |= np.isnan(recorded) & np.isnan(replayed)
-    rows = np.flatnonzero(present & ~same)
-    compared = int(present.sum())
-    if not rows.size:
-        return Comparison(name, compared, 0)
-    with np.errstate(invalid="ignore"):
-        gap = np.abs(replayed[rows] - recorded[rows])
-    gap[np.isnan(gap)] = np.inf
-    first, worst = int(rows[0]), int(rows[np.argmax(gap)])
+    step, recorded, replayed = step[present], recorded[present], replayed[present]
+    found = column_diff(recorded, replayed, bitwise=True)
+    if found is None:
+        return Comparison(name, step.size, 0)
     return Comparison(
         name,
-        compared,
-        int(rows.size),
-        (int(step[first]), float(recorded[first]), float(replayed[first])),
-        (float(gap.max()), int(step[worst])),
+        step.size,
+        found.count,
+        (int(step[found.first]), float(recorded[found.first]), float(replayed[found.first])),
+        (found.largest, int(step[found.largest_at])),
     )

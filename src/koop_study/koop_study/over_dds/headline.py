@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_bag.bag.column_diff import column_diff
 from koop_loop.loop import LoopResult, simulate
 from koop_study.experiments.closed_loop import ClosedLoopConfig
 from koop_study.simulation.case import Case, model_of
@@ -129,10 +130,7 @@ def compare(
     for column in ("measured", "r", "theta"):
         ours = np.asarray(getattr(offline, column)).reshape(expected.size, -1)
         theirs = np.asarray(recorded[column], dtype=np.float64).reshape(expected.size, -1)
-        # compared as bits: 0.0 and -0.0 differ, and a NaN equals the same NaN
-        differs = (ours.view(np.int64) != np.ascontiguousarray(theirs).view(np.int64)).any(axis=1)
-        if differs.any():
-            rows = np.flatnonzero(differs)
-            largest = float(np.abs(ours[rows] - theirs[rows]).max())
-            found.append(Difference(column, int(rows[0]), int(rows.size), largest))
+        difference = column_diff(ours, theirs, bitwise=True)
+        if difference is not None:
+            found.append(Difference(column, difference.first, difference.count, difference.largest))
     return found
