@@ -16,6 +16,7 @@ from koop_bag.bag.reader import BagReader
 from koop_hil import hosts
 from koop_hil.command import main
 from koop_hil.hosts import HostsError, entrance
+from koop_hil.processes import rig_script
 from koop_hil.run import run
 from koop_hil.scenario import find, read
 
@@ -62,6 +63,15 @@ def processes_with(mark):
         except OSError:  # ended meanwhile, or another user's
             continue
     return found
+
+
+@pytest.mark.ros
+def test_a_rig_ends_when_its_stdin_is_closed():
+    rig = subprocess.Popen(
+        [sys.executable, rig_script(), "paper", "--until-eof"], stdin=subprocess.PIPE
+    )
+    rig.communicate()
+    assert rig.returncode == 0
 
 
 @pytest.mark.ros

@@ -80,7 +80,8 @@ class Supervisor:
         with ExitStack() as stack:
             if self._scenario.setting.remote:  # before the monitor: DDS looks for devices once
                 self._other_host = stack.enter_context(other_host())
-            stack.enter_context(alone())
+            if self._other_host is None:  # else there is nobody else on the network
+                stack.enter_context(alone())
             monitor = stack.enter_context(Monitor())
             processes = stack.enter_context(
                 Processes(self._folder, self._scenario, other_host=self._other_host)
