@@ -11,6 +11,8 @@ def extremes(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return least and largest of every ``block`` samples; what is left over at the end is ignored.
 
+    So is what is not a number, as the cost of an unusable state.
+
     Parameters
     ----------
     values : ndarray, shape (M,)
@@ -23,4 +25,4 @@ def extremes(
     low, high : ndarray, shape (M // block,)
     """
     blocks = values[: values.size // block * block].reshape(-1, block)
-    return blocks.min(axis=1), blocks.max(axis=1)
+    return np.fmin.reduce(blocks, axis=1), np.fmax.reduce(blocks, axis=1)

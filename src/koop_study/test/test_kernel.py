@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 from koop_lab.cli.simulate import run as simulated
-from koop_loop.loop import simulate
+from koop_loop.loop import no_lifting, simulate
 from koop_loop.parameters import make
 from koop_loop.training import train
+from koop_node.stream import StreamMonitor
 from koop_study.simulation import maps
 from koop_study.simulation.case import Case, model_of, override, seeded
 from koop_study.simulation.run import measure, run
 from koop_study.simulation.scenario import ScenarioConfig, expose, interference
+from koopman_lifter import cost
+from relay_esc import relay
+from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 
 SHORT = {"duration": 150.0, "training.trajectories": 10, "training.duration": 10.0}
@@ -29,6 +33,99 @@ def test_without_scenario_it_is_the_nodes_loop_to_the_last_bit(cost: str) -> Non
     assert trace.theta.tobytes() == expected.theta.tobytes()
     assert trace.r.tobytes() == expected.r.tobytes()
     assert trace.ground_truth.tobytes() == expected.ground_truth.tobytes()
+
+
+LIMITS = {  # each of them acts within a minute; y_out_max in 2 % of the states
+    "plant.theta_min": 1.7, "plant.theta_max": 2.2, "plant.theta_rate": 0.04,
+    "lifter.y_out_max": {"raw": 26.0, "lifted": 1e13},
+    "esc.dwell": 1.0, "esc.theta_min": 1.5, "esc.theta_max": 2.1, "esc.rate_limit": 0.06,
+}  # fmt: skip
+
+
+def limited(cost: str, **settings: object) -> Case:
+    limits = {name: v[cost] if isinstance(v, dict) else v for name, v in LIMITS.items()}
+    return seeded(
+        override(Case(), {**SHORT, "duration": 60.0, "cost": cost} | limits | settings), 3
+    )
+
+
+@pytest.mark.parametrize("cost", ["raw", "lifted"])
+def test_every_limit_acts_as_in_the_nodes_loop_to_the_last_bit(cost: str) -> None:
+    case = limited(cost)
+    lifter = replace(case.lifter, cost=cost)
+    expected = simulate(case.plant, lifter, case.esc, model_of(case), case.steps)
+    trace = run(case, with_truth=True)
+    assert trace.theta.tobytes() == expected.theta.tobytes()
+    assert trace.r.tobytes() == expected.r.tobytes()
+    assert trace.ground_truth.tobytes() == expected.ground_truth.tobytes()
+    assert 10 < np.isnan(trace.r).sum() < case.steps / 2
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_no_limit_is_silently_ignored(name: str) -> None:
+    """Theta is led through all of them: down at first, up later."""
+    default = {path: getattr(getattr(Case(), part), field) for path in LIMITS
+               for part, _, field in [path.partition(".")]}  # fmt: skip
+    only = limited("raw", **{path: value for path, value in default.items() if path != name})
+    only = override(only, {"esc.dwell": 1e4, **({"esc.dwell": 1.0} if name == "esc.dwell" else {})})
+    if name.endswith("theta_max"):
+        only = override(only, {"esc.epsilon_initial": -1})
+    without = override(only, {name: default[name]})
+    found, free = (run(case, with_truth=True).ground_truth for case in (only, without))
+    assert not np.array_equal(found, free)
+
+
+def test_what_follows_on_lost_states_is_told_by_the_timeouts_as_in_the_nodes() -> None:
+    case = override(
+        Case(),
+        {"cost": "raw", "duration": 40.0, "esc.dwell": 1.0, "scenario.lost": 0.6,
+         "lifter.state_timeout": 0.02, "esc.cost_timeout": 0.035},
+    )  # fmt: skip
+    trace = run(case, with_truth=True)
+    lost = expose(case.scenario, case.plant, case.steps, case.plant.seed).lost
+    states, costs = StreamMonitor("state", 0.02, 0.005), StreamMonitor("cost", 0.035, 0.005)
+    detector, relay_state, z = cost.initial(), case.esc.initial(), np.empty(3)
+    params = case.lifter.detector_params(), case.esc.params()
+    for k in np.flatnonzero(~lost).tolist():
+        x = np.array(dynamics.measure(case.plant.params(), k, *trace.ground_truth[k]))
+        arrivals = [int(monitor.classify(k, 0.0, 0.0)) for monitor in (states, costs)]
+        r, _, settling, detector = cost.answer(
+            cost.RAW, no_lifting(), params[0], detector, arrivals[0], x, z
+        )
+        relay_state, _, _ = relay.answer(
+            params[1], relay_state, arrivals[1], False, settling, r, False
+        )
+        assert (trace.r[k], trace.theta[k]) == (r, relay_state.output)
+    assert min(states.silences, costs.silences) > 50
+    assert not np.array_equal(run(override(case, {"esc.cost_timeout": 0.0})).theta, trace.theta)
+    assert not np.array_equal(run(override(case, {"lifter.state_timeout": 0.0})).r, trace.r)
+
+
+@pytest.mark.parametrize("controller", ["adaptive", "perturbation"])
+def test_the_other_controllers_hold_and_keep_the_rate_too(controller: str) -> None:
+    settings = {"controller": controller, "cost": "raw", "duration": 60.0}
+    unlimited = run(override(Case(), {**settings, "lifter.y_out_max": 26.0}))
+    unusable = np.flatnonzero(np.isnan(unlimited.r))
+    assert unusable.size > 10
+    assert np.array_equal(unlimited.theta[unusable], unlimited.theta[unusable - 1])
+    slow = run(override(Case(), {**settings, "esc.rate_limit": 0.01}))
+    assert np.abs(np.diff(slow.theta)).max() == pytest.approx(0.01 * 0.005, rel=1e-6)
+
+
+def test_the_limit_of_the_energy_holds_for_its_logarithm() -> None:
+    settings = {**SHORT, "duration": 30.0, "lifter.y_out_max": 1e12, "esc.step_size": 0.0}
+    lifted, log = (run(override(Case(), {**settings, "cost": cost})) for cost in ("lifted", "log"))
+    assert 0 < np.isnan(log.r).sum() < log.r.size
+    assert np.array_equal(np.isnan(log.r), np.isnan(lifted.r))
+
+
+def test_an_actuator_rests_where_a_schedule_begins() -> None:
+    settings = {"cost": "raw", "duration": 20.0, "plant.initial_state": [1.0, 0.0]}
+    slow = override(Case(), {**settings, "plant.theta_rate": 1e-3})
+    schedule = np.full(slow.steps, -1.0)
+    at_once = run(override(Case(), settings), schedule=schedule, with_truth=True)
+    trace = run(slow, schedule=schedule, with_truth=True)
+    assert np.array_equal(trace.ground_truth, at_once.ground_truth)
 
 
 def test_a_run_has_the_figures_that_koop_simulate_prints() -> None:

@@ -56,3 +56,55 @@ def test_an_ablation_is_checked_before_anything_runs(tmp_path: Path) -> None:
     )
     with pytest.raises(ConfigError, match=r"ablations\[0\].*esc\.dwell = -1"):
         read(path, False)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"esc.command_topic": "/a"}, r"esc\.command_topic: a study has no topics"),
+        ({"lifter.cost": "raw"}, r"lifter\.cost: the study's own setting 'cost'"),
+        ({"adaptive.shrink": 0.5}, r"adaptive\.shrink = 0.5: has no effect .* 'relay'"),
+        (
+            {"controller": "adaptive", "esc.objective": "maximise"},
+            r"esc\.objective = 'maximise': has no effect with the controller 'adaptive'",
+        ),
+        (
+            {"controller": "perturbation", "esc.dwell": 3.0},
+            r"esc\.dwell = 3\.0: has no effect with the controller 'perturbation'",
+        ),
+    ],
+)
+def test_a_setting_without_effect_is_refused(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        override(Case(), settings)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "experiment: robustness\nseeds: {first: 0, count: 1}\ncosts: {raw: {cost: raw}}\n"
+            "settings: {plant.seed: 3}",
+            r"plant\.seed: is drawn from the seeds",
+        ),
+        (
+            "experiment: modes\nseeds: {first: 0, count: 1}\nsettings: {esc.dwell: 3}",
+            r"esc\.dwell: has no effect on the modes",
+        ),
+        (
+            "experiment: static_maps\nramps: [10.0]\ncosts: {raw: {cost: raw, esc.dwell: 3}}",
+            r"esc\.dwell: has no effect on a static map",
+        ),
+        (
+            "experiment: closed_loop\ncosts: {raw: {cost: raw, plant.mu: -1}}",
+            r"plant\.mu = -1: must be",
+        ),
+    ],
+)
+def test_an_experiment_of_settings_without_effect_is_refused_before_it_runs(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read(path, False)

@@ -76,8 +76,8 @@ class AdaptiveConfig:
         dwell = dwell_samples(esc.dwell, esc.dt)
         return AdaptiveParams(
             math.exp(-esc.dt / esc.tau_f),
-            esc.step_size,
-            esc.step_size * self.step_ratio,
+            _step(esc),
+            _step(esc) * self.step_ratio,
             self.shrink,
             math.exp(esc.dt / self.growth_time),
             self.hysteresis,
@@ -90,7 +90,11 @@ class AdaptiveConfig:
 
 def initial(esc: EscConfig) -> AdaptiveState:
     """Return the state before the first sample: full step."""
-    return AdaptiveState(esc.theta_initial, esc.epsilon_initial, esc.step_size, 0.0, 0.0, 0, False)
+    return AdaptiveState(esc.theta_initial, esc.epsilon_initial, _step(esc), 0.0, 0.0, 0, False)
+
+
+def _step(esc: EscConfig) -> float:
+    return min(esc.step_size, esc.largest_change)
 
 
 @njit(cache=True)

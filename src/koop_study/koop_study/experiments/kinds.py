@@ -19,6 +19,7 @@ from koop_study.experiments import (
 )
 from koop_study.experiments.spec import parse, quickened, read_file
 from koop_study.report.document import Section
+from koop_study.simulation.work import check
 from koop_study.workers.units import Unit
 
 Steps = Generator[list[Unit], list[Any], Section]
@@ -79,13 +80,20 @@ def read(path: Path, quick: bool) -> Experiment:
     Raises
     ------
     koop_node.config.ConfigError
-        If anything in it is unknown, missing or out of range; the message names file and key.
+        If anything in it is unknown, missing, out of range or without effect; the message names
+        file and key.
     """
     content = quickened(read_file(path), quick)
     kind = content.pop("experiment", None)
     if kind not in KINDS:
         raise ConfigError(f"{path}: unknown experiment {kind!r}: {nearest(str(kind), KINDS)}")
-    return Experiment(path, kind, content, parse(KINDS[kind][0], content, str(path)))
+    experiment = Experiment(path, kind, content, parse(KINDS[kind][0], content, str(path)))
+    for unit in next(experiment.steps()):
+        try:
+            check(unit.work, unit.arguments)
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
+    return experiment
 
 
 def read_folder(folder: Path, quick: bool) -> list[Experiment]:

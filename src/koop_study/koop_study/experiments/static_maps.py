@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from koop_node.config import ConfigError
 from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.simulation import maps
 from koop_study.workers.units import Unit
 
 THETA_STAR = -3.0
+CONTROLLER = ("controller", "esc.", "adaptive.", "perturbation.")
+SHARED = ("esc.dt", "esc.theta_initial")  # must be the plant's
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,13 @@ class StaticMapsConfig:
     costs: dict[str, dict[str, Any]]
     ramps: tuple[float, ...]
     settings: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in [name for given in (self.settings, *self.costs.values()) for name in given]:
+            if name.startswith(CONTROLLER) and name not in SHARED:
+                raise ConfigError(f"{name}: has no effect on a static map: theta is given there")
+            if name == "duration":
+                raise ConfigError("duration: a static map takes its length from 'ramps'")
 
 
 def units(config: StaticMapsConfig) -> list[Unit]:

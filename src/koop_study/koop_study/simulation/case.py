@@ -56,6 +56,14 @@ class Case:
                 )
         if not 0.0 < self.duration <= 1e6:
             raise ConfigError(f"duration = {self.duration}: must be above 0 and at most 1e6 s")
+        for part, names in WITHOUT_EFFECT[self.controller].items():
+            given, default = getattr(self, part), type(getattr(self, part))()
+            for name in names or [item.name for item in fields(given)]:
+                if getattr(given, name) != getattr(default, name):
+                    raise ConfigError(
+                        f"{part}.{name} = {getattr(given, name)!r}: has no effect with the "
+                        f"controller '{self.controller}'"
+                    )
 
     @property
     def steps(self) -> int:
@@ -63,6 +71,23 @@ class Case:
         return round(self.duration / self.plant.dt)
 
 
+WITHOUT_EFFECT: dict[str, dict[str, tuple[str, ...]]] = {  # by controller; empty: all of a part
+    "relay": {"adaptive": (), "perturbation": ()},
+    "adaptive": {"perturbation": (), "esc": ("objective",)},
+    "perturbation": {
+        "adaptive": (),
+        "esc": ("objective", "step_size", "dwell", "tau_f", "epsilon_initial", "cost_timeout"),
+    },
+}
+NODES_ONLY = {  # settings of the nodes that a study has no use for, and why
+    "lifter.cost": "the study's own setting 'cost' takes its place",
+    "lifter.input_fields": "a study has no topics",
+    "lifter.input_type": "a study has no topics",
+    "esc.command_topic": "a study has no topics",
+}
+DRAWN = (  # what `seeded` draws
+    "plant.seed", "plant.interference_phase_1", "plant.interference_phase_2", "training.seed",
+)  # fmt: skip
 PARTS = {item.name for item in fields(Case)} - {"cost", "controller", "duration"}
 
 
@@ -92,7 +117,9 @@ def override(case: Case, settings: Mapping[str, Any]) -> Case:
 
 
 def check_path(path: str) -> None:
-    """Raise ConfigError unless ``path`` names a setting of a :class:`Case`."""
+    """Raise ConfigError unless ``path`` names a setting of a :class:`Case` that has an effect."""
+    if path in NODES_ONLY:
+        raise ConfigError(f"{path}: {NODES_ONLY[path]}")
     refuse_unknown([path], known_paths(), "setting")
 
 

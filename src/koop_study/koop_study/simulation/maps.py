@@ -79,8 +79,10 @@ def ramp(case: Case, duration: float) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def binned(theta: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean of r around every point of :func:`grid`, shape (G,)."""
+    """Return the mean of r, where it is finite, around every point of :func:`grid`, shape (G,)."""
     centres = grid()
+    usable = np.isfinite(r)
+    theta, r = theta[usable], r[usable]
     nearest = np.rint((HIGH - theta) / SPACING).astype(np.int64)
     sums = np.bincount(nearest, r, minlength=centres.size)
     return np.asarray(sums / np.bincount(nearest, minlength=centres.size))

@@ -9,21 +9,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_loop.thinning import extremes
+from koop_node.config import ConfigError
 from koop_study.simulation import maps
-from koop_study.simulation.case import Case, override, seeded
+from koop_study.simulation.case import DRAWN, Case, override, seeded
 from koop_study.simulation.learning import learn
 from koop_study.simulation.run import measure, run
 from koop_study.simulation.scenario import ScenarioConfig
 from koopman_lifter.edmd import edmd
 from koopman_lifter.modes import decompose, select_by_energy
 
-DRAWN = 900  # points a drawn trace is thinned to
+POINTS = 900  # that a drawn trace is thinned to
 
 
 def case_of(settings: dict[str, Any], seed: int | None) -> Case:
-    """Return the case of some settings; without a seed, everything is as in the paper."""
+    """Return the case of some settings; without a seed, everything is as in the paper.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a setting is unknown or would have no effect, or the parts do not fit together.
+    """
     case = override(Case(), settings)
-    return case if seed is None else seeded(case, seed)
+    if seed is None:
+        return case
+    for name in DRAWN:
+        if name in settings:
+            raise ConfigError(f"{name}: is drawn from the seeds of the experiment")
+    return seeded(case, seed)
+
+
+def check(work: str, arguments: dict[str, Any]) -> None:
+    """Raise ConfigError if a work's settings cannot be used, before anything is computed."""
+    settings, seeds = arguments["settings"], arguments.get("seeds", [arguments.get("seed")])
+    if work == "modes":
+        for name in settings:
+            if name.partition(".")[0] not in ("plant", "training") or name == "training.seed":
+                raise ConfigError(f"{name}: has no effect on the modes of seeds")
+        override(Case(), settings)
+    else:
+        case_of(settings, seeds[0])
 
 
 def runs(settings: dict[str, Any], seeds: list[int], with_r_star: bool = False) -> list[Any]:
@@ -70,10 +94,10 @@ def settled(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
     """Return the settled static map: mean and the 10 and 90 % quantiles over a drift period."""
     case = case_of(settings, seed)
     costs = [maps.settled(case, float(theta)) for theta in maps.grid()]
-    return {
-        "mean": [float(r.mean()) for r in costs],
-        "low": [float(np.quantile(r, 0.1)) for r in costs],
-        "high": [float(np.quantile(r, 0.9)) for r in costs],
+    return {  # unusable states have no cost
+        "mean": [float(np.nanmean(r)) for r in costs],
+        "low": [float(np.nanquantile(r, 0.1)) for r in costs],
+        "high": [float(np.nanquantile(r, 0.9)) for r in costs],
     }
 
 
@@ -85,9 +109,9 @@ def trace(settings: dict[str, Any], seed: int | None, start: float) -> dict[str,
     x_low, x_high = _drawn(done.ground_truth[first:, 0])
     r_low, r_high = _drawn(done.r[first:])
     theta_min, theta_max = _drawn(done.theta[first:])
-    every = (case.steps - first) // DRAWN
+    every = (case.steps - first) // POINTS
     return {
-        "t": (done.t[first : first + every * DRAWN : every]).tolist(),
+        "t": (done.t[first : first + every * POINTS : every]).tolist(),
         "x": [x_low.tolist(), x_high.tolist()],
         "r": [r_low.tolist(), r_high.tolist()],
         "theta": [theta_min.tolist(), theta_max.tolist()],
@@ -96,8 +120,8 @@ def trace(settings: dict[str, Any], seed: int | None, start: float) -> dict[str,
 
 
 def _drawn(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    low, high = extremes(values, max(1, values.size // DRAWN))
-    return low[:DRAWN], high[:DRAWN]
+    low, high = extremes(values, max(1, values.size // POINTS))
+    return low[:POINTS], high[:POINTS]
 
 
 WORK: dict[str, Callable[..., Any]] = {
