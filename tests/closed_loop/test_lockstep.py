@@ -1,7 +1,7 @@
 """The loop over DDS: equal to the offline loop to the last bit, recorded whole, ending cleanly."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +9,15 @@ import pytest
 
 from koop_lab.live.loop import LiveLoop
 from koop_lab.recorded.run import RecordedRun, read_run
+from koop_lab.replay.offline import replay_offline
+from koop_lab.replay.plan import make_plan
+from koop_lab.replay.recording import read_recording
 from koop_loop.loop import simulate
 from koop_loop.parameters import LoopParameters, make, read
 from koop_node.errors import LiveError
+from koop_study.simulation.case import Case
+from koop_study.simulation.run import run as run_case
+from koopman_lifter.config import LifterConfig
 
 pytestmark = pytest.mark.ros
 
@@ -21,6 +27,21 @@ CHANGED = {
     "relay_esc": {"dwell": 1.0, "objective": "maximise"},
     "vdp_plant": {"integrator": "euler", "initial_state": [5.0, 1.0]},
 }
+
+
+LIMITED = {  # every limit and timeout away from its default; y_out_max, limits and rates act
+    "koopman_lifter": {
+        "cost": "raw", "y_out_max": 14.0, "omega_h": 30.0, "omega_l": 1.0, "state_timeout": 0.3,
+    },
+    "relay_esc": {
+        "dwell": 0.5, "tau_f": 2.0, "step_size": 0.01, "theta_min": 1.95, "theta_max": 2.1,
+        "rate_limit": 0.3, "cost_timeout": 0.4, "epsilon_initial": -1,
+    },
+    "vdp_plant": {
+        "theta_min": 1.98, "theta_max": 2.05, "theta_rate": 0.2, "theta_timeout": 3.0,
+        "theta_safe_timeout": 4.0, "theta_safe": 1.9,
+    },
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -54,6 +75,31 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
         np.testing.assert_array_equal(getattr(run, name), getattr(result, name), name)
     assert run.lost == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
     assert np.ptp(run.theta) > 0.1  # the controller did act
+
+
+@pytest.mark.parametrize("lockstep", [(2000, LIMITED)], ids=["limited"], indirect=True)
+def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_bit(lockstep):
+    given, run = lockstep.parameters, lockstep.run
+    offline = simulate(given.plant, given.lifter, given.esc, None, lockstep.steps)
+    recording = read_recording(lockstep.folder)
+    replayed = replay_offline(recording, make_plan(recording))
+    lifter = replace(given.lifter, cost=LifterConfig.cost)  # the study has a setting of its own
+    case = Case("raw", "relay", lockstep.steps * 0.005, given.plant, lifter, given.esc)
+    study = run_case(case, with_truth=True)
+    for r, theta in ((offline.r, offline.theta), replayed, (study.r, study.theta)):
+        np.testing.assert_array_equal(run.r, r)
+        np.testing.assert_array_equal(run.theta, theta)
+    for truth in (offline.ground_truth, study.ground_truth):
+        np.testing.assert_array_equal(run.ground_truth, truth)
+    # what is compared did act
+    unusable = np.flatnonzero(np.isnan(run.r))
+    assert 100 < unusable.size < 1900
+    np.testing.assert_array_equal(run.theta[unusable[1:]], run.theta[unusable[1:] - 1])
+    assert (run.theta.min(), run.theta.max()) == (1.95, 2.1)
+    assert np.abs(np.diff(run.theta)).max() == pytest.approx(0.3 * 0.005)
+    unlimited = replace(given.plant, theta_min=-100.0, theta_max=100.0, theta_rate=0.0)
+    free = simulate(unlimited, given.lifter, given.esc, None, lockstep.steps)
+    assert not np.array_equal(free.ground_truth, offline.ground_truth)
 
 
 def test_the_recorder_finds_out_what_the_nodes_were_given(lockstep):
