@@ -34,7 +34,7 @@ class Probe:
         deadline = time.monotonic() + TIMEOUT
         while not (result := condition()):
             if time.monotonic() > deadline:
-                pytest.fail(f"waited {TIMEOUT:g} s in vain for {what or condition}")
+                pytest.fail(f"timed out after {TIMEOUT:g} s: {what or condition}")
             self.executor.spin_once(timeout_sec=0.05)
         return result
 

@@ -243,7 +243,7 @@ def test_what_a_file_gives_to_all_nodes_may_be_unknown_to_one(start, probe, tmp_
 def test_simulated_time_that_never_comes_is_said(start, probe):
     reports = probe.collect(DiagnosticArray, "/diagnostics")
     process = start("relay_esc", use_sim_time="true")
-    text = "use_sim_time is set, but nothing comes on /clock"
+    text = "use_sim_time is set, but nothing is published on /clock"
     probe.spin_until(lambda: any(text in r.status[0].message for r in reports), "the report")
     assert process.log.read_text().count(text) == 1
     clock = probe.node.create_publisher(Clock, "/clock", 10)
@@ -414,7 +414,7 @@ def test_the_controller_holds_on_a_cost_that_is_not_finite(esc):
     held = [esc(5, r=math.nan), esc(6, r=math.inf)]
     assert [h.holding for h in held] == [True, True]
     assert {h.theta for h in held} == {moved[4].theta}
-    primed = esc(7, r=1e9)  # a jump while blind is no reason to turn back
+    primed = esc(7, r=1e9)  # a jump while blind is not a reason to turn back
     after = esc(8, r=1e9 - 1.0)
     assert not primed.holding
     assert after.epsilon == moved[4].epsilon

@@ -61,7 +61,7 @@ class Outcome:
     Attributes
     ----------
     inputs, accepted : int
-        Inputs tried, and those that were no error.
+        Inputs tried, and those that were not an error.
     findings : list of str
         Inputs that raised something unexpected, or took too long or too much.
     slowest : float

@@ -93,7 +93,7 @@ def test_nothing_stays_behind_however_a_run_ends(two_hosts, tmp_path, number):
 def wait_until(condition, what):
     deadline = time.monotonic() + 30.0
     while not condition():
-        assert time.monotonic() < deadline, f"waited 30 s in vain for {what}"
+        assert time.monotonic() < deadline, f"{what}: timed out after 30 s"
         time.sleep(0.05)
 
 

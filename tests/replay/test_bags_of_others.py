@@ -59,7 +59,7 @@ def test_without_parameters_the_defaults_are_assumed_and_it_is_said(tmp_path, ca
     bag = copy(tmp_path / "bag")
     code, printed = replay(bag, capsys)
     assert code == 1
-    assert "the bag holds no parameters" in printed
+    assert "the bag contains no parameters" in printed
     assert "parameters and model are the recorded ones" not in printed
     assert "r      identical bit for bit" in printed
     code, printed = replay(bag, capsys, "--params-file", RUN.parent / "given.yaml")
@@ -96,7 +96,7 @@ def test_a_killed_recorder_s_bag_is_replayed_with_the_run_s_own_files(tmp_path, 
     (run / "bag" / "metadata.yaml").unlink()
     code, printed = replay(run, capsys)
     assert code == 0, printed
-    assert "the bag holds no parameters" not in printed
+    assert "the bag contains no parameters" not in printed
 
 
 def test_another_model_is_named(tmp_path, capsys):

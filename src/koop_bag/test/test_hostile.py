@@ -85,12 +85,12 @@ def test_a_definition_without_end_is_refused(tmp_path, definition, expected):
 @pytest.mark.parametrize(
     ("note", "expected"),
     [
-        ("a: [", "no valid YAML"),
-        ("\x1b[31m", "no valid YAML"),
-        ("- 1", "no mapping"),
-        ("custom_data: {parameters: 'a: ['}", "no valid YAML"),
-        ("custom_data: {parameters: '1'}", "no mapping"),
-        ("[" * 3000, "no valid YAML"),
+        ("a: [", "not valid YAML"),
+        ("\x1b[31m", "not valid YAML"),
+        ("- 1", "not a mapping"),
+        ("custom_data: {parameters: 'a: ['}", "not valid YAML"),
+        ("custom_data: {parameters: '1'}", "not a mapping"),
+        ("[" * 3000, "not valid YAML"),
     ],
     ids=range(6),
 )

@@ -130,7 +130,7 @@ def test_a_file_that_is_no_bag_says_what_it_is(tmp_path, content, expected):
 def test_absent_bags_and_folders_without_one_are_named(tmp_path):
     with pytest.raises(BagError, match="there is no bag"):
         BagReader(tmp_path / "absent")
-    with pytest.raises(BagError, match=r"holds no \.mcap file"):
+    with pytest.raises(BagError, match=r"contains no \.mcap file"):
         BagReader(tmp_path)
     (tmp_path / "bag_0.db3").write_bytes(b"SQLite format 3")
     with pytest.raises(BagError, match="ros2 bag convert"):

@@ -31,7 +31,7 @@ class Argument(NamedTuple):
     name, meaning : str
         What it is called and does.
     node : str
-        The node whose parameter of that name it sets; empty if it is no parameter.
+        The node whose parameter of that name it sets; empty if it is not a parameter.
     """
 
     name: str

@@ -80,7 +80,7 @@ def test_a_loop_in_a_namespace_takes_what_the_file_says_to_it(mine):
     assert planned.namespace == "/r2"
     assert planned.parameters["relay_esc"]["dwell"] == 2.0
     with pytest.raises(
-        ConfigError, match=r"says nothing to /r3/relay_esc, .* has /.., /vdp_plant,"
+        ConfigError, match=r"has no parameters for /r3/relay_esc, .* has /.., /vdp_plant,"
     ):
         plan({**mine(), "namespace": "r3"})
 
@@ -113,7 +113,10 @@ def test_a_bad_argument_is_refused_before_a_node_starts(arguments, message):
     [
         ("vdp_plant: {ros__parameters: {mass: 1.0}}", "vdp_plant: unknown parameter 'mass'"),
         ("recorder: {ros__parameters: {compression: lz4}}", "compression = 'lz4': must be one of"),
-        ("another: {ros__parameters: {gain: 1}}", "says nothing to /recorder, .* it has /another"),
+        (
+            "another: {ros__parameters: {gain: 1}}",
+            "has no parameters for /recorder, .* it has /another",
+        ),
         ("{}", "it has no section"),
     ],
 )

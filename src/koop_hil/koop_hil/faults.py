@@ -3,7 +3,7 @@
     ok                                     nothing is wrong
     off                                    no message passes
     stuck [value=v] [index=i]              the value stays: at v, else at the last good one
-    garbage [kind=nan|inf|huge|short]      the value is no measurement
+    garbage [kind=nan|inf|huge|short]      the value is not a measurement
     wrong [gain=g] [bias=b] [index=i]      the value is off
     slow [every=n]                         only every n-th message passes
     delayed [delay=s] [jitter=s]           messages come late; jitter lets them overtake each other

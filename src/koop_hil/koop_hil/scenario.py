@@ -106,7 +106,7 @@ class Setting:
     duration: float = parameter(
         60.0, "simulated time from the first state", unit="s", low=1.0, high=1e5
     )
-    theta_initial: float = parameter(2.0, "theta at the begin", low=-100.0, high=100.0)
+    theta_initial: float = parameter(2.0, "theta at the start", low=-100.0, high=100.0)
     model: str = parameter("", "model file, relative to the scenario; empty: the shipped one")
     seed: int = parameter(0, "seed of the plant", low=0, high=2**31 - 1)
     remote: str = parameter("", "what runs on another host; empty: nothing", choices=("", *NODES))

@@ -139,7 +139,7 @@ def read(
     Raises
     ------
     ConfigError
-        If the file cannot be read, is not a parameter file or says nothing to any of the nodes.
+        If the file cannot be read, is not a parameter file or has no parameters for any node.
     """
     known = {node: names_of(classes) for node, classes in nodes.items()}
     values = parameter_file.read(path).values_of(known, namespace)

@@ -191,7 +191,7 @@ class NodeConfig:
     """Parameters of every node of the loop."""
 
     autostart: bool = parameter(
-        True, "configure and activate without being told to", read_only=True
+        True, "configure and activate by itself at the start", read_only=True
     )
     recorders: int = parameter(
         0,

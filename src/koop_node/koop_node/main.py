@@ -23,7 +23,7 @@ POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside
 
 
 def set_dds_profile() -> None:
-    """Let Fast DDS notice a loss in 10 ms and never wait for a host that is gone.
+    """Let Fast DDS notice a loss in 10 ms and never wait for a lost host.
 
     To be called before DDS starts in this process.
     """

@@ -280,7 +280,9 @@ class ManagedNode(WithoutEvents, LifecycleNode, Generic[RunT]):
                 findings += monitor.findings(now, publishers)
             values |= monitor.values(now, time.time(), publishers)
         if self._without_time():
-            findings.append(Finding(WARN, "use_sim_time is set, but nothing comes on /clock"))
+            findings.append(
+                Finding(WARN, "use_sim_time is set, but nothing is published on /clock")
+            )
         found = summary(findings)
         self._log(self._news.of(found, now))
         status = DiagnosticStatus(

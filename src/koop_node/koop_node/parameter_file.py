@@ -95,7 +95,7 @@ class ParameterFile:
         Raises
         ------
         ConfigError
-            If the file says nothing to any of them, or names them in another namespace only.
+            If the file has no parameters for any of them, or names them in another namespace only.
         """
         base = (self.namespace_of(known) if namespace is None else namespace).rstrip("/")
         found = {node: self.values(f"{base}/{node}", names) for node, names in known.items()}
@@ -106,7 +106,8 @@ class ParameterFile:
             keys = ", ".join(section.key for section in self.sections) or "no section"
             wanted = ", ".join(f"{base}/{node}" for node in known)
             raise ConfigError(
-                f"{self.path}: says nothing to {wanted}; it has {keys}; '/**/NAME' is in every one"
+                f"{self.path}: has no parameters for {wanted}; it has {keys}; "
+                "'/**/NAME' is in every one"
             )
         return found
 

@@ -34,7 +34,7 @@ class StreamMonitor:
     dt : float
         Time between two steps [s].
     may_end : bool
-        Whether silence is no fault where the source has left in order.
+        Whether silence is not a fault where the source has left in order.
     """
 
     def __init__(self, topic: str, timeout: float, dt: float, may_end: bool = False) -> None:
@@ -118,7 +118,7 @@ class StreamMonitor:
         return 0.0 < self.timeout < self.age(now)
 
     def latency(self, now: float, wall: float) -> float:
-        """Return from stamp to arrival of the last message [s]; NaN if the stamps are no real time.
+        """Return from stamp to arrival of the last message [s]; NaN without stamps in real time.
 
         ``now`` and ``wall`` are the same instant on the steady and on the system clock.
         """

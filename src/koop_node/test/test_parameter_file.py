@@ -92,7 +92,7 @@ def test_a_file_for_another_namespace_is_refused(tmp_path):
     known = {"node": {"gain"}, "other": {"gain"}}
     assert read(file).values_of(known) == {"node": {"gain": 2}, "other": {"gain": 1}}
     with pytest.raises(
-        ConfigError, match=r"says nothing to /a/node, /a/other; it has /\*\*, /node"
+        ConfigError, match=r"has no parameters for /a/node, /a/other; it has /\*\*, /node"
     ):
         read(file).values_of(known, "/a")
     file.write_text(section("/**", "gain: 1"))

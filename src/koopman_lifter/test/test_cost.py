@@ -135,7 +135,7 @@ def test_after_a_silence_the_cost_goes_on_from_where_it_was():
     state = cost.initial()
     for k in range(4000):
         r, state = cost.detect(params, state, 3.0 * np.sin(0.04 * k))
-    jump = 1e6  # what the energy did meanwhile is no oscillation
+    jump = 1e6  # what the energy did meanwhile is not an oscillation
     after, state = cost.detect(params, cost.resume(state), jump)
     assert after == r
     for k in range(4000, 8000):

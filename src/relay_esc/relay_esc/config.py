@@ -40,8 +40,8 @@ class EscConfig:
     )
     cost_timeout: float = parameter(
         0.5,
-        "age at which the cost is stale; after such a silence filter and dwell time start from "
-        "nothing; 0: never",
+        "age at which the cost is stale; after such a silence filter and dwell time are reset; "
+        "0: never",
         unit="s",
         low=0.0,
         high=1e6,

@@ -83,5 +83,5 @@ def silent_node(step: int, cost_seen: int | None, listeners: int) -> str:
     if cost_seen == step:
         return "the lifter answers, the controller (relay_esc) is silent on 'theta'"
     if listeners == 0:
-        return "nobody listens to 'state': the lifter (koopman_lifter) is gone"
+        return "no subscriber on 'state': the lifter (koopman_lifter) has stopped"
     return "the lifter (koopman_lifter) is silent on 'cost'"

@@ -34,12 +34,12 @@ def find_files(path: Path) -> list[Path]:
                 _whole_one(list(same)) for _, same in groupby(sorted(present, key=_key), key=_key)
             ]
         for other in folder.glob("*.mcap.*"):
-            raise BagError(f"{other} is not compressed with zstd, which is all that is known here")
+            raise BagError(f"{other} is not compressed with zstd, which is what is supported")
         if any(folder.glob("*.db3*")):
             raise BagError(
                 f"{folder} is an SQLite bag: make it an MCAP one with `ros2 bag convert`"
             )
-    raise BagError(f"{path} is no bag: it holds no .mcap file")
+    raise BagError(f"{path} is not a bag: it contains no .mcap file")
 
 
 def _key(path: Path) -> tuple[int, str]:

@@ -20,10 +20,10 @@ class StepReport:
         Messages received.
     lost : int
         Steps jumped over: a step k followed by k + 1 + n counts n. A step that goes back, of a
-        restarted run or of a second sender, is no loss, and neither is the way from it to where the
-        steps before go on.
+        restarted run or of a second sender, is not a loss, and neither is the way from it to where
+        the steps before go on.
     duplicates : int
-        Messages with the step of the one before: a state sent again is no loss.
+        Messages with the step of the one before: a state sent again is not a loss.
     backward : int
         Messages with a smaller step than the one before: a restarted publisher, a second one, or
         messages out of order.

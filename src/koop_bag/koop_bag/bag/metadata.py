@@ -193,7 +193,7 @@ def read_description(notes: Mapping[str, Mapping[str, str]], folder: Path) -> De
     Raises
     ------
     BagError
-        If it is no valid YAML.
+        If it is not valid YAML.
     """
     text = notes.get("rosbag2", {}).get("serialized_metadata", "")
     described = parse_map(text, "metadata record")
@@ -215,14 +215,14 @@ def parse(text: str, what: str) -> Any:
     try:
         return yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError):
-        raise BagError(f"the bag's {what} is no valid YAML") from None
+        raise BagError(f"the bag's {what} is not valid YAML") from None
 
 
 def parse_map(text: str, what: str) -> dict[Any, Any]:
     """`parse` where the text must be a mapping, or empty."""
     content = parse(text, what)
     if content is not None and not isinstance(content, dict):
-        raise BagError(f"the bag's {what} is no mapping")
+        raise BagError(f"the bag's {what} is not a mapping")
     return content or {}
 
 

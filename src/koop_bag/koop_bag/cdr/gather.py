@@ -42,7 +42,7 @@ def decode(
         Type and fields.
     """
     if (sizes < ENCAPSULATION).any():
-        raise BagError("a message is cut short: it lacks even the mark of its encoding")
+        raise BagError("a message is cut short: not even the mark of its encoding is there")
     heads = at_every_byte(buffer, np.dtype("<u2"))[starts]
     if (heads != _LITTLE_ENDIAN_CDR).any():
         raise BagError("a message is not in little-endian CDR; other encodings are not supported")

@@ -27,7 +27,7 @@ class PlayerConfig:
     bag: str = parameter("", "bag, folder of a run, or .mcap file", read_only=True)
     pace: str = parameter(
         "realtime",
-        "realtime; scaled: realtime times the rate; fast: as fast as those who listen take it; "
+        "realtime; scaled: realtime times the rate; fast: as fast as the subscribers accept it; "
         "lockstep: a message of `gate` goes out when `answer` for the last one came",
         choices=PACES,
         read_only=True,

@@ -118,7 +118,7 @@ class Gate:
         if self._asked is not None and self._by_step:
             what += f" of step {step_of(self._asked.data)}"
         heard = self._outlet.publisher.get_subscription_count()
-        return what if heard else what + ", to which nobody listens any more"
+        return what if heard else what + ", which has no subscribers any more"
 
     def _on_answer(self, data: Any) -> None:
         if self._asked is None or (self._by_step and step_of(data) != step_of(self._asked.data)):

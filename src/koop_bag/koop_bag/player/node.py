@@ -50,7 +50,7 @@ class PlayerRun(Run):
         except BagError as error:
             raise ValueError(str(error)) from error
         if self._playback.finished:
-            raise ValueError(f"{config.bag} holds no message to play there")
+            raise ValueError(f"{config.bag} has no messages to play there")
         stamped = {
             name
             for name in self._outlets
@@ -296,7 +296,7 @@ class PlayerRun(Run):
 
     def _on_step(self, request: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         answer.success = self._playback.step()
-        answer.message = "" if answer.success else "only a paused player goes step by step"
+        answer.message = "" if answer.success else "stepping works only while the player is paused"
         self._go_on()
         return answer
 

@@ -105,7 +105,7 @@ class RecorderRun(Run):
             time.sleep(0.005)
 
     def _release(self) -> None:
-        """Give back what is no entity of the run, whatever of it there is."""
+        """Release what is not an entity of the run, as far as it was made."""
         self._collector.close()
         for topic in self._topics.values():
             self._node.destroy_subscription(topic.subscription)

@@ -95,7 +95,7 @@ def keep_model(folder: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str
     Returns
     -------
     dict of str to str
-        SHA-256 by file name; what is no readable local file is left out.
+        SHA-256 by file name; what is not a readable local file is left out.
     """
     kept: dict[str, str] = {}
     for values in nodes.values():

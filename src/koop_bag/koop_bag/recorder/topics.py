@@ -188,5 +188,5 @@ def offered_qos(profile: QoSProfile) -> OfferedQos:
 
 
 def polled(message: bytes) -> None:
-    """Stand in for the callback: a subscription with this one is no executor's business."""
+    """Stand in for the callback: no executor takes from such a subscription."""
     raise AssertionError("recorded topics are polled, not executed")

@@ -21,7 +21,7 @@ const stream = new McapStreamReader({ decompressHandlers, validateCrcs: true });
 stream.append(file);
 let streamed = 0;
 for (let record; (record = stream.nextRecord()); ) streamed += record.type === "Message";
-if (!stream.done()) throw new Error(`${stream.bytesRemaining()} bytes are no records`);
+if (!stream.done()) throw new Error(`${stream.bytesRemaining()} bytes are not records`);
 
 // 2. through summary and indexes
 const readable = {

@@ -113,7 +113,7 @@ def options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("rig", choices=sorted(RIGS))
     parser.add_argument(
-        "--duration", type=float, default=0.0, help="simulated seconds; 0: for ever"
+        "--duration", type=float, default=0.0, help="simulated seconds; 0: no limit"
     )
     parser.add_argument("--scale", type=float, default=1.0, help="simulated per real time")
     parser.add_argument("--state", default="state", help="topic of the measured state")

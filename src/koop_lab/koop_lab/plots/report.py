@@ -18,7 +18,7 @@ from koop_lab.recorded.run import RecordedRun
 from koopman_lifter.model import KoopmanModel
 
 FLOOR = -60.0  # [dB] below the largest value, where the colours of the spectrogram end
-SPARSE = 10  # steps a state, above which a gap is no gap any more
+SPARSE = 10  # steps a state, above which a gap is not a gap any more
 POWER = 0.999  # share of the power that the frequency axis shows
 TRANSIENT = 0.04  # share of the run that the axes of state and cost need not fit
 

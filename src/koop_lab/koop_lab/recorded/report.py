@@ -62,7 +62,7 @@ def read(path: Path, namespace: str = "/", model: Path | None = None) -> Run:
     koop_bag.errors.BagError
         If the bag cannot be read.
     ValueError
-        If it holds no closed loop.
+        If it does not hold a closed loop.
     """
     signals = read_run(path, namespace)
     with BagReader(path) as bag:

@@ -28,7 +28,7 @@ FIELDS = {
 class RecordedRun:
     """Signals of a recorded loop, one row a step that all topics have.
 
-    Where steps begin anew within the bag, as of a plant that was started again, the signals are
+    Where steps restart within the bag, as of a plant that was started again, the signals are
     those of the longest pass.
 
     Attributes
@@ -90,7 +90,7 @@ def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
     koop_bag.errors.BagError
         If the bag cannot be read.
     ValueError
-        If it holds no closed loop.
+        If it does not hold a closed loop.
     """
     with BagReader(bag) as reader:
         present = {topic.name for topic in reader.topics}
@@ -102,7 +102,7 @@ def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
     for name in ("state", "cost", "theta"):
         if name not in columns or columns[name]["step"].size == 0:
             raise ValueError(
-                f"{bag}: no messages on '{name}', this is no recording of a closed loop"
+                f"{bag}: no messages on '{name}', this is not a recording of a closed loop"
             )
     steps = {name: column["step"].astype(np.int64) for name, column in columns.items()}
     known = {name: keys(values)[1] for name, values in steps.items()}

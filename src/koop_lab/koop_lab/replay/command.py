@@ -77,7 +77,7 @@ def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[
     """Return what a replay found, in lines for the terminal."""
     lines = list(plan.notes)
     if recording.repeated:
-        lines.append(f"{recording.repeated} states of a step asked again are left out")
+        lines.append(f"{recording.repeated} states that were sent again are left out")
     if recording.unanswered:
         lines.append(f"{recording.unanswered} states without a recorded cost are left out")
     if unheard := int(np.count_nonzero(plan.unheard)):

@@ -104,7 +104,7 @@ class Feeder(Client):
             self._check_nodes,
         )
         if max(self.node.count_publishers(topic) for topic in ("state", "cost", "theta")) > 1:
-            raise LiveError("another loop has come into the ROS domain of the replay: try again")
+            raise LiveError("another loop has joined the ROS domain of the replay: try again")
         size = recording.step.size
         r, theta = np.empty(size), np.empty(size)
         begins = {stretch.begin: stretch for stretch in plan.stretches[1:]}

@@ -94,7 +94,7 @@ def make_plan(
     models = Models(recording.path, *(str(values.get("model", "")) for values in named))
     if not recording.values:
         notes.append(
-            "the bag holds no parameters: the defaults are assumed to be the recorded ones"
+            "the bag contains no parameters: the defaults are assumed to be the recorded ones"
         )
     notes += [
         f"{name} was changed while recording; what it was before is not in the bag, and it is "
@@ -143,7 +143,7 @@ def _given(params: str | None, model: str | None, settings: Iterable[str]) -> Va
         try:
             given.setdefault(node, {})[parameter] = yaml.safe_load(value)
         except yaml.YAMLError:
-            raise ConfigError(f"--set {text}: '{value}' is no value in YAML") from None
+            raise ConfigError(f"--set {text}: '{value}' is not a value in YAML") from None
     if model is not None:
         given.setdefault("koopman_lifter", {})["model"] = model
     parameters.make({node: given.get(node, {}) for node in CONTROLLER})  # names what is wrong
