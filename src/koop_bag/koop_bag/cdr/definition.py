@@ -108,7 +108,7 @@ class _Parser:
             raise BagError(f"the bag's message definition lacks {name}")
         if name in self._open or len(self._open) == _MAX_DEPTH:
             raise BagError(
-                f"the bag's message definition is endless: {self._open[0]} contains itself"
+                f"the bag's message definition is endless: {self._open[0]} nests too deep"
             )
         self._open.append(name)
         count, fields = 0, []
