@@ -79,7 +79,7 @@ def wait_for(condition, process, what):
     deadline = time.monotonic() + TIMEOUT
     while not condition():
         assert process.poll() is None, process.stdout.read()
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        assert time.monotonic() < deadline, f"{what}: timed out"
         time.sleep(0.05)
 
 

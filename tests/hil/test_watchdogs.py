@@ -120,7 +120,7 @@ def test_lost_late_and_unusable_states_are_counted(start, probe, reports):
     assert values["state unusable"] == "1"
 
 
-def test_the_controller_starts_anew_after_a_silence_without_turning(start, probe, reports):
+def test_the_controller_restarts_after_a_silence_without_turning(start, probe, reports):
     start("relay_esc", dwell=1.0, step_size=0.001, cost_timeout=0.5)
     answers = probe.collect(ControlInput, "theta")
     cost = probe.publisher(Cost, "cost")

@@ -94,7 +94,7 @@ class Client:
         deadline = time.monotonic() + seconds
         while not (found := condition()):
             if time.monotonic() > deadline:
-                raise LiveError(f"waited {seconds:g} s in vain for {what}")
+                raise LiveError(f"{what}: timed out after {seconds:g} s")
             self.spin(0.05)
             if check is not None:
                 check()

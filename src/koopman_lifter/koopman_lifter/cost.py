@@ -122,7 +122,7 @@ def joining(p: DetectorParams) -> DetectorState:
 
 @njit(cache=True)
 def resume(state: DetectorState) -> DetectorState:
-    """Keep the filters over a silence, so that the next sample is no jump."""
+    """Keep the filters over a silence, so that the next sample is not a jump."""
     return DetectorState(state.y_previous, state.y_hp, state.y_lp, False, state.settling)
 
 
@@ -189,7 +189,7 @@ def detect(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float
 def take(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float, DetectorState]:
     """Process an energy that may be unusable: above y_max, or r is not finite.
 
-    It has no r (NaN) and leaves the filters as they were; the next usable one is no jump.
+    It has no r (NaN) and leaves the filters as they were; the next usable one is not a jump.
     """
     if not y_out <= p.y_max:  # nor if it is NaN
         return math.nan, resume(state)

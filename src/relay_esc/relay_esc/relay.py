@@ -109,7 +109,7 @@ def reset(state: RelayState, theta: float, epsilon: int) -> RelayState:
 
 @njit(cache=True)
 def hold(state: RelayState) -> RelayState:
-    """Keep theta and the filter; the next cost is no jump."""
+    """Keep theta and the filter; the next cost is not a jump."""
     return RelayState(
         state.theta,
         state.epsilon,

@@ -32,6 +32,8 @@ def is_common(topic: str) -> bool:
 class RecorderConfig:
     """What is recorded, and how.
 
+    What a killed recorder may lose is bounded by :class:`koop_bag.bag.writer.WriterOptions`.
+
     Raises
     ------
     koop_node.config.ConfigError

@@ -1,6 +1,6 @@
 """What a replay needs of a bag: the states that were heard, the answers, what the user changed.
 
-Steps may begin anew within a bag. A message is therefore known by its pass (how many runs began
+Steps may restart within a bag. A message is therefore known by its pass (how many runs began
 before it, as the nodes' StreamMonitor sees it) and its step.
 """
 
@@ -229,7 +229,7 @@ def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
         If a step is none.
     """
     if step.size and not 0 <= step.min() <= step.max() < MAX_STEP:
-        raise ValueError("a step is no count of steps: the recording is damaged")
+        raise ValueError("a step is not a count: the recording is damaged")
     kinds = np.empty(step.size, np.int8)
     listen(step, 0.0, 0.0, NOTHING, kinds)
     begins = (kinds == Arrival.RESTART) | (kinds == Arrival.JOIN)
