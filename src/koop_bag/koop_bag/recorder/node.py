@@ -23,8 +23,8 @@ from koop_node.main import run
 from koop_node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
-QUIET = 0.05  # [s] without a message after which a run that was stopped has said everything
-PATIENCE = 0.5  # [s] and no longer than this
+QUIET = 0.2  # [s] without a message after which a run that was stopped has said everything
+PATIENCE = 1.0  # [s] and no longer than this
 
 
 class RecorderRun(Run):
