@@ -101,7 +101,7 @@ def test_a_source_that_cannot_be_ends_the_lifter_with_one_line(start, parameters
 
 
 def test_what_is_wrong_with_a_source_is_said():
-    with pytest.raises(ConfigError, match="write topic:field,field"):
+    with pytest.raises(ConfigError, match="write /topic:field or /topic:field,field"):
         LifterConfig(input_fields="/joint_states")
     with pytest.raises(ConfigError, match="'os' is no"):
         LifterConfig(input_fields="/js:x", input_type="os")

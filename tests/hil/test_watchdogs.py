@@ -53,6 +53,7 @@ def test_the_plant_holds_theta_then_applies_the_safe_one_and_follows_again(start
     probe.spin_until(lambda: ground_truth and theta.get_subscription_count(), "the plant")
     theta.publish(ControlInput(step=0, theta=3.0))
     probe.spin_until(lambda: ground_truth[-1].theta_applied == 3.0, "theta to act")
+    assert [ground_truth[i].theta_step for i in (0, -1)] == [-1, 0]
     begin = ground_truth[-1].step
     probe.spin_until(lambda: ground_truth[-1].theta_applied == -1.0, "the safe theta")
     applied = [t.theta_applied for t in ground_truth if begin <= t.step]
@@ -62,6 +63,7 @@ def test_the_plant_holds_theta_then_applies_the_safe_one_and_follows_again(start
     assert len(held) < 350  # 1.5 s are 300 steps
     # the ramp at 100 /s
     assert max(abs(b - a) for a, b in pairwise(applied)) <= 0.5 + 1e-12
+    assert ground_truth[-1].theta_step == -1  # the safe theta answers nothing
     values = reports.wait("/vdp_plant", STALE, "nothing on 'theta'")
     assert (values["theta watchdog"], values["command"]) == ("stale", "safe")
     begin = ground_truth[-1].step
@@ -69,8 +71,10 @@ def test_the_plant_holds_theta_then_applies_the_safe_one_and_follows_again(start
     reports.wait("/vdp_plant", STALE, "1 too old on 'theta'")
     theta.publish(ControlInput(step=10**9, theta=3.0))
     reports.wait("/vdp_plant", ERROR, "step 1000000000: this run has published no such state")
-    theta.publish(ControlInput(step=ground_truth[-1].step, theta=2.0))
+    answered = ground_truth[-1].step
+    theta.publish(ControlInput(step=answered, theta=2.0))
     probe.spin_until(lambda: ground_truth[-1].theta_applied == 2.0, "theta to act again")
+    assert ground_truth[-1].theta_step == answered
     # from -1 to 2, and never towards 3
     assert max(t.theta_applied for t in ground_truth if t.step >= begin) == 2.0
 

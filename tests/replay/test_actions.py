@@ -34,6 +34,10 @@ class Rig:
         probe.spin_until(
             lambda: self.publisher.get_subscription_count() == 2, "the lifter and the recorder"
         )
+        for topic, listening in ("cost", 3), ("theta", 2):
+            self.probe.spin_until(
+                lambda t=topic, n=listening: self.probe.node.count_subscribers(t) == n, topic
+            )
 
     def __call__(self, step, x):
         before = len(self.answers)

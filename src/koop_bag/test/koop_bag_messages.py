@@ -53,7 +53,8 @@ class Messages:
             fields |= {"theta": -k / 7, "epsilon": 1 - 2 * (k % 2), "cost_rise_filtered": k / 3}
             fields |= {"saturated": k % 3 == 0, "holding": k % 5 == 0}
         else:
-            fields |= {"x": np.array([k, k * 2.0]), "theta_applied": k / 9, "epsilon0": k / 11}
+            fields |= {"x": np.array([k, k * 2.0]), "epsilon0": k / 11}
+            fields |= {"theta_applied": k / 9, "theta_step": k - 1}
         flags = [
             f.name for f in dataclasses.fields(self.store.types[LOOP[topic]]) if f.type == "bool"
         ]

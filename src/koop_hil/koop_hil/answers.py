@@ -5,16 +5,14 @@ Pure: arrays in, figures out. Times are nanoseconds on the clock of whoever publ
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Columns = Mapping[str, NDArray[Any]]
+PASS = 1 << 48  # more than the steps of a plant until it is started again
 
 
 def answered_twice(cost: Columns, theta: Columns) -> int:
@@ -37,31 +35,27 @@ def answered_twice(cost: Columns, theta: Columns) -> int:
     return int(np.maximum(extra, 0).sum())
 
 
-@dataclass(frozen=True)
-class Ages:
-    """How old states were when answers to them had an effect [s]; 0 where there was none.
+def age_acting(state: Columns, ground_truth: Columns) -> float:
+    """Return the largest age [s] of a state when the answer to it began to act on the plant.
 
-    Attributes
+    Steps that were not recorded are taken to have ended as early as they can have.
+
+    Parameters
     ----------
-    acted : float
-        Oldest state whose answer moved theta on the plant.
-    sent : float
-        Oldest state whose answer moved the theta that the controller sent.
-    unexplained : int
-        Moves of theta on the plant to a value that the controller had not sent.
+    state : mapping
+        ``step`` and ``publish_time``.
+    ground_truth : mapping
+        ``step``, ``publish_time`` and ``theta_step``.
     """
+    step, answered = ground_truth["step"].astype(np.int64), ground_truth["theta_step"]
+    at = ground_truth["publish_time"].astype(np.int64)
+    begun = np.flatnonzero((np.diff(answered) != 0) & (answered[1:] >= 0)) + 1
+    when = np.where(step[begun] == step[begun - 1] + 1, at[begun], at[begun - 1])
+    return _largest_age(state, answered[begun], when)
 
-    acted: float
-    sent: float
-    unexplained: int
 
-
-def ages(state: Columns, theta: Columns, ground_truth: Columns) -> Ages:
-    """Return how old the states were that theta answered.
-
-    A theta that acts is known by its value, so the plant must not limit its rate. Where several
-    answers have that very value, the newest counts: it would have acted just so. A move in a gap of
-    the recording counts as early as it can have been.
+def age_sent(state: Columns, theta: Columns) -> float:
+    """Return the largest age [s] of a state when an answer to it was sent that moved theta.
 
     Parameters
     ----------
@@ -69,31 +63,24 @@ def ages(state: Columns, theta: Columns, ground_truth: Columns) -> Ages:
         ``step`` and ``publish_time``.
     theta : mapping
         ``step``, ``publish_time`` and ``theta``.
-    ground_truth : mapping
-        ``step``, ``publish_time`` and ``theta_applied``.
     """
-    measured = dict(
-        zip(state["step"].tolist(), state["publish_time"].astype(np.int64).tolist(), strict=True)
-    )
-    given: dict[float, list[int]] = defaultdict(list)
-    for step, value in sorted(zip(theta["step"].tolist(), theta["theta"].tolist(), strict=True)):
-        given[value].append(step)
-    acted, unexplained = 0, 0
-    applied, at = ground_truth["theta_applied"], ground_truth["publish_time"].astype(np.int64)
-    dated = np.diff(ground_truth["step"].astype(np.int64), prepend=-1) == 1
-    for i in (np.flatnonzero(np.diff(applied)) + 1).tolist():
-        answers = given.get(float(applied[i]), [])
-        older = bisect_left(answers, int(ground_truth["step"][i]))
-        if older == 0:
-            unexplained += int(dated[i])
-        elif (measured_at := measured.get(answers[older - 1])) is not None:
-            acted = max(acted, int(at[i] if dated[i] else at[i - 1]) - measured_at)
-    sent = 0
     order = np.argsort(theta["publish_time"], kind="stable")
-    for i in order[np.flatnonzero(np.diff(theta["theta"][order])) + 1].tolist():
-        if (measured_at := measured.get(int(theta["step"][i]))) is not None:
-            sent = max(sent, int(theta["publish_time"][i]) - measured_at)
-    return Ages(acted * 1e-9, sent * 1e-9, unexplained)
+    moved = order[np.flatnonzero(np.diff(theta["theta"][order])) + 1]
+    return _largest_age(state, theta["step"][moved], theta["publish_time"][moved].astype(np.int64))
+
+
+def _largest_age(state: Columns, answered: NDArray[Any], when: NDArray[np.int64]) -> float:
+    """Return the largest age of recorded states; 0 if none of them was answered."""
+    at = state["publish_time"].astype(np.int64)
+    order = np.argsort(at, kind="stable")
+    at, step = at[order], state["step"].astype(np.int64)[order]
+    begins = np.flatnonzero(np.diff(step, prepend=step[:1] + 1) < 0)  # of every pass of a plant
+    number = np.searchsorted(begins, np.arange(step.size), side="right") * PASS + step
+    asked = np.searchsorted(at[begins], when, side="right") * PASS + answered.astype(np.int64)
+    known, first = np.unique(number, return_index=True)
+    place = np.minimum(np.searchsorted(known, asked), known.size - 1)
+    ages = (when - at[first[place]])[known[place] == asked]
+    return float(np.max(ages, initial=0)) * 1e-9
 
 
 def active_times(transitions: Columns) -> list[tuple[int, int]]:

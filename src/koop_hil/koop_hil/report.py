@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from koop_hil.verdict import Verdict
@@ -10,7 +9,8 @@ from koop_hil.verdict import Verdict
 WHOLE = 0.95  # of the duration: a busy machine lets simulated time fall behind
 HEAD = (
     "| scenario | what happens | mean \\|θ − θ*\\| at the end | out of tolerance "
-    "| max \\|θ − θ*\\| | recording | reported | verdict |\n|---|---|---|---|---|---|---|---|"
+    "| max \\|θ − θ*\\| | oldest acting answer | recording | reported | verdict |\n"
+    "|---|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -22,7 +22,8 @@ def line(verdict: Verdict) -> str:
     out = verdict.time_out_of_tolerance
     figures = (
         f"mean |theta - theta*| {verdict.tail_error:.2f} at the end, "
-        f"at most {verdict.max_error:.2f}, out of tolerance for {out:.1f} s"
+        f"at most {verdict.max_error:.2f}, out of tolerance for {out:.1f} s, "
+        f"oldest acting answer {verdict.answer_age:.2f} s"
     )
     return f"{verdict.name:<24} {state}  {', '.join([figures, *remarks(verdict)])}"
 
@@ -32,11 +33,6 @@ def remarks(verdict: Verdict) -> list[str]:
     said = []
     if verdict.simulated < WHOLE * verdict.duration:
         said.append(f"theta known for {verdict.simulated:.0f} of {verdict.duration:.0f} s")
-    if not math.isnan(verdict.answer_age):
-        said.append(
-            f"oldest answer that acted {verdict.answer_age:.2f} s, "
-            f"that was sent {verdict.sent_age:.2f} s"
-        )
     said += [f"{count} answers of {name}" for name, count in verdict.answers.items()]
     if verdict.contested:
         said.append(f"{verdict.contested} answers with two controllers or none")
@@ -64,10 +60,11 @@ def table(verdicts: Sequence[Verdict]) -> str:
         failures = " ".join("; ".join(v.failures).split())
         verdict = "; ".join(["passed" if v.passed else f"**failed**: {failures}", *remarks(v)])
         if v.skipped:
-            rows.append(f"| {v.name} | {happens} | | | | | | skipped: {v.skipped} |")
+            rows.append(f"| {v.name} | {happens} | | | | | | | skipped: {v.skipped} |")
             continue
         rows.append(
             f"| {v.name} | {happens} | {v.tail_error:.2f} | {v.time_out_of_tolerance:.1f} s | "
-            f"{v.max_error:.2f} | {recording} | {levels or 'OK'} | {verdict} |"
+            f"{v.max_error:.2f} | {v.answer_age:.2f} s | {recording} | {levels or 'OK'} | "
+            f"{verdict} |"
         )
     return "\n".join(rows) + "\n"

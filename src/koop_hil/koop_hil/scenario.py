@@ -73,7 +73,7 @@ class Limits:
     answered_twice: int = parameter(0, "answers that a second controller gave besides", low=0)
     answer_age: float = parameter(
         NO_LIMIT,
-        "age of a state when an answer to it moves theta on vdp_plant, in real time",
+        "age of a state when the answer to it begins to act on the plant, in real time",
         unit="s",
         low=0.0,
     )

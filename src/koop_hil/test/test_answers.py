@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from koop_hil.answers import active_times, ages, answered_twice, authors
+from koop_hil.answers import active_times, age_acting, age_sent, answered_twice, authors
 
 TICK = 5_000_000  # [ns]
 
@@ -15,63 +15,66 @@ def columns(**values):
 def loop(steps=200, delay=1):
     """Return what a loop without faults records: answers act ``delay`` ticks later."""
     k = np.arange(steps)
-    theta = 2.0 - 0.001 * k
-    applied = np.concatenate([np.full(delay, 2.0), theta[:-delay]])
+    answered = np.maximum(k - delay, -1)
     return (
         columns(step=k, publish_time=k * TICK),
-        columns(step=k, publish_time=k * TICK + 1_000_000, theta=theta),
-        columns(step=k, publish_time=k * TICK, theta_applied=applied),
+        columns(step=k, publish_time=k * TICK + 1_000_000, theta=2.0 - 0.001 * k),
+        columns(step=k, publish_time=k * TICK, theta_step=answered),
     )
 
 
 def test_in_a_loop_without_faults_an_answer_is_as_old_as_the_loop_takes():
-    found = ages(*loop(delay=3))
-    assert found.acted == pytest.approx(0.015)
-    assert found.sent == pytest.approx(0.001)
-    assert found.unexplained == 0
+    state, theta, ground_truth = loop(delay=3)
+    assert age_acting(state, ground_truth) == pytest.approx(0.015)
+    assert age_sent(state, theta) == pytest.approx(0.001)
 
 
-def test_an_answer_that_comes_late_is_old_when_it_acts_though_it_was_sent_in_time():
+def test_a_held_answer_grows_no_older_and_one_that_begins_to_act_late_is_old():
     state, theta, ground_truth = loop()
-    ground_truth["theta_applied"][50:90] = ground_truth["theta_applied"][49]  # a cut link
-    assert ages(state, theta, ground_truth).acted == pytest.approx(0.005)
-    for i in range(90, 120):  # what was kept comes in a burst, eight a tick
-        ground_truth["theta_applied"][i] = theta["theta"][min(50 + 8 * (i - 90), i - 1)]
-    found = ages(state, theta, ground_truth)
-    assert found.acted == pytest.approx(40 * 0.005)  # step 50 acts at step 90
-    assert found.sent == pytest.approx(0.001)
+    ground_truth["theta_step"][50:90] = 48  # a cut link
+    ground_truth["theta_step"][90:] = np.arange(89, 199)
+    assert age_acting(state, ground_truth) == pytest.approx(0.005)
+    ground_truth["theta_step"][90] = 50  # what was kept
+    assert age_acting(state, ground_truth) == pytest.approx(40 * 0.005)
+    assert age_sent(state, theta) == pytest.approx(0.001)
 
 
-def test_the_answer_to_an_old_state_is_old_when_it_is_sent():
-    state, theta, ground_truth = loop()
+def test_an_answer_that_began_to_act_in_a_gap_of_the_recording_did_so_as_early_as_it_can_have():
+    state, _, ground_truth = loop()
+    ground_truth["theta_step"][40:91] = 39
+    ground_truth["theta_step"][90] = 49
+    kept = np.r_[0:51, 90:200]
+    gap = {name: column[kept] for name, column in ground_truth.items()}
+    assert age_acting(state, gap) == pytest.approx(0.005)
+    gap["theta_step"][51] = 20
+    assert age_acting(state, gap) == pytest.approx(30 * 0.005)
+
+
+def test_a_plant_that_is_started_again_counts_its_own_steps():
+    first, second = loop(), loop()
+    for column in second:
+        column["publish_time"] += 1000 * TICK
+    state, theta, ground_truth = (
+        {name: np.concatenate([a[name], b[name]]) for name in a}
+        for a, b in zip(first, second, strict=True)
+    )
+    assert age_acting(state, ground_truth) == pytest.approx(0.005)
+    assert age_sent(state, theta) == pytest.approx(0.001)
+
+
+def test_the_answer_to_an_old_state_is_old_when_it_is_sent_unless_theta_is_held():
+    state, theta, _ = loop()
     theta["publish_time"][50:90] = 90 * TICK + np.arange(40)
-    assert ages(state, theta, ground_truth).sent == pytest.approx(40 * 0.005, abs=1e-4)
-
-
-def test_a_held_theta_may_be_sent_at_any_age():
-    state, theta, ground_truth = loop()
-    theta["publish_time"][50:90] = 90 * TICK + np.arange(40)
+    assert age_sent(state, theta) == pytest.approx(40 * 0.005, abs=1e-4)
     theta["theta"][50:90] = theta["theta"][49]
-    ground_truth["theta_applied"][51:91] = theta["theta"][49]
-    found = ages(state, theta, ground_truth)
-    assert found.sent == pytest.approx(0.001)
-    assert found.acted == pytest.approx(0.005)
+    assert age_sent(state, theta) == pytest.approx(0.001)
 
 
-def test_a_move_while_nothing_was_recorded_happened_at_no_known_time():
-    state, theta, ground_truth = loop()
-    kept = (theta["step"] < 50) | (theta["step"] > 150)
-    seen = {name: values[kept] for name, values in ground_truth.items()}
-    seen["theta_applied"][seen["step"] == 151] = theta["theta"][49]  # moved to it during the cut
-    found = ages(state, theta, seen)
-    assert found.acted == pytest.approx(0.005)
-    assert found.unexplained == 0
-
-
-def test_a_theta_that_nobody_sent_is_noticed():
-    state, theta, ground_truth = loop()
-    ground_truth["theta_applied"][100] = 7.0
-    assert ages(state, theta, ground_truth).unexplained == 1
+def test_an_answer_to_a_state_that_was_not_recorded_has_no_age():
+    state, _, ground_truth = loop()
+    ground_truth["theta_step"][100] = 10**6
+    state = {name: column[:80] for name, column in state.items()}
+    assert age_acting(state, ground_truth) == pytest.approx(0.005)
 
 
 def test_two_controllers_answer_twice_and_one_that_is_asked_again_does_not():
@@ -114,14 +117,3 @@ def test_an_answer_is_of_the_controller_that_was_active():
 def test_a_controller_without_transitions_in_the_recording_was_active_all_the_time():
     nothing = columns(publish_time=[], start_state__label=[], goal_state__label=[])
     assert active_times(nothing) == [(0, np.iinfo(np.int64).max)]
-
-
-def test_a_move_in_a_gap_of_the_recording_counts_as_early_as_it_can_have_been():
-    state, theta, ground_truth = loop()
-    kept = np.r_[0:50, 90:200]
-    gap = {name: column[kept] for name, column in ground_truth.items()}
-    gap["theta_applied"][50] = theta["theta"][48]  # the answer that was the next to act
-    found = ages(state, theta, gap)
-    assert found.acted == pytest.approx(0.005)
-    gap["theta_applied"][50] = theta["theta"][30]
-    assert ages(state, theta, gap).acted == pytest.approx(0.095)

@@ -128,9 +128,9 @@ def test_verdicts_are_written_as_a_table():
     bad = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, failures=failures)
     not_here = Verdict("c", "", [], skipped="needs <root>")
     rows = report.table([good, bad, not_here]).splitlines()
-    assert rows[2].startswith("| a | fine | 0.10 | 0.0 s | 0.50 | whole | OK | passed |")
+    assert rows[2].startswith("| a | fine | 0.10 | 0.0 s | 0.50 | nan s | whole | OK | passed |")
     assert rows[3].endswith("**failed**: tail_error = 0.9 < & >; plant: over |")
-    assert rows[4] == "| c |  | | | | | | skipped: needs <root> |"
+    assert rows[4] == "| c |  | | | | | | | skipped: needs <root> |"
 
 
 def test_a_verdict_comes_back_from_json():

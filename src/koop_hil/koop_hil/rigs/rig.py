@@ -33,7 +33,7 @@ try:
     from cyclonedds.core import Policy, Qos
     from cyclonedds.domain import DomainParticipant
     from cyclonedds.idl import IdlStruct
-    from cyclonedds.idl.types import float64, int8, int32, sequence, uint32, uint64
+    from cyclonedds.idl.types import float64, int8, int32, int64, sequence, uint32, uint64
     from cyclonedds.pub import DataWriter
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
@@ -82,6 +82,7 @@ class PlantTruth(IdlStruct, typename="koop_msgs.msg.dds_.PlantTruth_"):
     step: uint64
     x: sequence[float64]
     theta_applied: float64
+    theta_step: int64
     epsilon0: float64
 
 
@@ -89,14 +90,15 @@ class Actuator:
     """Follows the command late, no faster than it can, within its stroke."""
 
     def __init__(self, theta: float, delay: float, rate: float) -> None:
-        self.theta = theta
-        self._commands = deque([theta] * (round(delay / DT) + 1))
+        self.theta, self.step = theta, -1
+        self._commands = deque([(theta, -1)] * (round(delay / DT) + 1))
         self._most = rate * DT
 
-    def move(self, command: float) -> float:
-        """Return theta for the next step."""
-        self._commands.append(min(max(command, -5.0), 5.0))
-        change = self._commands.popleft() - self.theta
+    def move(self, command: float, step: int) -> float:
+        """Return theta for the next step, given a command and the step that it answers."""
+        self._commands.append((min(max(command, -5.0), 5.0), step))
+        wanted, self.step = self._commands.popleft()
+        change = wanted - self.theta
         self.theta += min(max(change, -self._most), self._most)
         return self.theta
 
@@ -151,7 +153,7 @@ def main() -> int:
     print("connected", flush=True)
 
     actuator = Actuator(args.theta_initial, args.delay, args.rate)
-    command, state, k = args.theta_initial, rig.start, 0
+    command, answered, state, k = args.theta_initial, -1, rig.start, 0
     period = DT / args.scale * (1.0 + args.drift)
     oldest = args.theta_timeout * args.scale / DT  # [steps]
     steps = round(args.duration / DT) if args.duration else math.inf
@@ -169,12 +171,14 @@ def main() -> int:
         stamp = round((wall + t) * 1e9)
         header = Header(Time(stamp // 10**9, stamp % 10**9), "rig")
         states.write(MeasuredState(header, k, False, measure(rig, t, state, rng)))
-        ground_truths.write(PlantTruth(header, k, list(state), actuator.theta, math.nan))
+        ground_truths.write(
+            PlantTruth(header, k, list(state), actuator.theta, actuator.step, math.nan)
+        )
         for sample in thetas.take(N=100):
             known = isinstance(sample, ControlInput) and math.isfinite(sample.theta)
             if known and 0 <= k - sample.step <= oldest:  # not what was kept while a link was cut
-                command = sample.theta
-        state = advance(rig, t, DT, state, actuator.move(command))
+                command, answered = sample.theta, sample.step
+        state = advance(rig, t, DT, state, actuator.move(command, answered))
         if not math.isfinite(state[0] + state[1]):
             print(f"the rig broke at t = {t:g} s", file=sys.stderr)
             return 1

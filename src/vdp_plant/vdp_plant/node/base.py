@@ -50,6 +50,7 @@ class PlantRun(Run):
         self._k = 0
         self._steps = round(pace.duration / config.dt) if pace.duration > 0.0 else math.inf
         self._theta = self._theta_applied = config.theta_initial
+        self._theta_step = -1  # whose answer acts
         x, y = config.initial_state or dynamics.initial_state(config.seed)
         self._x, self._y = float(x), float(y)
         self._simulated_stamp = pace.pace != "realtime"
@@ -136,15 +137,17 @@ class PlantRun(Run):
         ground_truth.step = k
         ground_truth.x = array("d", (x, y))
         ground_truth.theta_applied = self._theta_applied
+        ground_truth.theta_step = self._theta_step
         ground_truth.epsilon0 = dynamics.damping(params, k * params.dt)
         outlets.ground_truth.publish(ground_truth)
         if outlets.clock is not None:
             outlets.clock.publish(Clock(clock=to_stamp(round(k * params.dt * 1e9))))
 
-    def _advance(self, theta: float) -> None:
+    def _advance(self, theta: float, theta_step: int) -> None:
         self._x, self._y, self._theta_applied = dynamics.advance(
             self._params, self._k, self._x, self._y, self._theta_applied, theta, 0.0
         )
+        self._theta_step = theta_step
         self._k += 1
         if self._k >= self._steps:
             self._end()

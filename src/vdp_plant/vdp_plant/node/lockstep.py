@@ -64,7 +64,7 @@ class LockstepRun(PlantRun):
         if self._question.close():
             self._end_probe()
             self._node.get_logger().info(f"theta for step {self._k} was received late")
-        self._advance(self._theta)
+        self._advance(self._theta, message.step)
         if self._node.exit_code is None:
             self._ask()
 

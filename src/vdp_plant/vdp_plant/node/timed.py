@@ -30,6 +30,7 @@ class TimedRun(PlantRun):
         self._late_before = self._k_before = 0
         self._timer: Timer | None = None
         self._command = "waiting"
+        self._answered = -1  # step of the latest theta
 
     def start(self, entities: Entities) -> None:
         self._ticks.start(time.monotonic())
@@ -53,10 +54,10 @@ class TimedRun(PlantRun):
         theta, self._command = self._node.parameters[PaceConfig].command(
             self._theta, self._input.age(now)
         )
-        self._advance(theta)
+        self._advance(theta, -1 if self._command == "safe" else self._answered)
         if self._node.exit_code is not None and self._timer is not None:
             self._timer.cancel()
 
     def on_theta(self, message: ControlInput) -> None:
         if self._usable(message):
-            self._theta = message.theta
+            self._theta, self._answered = message.theta, message.step
