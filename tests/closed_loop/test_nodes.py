@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from koop_msgs.msg import ControlInput, Cost, MeasuredState, PlantTruth
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -461,19 +461,31 @@ def test_lockstep_waits_for_theta_sends_again_and_names_the_silent_node(start, p
     assert "no theta for step 1: the lifter (koopman_lifter) is silent on 'cost'" in text
 
 
-def test_the_plant_ends_after_its_duration_and_publishes_the_clock(start, probe):
+def test_the_plant_ends_after_its_duration_which_is_no_fault_to_the_lifter(start, probe):
     states, clocks = probe.collect(MeasuredState, "state"), probe.collect(Clock, "/clock")
     ground_truths = probe.collect(PlantTruth, "ground_truth")
+    probe.collect(Cost, "cost")
+    reports = probe.collect(DiagnosticArray, "/diagnostics")
+    lifter = start("koopman_lifter")
     process = start(
-        "vdp_plant", pace="scaled", time_scale=4.0, duration=0.5, publish_clock="true", recorders=0
+        "vdp_plant", pace="scaled", time_scale=4.0, duration=0.5, publish_clock="true", recorders=1
     )
-    assert_ends = probe.spin_until(lambda: process.poll() is not None, "the plant to end")
-    assert assert_ends
+    probe.spin_until(lambda: process.poll() is not None, "the plant to end")
     assert process.poll() == 0
     assert [s.step for s in states] == list(range(100))
     probe.spin_until(lambda: len(ground_truths) > 90, "the ground_truth")
     stamps = np.array([c.clock.sec * 10**9 + c.clock.nanosec for c in clocks])
     assert (np.diff(stamps) >= 5_000_000).all()
+
+    def said(status):
+        return "'state' has ended at step 99" in status.message
+
+    found = probe.spin_until(
+        lambda: [status for report in reports for status in report.status if said(status)],
+        "the lifter to know of the end",
+    )
+    assert found[0].level == DiagnosticStatus.OK
+    assert "ERROR" not in lifter.log.read_text()
 
 
 def test_a_diverging_plant_says_so(start, probe):
