@@ -68,7 +68,7 @@ def state_of(probe, node):
 
 
 class Ask:
-    """Send one message and wait for the answer of the same step."""
+    """Send one message and wait for the answer of the same step, however late it comes."""
 
     def __init__(self, probe, in_type, in_topic, out_type, out_topic):
         self.answers = probe.collect(out_type, out_topic)
@@ -77,7 +77,7 @@ class Ask:
 
     def __call__(self, step, **fields):
         before = len(self.answers)
-        self.publisher.publish(self.in_type(step=step, **fields))
+        self.publisher.publish(self.in_type(step=step, **{"lockstep": True} | fields))
         self.probe.spin_until(lambda: len(self.answers) > before, f"the answer to step {step}")
         assert self.answers[-1].step == step
         return self.answers[-1]

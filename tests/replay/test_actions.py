@@ -23,6 +23,7 @@ from koop_loop.training import TrainingConfig, train
 from vdp_plant.config import PlantConfig
 
 LISTENERS = 2  # on the cost besides the controller: the recorder and the probe
+TIMEOUT = 2.0  # [s] of states and costs: more than a busy machine lets a message wait
 
 
 class Rig:
@@ -70,7 +71,7 @@ class Rig:
         process.process.send_signal(signal.SIGSTOP)
         yield
         last = time.monotonic()
-        self.probe.spin_until(lambda: time.monotonic() > last + 0.6, "it to be too old")
+        self.probe.spin_until(lambda: time.monotonic() > last + 1.1 * TIMEOUT, "it to be too old")
         process.process.send_signal(signal.SIGCONT)
 
     def set(self, node, name, value):
@@ -105,10 +106,21 @@ def eventful(module_start, module_probe, tmp_path_factory):
     folder = tmp_path_factory.mktemp("eventful") / "run"
     recorder = start("recorder", output=folder)
     controller = [
-        start("relay_esc", recorders=1, dwell=0.05, step_size=0.01, rate_limit=1.5),
         start(
-            "koopman_lifter", recorders=LISTENERS, omega_h=200.0, omega_l=30.0
-        ),  # settles in 23 states
+            "relay_esc",
+            recorders=1,
+            cost_timeout=TIMEOUT,
+            dwell=0.05,
+            step_size=0.01,
+            rate_limit=1.5,
+        ),
+        start(
+            "koopman_lifter",
+            recorders=LISTENERS,
+            state_timeout=TIMEOUT,
+            omega_h=200.0,
+            omega_l=30.0,  # settles in 23 states
+        ),
     ]
     rig = Rig(probe)
     wait_until_known(probe, folder)
@@ -129,7 +141,7 @@ def eventful(module_start, module_probe, tmp_path_factory):
     rig.set("relay_esc", "dwell", 0.02)
     rig.set("koopman_lifter", "omega_l", 3.0)
     rig.swing(range(160, 200))
-    rig.swing(range(400, 430))  # a second of silence
+    rig.swing(range(900, 930))  # 3.5 s of silence
     rig.swing(range(60))  # the plant was started again
     esc, lifter = controller
     # from here on the steps go on without a gap, though nobody answers some of them
@@ -177,8 +189,8 @@ def test_a_model_that_was_replaced_is_replaced_again(start, probe, tmp_path, cap
     train(PlantConfig(), TrainingConfig(trajectories=5, duration=10.0)).save(other)
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
-    start("relay_esc", recorders=1, dwell=0.05, step_size=0.01)
-    start("koopman_lifter", recorders=LISTENERS)
+    start("relay_esc", recorders=1, cost_timeout=TIMEOUT, dwell=0.05, step_size=0.01)
+    start("koopman_lifter", recorders=LISTENERS, state_timeout=TIMEOUT)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.swing(range(40))
@@ -225,8 +237,9 @@ def test_an_eventful_run_has_metrics_and_a_plot(eventful, tmp_path, capfd):
 def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp_path, capfd):
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
-    start("relay_esc", recorders=1, step_size=0.01)  # one direction: no flip so soon
-    lifter = start("koopman_lifter", recorders=LISTENERS)
+    # one direction: no flip so soon
+    start("relay_esc", recorders=1, cost_timeout=TIMEOUT, step_size=0.01)
+    lifter = start("koopman_lifter", recorders=LISTENERS, state_timeout=TIMEOUT)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.swing(range(40))
@@ -235,7 +248,7 @@ def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp
     assert lifter.stop() == 0
     count = rig.publisher.get_subscription_count
     probe.spin_until(lambda: count() == 1, "the lifter to be gone")
-    start("koopman_lifter", recorders=LISTENERS)
+    start("koopman_lifter", recorders=LISTENERS, state_timeout=TIMEOUT)
     probe.spin_until(lambda: count() == 2, "the lifter to be back")
     rig.swing(range(80, 120))
     recorder.process.send_signal(signal.SIGINT)

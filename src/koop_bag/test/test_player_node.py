@@ -266,7 +266,7 @@ def configure(capfd):
     ("options", "said"),
     [
         ({"topics": "stat"}, "has no topic /stat; it has /state"),
-        ({"start": 99.0}, "no message to play"),
+        ({"start": 99.0}, "has no messages to play there"),
         ({"pace": "lockstep", "gate": "imu"}, "gate: /imu is not among the topics played"),
         ({"pace": "lockstep", "answer": "knob"}, "the bag has no /knob"),
     ],
