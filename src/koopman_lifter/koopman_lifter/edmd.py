@@ -2,8 +2,9 @@
 
     K = argmin_K ||Psi_Y - K Psi_X||_F^2 = Psi_Y Psi_X^+   (paper section 3.2; Williams et al. 2015)
 
-The data enter only through G = Psi_X Psi_X^T and A = Psi_Y Psi_X^T: O(p^2) memory however long the
-recording is, and sums over files or machines are sums of matrices. Monomials of a state of size 10
+The data enter only through G = Psi_X Psi_X^T, A = Psi_Y Psi_X^T and, for what a mode is worth
+(``koopman_lifter.modes``), L = Psi_Y Psi_Y^T: O(p^2) memory however long the recording is, and sums
+over files or machines are sums of matrices. Monomials of a state of size 10
 span eight decades, so G is scaled to unit diagonal before the solve (van der Sluis 1969); without
 it a cut-off on singular values would drop whole observables.
 """
@@ -32,6 +33,8 @@ class Gram:
         G = sum_k g(x_k) g(x_k)^T.
     yx : ndarray, shape (p, p)
         A = sum_k g(x_{k+1}) g(x_k)^T.
+    yy : ndarray, shape (p, p)
+        L = sum_k g(x_{k+1}) g(x_{k+1})^T.
     pairs : int
         Number of snapshot pairs M.
     """
@@ -39,13 +42,14 @@ class Gram:
     observables: Monomials
     xx: NDArray[np.float64]
     yx: NDArray[np.float64]
+    yy: NDArray[np.float64]
     pairs: int = 0
 
     @classmethod
     def empty(cls, observables: Monomials) -> Gram:
         """Return the sums over no data."""
         p = observables.p
-        return cls(observables, np.zeros((p, p)), np.zeros((p, p)))
+        return cls(observables, np.zeros((p, p)), np.zeros((p, p)), np.zeros((p, p)))
 
     def add_trajectory(self, states: ArrayLike) -> None:
         """Add the consecutive pairs of one trajectory.
@@ -71,21 +75,45 @@ class Gram:
         for start in range(0, array.shape[1] - 1, BLOCK):
             lifted = self.observables.lift(array[:, start : start + BLOCK + 1])
             now, after = lifted[:, :-1], lifted[:, 1:]
-            self.xx += now @ now.T
+            product = now @ now.T
+            self.xx += product
             self.yx += after @ now.T
+            self.yy += _a_step_later(product, lifted)
             self.pairs += now.shape[1]
 
     def __add__(self, other: Gram) -> Gram:
         if self.observables != other.observables:
             raise ValueError(f"cannot add Gram sums of {self.observables} and {other.observables}")
         return Gram(
-            self.observables, self.xx + other.xx, self.yx + other.yx, self.pairs + other.pairs
+            self.observables,
+            self.xx + other.xx,
+            self.yx + other.yx,
+            self.yy + other.yy,
+            self.pairs + other.pairs,
         )
 
     @property
     def scale(self) -> NDArray[np.float64]:
         """Root mean square of every observable over the data, shape (p,)."""
         return np.asarray(np.sqrt(np.diag(self.xx) / self.pairs), dtype=np.float64)
+
+    def equilibrated(self, sums: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return ``xx``, ``yx`` or ``yy`` as a mean over observables of unit root mean square."""
+        scale = self.scale
+        return np.asarray(sums / self.pairs / np.outer(scale, scale), dtype=np.float64)
+
+
+def _a_step_later(product: NDArray[np.float64], lifted: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return Z_1 Z_1^T of all columns but the first from Z_0 Z_0^T of all but the last.
+
+    They share all columns but one, which makes a third product needless. Where the first column is
+    most of an observable's sum, as in a state that dies away, taking it off again would leave
+    rounding errors; there the product is formed.
+    """
+    first, last = lifted[:, 0], lifted[:, -1]
+    if (2.0 * first**2 > np.diag(product)).any():
+        return np.asarray(lifted[:, 1:] @ lifted[:, 1:].T)
+    return np.asarray(product - np.outer(first, first) + np.outer(last, last))
 
 
 @dataclass(frozen=True)
@@ -137,14 +165,14 @@ def edmd(gram: Gram) -> Koopman:
     scale = gram.scale
     if not (np.isfinite(scale).all() and (scale > 0.0).all()):
         raise ValueError("an observable is zero or overflows on all of the data: check the units")
-    correlation = gram.xx / gram.pairs / np.outer(scale, scale)
+    correlation = gram.equilibrated(gram.xx)
     eigenvalues = np.linalg.eigvalsh(correlation)
     if eigenvalues[0] <= p * np.finfo(float).eps * eigenvalues[-1]:
         raise ValueError(
             "the data do not excite every observable (rank deficient): "
             "record more varied trajectories or lower the degree"
         )
-    cross = gram.yx / gram.pairs / np.outer(scale, scale)
+    cross = gram.equilibrated(gram.yx)
     scaled = np.asarray(np.linalg.solve(correlation, cross.T).T, dtype=np.float64)
     matrix = np.asarray(scale[:, None] * scaled / scale[None, :], dtype=np.float64)
     return Koopman(matrix, scaled, scale, float(np.sqrt(eigenvalues[-1] / eigenvalues[0])))

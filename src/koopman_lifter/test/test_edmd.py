@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import scipy.linalg
+import scipy.optimize
 
 from koopman_lifter.edmd import Gram, edmd
 from koopman_lifter.modes import Modes, decompose, projector, select_by_energy
@@ -86,6 +88,7 @@ def test_no_pair_spans_two_trajectories_and_sums_add_up():
     added = summed(observables, data[:2]) + summed(observables, data[2:])
     np.testing.assert_allclose(added.xx, whole.xx, rtol=1e-13)
     np.testing.assert_allclose(added.yx, whole.yx, rtol=1e-13)
+    np.testing.assert_allclose(added.yy, whole.yy, rtol=1e-13)
     assert added.pairs == whole.pairs
 
 
@@ -124,9 +127,75 @@ def test_data_that_do_not_determine_the_operator_are_refused():
         edmd(summed(Monomials(2, 3), [np.stack((line, 2 * line))]))
 
 
+@pytest.mark.parametrize("factor", [0.999, 0.9, 0.05], ids=["lasting", "dying", "dead at once"])
+def test_the_sum_a_step_later_is_exact_however_fast_the_state_dies_away(factor):
+    """With the factor 0.05 all but 1e-8 of the sum of x^6 is its first sample."""
+    observables = Monomials(1, 3)
+    data = list(trajectories(lambda x: factor * x, np.array([[3.0], [-2.0], [1.5]]), 30))
+    after = np.hstack([observables.lift(states[:, 1:]) for states in data])
+    np.testing.assert_allclose(summed(observables, data).yy, after @ after.T, rtol=1e-13)
+
+
+def test_eigenfunctions_of_a_linear_system_have_no_residual():
+    gram = summed(Monomials(2, 3), linear_data())
+    assert decompose(edmd(gram), gram).residuals.max() < 1e-6  # squares of it are rounding
+
+
+def test_spurious_modes_are_told_by_their_residual():
+    """1, x1, x2 + x1^2 and x1^2 are invariant; x1 x2 and x2^2 lead out of the monomials."""
+    a, b = 0.9, 0.5
+
+    def step(x):
+        return np.array([a * x[0], b * x[1] + (b - a**2) * x[0] ** 2])
+
+    starts = np.random.default_rng(1).uniform(-2, 2, (40, 2))
+    gram = summed(Monomials(2, 2), trajectories(step, starts, 12))
+    modes = decompose(edmd(gram), gram)
+    true = np.abs(modes.eigenvalues[:, None] - [1.0, a, b, a**2]).min(axis=1) < 1e-6
+    assert true.sum() == 4
+    assert modes.residuals[true].max() < 1e-6
+    assert modes.residuals[~true].min() > 0.05
+
+
+def test_a_mode_of_nothing_but_noise_has_a_residual_of_one():
+    """phi(x_{k+1}) and phi(x_k) of white noise are independent: lambda = 0, res = 1."""
+    rng = np.random.default_rng(4)
+    angle = 0.1 * np.arange(20_000)
+    states = np.stack((np.cos(angle), np.sin(angle), rng.normal(size=angle.size)))
+    gram = summed(Monomials(3, 1), [states])
+    modes = decompose(edmd(gram), gram)
+    noise = int(np.argmin(np.abs(modes.eigenvalues)))
+    assert modes.residuals[noise] == pytest.approx(1.0, abs=0.03)  # 4 deviations of 1 / sqrt(M)
+    assert np.delete(modes.residuals, noise).max() < 0.03
+
+
+def test_residuals_are_the_least_error_of_their_eigenfunctions_on_the_data():
+    """The eigenvalue of a least-squares K is the best factor from phi(x_k) to phi(x_{k+1})."""
+    rng = np.random.default_rng(5)
+    data = [states + 0.05 * rng.normal(size=states.shape) for states in linear_data()]
+    observables = Monomials(2, 2)
+    gram = summed(observables, data)
+    koopman = edmd(gram)
+    modes = decompose(koopman, gram)
+    before = np.hstack([observables.lift(states[:, :-1]) for states in data])
+    after = np.hstack([observables.lift(states[:, 1:]) for states in data])
+    values, left = scipy.linalg.eig(koopman.matrix, left=True, right=False)
+    for value, w in zip(values, left.T, strict=True):
+        now, then = w.conj() @ before, w.conj() @ after
+
+        def error(factor, now=now, then=then):
+            return np.linalg.norm(then - (factor[0] + 1j * factor[1]) * now) / np.linalg.norm(now)
+
+        least = scipy.optimize.minimize(error, [0.5, 0.5], tol=1e-12)
+        j = int(np.argmin(np.abs(modes.eigenvalues - value)))
+        assert least.x[0] + 1j * least.x[1] == pytest.approx(modes.eigenvalues[j], abs=1e-5)
+        assert modes.residuals[j] == pytest.approx(least.fun, abs=1e-6)
+
+
 def modes_of(eigenvalues, energies):
     eigenvalues = np.array(eigenvalues, dtype=complex)
-    return Modes(eigenvalues, np.eye(eigenvalues.size, dtype=complex), np.array(energies, float))
+    vectors = np.eye(eigenvalues.size, dtype=complex)
+    return Modes(eigenvalues, vectors, np.array(energies, float), np.zeros(eigenvalues.size))
 
 
 @pytest.mark.parametrize(
