@@ -137,14 +137,14 @@ def targets(folder: Path) -> dict[str, tuple[Trial, tuple[type[Exception], ...]]
     def load_model(rng: Random) -> None:
         model_file.write_bytes(model(rng))
         loaded = load(model_file)
-        if len(loaded.observables.names(loaded.state_names)) != loaded.observables.p:
+        names = loaded.delays.names(loaded.state_names, loaded.dt)
+        if len(loaded.observables.names(names)) != loaded.observables.p:
             raise AssertionError("wrong names")
-        x, z = np.full(loaded.observables.n, 0.5), np.empty(loaded.observables.p)
+        lifting = loaded.lifting()
+        x, work = np.full(lifting.channels, 0.5), cost.workspace(lifting)
         for source in (cost.RAW, cost.LIFTED):
             params = cost.detector_params(20.0, 0.3, loaded.dt)
-            cost.answer(
-                source, loaded.lifting(), params, cost.initial(), int(Arrival.RESTART), x, z
-            )
+            cost.answer(source, lifting, params, cost.initial(), int(Arrival.RESTART), 0, x, work)
 
     def read_bag(rng: Random) -> None:
         bag_file.write_bytes(bag(rng))

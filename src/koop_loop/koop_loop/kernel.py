@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from koop_node import arrival
 from koop_node.arrival import Heard
 from koopman_lifter import cost
-from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
+from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 
@@ -65,8 +65,9 @@ def control(
     cost_arrival: int,
     switched: bool,
     hold_asked: bool,
+    step: int,
     x: NDArray[np.float64],
-    z: NDArray[np.float64],
+    work: Workspace,
 ) -> tuple[float, DetectorState, RelayState]:
     """Answer one measured state with a control input.
 
@@ -85,10 +86,12 @@ def control(
         Whether the cost is of another quantity than the one before.
     hold_asked : bool
         Whether the user holds theta.
-    x : ndarray, shape (n,)
+    step : int
+        Step index k.
+    x : ndarray, shape (channels,)
         Measured state x'_k; NaN where it is unusable.
-    z : ndarray, shape (p,)
-        Scratch.
+    work : Workspace
+        Of this run.
 
     Returns
     -------
@@ -98,7 +101,7 @@ def control(
         After this state; ``relay_state.output`` is the control input.
     """
     r, _, settling, detector = cost.answer(
-        source, lifting, detector_params, detector, state_arrival, x, z
+        source, lifting, detector_params, detector, state_arrival, step, x, work
     )
     relay_state, _, _ = relay.answer(
         relay_params, relay_state, cost_arrival, switched, settling, r, hold_asked

@@ -18,7 +18,7 @@ from koop_loop.kernel import Controller, Memory, control
 from koop_node.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.cost import Lifting
+from koopman_lifter.cost import Lifting, Workspace
 from koopman_lifter.model import KoopmanModel
 from koopman_lifter.observables import Monomials
 from relay_esc.config import EscConfig
@@ -71,6 +71,7 @@ def run_kernel(
     plant: PlantParams,
     controller: Controller,
     memory: Memory,
+    work: Workspace,
     x: float,
     y: float,
     measured: NDArray[np.float64],
@@ -82,7 +83,6 @@ def run_kernel(
 
     Fewer than asked for are done only if the plant's state stops being finite.
     """
-    z = np.empty(controller.lifting.parent.shape[0])
     state = np.empty(2)
     source, lifting, detector_params, relay_params = controller
     detector, relay = memory
@@ -94,7 +94,7 @@ def run_kernel(
         state[0], state[1] = dynamics.measure(plant, k, x, y)
         r[k], detector, relay = control(
             source, lifting, detector_params, relay_params, detector, relay,
-            arrival, arrival, False, False, state, z,
+            arrival, arrival, False, False, k, state, work,
         )  # fmt: skip
         measured[k, 0] = state[0]
         measured[k, 1] = state[1]
@@ -108,7 +108,7 @@ def run_kernel(
 def no_lifting() -> Lifting:
     """Return a placeholder for the raw cost, which needs no model."""
     observables = Monomials(2, 1)
-    return Lifting(observables.parent, observables.factor, np.zeros((1, observables.p)))
+    return Lifting(observables.parent, observables.factor, np.zeros((1, observables.p)), 2, 2, 1)
 
 
 def controller(lifter: LifterConfig, esc: EscConfig, model: KoopmanModel | None) -> Controller:
@@ -152,10 +152,12 @@ def simulate(
     x, y = initial_state(plant)
     measured, ground_truth = np.empty((steps, 2)), np.empty((steps, 2))
     r, theta = np.empty(steps), np.empty(steps)
+    parameters = controller(lifter, esc, model)
     done = run_kernel(
         plant.params(),
-        controller(lifter, esc, model),
+        parameters,
         Memory(cost.initial(), esc.initial()),
+        cost.workspace(parameters.lifting),
         x,
         y,
         measured,
@@ -172,9 +174,16 @@ def simulate(
 
 
 def check_fit(
-    plant: PlantConfig, lifter: LifterConfig, esc: EscConfig, model: KoopmanModel | None
+    plant: PlantConfig,
+    lifter: LifterConfig,
+    esc: EscConfig,
+    model: KoopmanModel | None,
+    channels: int = 2,
 ) -> None:
-    """Raise ValueError unless the three configurations and the model belong together."""
+    """Raise ValueError unless the three configurations and the model belong together.
+
+    ``channels`` is how many of the plant's two states the lifter is given.
+    """
     if not plant.dt == lifter.dt == esc.dt:
         raise ValueError(f"dt differs: plant {plant.dt}, lifter {lifter.dt}, esc {esc.dt} s")
     if plant.theta_initial != esc.theta_initial:
@@ -185,7 +194,9 @@ def check_fit(
         if lifter.cost == "lifted":
             raise ValueError("the lifted cost needs a model")
         return
-    if model.observables.n != 2:
-        raise ValueError(f"the model is for {model.observables.n} states, the plant has 2")
+    if model.delays.channels != channels:
+        raise ValueError(
+            f"the model is for {model.delays.channels} channels, the plant gives {channels}"
+        )
     if model.dt != plant.dt:
         raise ValueError(f"the model was trained at dt = {model.dt} s, the loop runs at {plant.dt}")

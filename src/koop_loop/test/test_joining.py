@@ -25,11 +25,11 @@ WATCHED = 9000  # steps, 45 s, once theta moves again
 
 
 @njit
-def run(plant, p, memory, x, y, who, at, joins, theta):
+def run(plant, p, memory, work, x, y, who, at, joins, theta):
     """Restart a node at a step; it joins the run, or behaves as if the run began with it."""
     source, lifting, detector_params, relay_params = p
     detector, relay_state = memory
-    z, state = np.empty(lifting.parent.shape[0]), np.empty(2)
+    state = np.empty(2)
     applied = relay_state.output
     for k in range(theta.shape[0]):
         away = who != NOBODY and at <= k < at + SILENT
@@ -48,11 +48,11 @@ def run(plant, p, memory, x, y, who, at, joins, theta):
                     )
             _, detector, relay_state = control(
                 source, lifting, detector_params, relay_params, detector, relay_state,
-                to_lifter, to_controller, False, False, state, z,
+                to_lifter, to_controller, False, False, k, state, work,
             )  # fmt: skip
         elif who == CONTROLLER:  # the lifter goes on
             _, _, _, detector = cost.answer(
-                source, lifting, detector_params, detector, first, state, z
+                source, lifting, detector_params, detector, first, k, state, work
             )
         theta[k] = relay_state.output
         x, y, applied = dynamics.advance(plant, k, x, y, applied, theta[k], 0.0)
@@ -75,7 +75,8 @@ def turned_for_nothing(who, joins):
         at = round(np.random.default_rng([seed, 9]).uniform(20.0, 50.0) / 0.005)
         theta = np.empty(at + SILENT + wait + WATCHED)
         memory = Memory(cost.initial(), esc.initial())
-        run(plant, p, memory, *dynamics.initial_state(seed), who, at, joins, theta)
+        work = cost.workspace(p.lifting)
+        run(plant, p, memory, work, *dynamics.initial_state(seed), who, at, joins, theta)
         if not (theta[at - 1] < theta[at - 20] and theta[at] > -1.0):
             continue  # it was on a wrong way before
         counted += 1

@@ -36,13 +36,20 @@ def test_the_compiled_loop_is_the_kernels_called_one_by_one(configs):
     model = load(shipped_model())
     result = simulate(plant, lifter, esc, model, 4000)
     x, y = dynamics.initial_state(3)
-    detector, state, z = cost.initial(), esc.initial(), np.empty(10)
+    detector, state, work = cost.initial(), esc.initial(), cost.workspace(model.lifting())
     applied = plant.theta_initial
     for k in range(4000):
         arrival = int(Arrival.NEXT if k else Arrival.RESTART)
         measured = np.array(dynamics.measure(plant.params(), k, x, y))
         r, _, settling, detector = cost.answer(
-            cost.LIFTED, model.lifting(), lifter.detector_params(), detector, arrival, measured, z
+            cost.LIFTED,
+            model.lifting(),
+            lifter.detector_params(),
+            detector,
+            arrival,
+            k,
+            measured,
+            work,
         )
         state, _, _ = relay.answer(esc.params(), state, arrival, False, settling, r, False)
         np.testing.assert_equal((result.r[k], result.theta[k]), (r, state.output))

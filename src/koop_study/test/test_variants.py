@@ -12,6 +12,7 @@ from koop_loop.training import TrainingConfig
 from koop_study.simulation.case import Case, model_of, override
 from koop_study.simulation.learning import Learned, learn
 from koop_study.simulation.scenario import ScenarioConfig
+from koop_study.simulation.sensing import SensingConfig
 from koop_study.simulation.variants import CORRELATION_MODES, VARIANTS, amplitudes, make
 from koopman_lifter.edmd import edmd
 from koopman_lifter.model import load
@@ -23,7 +24,7 @@ TRAINING = TrainingConfig(trajectories=30, duration=40.0)
 
 @pytest.fixture(scope="module")
 def learned() -> Learned:
-    return learn(PlantConfig(), ScenarioConfig(), TRAINING)
+    return learn(PlantConfig(), ScenarioConfig(), TRAINING, SensingConfig())
 
 
 @pytest.fixture
@@ -48,7 +49,7 @@ def test_contrast_finds_a_constructed_direction(learned: Learned) -> None:
     for i in range(8):
         block = 100.0 * np.outer(common, common) + (i + 1.0) * np.outer(own, own) + 0.01 * np.eye(2)
         covariances[i, 1:3, 1:3] = block
-    made = Learned(learned.gram, covariances, np.zeros((8, 10)), 0)
+    made = Learned(learned.gram, covariances, np.zeros((8, 10)), 0, SensingConfig())
     direction = make("contrast", made, 0.005, 8).projector[0, 1:3]
     # orthogonal to the common part up to the 0.01 of noise against 100
     assert abs(direction @ common) < 1e-2 * np.abs(direction).sum()

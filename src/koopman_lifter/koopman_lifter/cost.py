@@ -1,7 +1,7 @@
 """The cost r_k: instantaneous energy of the measured state, then an amplitude detector.
 
     raw:     y_out = ||x'||_2 / sqrt(n)         (n = 2 in the paper, section 3.4)
-    lifted:  y_out = ||V_dom^+ g(x')||_2^2
+    lifted:  y_out = ||V_dom^+ g(X)||_2^2       (X = x', or the last samples of it)
 
     y_hp,k = a_hp y_hp,k-1 + (1 - a_hp) (y_out,k - y_out,k-1),   a_hp = exp(-omega_h dt)
     y_lp,k = a_lp y_lp,k-1 + (1 - a_lp) y_hp,k^2,                a_lp = exp(-omega_l dt)
@@ -13,6 +13,11 @@ what was before: a cost that climbs there looks like one that gets worse, and tu
 nothing. So it has no r (NaN) until both filters have settled, and then takes for y_lp the mean over
 the n samples that it has seen, with the filter's own weights: y_lp / (1 - a_lp^n). Nothing is left
 to climb.
+
+Where the model's state is the last samples of the measurement, a delay line holds them, as much a
+part of the lifter's state as the filters. It is reset where they are not continued: at a start, a
+join, a silence. Until it is full there is no cost, which is no fault (``settling``). A few samples
+that were lost count as the one before them.
 
 Functions that take arrays are inlined before compilation: each call would count references to them,
 which costs as much as the arithmetic. So are those that every sample passes: the whole loop is 8 %
@@ -46,11 +51,53 @@ class Lifting(NamedTuple):
         Recursion of the monomials, see :class:`koopman_lifter.observables.Monomials`.
     projector : ndarray, shape (N, p)
         W with ||W z||_2 = ||V_dom^+ z||_2, see :func:`koopman_lifter.modes.projector`.
+    channels, n, every : int
+        Of the state, see :class:`koopman_lifter.delays.Delays`.
     """
 
     parent: NDArray[np.int64]
     factor: NDArray[np.int64]
     projector: NDArray[np.float64]
+    channels: int
+    n: int
+    every: int
+
+
+class Workspace(NamedTuple):
+    """Arrays that the kernel writes to: scratch, and the delay line.
+
+    Attributes
+    ----------
+    z : ndarray, shape (p,)
+        Scratch; receives g(X_k).
+    embedded : ndarray, shape (n,)
+        X_k, newest sample first.
+    ring : ndarray, shape (depth, channels)
+        The last samples.
+    cursor : ndarray of int64, shape (3,)
+        Row of the newest sample, samples held, step of the newest.
+    """
+
+    z: NDArray[np.float64]
+    embedded: NDArray[np.float64]
+    ring: NDArray[np.float64]
+    cursor: NDArray[np.int64]
+
+    @property
+    def filling(self) -> int:
+        """Samples until there is an embedded state."""
+        return self.ring.shape[0] - int(self.cursor[1]) if self.ring.shape[0] > 1 else 0
+
+
+def workspace(lifting: Lifting) -> Workspace:
+    """Return what a run needs, with an empty delay line."""
+    depth = (lifting.n // lifting.channels - 1) * lifting.every + 1
+    return Workspace(
+        np.empty(lifting.parent.shape[0]),
+        np.empty(lifting.n),
+        np.empty((depth, lifting.channels)),
+        np.zeros(3, dtype=np.int64),
+    )
 
 
 class DetectorParams(NamedTuple):
@@ -137,7 +184,7 @@ def raw_energy(x: NDArray[np.float64]) -> float:
 
 @njit(cache=True, inline="always")
 def lifted_energy(lifting: Lifting, x: NDArray[np.float64], z: NDArray[np.float64]) -> float:
-    """Return ||V_dom^+ g(x)||_2^2 of a state, shape (n,); ``z``, shape (p,), receives g(x)."""
+    """Return ||V_dom^+ g(X)||_2^2 of a state, shape (n,); ``z``, shape (p,), receives g(X)."""
     lift_into(lifting.parent, lifting.factor, x, z)
     total = 0.0
     for j in range(lifting.projector.shape[0]):
@@ -148,12 +195,54 @@ def lifted_energy(lifting: Lifting, x: NDArray[np.float64], z: NDArray[np.float6
     return total
 
 
+@njit(cache=True)
+def push(every: int, arrival: int, step: int, x: NDArray[np.float64], work: Workspace) -> bool:
+    """Take a sample into the delay line; fill ``work.embedded`` and say whether it is complete."""
+    ring, cursor = work.ring, work.cursor
+    depth, channels = ring.shape
+    if arrival != Arrival.NEXT:
+        cursor[1] = 0
+    newest, held = cursor[0], cursor[1]
+    lost = min(step - cursor[2] - 1, depth) if held > 0 else 0
+    for i in range(lost + 1):
+        after = newest + 1 if newest + 1 < depth else 0
+        for j in range(channels):
+            ring[after, j] = x[j] if i == lost else ring[newest, j]
+        newest = after
+    held = min(held + lost + 1, depth)
+    cursor[0], cursor[1], cursor[2] = newest, held, step
+    if held < depth:
+        return False
+    row = newest
+    for i in range(work.embedded.shape[0] // channels):
+        for j in range(channels):
+            work.embedded[i * channels + j] = ring[row, j]
+        row -= every
+        if row < 0:
+            row += depth
+    return True
+
+
 @njit(cache=True, inline="always")
-def energy(source: int, lifting: Lifting, x: NDArray[np.float64], z: NDArray[np.float64]) -> float:
-    """Return y_out of a state for ``source`` RAW or LIFTED."""
-    if source == LIFTED:
-        return lifted_energy(lifting, x, z)
-    return raw_energy(x)
+def energy(
+    source: int,
+    lifting: Lifting,
+    arrival: int,
+    step: int,
+    x: NDArray[np.float64],
+    work: Workspace,
+) -> tuple[float, bool]:
+    """Return y_out of a state for ``source`` RAW or LIFTED, and whether the delay line fills.
+
+    While it does, y_out is NaN; see :func:`answer` for the parameters.
+    """
+    if source != LIFTED:
+        return raw_energy(x), False
+    if lifting.n == lifting.channels:
+        return lifted_energy(lifting, x, work.z), False
+    if push(lifting.every, arrival, step, x, work):
+        return lifted_energy(lifting, work.embedded, work.z), False
+    return math.nan, True
 
 
 @njit(cache=True)
@@ -255,8 +344,9 @@ def answer(
     p: DetectorParams,
     state: DetectorState,
     arrival: int,
+    step: int,
     x: NDArray[np.float64],
-    z: NDArray[np.float64],
+    work: Workspace,
 ) -> tuple[float, float, bool, DetectorState]:
     """Answer one measured state: what the lifter does with a message.
 
@@ -275,20 +365,23 @@ def answer(
         Detector after the previous message.
     arrival : int
         What the message is to the ones before: an :class:`koop_node.arrival.Arrival` up to JOIN.
-    x : ndarray, shape (n,)
+    step : int
+        Step index k: what is missing between two steps was lost.
+    x : ndarray, shape (channels,)
         Measured state x'_k; NaN where there is none, as for a message of another size.
-    z : ndarray, shape (p,)
-        Scratch; receives g(x'_k) for LIFTED.
+    work : Workspace
+        Of this run.
 
     Returns
     -------
     r, y_out : float
         Cost and instantaneous energy; see :func:`follow` for where r is NaN.
     settling : bool
-        Whether the detector has joined a run and has not settled: there is no cost yet.
+        Whether there is no cost yet: the detector has joined a run and has not settled, or the
+        delay line is not full.
     state : DetectorState
         Detector after this message.
     """
-    y_out = energy(source, lifting, x, z)
+    y_out, filling = energy(source, lifting, arrival, step, x, work)
     r, state = follow(p, state, arrival, y_out)
-    return r, y_out, state.settling > 0, state
+    return r, y_out, filling or state.settling > 0, state

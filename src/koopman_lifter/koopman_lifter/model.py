@@ -3,6 +3,9 @@
 A model is a NumPy ``.npz`` archive (zip of ``.npy`` arrays, no pickle) plus one JSON text in the
 entry ``meta``. The SHA-256 over the arrays and that text identifies the model: a damaged file is
 refused, and ``model_id`` in every recorded cost names the model that made it.
+
+Format version 2 adds delays, and a projector with a row count of its own. A model without them is
+written as version 1, which is read as ever.
 """
 
 from __future__ import annotations
@@ -20,21 +23,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopman_lifter.cost import Lifting
+from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram, edmd
 from koopman_lifter.modes import decompose, projector, select_by_energy
 from koopman_lifter.observables import Monomials
 
 FORMAT = "koopman-model"
-VERSION = 1
+VERSIONS = (1, 2)
+MAX_DEPTH = 1_000_000  # samples that a delay line can hold
 MAX_BYTES = 64 * 2**20  # p = 1000 observables need 40 MB; anything larger is not a model
 
-_ARRAYS = {  # entry: (dtype, shape in terms of p observables and N kept modes)
+_ARRAYS = {  # entry: (dtype, shape in terms of p observables, N kept modes and R rows)
     "K": (np.float64, ("p", "p")),
     "eigenvalues": (np.complex128, ("p",)),
     "energies": (np.float64, ("p",)),
     "kept": (np.bool_, ("p",)),
     "V_dom": (np.complex128, ("p", "N")),
-    "projector": (np.float64, ("N", "p")),
+    "projector": (np.float64, ("R", "p")),
 }
 
 
@@ -50,10 +55,12 @@ class KoopmanModel:
     ----------
     observables : Monomials
         g with p observables of an n-dimensional state.
+    delays : Delays
+        Which samples of the measured channels are that state.
     dt : float
-        Time between consecutive states [s].
-    state_names : tuple of str, length n
-        Names of the measured states, in order.
+        Time between consecutive samples [s].
+    state_names : tuple of str, length delays.channels
+        Names of the measured channels, in order.
     K : ndarray, shape (p, p)
         z_{k+1} = K z_k.
     eigenvalues : ndarray of complex, shape (p,)
@@ -64,7 +71,7 @@ class KoopmanModel:
         The dominant modes.
     V_dom : ndarray of complex, shape (p, N)
         Right eigenvectors of the kept modes, unit 2-norm.
-    projector : ndarray, shape (N, p)
+    projector : ndarray, shape (N, p), or (1, p) for a single direction
         Real W with ||W z|| = ||V_dom^+ z||. Stored, not recomputed on loading, so that the cost is
         the same to the last bit on machines whose linear algebra rounds differently.
     provenance : dict
@@ -72,6 +79,7 @@ class KoopmanModel:
     """
 
     observables: Monomials
+    delays: Delays
     dt: float
     state_names: tuple[str, ...]
     K: NDArray[np.float64]
@@ -85,14 +93,17 @@ class KoopmanModel:
     @property
     def meta(self) -> dict[str, Any]:
         """The part of the model that is not arrays."""
+        delays = {"count": self.delays.count, "every": self.delays.every}
+        later = self.delays.count > 1 or self.projector.shape[0] != self.kept.sum()
         return {
             "format": FORMAT,
-            "version": VERSION,
+            "version": 2 if later else 1,
+            **({"delays": delays} if later else {}),
             "observables": {
                 "kind": "monomials",
                 "n": self.observables.n,
                 "degree": self.observables.degree,
-                "names": self.observables.names(self.state_names),
+                "names": self.observables.names(self.delays.names(self.state_names, self.dt)),
             },
             "dt": self.dt,
             "state_names": list(self.state_names),
@@ -111,7 +122,15 @@ class KoopmanModel:
 
     def lifting(self) -> Lifting:
         """Return the arrays that ``koopman_lifter.cost`` takes."""
-        return Lifting(self.observables.parent, self.observables.factor, self.projector)
+        delays = self.delays
+        return Lifting(
+            self.observables.parent,
+            self.observables.factor,
+            self.projector,
+            delays.channels,
+            delays.n,
+            delays.every,
+        )
 
     def save(self, path: str | Path) -> None:
         """Write the model file; the same model gives the same bytes."""
@@ -133,6 +152,7 @@ def build(
     state_names: tuple[str, ...],
     count: int,
     provenance: dict[str, Any],
+    delays: Delays | None = None,
 ) -> KoopmanModel:
     """Learn a model from summed training data.
 
@@ -143,23 +163,27 @@ def build(
     dt : float
         Time between consecutive states [s].
     state_names : tuple of str
-        Names of the n states.
+        Names of the measured channels.
     count : int
-        N, modes to keep; one more is kept where N would split a complex pair.
+        N, modes to keep; one more is kept where N would split a complex pair, and as many as there
+        are where N is more.
     provenance : dict
         Source of the data; the numbers of pairs and modes are added here.
+    delays : Delays, optional
+        What the states in ``gram`` are; None: the channels as they are.
 
     Raises
     ------
     ValueError
-        If the data cannot determine K, or ``count`` is out of range.
+        If the data cannot determine K, or ``count`` is less than 1.
     """
     koopman = edmd(gram)
     modes = decompose(koopman, gram)
-    kept = select_by_energy(modes, count)
+    kept = select_by_energy(modes, min(count, modes.energies.size))
     v_dom = modes.vectors[:, kept]
     return KoopmanModel(
         gram.observables,
+        delays or Delays(gram.observables.n),
         float(dt),
         tuple(state_names),
         koopman.matrix,
@@ -229,16 +253,19 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
         raise ModelError("its meta entry is not JSON text") from None
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise ModelError("is not a Koopman model file")
-    if meta.get("version") != VERSION:
+    if meta.get("version") not in VERSIONS:
+        known = " and ".join(map(str, VERSIONS))
         raise ModelError(
-            f"has format version {_short(meta.get('version'))}, this program reads {VERSION}"
+            f"has format version {_short(meta.get('version'))}, this program reads {known}"
         )
     for name in _ARRAYS:
         if name not in entries:
             raise ModelError(f"has no entry '{name}'")
-    observables, dt, state_names, provenance = _described(meta)
+    observables, delays, dt, state_names, provenance = _described(meta)
     modes = int(entries["kept"].sum()) if entries["kept"].dtype == np.bool_ else observables.p
-    sizes = {"p": observables.p, "N": modes}
+    sizes = {"p": observables.p, "N": modes, "R": modes}
+    if meta["version"] > 1 and entries["projector"].shape[:1] == (1,):
+        sizes["R"] = 1
     if sizes["N"] == 0:
         raise ModelError("keeps no mode")
     for name, (dtype, axes) in _ARRAYS.items():
@@ -253,10 +280,12 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
     arrays = {name: np.ascontiguousarray(entries[name]) for name in _ARRAYS}
     if _digest(arrays, text) != _text(entries, "sha256"):
         raise ModelError("content and hash disagree: the file was damaged or edited")
-    return KoopmanModel(observables, dt, state_names, provenance=provenance, **arrays)
+    return KoopmanModel(observables, delays, dt, state_names, provenance=provenance, **arrays)
 
 
-def _described(meta: dict[str, Any]) -> tuple[Monomials, float, tuple[str, ...], dict[str, Any]]:
+def _described(
+    meta: dict[str, Any],
+) -> tuple[Monomials, Delays, float, tuple[str, ...], dict[str, Any]]:
     try:
         described = meta["observables"]
         if described["kind"] != "monomials":
@@ -264,13 +293,20 @@ def _described(meta: dict[str, Any]) -> tuple[Monomials, float, tuple[str, ...],
         n, degree, dt = int(described["n"]), int(described["degree"]), float(meta["dt"])
         state_names = tuple(str(name) for name in meta["state_names"])
         provenance = dict(meta["provenance"])
+        past = meta["delays"] if meta["version"] > 1 else {"count": 1, "every": 1}
+        count, every = int(past["count"]), int(past["every"])
     except (KeyError, TypeError, ValueError, OverflowError):
         raise ModelError("its meta entry is incomplete") from None
-    if not (1 <= n <= 64 and 1 <= degree <= 16 and len(state_names) == n and 0.0 < dt < 1e6):
+    fits = 1 <= n <= 4096 and 1 <= degree <= 16 and len(state_names) * count == n
+    if not (fits and 0.0 < dt < 1e6 and 1 <= every * count <= MAX_DEPTH):
         raise ModelError("its meta entry is inconsistent")
     if math.comb(n + degree, n) > 4096:
         raise ModelError("has too many observables")
-    return Monomials(n, degree), dt, state_names, provenance
+    try:
+        delays = Delays(len(state_names), count, every)
+    except ValueError:
+        raise ModelError("its meta entry is inconsistent") from None
+    return Monomials(n, degree), delays, dt, state_names, provenance
 
 
 def _text(entries: dict[str, NDArray[Any]], name: str) -> str:

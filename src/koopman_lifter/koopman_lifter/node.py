@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from koop_msgs.msg import Cost, MeasuredState
+from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 
 from koop_node.adapter import StateAdapter
@@ -32,10 +33,10 @@ class Loaded:
 
     def __init__(self, model: KoopmanModel) -> None:
         self.model = model
-        self.n = model.observables.n
+        self.n = model.delays.channels
         self.id = model.model_id
         self.lifting = model.lifting()
-        self.z = np.empty(model.observables.p)
+        self.work = cost.workspace(self.lifting)
         self.nothing = np.full(self.n, math.nan)
 
 
@@ -126,6 +127,7 @@ class LifterRun(Run):
         self._source, self._detector = config.source, config.detector_params()
         if {"cost", "model"} & names:  # of another quantity the filters know nothing
             self._state = cost.joining(self._detector)
+            self._loaded.work = cost.workspace(self._loaded.lifting)
         self._input.timeout = config.state_timeout
 
     def samples(self) -> int:
@@ -140,9 +142,12 @@ class LifterRun(Run):
         if self._foreign is not None and self._foreign.too_fast(self._input.count):
             text = f"'{self._topic}' is faster than one message in dt = {config.dt:g} s"
             return WARN, text, values
+        if wait := self._loaded.work.filling if self._source == cost.LIFTED else 0:
+            text = f"no cost until {wait * config.dt:.1f} s more fill the delay line"
+            return OK, text, values
         if self._state.settling:
-            wait = self._state.settling * config.dt
-            return OK, f"joined a run: no cost until the filters settle in {wait:.1f} s", values
+            left = self._state.settling * config.dt
+            return OK, f"joined a run: no cost until the filters settle in {left:.1f} s", values
         return OK, "lifting", values
 
     def _on_foreign(self, message: Any, written: float) -> None:
@@ -168,15 +173,26 @@ class LifterRun(Run):
         if x.shape[0] != loaded.n:
             x = loaded.nothing
         answer.r, answer.y_out, answer.settling, self._state = cost.answer(
-            self._source, loaded.lifting, self._detector, self._state, int(arrival), x, loaded.z
-        )
-        if math.isnan(answer.r) and not (answer.settling and answer.y_out <= self._detector.y_max):
+            self._source, loaded.lifting, self._detector, self._state, int(arrival), state.step,
+            x, loaded.work,
+        )  # fmt: skip
+        if math.isnan(answer.r) and not (answer.settling and self._believed(x)):
             self._report_unusable(state.x)
 
+    def _believed(self, x: NDArray[np.float64]) -> bool:
+        """Return whether nothing speaks against a state that has no cost yet."""
+        filling = self._source == cost.LIFTED and self._loaded.work.filling
+        return bool(
+            np.isfinite(x).all() and (filling or self._answer.y_out <= self._detector.y_max)
+        )
+
     def _report_unusable(self, x: array[float]) -> None:
-        n = self._loaded.n
+        n, delays = self._loaded.n, self._loaded.model.delays
         if len(x) != n:
             problem = f"state has {len(x)} values, the model {self._loaded.id} needs {n}"
+        elif delays.count > 1:
+            past = (delays.depth - 1) * self._loaded.model.dt
+            problem = f"a state of the last {past:g} s is not finite or y_out too large"
         else:
             problem = f"state {x.tolist()} is not finite or its y_out too large"
         self._input.reject(f"step {self._answer.step}: {problem}")
@@ -187,8 +203,9 @@ class LifterRun(Run):
         x = np.frombuffer(MeasuredState(x=[0.0] * self._loaded.n).x)
         cost.answer(
             self._source, self._loaded.lifting, self._detector, cost.joining(self._detector),
-            int(Arrival.NEXT), x, self._loaded.z,
+            int(Arrival.JOIN), 0, x, self._loaded.work,
         )  # fmt: skip
+        self._loaded.work.cursor[:] = 0
 
 
 class LifterNode(ManagedNode[LifterRun]):

@@ -1,6 +1,6 @@
 """Prediction error of a model, several steps ahead, in the coordinates of the state.
 
-    x_hat(t + h Dt) = C K^h g(x(t)),   C picks the n monomials of degree one
+    x_hat(t + h Dt) = C K^h g(X(t)),   C picks the newest samples, monomials of degree one
 
 An error of 1 is that of predicting the mean; what predicting "no change" gives stands beside it.
 """
@@ -29,7 +29,7 @@ class Forecast:
     """
 
     def __init__(self, model: KoopmanModel, horizons: tuple[int, ...]) -> None:
-        n = model.observables.n
+        n = model.delays.channels
         self.model, self.horizons = model, horizons
         with np.errstate(over="ignore", invalid="ignore"):  # a mode may grow without bound
             self._maps = [np.linalg.matrix_power(model.K, steps)[1 : n + 1] for steps in horizons]
@@ -43,23 +43,26 @@ class Forecast:
 
         Parameters
         ----------
-        states : ndarray, shape (n, M)
-            States one step apart.
+        states : ndarray, shape (channels, M)
+            Samples one step apart.
         known : int
             How many of them, at the beginning, were in the part before.
         """
-        new = states[:, known:]
+        delays = self.model.delays
+        channels, states = delays.channels, delays.embed(states)
+        known = max(known - (delays.depth - 1), 0)
+        new = states[:channels, known:]
         self._sum += new.sum(axis=1)
         self._squares += (new**2).sum(axis=1)
         self._states += new.shape[1]
         for i, (steps, rows) in enumerate(zip(self.horizons, self._maps, strict=True)):
             for begin in range(max(steps, known), states.shape[1], BLOCK):
-                after = states[:, begin : begin + BLOCK]
+                after = states[:channels, begin : begin + BLOCK]
                 before = states[:, begin - steps : begin - steps + after.shape[1]]
                 with np.errstate(over="ignore", invalid="ignore"):
                     predicted = rows @ self.model.observables.lift(before)
                     self._errors[i] += ((predicted - after) ** 2).sum(axis=1)
-                self._unchanged[i] += ((before - after) ** 2).sum(axis=1)
+                self._unchanged[i] += ((before[:channels] - after) ** 2).sum(axis=1)
                 self._counts[i] += after.shape[1]
 
     def result(self) -> list[dict[str, Any]]:

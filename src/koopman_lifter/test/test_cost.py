@@ -47,24 +47,26 @@ def test_a_sine_settles_at_the_mean_square_of_the_high_passed_sine():
 
 def test_raw_and_lifted_energy_are_the_paper_s_formulas():
     model = load(shipped_model())
-    z = np.empty(model.observables.p)
+    work = cost.workspace(model.lifting())
+    first = int(Arrival.RESTART), 0
     for x in np.random.default_rng(1).normal(size=(10, 2)) * 15:
-        raw = cost.energy(cost.RAW, model.lifting(), x, z)
+        raw = cost.energy(cost.RAW, model.lifting(), *first, x, work)[0]
         assert raw == pytest.approx(np.linalg.norm(x) / np.sqrt(2), rel=1e-14)
         modal = np.linalg.pinv(model.V_dom) @ model.observables.lift(x)
-        lifted = cost.energy(cost.LIFTED, model.lifting(), x, z)
+        lifted = cost.energy(cost.LIFTED, model.lifting(), *first, x, work)[0]
         assert lifted == pytest.approx(np.linalg.norm(modal) ** 2, rel=1e-6)
 
 
 def answers(states, arrivals=None, state=None, **given):
     """Return r and settling of every state, and the detector after them, for the lifted cost."""
-    model, z = load(shipped_model()), np.empty(10)
+    model = load(shipped_model())
+    work = cost.workspace(model.lifting())
     params, state = LifterConfig(**given).detector_params(), state or cost.initial()
     arrivals = arrivals or [Arrival.RESTART, *[Arrival.NEXT] * (len(states) - 1)]
     found = []
-    for x, arrival in zip(states, arrivals, strict=True):
+    for k, (x, arrival) in enumerate(zip(states, arrivals, strict=True)):
         r, _, settling, state = cost.answer(
-            cost.LIFTED, model.lifting(), params, state, int(arrival), np.asarray(x), z
+            cost.LIFTED, model.lifting(), params, state, int(arrival), k, np.asarray(x), work
         )
         found.append((r, settling))
     r, settling = np.array(found).T
@@ -83,10 +85,11 @@ def test_an_unusable_state_costs_nan_and_leaves_the_filters_alone():
 
 
 def test_a_spike_beyond_the_limit_is_unusable_and_leaves_no_trace():
-    model, z = load(shipped_model()), np.empty(10)
+    model = load(shipped_model())
+    work, first = cost.workspace(model.lifting()), (int(Arrival.RESTART), 0)
     x = 10.0 * np.random.default_rng(0).standard_normal((4000, 2))
     spiked = np.insert(x, 2000, [300.0, 0.0], axis=0)
-    limit = 10.0 * max(cost.energy(cost.LIFTED, model.lifting(), row, z) for row in x)
+    limit = 10.0 * max(cost.energy(cost.LIFTED, model.lifting(), *first, row, work)[0] for row in x)
     free, limited = answers(spiked)[0], answers(spiked, y_out_max=limit)[0]
     assert np.isnan(limited[2000])
     # as if the spike had not been, but for the difference to it

@@ -108,7 +108,7 @@ def test_a_pickle_is_refused_without_being_run(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"meta": {"version": 2}}, "has format version 2, this program reads 1"),
+        ({"meta": {"version": 3}}, "has format version 3, this program reads 1 and 2"),
         ({"meta": {"format": "something"}}, "is not a Koopman model file"),
         ({"meta": {"dt": -1.0}}, "meta entry is inconsistent"),
         ({"meta": {"state_names": ["x"]}}, "meta entry is inconsistent"),

@@ -108,14 +108,15 @@ def compare(loop: Loop, program: Path | None, rounds: int) -> tuple[float, float
 def time_kernel(loop: Loop, rounds: int) -> tuple[float, NDArray[np.float64]]:
     """Return the best time [s] of the compiled loop, and theta of every 1000th step."""
     parameters = controller(loop.lifter, loop.esc, loop.model)
+    work = cost.workspace(parameters.lifting)
     buffers = (np.empty((STEPS, 2)), np.empty((STEPS, 2)), np.empty(STEPS), np.empty(STEPS))
     x, y = initial_state(loop.plant)
     best = np.inf
     for number in range(rounds + 1):
         begin = time.process_time()
         run_kernel(
-            loop.plant.params(), parameters, Memory(cost.initial(), loop.esc.initial()), x, y,
-            *buffers,
+            loop.plant.params(), parameters, Memory(cost.initial(), loop.esc.initial()), work,
+            x, y, *buffers,
         )  # fmt: skip
         if number:  # the first run compiles and touches the memory
             best = min(best, time.process_time() - begin)

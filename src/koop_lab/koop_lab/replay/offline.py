@@ -12,6 +12,7 @@ from koop_loop.kernel import Controller, Memory, control, listen
 from koop_loop.loop import controller
 from koop_node.arrival import NOTHING, Arrival
 from koopman_lifter import cost
+from koopman_lifter.cost import Workspace
 from koopman_lifter.model import load
 
 
@@ -19,7 +20,9 @@ from koopman_lifter.model import load
 def replay_kernel(
     p: Controller,
     memory: Memory,
+    work: Workspace,
     switched: bool,
+    step: NDArray[np.int64],
     state_arrivals: NDArray[np.int8],
     cost_arrivals: NDArray[np.int8],
     x: NDArray[np.float64],
@@ -35,8 +38,12 @@ def replay_kernel(
         Parameters.
     memory : Memory
         After the previous message.
+    work : Workspace
+        Of this run.
     switched : bool
         Whether the first cost is of another quantity than the one before.
+    step : ndarray of int64, shape (M,)
+        Step of each state.
     state_arrivals, cost_arrivals : ndarray, shape (M,)
         What each state is to the lifter and its cost to the controller; LATE for a state that newer
         ones had overtaken, which has no answer, and for a cost that the controller did not hear.
@@ -54,20 +61,21 @@ def replay_kernel(
     """
     source, lifting, detector_params, relay_params = p
     detector, relay = memory
-    z = np.empty(lifting.parent.shape[0])
     for k in range(r.shape[0]):
         if state_arrivals[k] == Arrival.LATE:
             r[k] = theta[k] = np.nan
             continue
         if cost_arrivals[k] == Arrival.LATE:  # the controller did not hear this cost
             r[k], _, _, detector = cost.answer(
-                source, lifting, detector_params, detector, state_arrivals[k], x[k], z
-            )
+                source, lifting, detector_params, detector, state_arrivals[k], step[k], x[k],
+                work,
+            )  # fmt: skip
             theta[k] = np.nan
             continue
         r[k], detector, relay = control(
             source, lifting, detector_params, relay_params, detector, relay,
-            state_arrivals[k], cost_arrivals[k], switched, hold[k], x[k], z,
+            state_arrivals[k], cost_arrivals[k], switched, hold[k], step[k], x[k],
+            work,
         )  # fmt: skip
         theta[k] = relay.output
         switched = False
@@ -90,14 +98,18 @@ def replay_offline(
     states = costs = NOTHING
     origin = None
     x: NDArray[np.float64] | None = None
+    work: Workspace | None = None
     for stretch in plan.stretches:
         part = slice(stretch.begin, stretch.end)
         lifter, esc = stretch.parameters.lifter, stretch.parameters.esc
         model = load(stretch.parameters.model.path)
-        if x is None or x.shape[1] != model.observables.n:
-            x = recording.states(model.observables.n)
+        if x is None or x.shape[1] != model.delays.channels:
+            x = recording.states(model.delays.channels)
         if any({"cost", "model"} & set(change.values) for change in stretch.changed):
             memory = memory._replace(detector=cost.joining(lifter.detector_params()))
+            work = None
+        if work is None:
+            work = cost.workspace(model.lifting())
         switched, origin = (
             origin != (lifter.source, model.model_id),
             (lifter.source, model.model_id),
@@ -114,7 +126,9 @@ def replay_offline(
         memory = replay_kernel(
             controller(lifter, esc, model),
             memory,
+            work,
             switched,
+            step,
             state_arrivals,
             cost_arrivals,
             x[part],

@@ -16,6 +16,7 @@ from koop_study.controllers.perturbation import PerturbationConfig
 from koop_study.simulation.kernel import CONTROLLERS
 from koop_study.simulation.learning import learn
 from koop_study.simulation.scenario import ScenarioConfig
+from koop_study.simulation.sensing import SensingConfig
 from koop_study.simulation.variants import COSTS, make
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.model import KoopmanModel
@@ -45,6 +46,7 @@ class Case:
     esc: EscConfig = field(default_factory=EscConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
+    sensing: SensingConfig = field(default_factory=SensingConfig)
     adaptive: AdaptiveConfig = field(default_factory=AdaptiveConfig)
     perturbation: PerturbationConfig = field(default_factory=PerturbationConfig)
 
@@ -168,5 +170,5 @@ def model_of(case: Case) -> KoopmanModel | None:
         interference_gain_y=case.scenario.interference_gain_y,
         interference_lag_y=case.scenario.interference_lag_y,
     )
-    learned = learn(plant, channels, case.training)
+    learned = learn(plant, channels, case.training, case.sensing)
     return make(case.cost, learned, plant.dt, case.training.modes)

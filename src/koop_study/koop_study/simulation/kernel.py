@@ -23,7 +23,7 @@ from koop_study.controllers.adaptive import AdaptiveParams, AdaptiveState
 from koop_study.controllers.perturbation import PerturbationParams, PerturbationState
 from koop_study.simulation.scenario import Exposure
 from koopman_lifter import cost
-from koopman_lifter.cost import DetectorParams, Lifting
+from koopman_lifter.cost import DetectorParams, Lifting, Workspace
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 from vdp_plant import dynamics
@@ -39,7 +39,8 @@ FLOOR = 1e-12  # of an energy before its logarithm
 class Sensing(NamedTuple):
     """What makes the cost: source RAW or LIFTED, optionally the logarithm of the energy.
 
-    ``timeout`` is the silence after which the state resumes [s]; 0: never.
+    ``timeout`` is the silence after which the state resumes [s]; 0: never. ``channels`` are the
+    measured states; ``work`` is of one run.
     """
 
     source: int
@@ -47,6 +48,8 @@ class Sensing(NamedTuple):
     lifting: Lifting
     detector: DetectorParams
     timeout: float
+    channels: NDArray[np.int64]
+    work: Workspace
 
 
 class Control(NamedTuple):
@@ -90,8 +93,10 @@ def run_kernel(
     perturbation_state = control.perturbation_state
     detector_state = cost.initial()
     states = costs = NOTHING
-    z = np.empty(sensing.lifting.parent.shape[0])
-    state = np.empty(2)
+    source, lifting, channels, work = (
+        sensing.source, sensing.lifting, sensing.channels, sensing.work
+    )  # fmt: skip
+    state, sensed = np.empty(2), np.empty(channels.shape[0])
     now_r, now_theta = 0.0, relay_state.output
     applied = now_theta
     if exposure.schedule.shape[0] > 0:  # the actuator rests where the schedule begins
@@ -106,7 +111,9 @@ def run_kernel(
         if exposure.lost.shape[0] == 0 or not exposure.lost[k]:
             state_arrival, states = classify(states, k, sensing.timeout, plant.dt)
             cost_arrival, costs = classify(costs, k, control.timeout, plant.dt)
-            y_out = cost.energy(sensing.source, sensing.lifting, state, z)
+            for i in range(channels.shape[0]):
+                sensed[i] = state[channels[i]]
+            y_out, filling = cost.energy(source, lifting, state_arrival, k, sensed, work)
             if sensing.logarithm:
                 y_out = math.log(FLOOR if y_out < FLOOR else y_out)
             now_r, detector_state = cost.follow(
@@ -114,7 +121,7 @@ def run_kernel(
             )
             if kind == RELAY:
                 relay_state, _, _ = relay.answer(
-                    control.relay, relay_state, cost_arrival, False, False, now_r, False
+                    control.relay, relay_state, cost_arrival, False, filling, now_r, False
                 )
                 now_theta = relay_state.output
             else:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from koop_loop.training import TrainingConfig, trajectories
 from koop_study.simulation.scenario import ScenarioConfig, second_channel
+from koop_study.simulation.sensing import SensingConfig
 from koopman_lifter.contrast import TRANSIENT
 from koopman_lifter.edmd import Gram
 from koopman_lifter.observables import Monomials
@@ -34,22 +35,30 @@ class Learned:
         Mean of the observables over the same parts.
     dropped : int
         Trajectories left out because they diverged.
+    sensing : SensingConfig
+        What the states are.
     """
 
     gram: Gram
     covariances: NDArray[np.float64]
     means: NDArray[np.float64]
     dropped: int
+    sensing: SensingConfig
 
 
-def learn(plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfig) -> Learned:
+def learn(
+    plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfig, sensing: SensingConfig
+) -> Learned:
     """Simulate the training trajectories and sum them up; what differs in N only is shared."""
-    return _learn(plant, scenario, replace(training, modes=1))
+    return _learn(plant, scenario, replace(training, modes=1), sensing)
 
 
 @lru_cache(maxsize=128)
-def _learn(plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfig) -> Learned:
-    gram = Gram.empty(Monomials(2, training.degree))
+def _learn(
+    plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfig, sensing: SensingConfig
+) -> Learned:
+    delays = sensing.embedding(plant.dt)
+    gram = Gram.empty(Monomials(delays.n, training.degree))
     covariances, means, dropped = [], [], 0
     added: NDArray[np.float64] | None = None
     for states in trajectories(plant, training):
@@ -62,12 +71,13 @@ def _learn(plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfi
             )
         if added.size and training.corrupted:
             states[1] += added
-        gram.add_trajectory(states)
-        lifted = gram.observables.lift(states[:, round(TRANSIENT * states.shape[1]) :])
+        embedded = delays.embed(states[sensing.indices])
+        gram.add_trajectory(embedded)
+        lifted = gram.observables.lift(embedded[:, round(TRANSIENT * embedded.shape[1]) :])
         mean = lifted.mean(axis=1)
         lifted -= mean[:, None]
         covariances.append(lifted @ lifted.T / lifted.shape[1])
         means.append(mean)
     if not covariances:
         raise ValueError("every training trajectory diverged")
-    return Learned(gram, np.array(covariances), np.array(means), dropped)
+    return Learned(gram, np.array(covariances), np.array(means), dropped, sensing)

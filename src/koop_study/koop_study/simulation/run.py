@@ -15,6 +15,7 @@ from koop_study.controllers import adaptive, perturbation
 from koop_study.simulation.case import Case, model_of
 from koop_study.simulation.kernel import CONTROLLERS, Control, Sensing, run_kernel
 from koop_study.simulation.scenario import displacement, expose
+from koopman_lifter import cost
 
 
 @dataclass(frozen=True)
@@ -56,18 +57,21 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: boo
     model = model_of(case)
     lifter = replace(case.lifter, cost="raw" if model is None else "lifted")
     try:
-        check_fit(case.plant, lifter, case.esc, model)
+        check_fit(case.plant, lifter, case.esc, model, case.sensing.indices.size)
     except ValueError as error:
         raise ConfigError(str(error)) from None
     detector = lifter.detector_params()
     if case.cost == "log":  # the limit is of the energy, before its logarithm
         detector = detector._replace(y_max=math.log(detector.y_max))
+    lifting = no_lifting() if model is None else model.lifting()
     sensing = Sensing(
         lifter.source,
         case.cost == "log",
-        no_lifting() if model is None else model.lifting(),
+        lifting,
         detector,
         lifter.state_timeout,
+        case.sensing.indices,
+        cost.workspace(lifting),
     )
     control = Control(
         CONTROLLERS[case.controller],

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.stats import spearmanr
 
-from koop_loop.training import STATE_NAMES
 from koop_study.simulation.learning import Learned
 from koopman_lifter.contrast import with_contrast
 from koopman_lifter.edmd import Koopman, edmd
@@ -47,7 +46,10 @@ def make(variant: str, learned: Learned, dt: float, modes: int) -> KoopmanModel:
     modes : int
         N of the variants that keep the modes of largest energy.
     """
-    model = build(learned.gram, dt, STATE_NAMES, modes, {"variant": variant})
+    sensing = learned.sensing
+    model = build(
+        learned.gram, dt, sensing.names, modes, {"variant": variant}, sensing.embedding(dt)
+    )
     koopman = edmd(learned.gram)
     return VARIANTS[variant](model, learned, koopman, decompose(koopman, learned.gram))
 

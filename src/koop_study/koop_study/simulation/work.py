@@ -63,7 +63,7 @@ def runs(settings: dict[str, Any], seeds: list[int], with_r_star: bool = False) 
 def modes(settings: dict[str, Any], seed: int) -> dict[str, Any]:
     """Train a model and return its modes, largest |lambda| first."""
     case = override(Case(), {**settings, "training.seed": seed})
-    learned = learn(case.plant, ScenarioConfig(), case.training)
+    learned = learn(case.plant, ScenarioConfig(), case.training, case.sensing)
     koopman = edmd(learned.gram)
     found = decompose(koopman, learned.gram)
     kept = select_by_energy(found, case.training.modes)

@@ -1,0 +1,135 @@
+"""Delay embedding against the definition, analytic spectra, and the kernel's delay line."""
+
+import math
+
+import numpy as np
+import pytest
+
+from koop_node.arrival import Arrival
+from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig
+from koopman_lifter.delays import Delays, dominant_period, embedded_degree
+from koopman_lifter.edmd import Gram
+from koopman_lifter.model import build, load
+from koopman_lifter.observables import Monomials
+
+DT = 0.01
+DECAY, OMEGA = 0.05, 3.0
+DELAYS = Delays(1, 4, 20)
+
+
+def damped(t, phase=0.0):
+    """One displacement of a linear oscillator."""
+    return np.exp(-DECAY * t) * np.cos(OMEGA * t + phase)
+
+
+@pytest.fixture(scope="module")
+def model():
+    """Learned from one channel of a linear oscillator."""
+    gram = Gram.empty(Monomials(2, 1))
+    delays = Delays(1, 2, 30)
+    for phase in np.linspace(0.0, 6.0, 7):
+        gram.add_trajectory(delays.embed(damped(np.arange(4000) * DT, phase)[None]))
+    return build(gram, DT, ("p",), 8, {}, delays)
+
+
+def test_embedding_is_the_last_samples_of_every_channel():
+    x = np.random.default_rng(0).standard_normal((3, 50))
+    delays = Delays(3, 4, 5)
+    embedded = delays.embed(x)
+    assert embedded.shape == (12, 50 - 15)
+    for k in range(15, 50):
+        expected = np.concatenate([x[:, k - 5 * i] for i in range(4)])
+        np.testing.assert_array_equal(embedded[:, k - 15], expected)
+    assert Delays(3, 4, 20).embed(x).shape == (12, 0)
+    assert delays.names(("a", "b", "c"), 0.02)[2:4] == ("c", "a(t-0.1)")
+
+
+def test_one_channel_of_a_linear_oscillator_has_its_analytic_spectrum(model):
+    expected = np.exp((-DECAY + 1j * OMEGA) * DT)
+    found = model.eigenvalues[np.argmin(np.abs(model.eigenvalues - expected))]
+    assert abs(found - expected) < 1e-10
+    assert abs(model.eigenvalues[0] - 1.0) < 1e-10  # the constant
+    assert model.kept.all()  # as many modes as there are, where more are asked for
+
+
+def test_a_model_with_delays_is_saved_and_loaded(model, tmp_path):
+    model.save(tmp_path / "model.npz")
+    again = load(tmp_path / "model.npz")
+    assert again.model_id == model.model_id
+    assert again.meta["version"] == 2
+    assert again.delays == Delays(1, 2, 30)
+    np.testing.assert_array_equal(again.K, model.K)
+    with_names = again.observables.names(again.delays.names(again.state_names, DT))
+    assert with_names == ["1", "p", "p(t-0.3)"]
+
+
+def energies(model, x, arrivals=None, steps=None):
+    """Return what the kernel makes of samples: r, y_out and settling."""
+    lifting, params = model.lifting(), LifterConfig(dt=DT).detector_params()
+    work, state, found = cost.workspace(lifting), cost.initial(), []
+    for k, value in enumerate(x):
+        arrival = arrivals[k] if arrivals else Arrival.NEXT if k else Arrival.RESTART
+        step = steps[k] if steps is not None else k
+        r, y_out, settling, state = cost.answer(
+            cost.LIFTED, lifting, params, state, int(arrival), int(step), np.array([value]), work
+        )
+        found.append((r, y_out, settling))
+    r, y_out, settling = np.array(found).T
+    return r, y_out, settling.astype(bool)
+
+
+def test_the_kernel_lifts_what_training_embeds(model):
+    x = np.random.default_rng(1).standard_normal(200)
+    r, y_out, settling = energies(model, x)
+    depth = model.delays.depth
+    z = model.observables.lift(model.delays.embed(x[None]))
+    np.testing.assert_allclose(y_out[depth - 1 :], ((model.projector @ z) ** 2).sum(axis=0))
+    assert settling.tolist() == [True] * (depth - 1) + [False] * (201 - depth)
+    assert np.isnan(r[: depth - 1]).all()
+    assert np.isfinite(r[depth - 1 :]).all()
+
+
+def test_a_silence_empties_the_delay_line_and_a_lost_sample_counts_as_the_one_before(model):
+    x = np.random.default_rng(2).standard_normal(300)
+    depth = model.delays.depth
+    # two samples lost
+    kept = np.delete(np.arange(300), [100, 101])
+    _, y_out, settling = energies(model, x[kept], steps=kept)
+    repeated = x.copy()
+    repeated[100:102] = x[99]
+    np.testing.assert_array_equal(y_out, energies(model, repeated)[1][kept])
+    assert not settling[depth:].any()
+    # a silence: nothing of before is in the state after it
+    arrivals = [Arrival.RESTART, *[Arrival.NEXT] * 299]
+    arrivals[150] = Arrival.RESUME
+    r, y_out, settling = energies(model, x, arrivals)
+    assert settling[150 : 150 + depth - 1].all()
+    assert np.isnan(r[150 : 150 + depth - 1]).all()
+    np.testing.assert_array_equal(
+        y_out[150 + depth - 1 :], energies(model, x[150:])[1][depth - 1 :]
+    )
+
+
+def test_a_sample_that_is_not_finite_has_no_cost_when_it_is_part_of_the_state(model):
+    x = np.random.default_rng(3).standard_normal(200)
+    x[120] = math.nan
+    r, _, settling = energies(model, x)
+    parts = {120, 120 + model.delays.every}
+    assert set(np.flatnonzero(np.isnan(r) & ~settling)) == parts
+
+
+def test_spacing_and_degree_are_chosen():
+    t = np.arange(5000) * DT
+    noise = np.random.default_rng(4).standard_normal(t.size)
+    x = np.stack((np.sin(2.0 * t) + 0.1 * noise, 3.0 * np.cos(2.0 * t)))
+    assert dominant_period(x, DT) == pytest.approx(math.pi, rel=0.1)
+    with pytest.raises(ValueError, match="give --spacing"):
+        dominant_period(np.ones((2, 5000)), DT)
+    assert [embedded_degree(n) for n in (1, 2, 7, 8, 14, 15, 40)] == [3, 3, 3, 2, 2, 1, 1]
+
+
+@pytest.mark.parametrize("given", [(0, 1, 1), (1, 0, 1), (1, 2, 0), (1, 1, 2)])
+def test_delays_that_make_no_sense_are_refused(given):
+    with pytest.raises(ValueError, match=r"at least 1|no spacing"):
+        Delays(*given)
