@@ -11,7 +11,7 @@ it a cut-off on singular values would drop whole observables.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,11 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 from koopman_lifter.observables import Monomials
 
 BLOCK = 65536  # snapshots lifted at a time: bounds memory, long enough for BLAS
+STRETCHES = 64  # of the data whose sums are kept, at most
+STRETCH_BYTES = 2**28  # of their sums; fewer are kept of many observables
 
 
 @dataclass
 class Gram:
-    """Sums over snapshot pairs from which K and the mode energies follow.
+    """Sums over snapshot pairs from which K and what its modes are worth follow.
 
     Attributes
     ----------
@@ -37,6 +39,9 @@ class Gram:
         L = sum_k g(x_{k+1}) g(x_{k+1})^T.
     pairs : int
         Number of snapshot pairs M.
+    stretches : list of Gram
+        The same sums over consecutive stretches of the data, which have none of their own: what
+        ``koopman_lifter.bootstrap`` draws from. Some tens, however much data there is.
     """
 
     observables: Monomials
@@ -44,6 +49,7 @@ class Gram:
     yx: NDArray[np.float64]
     yy: NDArray[np.float64]
     pairs: int = 0
+    stretches: list[Gram] = field(default_factory=list, repr=False)
 
     @classmethod
     def empty(cls, observables: Monomials) -> Gram:
@@ -51,7 +57,7 @@ class Gram:
         p = observables.p
         return cls(observables, np.zeros((p, p)), np.zeros((p, p)), np.zeros((p, p)))
 
-    def add_trajectory(self, states: ArrayLike) -> None:
+    def add_trajectory(self, states: ArrayLike, longest: int = BLOCK) -> None:
         """Add the consecutive pairs of one trajectory.
 
         Parameters
@@ -59,6 +65,8 @@ class Gram:
         states : array_like, shape (n, M + 1)
             States at a uniform step, one a column. A gap needs two calls: the pair across it is no
             pair of consecutive states.
+        longest : int
+            Most pairs of a stretch, while there are few stretches.
 
         Raises
         ------
@@ -72,25 +80,45 @@ class Gram:
             )
         if not np.isfinite(array).all():
             raise ValueError("the trajectory holds a value that is not finite")
-        for start in range(0, array.shape[1] - 1, BLOCK):
-            lifted = self.observables.lift(array[:, start : start + BLOCK + 1])
+        block = min(longest, BLOCK)
+        for start in range(0, array.shape[1] - 1, block):
+            lifted = self.observables.lift(array[:, start : start + block + 1])
             now, after = lifted[:, :-1], lifted[:, 1:]
             product = now @ now.T
-            self.xx += product
-            self.yx += after @ now.T
-            self.yy += _a_step_later(product, lifted)
-            self.pairs += now.shape[1]
+            later = _a_step_later(product, lifted)
+            part = Gram(self.observables, product, after @ now.T, later, now.shape[1])
+            self._add(part)
+            self._stretch([part])
 
     def __add__(self, other: Gram) -> Gram:
         if self.observables != other.observables:
             raise ValueError(f"cannot add Gram sums of {self.observables} and {other.observables}")
-        return Gram(
-            self.observables,
-            self.xx + other.xx,
-            self.yx + other.yx,
-            self.yy + other.yy,
-            self.pairs + other.pairs,
-        )
+        total = Gram.empty(self.observables)
+        for gram in (self, other):
+            total._add(gram)
+            total._stretch(gram.stretches)
+        return total
+
+    def _add(self, other: Gram) -> None:
+        self.xx += other.xx
+        self.yx += other.yx
+        self.yy += other.yy
+        self.pairs += other.pairs
+
+    def _stretch(self, parts: list[Gram]) -> None:
+        """Go on with the last stretch, or begin another one; join neighbours if they are many."""
+        most = max_stretches(self.observables.p)
+        usual = 2 * self.pairs // most
+        for part in parts:
+            if self.stretches and self.stretches[-1].pairs < usual:
+                self.stretches[-1]._add(part)
+            else:
+                self.stretches.append(Gram.empty(self.observables))
+                self.stretches[-1]._add(part)
+            if len(self.stretches) > most:
+                for one, next_one in zip(self.stretches[::2], self.stretches[1::2], strict=False):
+                    one._add(next_one)
+                self.stretches = self.stretches[::2]
 
     @property
     def scale(self) -> NDArray[np.float64]:
@@ -101,6 +129,11 @@ class Gram:
         """Return ``xx``, ``yx`` or ``yy`` as a mean over observables of unit root mean square."""
         scale = self.scale
         return np.asarray(sums / self.pairs / np.outer(scale, scale), dtype=np.float64)
+
+
+def max_stretches(p: int) -> int:
+    """Return of how many stretches the sums over p observables are kept, an even number."""
+    return max(8, min(STRETCHES, STRETCH_BYTES // (3 * 8 * p**2) // 2 * 2))
 
 
 def _a_step_later(product: NDArray[np.float64], lifted: NDArray[np.float64]) -> NDArray[np.float64]:
