@@ -12,6 +12,7 @@ from scipy.linalg import expm
 
 from koop_lab.bench.memory import STORED, peak_of_training, write_states
 from koop_lab.cli.main import main
+from koop_lab.identify import counted
 from koop_lab.identify.from_bags import BagTraining, joined, train_from_bags
 from koop_lab.identify.samples import Batch, StateSpec
 from koop_lab.identify.segments import WAYS, Segmentation, Segmenter
@@ -78,16 +79,27 @@ def test_an_oscillator_is_identified_from_unevenly_sampled_joint_states(tmp_path
     assert max(far["error"]) < 1e-3 < 0.1 < min(far["no_change"])
 
 
-@pytest.mark.parametrize("way", ["linear", "zoh", "none"])
-def test_a_pause_is_not_bridged(tmp_path, way):
+def paused():
+    """Return times and states of a recording in the middle of which the recorder slept."""
     t = np.arange(400) * DT
-    t[200:] += 7.5 * DT  # the recorder slept
+    t[200:] += 7.5 * DT
     x = oscillation(t)
     x[:, 200:] = oscillation(t[200:], 2.0)  # meanwhile somebody pushed the rig
-    model = linear([write_joints(tmp_path / "bag", t, x)], way=way, held_out=0.0)
+    return t, x
+
+
+@pytest.mark.parametrize("way", ["linear", "zoh"])
+def test_a_pause_is_not_bridged(tmp_path, way):
+    model = linear([write_joints(tmp_path / "bag", *paused())], way=way, held_out=0.0)
     np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=1e-9)
     assert model.provenance["pairs"] == 199 + 199
     assert model.provenance["bags"][0]["segments"] == 2
+
+
+def test_resample_none_looks_at_no_time(tmp_path):
+    model = linear([write_joints(tmp_path / "bag", *paused())], way="none", held_out=0.0)
+    assert model.provenance["pairs"] == 399
+    assert model.provenance["bags"][0]["segments"] == 1
 
 
 def test_stamps_that_jitter_are_ignored_if_told_so(tmp_path):
@@ -99,6 +111,90 @@ def test_stamps_that_jitter_are_ignored_if_told_so(tmp_path):
     np.testing.assert_allclose(exact, expm(A * DT), atol=1e-9)
     blurred = linear([path], way="linear").K[1:, 1:]
     assert np.abs(blurred - expm(A * DT)).max() > 1e-6
+
+
+# -- without stamps -----------------------------------------------------------------------------
+
+
+def received(t, rng, size=1.0):
+    """Return when samples of times t [s] are received: late, at times in a batch, in order."""
+    late = size * 0.2 * DT * rng.exponential(size=t.size)
+    busy = rng.random(t.size) < 0.01 * size  # the host has something else to do, for up to 20 Dt
+    busy[-100:] = False  # a recording that ends meanwhile has a gap there
+    late[busy] += 20.0 * DT * rng.random(np.count_nonzero(busy))
+    return np.maximum.accumulate(t + late + 1e-6 * np.arange(t.size))
+
+
+def write_unstamped(path, at, x, begin=1_700_000_000):
+    """Write a bag of std_msgs/Float64MultiArray, which bears no stamp."""
+    types, kind = STORE.types, "std_msgs/msg/Float64MultiArray"
+    layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/adc", kind, typestore=STORE)
+        for time, values in zip(at, x.T, strict=True):
+            message = STORE.serialize_cdr(types[kind](layout=layout, data=values), kind)
+            writer.write(topic, begin * 10**9 + round(time * 1e9), message)
+    return path
+
+
+def test_late_messages_without_stamps_are_no_gap_and_a_pause_is_one(tmp_path, capsys):
+    rng = np.random.default_rng(4)
+    t = np.arange(4000) * DT
+    x = oscillation(0.2 * t)
+    t[1500:] += 7.0 * DT  # nothing was sampled
+    x[:, 1500:] = oscillation(0.2 * t[1500:], 2.0)
+    at = received(t, rng)
+    assert np.count_nonzero(np.diff(at) > 3.0 * DT) > 20  # what a gap by time would cut
+    bag, out = write_unstamped(tmp_path / "bag", at, x), tmp_path / "model.npz"
+    given = ["--state", "/adc:data", "--dt", str(DT), "--degree", "1", "--modes", "2"]
+    assert main(["train", str(bag), *given, "--held-out", "0", "--out", str(out)]) == 0
+    model = load(out)
+    np.testing.assert_allclose(model.K[1:, 1:], expm(0.2 * A * DT), atol=1e-6)
+    assert model.provenance["pairs"] == 1499 + 2499
+    printed = capsys.readouterr().out
+    assert "4000 of 4000 samples in 2 segments, 3998 pairs" in printed
+    assert "no stamps: counted, one each 0.02 s; gaps longer than 0.06 s: 1" in printed
+
+
+def test_samples_without_stamps_at_another_rate_are_interpolated_in_counted_time(tmp_path):
+    t = np.arange(12_000) * DT / 4.0
+    at = received(t, np.random.default_rng(5), size=0.25)
+    path = write_unstamped(tmp_path / "bag", at, oscillation(t))
+    spec = StateSpec.parse("/adc:data")
+    model = train_from_bags([path], BagTraining(spec, dt=DT, degree=1, modes=3, held_out=0.0))
+    # jitter moves the period that is found by less than 1 %, the angle of A Dt likewise
+    np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=0.01 * 2.0 * DT)
+    assert model.provenance["bags"][0]["segments"] == 1
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+def test_how_a_stream_is_batched_does_not_matter_to_the_count(data):
+    size = data.draw(st.integers(2, 80))
+    seed = data.draw(st.integers(0, 99))
+    rng = np.random.default_rng(seed)
+    lost = rng.random(size) < 0.05
+    t = (np.cumsum(1.0 + 5.0 * lost) * DT * 1e9).astype(np.int64)
+    t += (rng.exponential(size=size) * DT * 1e9).astype(np.int64)
+    edges = [0, *sorted(data.draw(st.sets(st.integers(1, size - 1), max_size=6))), size]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(counted, "MOST", 10)  # what is held back, in a stream of 80 samples
+        patch.setattr(counted, "LOOK", 5)
+        parts = [Batch(a, t[a:b], None, t[a:b, None] + 0.0, False) for a, b in pairwise(edges)]
+        whole = [Batch(0, t, None, t[:, None] + 0.0, False)]
+        times = [
+            np.concatenate([part.time for part in counted.recount(given, DT * 1e9, DT * 1e9)])
+            for given in (parts, whole)
+        ]
+    assert times[0].tolist() == times[1].tolist()
+
+
+def test_a_clock_that_is_set_back_ends_a_segment():
+    t = np.arange(100) * 10_000_000
+    t[50:] -= 10**9
+    (batch,) = counted.recount([Batch(0, t, None, t[:, None] + 0.0, False)], 1e7, 1e7)
+    assert np.flatnonzero(np.diff(batch.time) != 10_000_000).tolist() == [49]
+    assert np.diff(batch.time)[49] < 0
 
 
 # -- segments -----------------------------------------------------------------------------------
@@ -202,7 +298,7 @@ def test_train_writes_a_model_that_inspect_explains(tmp_path, capsys):
     inspected = capsys.readouterr().out
     assert inspected.split("\n", 1)[1].strip() in trained
     assert "rig (" in inspected
-    assert "1500 states in 8 segments" in inspected
+    assert "1500 of 1500 samples in 8 segments" in inspected
     assert [line.split()[:2] for line in inspected.splitlines() if line.startswith("25 ")] == [
         ["25", "0.5"]
     ]

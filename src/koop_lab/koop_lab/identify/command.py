@@ -72,12 +72,14 @@ def _add_bag_options(group: Any) -> None:
         dest="way",
         choices=("auto", *WAYS),
         help="from messages to states one dt apart: 'steps' as they are, neighbours by their field "
-        "step; 'linear' between stamps; 'zoh' the last message before; 'none' as they are, "
-        "whatever the stamps say. Default auto: steps where they fit, else linear",
+        "step; 'linear' between stamps; 'zoh' the last message before; 'none' as they are, without "
+        "a look at the time. Messages without stamps are counted, as the lifter does. Default "
+        "auto: steps where they fit, else linear",
     )
     group.add_argument(
         "--gap", type=float, metavar="S",
-        help="longest pause that is bridged (default: 3 usual periods, at least 3 dt)",
+        help="longest pause that is bridged (default: 3 usual periods, at least 3 dt; 'none' and "
+        "'steps' do not use it)",
     )  # fmt: skip
     group.add_argument(
         "--held-out", type=float, metavar="SHARE",
@@ -175,9 +177,17 @@ def origin(provenance: dict[str, Any]) -> list[str]:
     plain = {k: v for k, v in sorted(provenance.items()) if not isinstance(v, list)}
     lines = ["trained on " + ", ".join(f"{key} {value}" for key, value in plain.items())]
     for bag in provenance.get("bags", []):
-        lines.append(
-            f"  {bag['name']} ({bag['sha256'][:12]}): {bag['states']} states in {bag['segments']} "
-            f"segments, {bag['pairs']} pairs ({bag['way']})"
-            + (f", {bag['not_finite']} not finite" if bag["not_finite"] else "")
-        )
+        lines.append(f"  {bag['name']} ({bag['sha256'][:12]}): {_recorded(bag)}")
     return lines
+
+
+def _recorded(bag: dict[str, Any]) -> str:
+    """Return in words how the samples of a bag became segments."""
+    samples = bag["states"] if "used" not in bag else f"{bag['used']} of {bag['states']}"
+    words = f"{samples} samples in {bag['segments']} segments, {bag['pairs']} pairs ({bag['way']}"
+    if bag.get("counted_period"):
+        words += f"; no stamps: counted, one each {bag['counted_period']:.4g} s"
+    if "gaps" in bag and bag["way"] != "none":
+        longer = "" if bag["way"] == "steps" else f" longer than {bag['gap']:.4g} s"
+        words += f"; gaps{longer}: {bag['gaps']}"
+    return words + ")" + (f", {bag['not_finite']} not finite" if bag["not_finite"] else "")

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
+from koop_lab.identify.counted import mean_period
 from koop_lab.identify.samples import STEP, Batch, StateSpec, batches, sha256, state_names
-from koop_lab.identify.segments import Segment, Segmentation, Segmenter
+from koop_lab.identify.segments import Segment, Segmentation, Segmenter, counted_spacing
 from koop_lab.replay.settings import recorded_values
 from koopman_lifter.contrast import WindowCovariances, with_contrast
 from koopman_lifter.edmd import Gram
@@ -38,6 +39,7 @@ class BagTraining:
         and are one dt apart, else linear.
     gap : float or None
         Longest pause that is bridged [s]; None: three times the usual period, at least three dt.
+        Without stamps, the time in which no sample was taken, however late those before came.
     held_out : float
         Share of the data that is not learned from, 0 to 0.5.
     horizons : tuple of int
@@ -111,12 +113,8 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
                 {
                     "name": Path(path).name,
                     "sha256": sha256(path),
-                    "states": bag.topic(training.state.topic).count,
                     "pairs": gram.pairs - before,
-                    "segments": segmenter.count,
-                    "not_finite": segmenter.dropped,
-                    "way": segmentation.way,
-                    "gap": segmentation.gap,
+                    **segmenter.described(),
                 }
             )
     assert gram is not None
@@ -171,7 +169,7 @@ def joined(segments: Iterator[Segment], overlap: int) -> Iterator[tuple[Segment,
 
 
 def _segments(bag: BagReader, state: StateSpec, segmenter: Segmenter) -> Iterator[Segment]:
-    for batch in batches(bag, state):
+    for batch in segmenter.segmentation.timed(batches(bag, state)):
         yield from segmenter.split(batch)
 
 
@@ -183,7 +181,7 @@ def find_segmentation(
     Raises
     ------
     ValueError
-        If the topic is empty, or nothing says what dt is.
+        If the topic is empty, nothing says what dt is, or there is no time to go by.
     """
     first = next(batches(bag, training.state), None)
     if first is None or first.time.size < 2:
@@ -203,12 +201,24 @@ def find_segmentation(
         way = "steps" if stepped else "linear"
     if way == "steps" and first.step is None:
         raise ValueError(f"{path}: messages on {training.state.topic} have no field '{STEP}'")
-    gap = training.gap or GAPS * max(period, dt)
-    return Segmentation(way, float(dt), float(gap), training.held_out), first.x.shape[1]
+    counted = way in ("linear", "zoh") and not first.stamped
+    if counted and period <= 0.0:
+        raise ValueError(
+            f"{path}: messages on {training.state.topic} have no stamp and were all received at "
+            "one time: if they are one dt apart, give --resample none"
+        )
+    usual = counted_spacing(period, dt) if counted else period
+    gap = training.gap or GAPS * max(usual, dt)
+    segmentation = Segmentation(
+        way, float(dt), float(gap), training.held_out, period if counted else 0.0
+    )
+    return segmentation, first.x.shape[1]
 
 
 def _period(batch: Batch) -> float:
     """Return the usual time between two samples [s]."""
+    if not batch.stamped:  # they may have come in batches
+        return mean_period(batch.time) * 1e-9
     return float(np.median(np.diff(batch.time))) * 1e-9
 
 

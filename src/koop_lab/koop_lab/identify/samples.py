@@ -71,12 +71,15 @@ class Batch:
         Step index, where the message has one.
     x : ndarray, shape (M, n)
         State.
+    stamped : bool
+        Whether the time is the stamp.
     """
 
     index: int
     time: NDArray[np.int64]
     step: NDArray[np.int64] | None
     x: NDArray[np.float64]
+    stamped: bool = True
 
 
 def batches(bag: BagReader, spec: StateSpec) -> Iterator[Batch]:
@@ -99,6 +102,7 @@ def batches(bag: BagReader, spec: StateSpec) -> Iterator[Batch]:
             columns[STAMP if stamped else LOG_TIME].astype(np.int64),
             columns[STEP].astype(np.int64) if STEP in known else None,
             x,
+            stamped,
         )
         index += x.shape[0]
 
