@@ -82,8 +82,11 @@ class Batch:
     stamped: bool = True
 
 
-def batches(bag: BagReader, spec: StateSpec) -> Iterator[Batch]:
+def batches(bag: BagReader, spec: StateSpec, by_stamp: bool = True) -> Iterator[Batch]:
     """Yield the samples of a bag in the order of recording.
+
+    Their time is the stamp where there is one, unless ``by_stamp`` is False, else that of
+    reception.
 
     Raises
     ------
@@ -92,7 +95,7 @@ def batches(bag: BagReader, spec: StateSpec) -> Iterator[Batch]:
     """
     known = set(list_fields(bag, spec.topic))
     wanted = [*dict.fromkeys((*spec.fields, *(known & {STAMP, STEP}), LOG_TIME))]
-    index, stamped = 0, STAMP in known
+    index, stamped = 0, by_stamp and STAMP in known
     for columns in iter_columns(bag, spec.topic, wanted):
         if not index:
             stamped = stamped and bool(columns[STAMP][0])  # a source that never stamps writes zeros

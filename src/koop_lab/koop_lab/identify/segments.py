@@ -81,9 +81,13 @@ def counted_spacing(period: float, dt: float) -> float:
 
 
 class Segment(NamedTuple):
-    """States one Dt apart, shape (n, M); of a long segment one part, which begins it or not."""
+    """States one Dt apart, shape (n, M); of a long segment one part, which begins it or not.
+
+    ``time`` is that of the first state that was in no part before [ns].
+    """
 
     states: NDArray[np.float64]
+    time: int
     begins: bool
     held_out: bool
 
@@ -149,9 +153,9 @@ class Segmenter:
                 self.used += pairs + (pairs > 0 and (begins or self._alone))
                 self._alone = begins and not pairs
                 part = slice(begin, end)
-                states = self._states(time[part], x[part], begins)
+                states, start = self._states(time[part], x[part], begins)
                 if states.shape[0]:
-                    yield Segment(states.T, begins, bool(held[begin]))
+                    yield Segment(states.T, start, begins, bool(held[begin]))
 
     def described(self) -> dict[str, Any]:
         """Return how the samples became segments, for a model's provenance."""
@@ -179,20 +183,25 @@ class Segmenter:
 
     def _states(
         self, time: NDArray[np.int64], x: NDArray[np.float64], begins: bool
-    ) -> NDArray[np.float64]:
-        """Return the states of a part of a segment; unless it begins here, its first is known."""
+    ) -> tuple[NDArray[np.float64], int]:
+        """Return the new states of a part of a segment, and the time of the first of them [ns].
+
+        Unless the segment begins here, the first sample is known.
+        """
         if self.segmentation.way in ("steps", "none"):
-            return x if begins else x[1:]
+            new = 0 if begins else 1
+            return x[new:], int(time[min(new, time.size - 1)])
         start, number = (int(time[0]), 0) if begins else self._grid
         period = self.segmentation.dt * 1e9
         end = int((time[-1] - start) / period) + 2  # beyond the last sample, whatever the rounding
         grid = start + np.round(np.arange(number, end) * period).astype(np.int64)
         grid = grid[grid <= time[-1]]
         self._grid = (start, number + grid.size)
+        first = int(grid[0]) if grid.size else 0
         before = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, time.size - 1)
         if self.segmentation.way == "zoh":
-            return np.asarray(x[before])
+            return np.asarray(x[before]), first
         after = np.minimum(before + 1, time.size - 1)
         span = np.maximum(time[after] - time[before], 1)
         weight = ((grid - time[before]) / span)[:, None]
-        return np.asarray(x[before] * (1.0 - weight) + x[after] * weight)
+        return np.asarray(x[before] * (1.0 - weight) + x[after] * weight), first
