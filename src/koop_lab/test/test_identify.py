@@ -304,9 +304,43 @@ def test_train_writes_a_model_that_inspect_explains(tmp_path, capsys):
     ]
 
 
+def test_inspect_shows_what_the_modes_of_a_noisy_bag_are_worth(tmp_path, capsys):
+    """Noise of 20 % shrinks the least-squares modulus by 1 + 0.2^2 / 0.5, and makes a residual."""
+    rng = np.random.default_rng(6)
+    t = np.arange(6000) * DT
+    turn = np.stack((np.cos(2.0 * t), np.sin(2.0 * t)))
+    bag = write_joints(tmp_path / "rig", t, turn + 0.2 * rng.standard_normal(turn.shape))
+    out = tmp_path / "model.npz"
+    given = ["--state", str(JOINTS), "--dt", str(DT), "--degree", "1", "--held-out", "0"]
+    given += ["--out", str(out), "--modes", "3"]
+    moduli = {}
+    for estimator in ("least-squares", "total-least-squares", "forward-backward"):
+        assert main(["train", str(bag), *given, "--estimator", estimator]) == 0
+        model = load(out)
+        moduli[estimator] = abs(model.eigenvalues[np.argmax(model.eigenvalues.imag)])
+        assert model.spread.max() < 0.02
+    assert moduli["least-squares"] == pytest.approx(1 / 1.08, abs=0.01)
+    assert moduli["total-least-squares"] == pytest.approx(1.0, abs=0.01)
+    assert moduli["forward-backward"] == pytest.approx(1.0, abs=0.01)
+    assert main(["train", str(bag), *given, "--select", "trusted", "--residual-limit", "0.3"]) == 0
+    assert load(out).kept.tolist() == [True, False, False]
+    # of an eigenfunction that keeps its size
+    np.testing.assert_allclose(load(out).residuals[1:], np.sqrt(1 - 1 / 1.08**2), atol=0.02)
+    capsys.readouterr()
+    assert main(["inspect", str(out)]) == 0
+    shown = capsys.readouterr().out
+    head, row = (line for line in shown.splitlines() if line.startswith(("eigenv", "1.000000 +")))
+    assert head.split()[-3:] == ["residual", "spread", "selected"]
+    assert row.split()[-1] == "Yes"
+    assert "1 mode kept, by energy among those with a residual of at most 0.3; 3 were" in shown
+    assert main(["inspect"]) == 0
+    assert "residuals and spread are not known" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
+        (["--dt", "0.02", "--select", "trusted", "--residual-limit", "-1"], "must be 0 to 10"),
         ([], "give --dt (the usual time between two messages is 0.02 s)"),
         (["--dt", "0"], "dt = 0 s: must be positive"),
         (["--dt", "0.02", "--state", "/joint_states"], "write /topic:field or"),

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from koop_node.config import parameter, validate
 from koopman_lifter.contrast import WindowCovariances, with_contrast
 from koopman_lifter.edmd import Gram
+from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
 from vdp_plant import dynamics
@@ -100,7 +101,9 @@ def simulated_gram(
     return gram, dropped
 
 
-def train(plant: PlantConfig, config: TrainingConfig, contrast: bool = False) -> KoopmanModel:
+def train(
+    plant: PlantConfig, config: TrainingConfig, contrast: bool = False, fit: Fit | None = None
+) -> KoopmanModel:
     """Train a model on simulated trajectories, for the paper's cost or for ``contrast``.
 
     Raises
@@ -117,5 +120,5 @@ def train(plant: PlantConfig, config: TrainingConfig, contrast: bool = False) ->
         **{name: getattr(config, name) for name in config.__dataclass_fields__},
         **({"variant": "contrast"} if contrast else {}),
     }
-    model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance)
+    model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance, fit=fit)
     return with_contrast(model, *windows.result()) if windows is not None else model

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopman_lifter.edmd import Gram, Koopman
+from koopman_lifter.modes import averaged_over_pairs
 
 RESAMPLES = 50  # the deviation of 50 draws is known to 10 %
 FEWEST = 8  # stretches; fewer say nothing about their spread
@@ -44,8 +45,8 @@ def eigenvalue_spread(
     -------
     ndarray, shape (p,), or None
         Root mean square distance of the eigenvalues of the drawn data sets from theirs, paired so
-        that all distances together are least. None if there are fewer than 8 stretches, or if most
-        of the drawn data sets do not determine the operator.
+        that all distances together are least; equal within a complex pair. None if there are fewer
+        than 8 stretches, or if most of the drawn data sets do not determine the operator.
     """
     from scipy.optimize import linear_sum_assignment  # slow to import, and only training needs it
 
@@ -66,7 +67,7 @@ def eigenvalue_spread(
         drawn += 1
     if 2 * drawn < resamples:
         return None
-    return np.asarray(np.sqrt(squares / drawn), dtype=np.float64)
+    return np.sqrt(averaged_over_pairs(eigenvalues, squares / drawn))
 
 
 def _drawn(gram: Gram, times: NDArray[np.int64]) -> Gram:

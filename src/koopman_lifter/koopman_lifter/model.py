@@ -4,8 +4,8 @@ A model is a NumPy ``.npz`` archive (zip of ``.npy`` arrays, no pickle) plus one
 entry ``meta``. The SHA-256 over the arrays and that text identifies the model: a damaged file is
 refused, and ``model_id`` in every recorded cost names the model that made it.
 
-Format version 2 adds delays, and a projector with a row count of its own. A model without them is
-written as version 1, which is read as ever.
+Format version 2 adds delays, a projector with a row count of its own, and what the modes are worth.
+A model without them is written as version 1, which is read as ever.
 """
 
 from __future__ import annotations
@@ -22,10 +22,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koopman_lifter.bootstrap import eigenvalue_spread
 from koopman_lifter.cost import Lifting
 from koopman_lifter.delays import Delays
-from koopman_lifter.edmd import Gram, edmd
-from koopman_lifter.modes import decompose, projector, select_by_energy
+from koopman_lifter.edmd import Gram
+from koopman_lifter.estimators import ESTIMATORS
+from koopman_lifter.fit import Fit
+from koopman_lifter.modes import decompose, projector, select
 from koopman_lifter.observables import Monomials
 
 FORMAT = "koopman-model"
@@ -41,6 +44,7 @@ _ARRAYS = {  # entry: (dtype, shape in terms of p observables, N kept modes and 
     "V_dom": (np.complex128, ("p", "N")),
     "projector": (np.float64, ("R", "p")),
 }
+_WORTH = {"residuals": (np.float64, ("p",)), "spread": (np.float64, ("p",))}  # where known
 
 
 class ModelError(ValueError):
@@ -76,6 +80,10 @@ class KoopmanModel:
         the same to the last bit on machines whose linear algebra rounds differently.
     provenance : dict
         Where the training data came from, in JSON terms.
+    residuals : ndarray, shape (p,), or None
+        Residual of every mode on the training data; None in a file of version 1.
+    spread : ndarray, shape (p,), or None
+        Standard deviation of every eigenvalue; None where it was not asked for or cannot be told.
     """
 
     observables: Monomials
@@ -89,12 +97,24 @@ class KoopmanModel:
     V_dom: NDArray[np.complex128]
     projector: NDArray[np.float64]
     provenance: dict[str, Any]
+    residuals: NDArray[np.float64] | None = None
+    spread: NDArray[np.float64] | None = None
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The part of the model that is arrays."""
+        known = [name for name in _WORTH if getattr(self, name) is not None]
+        return {name: getattr(self, name) for name in (*_ARRAYS, *known)}
 
     @property
     def meta(self) -> dict[str, Any]:
         """The part of the model that is not arrays."""
         delays = {"count": self.delays.count, "every": self.delays.every}
-        later = self.delays.count > 1 or self.projector.shape[0] != self.kept.sum()
+        later = (
+            self.delays.count > 1
+            or self.projector.shape[0] != self.kept.sum()
+            or self.arrays.keys() > _ARRAYS.keys()
+        )
         return {
             "format": FORMAT,
             "version": 2 if later else 1,
@@ -113,7 +133,7 @@ class KoopmanModel:
     @property
     def sha256(self) -> str:
         """Hash of the whole content, hexadecimal."""
-        return _digest({name: getattr(self, name) for name in _ARRAYS}, _json(self.meta))
+        return _digest(self.arrays, _json(self.meta))
 
     @property
     def model_id(self) -> str:
@@ -134,8 +154,7 @@ class KoopmanModel:
 
     def save(self, path: str | Path) -> None:
         """Write the model file; the same model gives the same bytes."""
-        text = _json(self.meta)
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        text, arrays = _json(self.meta), self.arrays
         texts = {"meta": text, "sha256": _digest(arrays, text)}
         entries = {k: np.frombuffer(v.encode(), dtype=np.uint8) for k, v in texts.items()} | arrays
         with zipfile.ZipFile(path, "w") as archive:
@@ -153,6 +172,7 @@ def build(
     count: int,
     provenance: dict[str, Any],
     delays: Delays | None = None,
+    fit: Fit | None = None,
 ) -> KoopmanModel:
     """Learn a model from summed training data.
 
@@ -171,15 +191,19 @@ def build(
         Source of the data; the numbers of pairs and modes are added here.
     delays : Delays, optional
         What the states in ``gram`` are; None: the channels as they are.
+    fit : Fit, optional
+        How to get from the sums to the modes; None: as the paper.
 
     Raises
     ------
     ValueError
         If the data cannot determine K, or ``count`` is less than 1.
     """
-    koopman = edmd(gram)
+    fit = fit or Fit()
+    solve = ESTIMATORS[fit.estimator]
+    koopman = solve(gram)
     modes = decompose(koopman, gram)
-    kept = select_by_energy(modes, min(count, modes.energies.size))
+    kept = select(modes, min(count, modes.energies.size), fit.select, fit.residual_limit)
     v_dom = modes.vectors[:, kept]
     return KoopmanModel(
         gram.observables,
@@ -194,11 +218,14 @@ def build(
         projector(v_dom, modes.eigenvalues[kept]),
         {
             **provenance,
+            **{name: value for name, value in vars(fit).items() if value != vars(Fit())[name]},
             "pairs": gram.pairs,
             "condition": round(koopman.condition, 3),
             "modes_asked": count,
             "modes_kept": int(kept.sum()),
         },
+        modes.residuals,
+        eigenvalue_spread(gram, modes.eigenvalues, solve, fit.resamples),
     )
 
 
@@ -268,7 +295,10 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
         sizes["R"] = 1
     if sizes["N"] == 0:
         raise ModelError("keeps no mode")
-    for name, (dtype, axes) in _ARRAYS.items():
+    stored = dict(_ARRAYS)
+    if meta["version"] > 1:
+        stored |= {name: _WORTH[name] for name in _WORTH if name in entries}
+    for name, (dtype, axes) in stored.items():
         array, shape = entries[name], tuple(sizes[axis] for axis in axes)
         if array.dtype != dtype or array.shape != shape:
             raise ModelError(
@@ -277,7 +307,7 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
             )
         if not np.isfinite(array).all():
             raise ModelError(f"'{name}' holds values that are not finite")
-    arrays = {name: np.ascontiguousarray(entries[name]) for name in _ARRAYS}
+    arrays = {name: np.ascontiguousarray(entries[name]) for name in stored}
     if _digest(arrays, text) != _text(entries, "sha256"):
         raise ModelError("content and hash disagree: the file was damaged or edited")
     return KoopmanModel(observables, delays, dt, state_names, provenance=provenance, **arrays)
@@ -330,7 +360,7 @@ def _json(meta: dict[str, Any]) -> str:
 
 def _digest(arrays: dict[str, NDArray[Any]], text: str) -> str:
     digest = hashlib.sha256(text.encode())
-    for name in _ARRAYS:
+    for name, array in arrays.items():
         digest.update(name.encode())
-        digest.update(np.ascontiguousarray(arrays[name]).tobytes())
+        digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

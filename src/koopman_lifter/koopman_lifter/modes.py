@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from koopman_lifter.edmd import Gram, Koopman
 
+SELECTIONS = ("energy", "residual", "trusted")
+
 
 @dataclass(frozen=True)
 class Modes:
@@ -62,8 +64,8 @@ def decompose(koopman: Koopman, gram: Gram) -> Modes:
     return Modes(
         eigenvalues,
         vectors,
-        _averaged_over_pairs(eigenvalues, energies),
-        _averaged_over_pairs(eigenvalues, residuals(eigenvalues, inverse, gram)),
+        averaged_over_pairs(eigenvalues, energies),
+        averaged_over_pairs(eigenvalues, residuals(eigenvalues, inverse, gram)),
     )
 
 
@@ -102,11 +104,26 @@ def partner(eigenvalues: NDArray[np.complex128], j: int) -> int:
     return int(np.argmin(np.abs(eigenvalues - eigenvalues[j].conj())))
 
 
-def select_by_energy(modes: Modes, count: int) -> NDArray[np.bool_]:
-    """Choose the ``count`` modes of largest energy and never split a complex pair.
+def select(
+    modes: Modes, count: int, by: str = "energy", residual_limit: float = np.inf
+) -> NDArray[np.bool_]:
+    """Choose ``count`` modes and never split a complex pair.
 
     If the cut falls inside a pair, the pair is kept whole and one mode more than asked for is
     returned: half of a pair is not a real-valued quantity.
+
+    Parameters
+    ----------
+    modes : Modes
+        p of them.
+    count : int
+        N, 1 to p.
+    by : str
+        ``energy``: the modes of largest energy, as the paper. ``residual``: of smallest residual.
+        ``trusted``: of largest energy among those whose residual is at most ``residual_limit``;
+        fewer than N where there are no more.
+    residual_limit : float
+        Used with ``trusted`` only.
 
     Returns
     -------
@@ -116,13 +133,21 @@ def select_by_energy(modes: Modes, count: int) -> NDArray[np.bool_]:
     Raises
     ------
     ValueError
-        If ``count`` is not within 1..p.
+        If ``count`` is not within 1..p, or if no mode has so small a residual.
     """
     p = modes.energies.size
     if not 1 <= count <= p:
         raise ValueError(f"cannot keep {count} of {p} modes: choose 1 to {p}")
+    order = np.argsort(modes.residuals if by == "residual" else -modes.energies, kind="stable")
+    if by == "trusted":
+        order = order[modes.residuals[order] <= residual_limit]
+        if not order.size:
+            raise ValueError(
+                f"no mode has a residual of at most {residual_limit:g}: "
+                f"the smallest is {modes.residuals.min():.3g}"
+            )
     kept = np.zeros(p, dtype=np.bool_)
-    for j in np.argsort(-modes.energies, kind="stable"):
+    for j in order:
         if kept.sum() >= count:
             break
         kept[[j, partner(modes.eigenvalues, int(j))]] = True
@@ -163,9 +188,9 @@ def _scaled_pinv(v_dom: NDArray[np.complex128]) -> NDArray[np.complex128]:
     return np.asarray(np.linalg.solve(r, q.conj().T))
 
 
-def _averaged_over_pairs(
-    eigenvalues: NDArray[np.complex128], energies: NDArray[np.float64]
+def averaged_over_pairs(
+    eigenvalues: NDArray[np.complex128], values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Give both of a pair the same energy to the last bit, so that sorting keeps them together."""
+    """Give both of a pair the same value to the last bit, so that sorting keeps them together."""
     mates = np.array([partner(eigenvalues, j) for j in range(eigenvalues.size)])
-    return 0.5 * (energies + energies[mates])
+    return 0.5 * (values + values[mates])

@@ -23,19 +23,22 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def mode_table(model: KoopmanModel) -> str:
-    """Return the modes as in table 2 of the paper, with their energies."""
+    """Return the modes as in table 2 of the paper, with their energies and what they are worth."""
+    worth = {"residual": model.residuals, "spread": model.spread}
+    known = {name: values for name, values in worth.items() if values is not None}
     rows = []
-    for value, energy, kept in zip(model.eigenvalues, model.energies, model.kept, strict=True):
+    for j, value in enumerate(model.eigenvalues):
         sign = "-" if value.imag < 0 else "+"
         rows.append(
             [
                 f"{value.real:.6f} {sign} {abs(value.imag):.6f}j",
                 f"{abs(value):.6f}",
-                f"{energy:.3e}",
-                "Yes" if kept else "No",
+                f"{model.energies[j]:.3e}",
+                *(f"{values[j]:.2g}" for values in known.values()),
+                "Yes" if model.kept[j] else "No",
             ]
         )
-    return table(["eigenvalue", "|lambda|", "energy E_j", "selected"], rows)
+    return table(["eigenvalue", "|lambda|", "energy E_j", *known, "selected"], rows)
 
 
 def forecast_table(model: KoopmanModel) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,12 @@ from koop_lab.identify.samples import StateSpec
 from koop_lab.identify.segments import WAYS
 from koop_loop import parameters
 from koop_loop.training import TrainingConfig, train
+from koopman_lifter.bootstrap import RESAMPLES
 from koopman_lifter.config import shipped_model
+from koopman_lifter.estimators import ESTIMATORS
+from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, load
+from koopman_lifter.modes import SELECTIONS
 from vdp_plant.config import PlantConfig
 
 SIMULATION = (
@@ -39,6 +43,7 @@ def register(commands: Any) -> None:
         help="in place of the most energetic modes, the direction in which strongly oscillating "
         "parts of the data differ most from weakly oscillating ones (the study's best cost)",
     )
+    _add_fit_options(parser)
     _add_bag_options(parser.add_argument_group("from bags"))
     group = parser.add_argument_group("without a bag: the simulated plant")
     group.add_argument("--params-file", metavar="FILE", help="ROS 2 parameter file of the plant")
@@ -57,6 +62,36 @@ def register(commands: Any) -> None:
     parser = commands.add_parser("inspect")
     parser.add_argument("model", nargs="?", type=Path, help="model file (default: the shipped one)")
     parser.set_defaults(func=inspect_main)
+
+
+def _add_fit_options(parser: Any) -> None:
+    default = Fit()
+    parser.add_argument(
+        "--estimator",
+        choices=tuple(ESTIMATORS),
+        default=default.estimator,
+        help="of K: least squares, as the paper, sees damping that is not there where the "
+        "measurements are noisy; the other two do not (docs/theory.md)",
+    )
+    parser.add_argument(
+        "--select",
+        choices=SELECTIONS,
+        default=default.select,
+        help="which N modes are kept: those of largest energy, as the paper; of smallest residual; "
+        "or 'trusted', of largest energy among those with a residual of at most --residual-limit",
+    )
+    parser.add_argument(
+        "--residual-limit", type=float, default=default.residual_limit, metavar="X",
+        help=f"with --select trusted (default {default.residual_limit:g})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--resamples", type=int, default=RESAMPLES, metavar="N",
+        help=f"data sets drawn for the spread of the eigenvalues (default {RESAMPLES}; 0: none)",
+    )  # fmt: skip
+
+
+def _fit(args: argparse.Namespace) -> Fit:
+    return Fit(**{field.name: getattr(args, field.name) for field in fields(Fit)})
 
 
 def _add_bag_options(group: Any) -> None:
@@ -121,7 +156,9 @@ def _bag_training(args: argparse.Namespace) -> BagTraining:
     if args.names is not None:
         given["names"] = tuple(args.names.split(","))
     state = StateSpec.parse(args.state or "/state:x")
-    return BagTraining(state, degree=args.degree, modes=args.modes, contrast=args.contrast, **given)
+    return BagTraining(
+        state, degree=args.degree, modes=args.modes, contrast=args.contrast, fit=_fit(args), **given
+    )
 
 
 def _simulated(args: argparse.Namespace) -> KoopmanModel:
@@ -138,7 +175,7 @@ def _simulated(args: argparse.Namespace) -> KoopmanModel:
     config = TrainingConfig(
         degree=args.degree, modes=args.modes, corrupted=not args.no_interference, **given
     )
-    return train(plant, config, args.contrast)
+    return train(plant, config, args.contrast, _fit(args))
 
 
 def inspect_main(args: argparse.Namespace) -> int:
@@ -163,13 +200,39 @@ def describe(model: KoopmanModel) -> str:
     variant = model.provenance.get("variant", "lifted")
     if variant != "lifted":
         lines.append(f"the cost is not that of these modes but '{variant}' (see koop study)")
-    elif asked is not None and asked != kept:
-        lines.append(f"{kept} modes kept where {asked} were asked for: no complex pair is split")
     else:
-        lines.append(f"{kept} modes kept, by energy")
+        lines.append(f"{kept} mode{'s' * (kept > 1)} kept, {_selection(model.provenance)}")
+        if asked is not None and asked < kept:
+            lines[-1] += f"; {asked} were asked for, but no complex pair is split"
+        elif asked is not None and asked > kept:
+            lines[-1] += f"; {asked} were asked for"
+    lines += _worth(model)
     if model.provenance.get("forecast"):
         lines += ["", forecast_table(model)]
     return "\n".join(lines)
+
+
+def _selection(provenance: dict[str, Any]) -> str:
+    """Return in words how the kept modes were chosen."""
+    by = provenance.get("select", "energy")
+    if by != "trusted":
+        return f"by {by}"
+    limit = provenance.get("residual_limit", Fit().residual_limit)
+    return f"by energy among those with a residual of at most {limit:g}"
+
+
+def _worth(model: KoopmanModel) -> list[str]:
+    """Return what the columns of the mode table that tell the modes' worth mean."""
+    if model.residuals is None:
+        return [
+            "residuals and spread are not known: the file is of version 1, 'koop train' has both"
+        ]
+    lines = ["residual: relative error of the mode over one step, 0 for a mode of the system"]
+    if model.spread is not None:
+        lines.append("spread: standard deviation of the eigenvalue over stretches of the data")
+    elif model.provenance.get("resamples"):
+        lines.append("spread: not known, the data are too few or too short stretches")
+    return lines
 
 
 def origin(provenance: dict[str, Any]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ from koop_lab.identify.samples import STEP, Batch, StateSpec, batches, sha256, s
 from koop_lab.identify.segments import Segment, Segmentation, Segmenter, counted_spacing
 from koop_lab.replay.settings import recorded_values
 from koopman_lifter.contrast import WindowCovariances, with_contrast
-from koopman_lifter.edmd import Gram
+from koopman_lifter.edmd import STRETCHES, Gram
+from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
 from koopman_lifter.prediction import Forecast
@@ -52,6 +53,8 @@ class BagTraining:
         Whether the cost is the contrast of strong and weak oscillation
         (koopman_lifter.contrast) in place
         of the energy of the dominant modes.
+    fit : Fit
+        From the sums over the data to the modes.
     """
 
     state: StateSpec
@@ -64,6 +67,7 @@ class BagTraining:
     modes: int = 8
     names: tuple[str, ...] = ()
     contrast: bool = False
+    fit: Fit = field(default_factory=Fit)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.held_out <= 0.5:
@@ -100,12 +104,13 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
             if n != gram.observables.n:
                 raise ValueError(f"{path}: {n} numbers in {training.state}, other bags have "
                                  f"{gram.observables.n}")  # fmt: skip
-            segmenter = Segmenter(segmentation, bag.topic(training.state.topic).count)
-            before = gram.pairs
+            count = bag.topic(training.state.topic).count
+            segmenter = Segmenter(segmentation, count)
+            before, stretch = gram.pairs, max(1, count // STRETCHES)
             for segment, known in joined(_segments(bag, training.state, segmenter), 1):
                 if segment.held_out:
                     continue
-                gram.add_trajectory(segment.states)
+                gram.add_trajectory(segment.states, stretch)
                 if windows is not None:
                     windows.add_recorded(segment.states[:, known:], segment.begins)
             segmentations.append(segmentation)
@@ -131,7 +136,7 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     }
     if training.contrast:
         provenance["variant"] = "contrast"
-    model = build(gram, training.dt, names, training.modes, provenance)
+    model = build(gram, training.dt, names, training.modes, provenance, fit=training.fit)
     if windows is not None:
         model = with_contrast(model, *windows.result())
     if not training.held_out:

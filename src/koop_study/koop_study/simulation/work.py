@@ -16,7 +16,7 @@ from koop_study.simulation.learning import learn
 from koop_study.simulation.run import measure, run
 from koop_study.simulation.scenario import ScenarioConfig
 from koopman_lifter.edmd import edmd
-from koopman_lifter.modes import decompose, select_by_energy
+from koopman_lifter.modes import decompose, select
 
 POINTS = 900  # that a drawn trace is thinned to
 
@@ -66,7 +66,7 @@ def modes(settings: dict[str, Any], seed: int) -> dict[str, Any]:
     learned = learn(case.plant, ScenarioConfig(), case.training, case.sensing)
     koopman = edmd(learned.gram)
     found = decompose(koopman, learned.gram)
-    kept = select_by_energy(found, case.training.modes)
+    kept = select(found, case.training.modes)
     return {
         "real": found.eigenvalues.real.tolist(),
         "imag": found.eigenvalues.imag.tolist(),
