@@ -28,6 +28,10 @@ CASES = {
         [*range(500), *range(490), 495, 502],
         StepReport(992, lost=5 + 6, backward=1, first=0, last=502),
     ),
+    "a sender whose steps are those of a clock, after others": (
+        [3, 4, 224_728_183, 224_728_184, 224_728_187, 5, 6],
+        StepReport(7, lost=2, backward=1, jumps=1, first=3, last=6),
+    ),
     "out of order": ([1, 2, 4, 3, 5], StepReport(5, lost=1, backward=1, first=1, last=5)),
 }
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_hil import report
-from koop_hil.excite import excite
+from koop_hil.excite import count_answers, excite
 from koop_hil.run import run
 from koop_hil.scenario import Scenario, find, read, shipped
 from koop_node.config import ConfigError
@@ -54,7 +54,11 @@ def main(args: argparse.Namespace) -> int:
     if args.excite is not None:
         for scenario in scenarios:
             bag = record_excitation(scenario, out / scenario.name, args.excite)
-            print(f"recorded; now 'koop train {bag} --dt 0.005 --out model.npz'")
+            states, answered = count_answers(bag)
+            print(
+                f"recorded {states} states in {bag}, theta of {answered} of them; now "
+                f"'koop train {bag} --dt 0.005 --out model.npz'"
+            )
         return 0
     verdicts = []
     for number in range(args.repeat):

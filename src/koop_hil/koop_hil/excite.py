@@ -6,9 +6,13 @@ import random
 import time
 from pathlib import Path
 
+import numpy as np
 from tqdm import tqdm
 
+from koop_bag.bag.columns import read_tables
+from koop_bag.bag.reader import BagReader
 from koop_hil.processes import Processes
+from koop_hil.report import WHOLE
 from koop_hil.run import BAR
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import refuse_dead, refuse_others, wait_until
@@ -45,7 +49,8 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
     Raises
     ------
     LiveError
-        If a process ends, another loop runs on the domain, or no more states come.
+        If a process ends, another loop runs on the domain, no more states come, or theta is known
+        for a part only of what was recorded.
     """
     from koop_msgs.msg import ControlInput, MeasuredState
 
@@ -61,7 +66,7 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
         reached = step
         return chosen[min(int(step * dt // HOLD), len(chosen) - 1)]
 
-    with alone(), Monitor() as monitor:
+    with alone(topics=PUBLISHERS), Monitor() as monitor:
         publisher = monitor.node.create_publisher(ControlInput, "theta", RELIABLE)
 
         def answer(state: MeasuredState) -> None:
@@ -91,7 +96,25 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
                     raise LiveError(f"no state for {START_TIMEOUT:g} s: see {processes.logs}")
                 bar.n = t
                 bar.set_postfix_str(f"theta {theta(reached):+.2f}")
-    for name, code in processes.exit_codes:
-        if code != 0:
-            raise LiveError(f"{name} ended with exit code {code}: see {processes.logs}")
-    return folder / "bag"
+    if processes.failures:
+        raise LiveError(processes.failures[0])
+    bag = folder / "bag"
+    states, answered = count_answers(bag)
+    if answered < WHOLE * duration / dt:
+        raise LiveError(
+            f"{bag}: {states} states and a theta for {answered} of them were recorded, which is "
+            f"{answered * dt:.0f} of {duration:.0f} s: something slows the recorder, or the domain "
+            f"is shared; see {processes.logs}"
+        )
+    return bag
+
+
+def count_answers(bag: Path) -> tuple[int, int]:
+    """Return how many states a bag holds, and for how many of them a theta."""
+    with BagReader(bag) as reader:
+        recorded = {topic.name for topic in reader.topics if topic.count}
+        if not recorded >= {"/state", "/theta"}:
+            return 0, 0
+        tables = read_tables(reader, {"/state": ["step"], "/theta": ["step"]})
+    states, thetas = (np.unique(tables[topic]["step"]) for topic in ("/state", "/theta"))
+    return states.size, np.intersect1d(states, thetas).size

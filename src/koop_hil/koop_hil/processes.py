@@ -55,7 +55,7 @@ class Processes:
         self._scenario = scenario
         self._other_host = other_host
         self._running: dict[str, NodeProcess] = {}
-        self.exit_codes: list[tuple[str, int]] = []
+        self.failures: list[str] = []  # of those that were stopped
         self._parameter_file = self.logs / "given_parameters.yaml"
 
     @property
@@ -91,7 +91,7 @@ class Processes:
         """Start a process of the scenario."""
         log = self.logs / f"{name}.log"
         arguments, command = self._command(name)
-        node = {"plant": "vdp_plant", SECOND: "relay_esc"}.get(name, name)
+        node = name if command else {"plant": "vdp_plant", SECOND: "relay_esc"}.get(name, name)
         there = self._other_host is not None and name == self._scenario.setting.remote
         before = tuple(self._other_host.words) if there and self._other_host else ()
         self._running[name] = NodeProcess(node, arguments, log, command, before=before)
@@ -121,9 +121,9 @@ class Processes:
             sizes[name] = int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
         return sizes
 
-    def last_lines(self, name: str) -> str:
-        """Return the end of a process's output."""
-        return self._running[name].last_lines()
+    def end(self, name: str) -> str:
+        """Return how a process ended, with its last lines."""
+        return str(self._running[name].failure())
 
     def close(self) -> None:
         """Stop all, the sources before the recorder."""
@@ -131,7 +131,8 @@ class Processes:
             if name in self._running:
                 process = self._running.pop(name)
                 process.process.send_signal(signal.SIGCONT)
-                self.exit_codes.append((name, process.stop()))
+                if process.stop() != 0:
+                    self.failures.append(str(process.failure()))
 
     def _given(self) -> dict[str, dict[str, object]]:
         setting = self._scenario.setting

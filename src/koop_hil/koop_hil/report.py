@@ -19,6 +19,8 @@ def line(verdict: Verdict) -> str:
     if verdict.skipped:
         return f"{verdict.name:<24} skipped: {verdict.skipped}"
     state = "passed" if verdict.passed else "FAILED"
+    if not verdict.messages:
+        return f"{verdict.name:<24} {state}"
     out = verdict.time_out_of_tolerance
     figures = (
         f"mean |theta - theta*| {verdict.tail_error:.2f} at the end, "

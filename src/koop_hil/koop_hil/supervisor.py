@@ -21,6 +21,7 @@ from koop_node.errors import LiveError
 from vdp_plant.config import PlantConfig
 
 FIRST = "relay_esc"
+MORE_PUBLISHERS = ("kill", "cut", "handover", SECOND)  # events with more publishers than usual
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
 PATIENCE = 5.0  # [s] until a theta is heard
 ARRIVAL = 0.05  # [s] that the last theta may be under way
@@ -81,7 +82,7 @@ class Supervisor:
             if self._scenario.setting.remote:  # before the monitor: DDS looks for devices once
                 self._other_host = stack.enter_context(other_host())
             if self._other_host is None:  # else there is nobody else on the network
-                stack.enter_context(alone())
+                stack.enter_context(alone(topics=self._scenario.publishers))
             monitor = stack.enter_context(Monitor())
             processes = stack.enter_context(
                 Processes(self._folder, self._scenario, other_host=self._other_host)
@@ -95,9 +96,8 @@ class Supervisor:
             if self._scenario.second_controller:
                 monitor.change_state(SECOND, "configure", START_TIMEOUT)
             self._play(monitor, processes)
-        for name, code in processes.exit_codes:
-            if code != 0:
-                self._record.failures.append(f"{name}: exit code {code}")
+        known = self._record.failures
+        known += [failure for failure in processes.failures if failure not in known]
         return self._record
 
     def _play(self, monitor: Monitor, processes: Processes) -> None:
@@ -111,6 +111,8 @@ class Supervisor:
         heapq.heapify(todo)
         first = min((event.at for event in self._scenario.events), default=0.0)
         looked = 0.0
+        # a publisher that was killed counts for a while
+        changing = any(event.action in MORE_PUBLISHERS for event in self._scenario.events)
         while (t := self._simulated(monitor, time.monotonic() - started)) < setting.duration:
             monitor.spin(TICK)
             while todo and todo[0][0] <= t:
@@ -124,7 +126,7 @@ class Supervisor:
                 for node, level in monitor.levels.items():
                     record.levels.setdefault(node, set()).add(LEVELS[level])
             for name in processes.dead():
-                record.failures.append(f"{name} ended: {processes.last_lines(name)}")
+                record.failures.append(processes.end(name))
             if record.failures:
                 break
             if time.monotonic() - looked > 1.0:
@@ -133,6 +135,8 @@ class Supervisor:
                 reported = monitor.progress.values.get("vdp_plant", {}).get("round_trip_ms", "nan")
                 record.round_trip.append((looked - started, float(reported)))
                 self._progress(t, f"theta {monitor.theta:+.2f}")
+                if not changing:
+                    refuse_others(monitor, self._scenario.publishers)
         record.end = time.time_ns()
         for _, _, event, over in todo:
             if not over and not record.failures:
@@ -188,7 +192,7 @@ def wait_until(condition: Callable[[], bool], monitor: Monitor, processes: Proce
 def refuse_dead(processes: Processes) -> None:
     """Raise LiveError if a process ended on its own."""
     for name in processes.dead():
-        raise LiveError(f"{name} ended: {processes.last_lines(name)}")
+        raise LiveError(processes.end(name))
 
 
 def refuse_others(monitor: Monitor, publishers: Mapping[str, int]) -> None:

@@ -154,5 +154,6 @@ def _remarks(steps: StepReport | None, missing: int) -> str:
     found = [f"begins at step {steps.first}"] if steps.first else []
     found += [f"{steps.duplicates} sent again"] if steps.duplicates else []
     found += [f"{steps.backward} steps back"] if steps.backward else []
+    found += [f"{steps.jumps} jumps ahead: of another sender or a clock"] if steps.jumps else []
     found += [f"ends at step {steps.last}, {missing} before the loop"] if missing else []
     return f" ({', '.join(found)})" if found else ""

@@ -9,6 +9,11 @@ from numpy.typing import ArrayLike
 ASIDE = 100
 """Messages within which steps that others broke into go on, if they ever do."""
 
+JUMP = 1_000_000
+"""Steps (83 minutes at 200 Hz) that no recording lacks between two messages: a larger step ahead
+is that of another sender, or of a clock from which the steps are made and that was set.
+"""
+
 
 @dataclass(frozen=True)
 class StepReport:
@@ -21,12 +26,14 @@ class StepReport:
     lost : int
         Steps jumped over: a step k followed by k + 1 + n counts n. A step that goes back, of a
         restarted run or of a second sender, is not a loss, and neither is the way from it to where
-        the steps before go on.
+        the steps before go on, nor a jump.
     duplicates : int
         Messages with the step of the one before: a state sent again is not a loss.
     backward : int
         Messages with a smaller step than the one before: a restarted publisher, a second one, or
         messages out of order.
+    jumps : int
+        Steps ahead by more than JUMP.
     first, last : int
         First and last step received, -1 if there is none. A run starts at 0; `first` > 0 is a late
         recorder.
@@ -36,6 +43,7 @@ class StepReport:
     lost: int = 0
     duplicates: int = 0
     backward: int = 0
+    jumps: int = 0
     first: int = -1
     last: int = -1
 
@@ -95,12 +103,13 @@ class LossCounter:
         "count",
         "duplicates",
         "first",
+        "jumps",
         "last",
         "lost",
     )
 
     def __init__(self) -> None:
-        self.count = self.lost = self.duplicates = self.backward = 0
+        self.count = self.lost = self.duplicates = self.backward = self.jumps = 0
         self.first = self.last = -1
         self._interrupted = True
         # the last step before one that went back, while what continues it is expected
@@ -121,7 +130,9 @@ class LossCounter:
             if before < self._aside <= step:  # what was broken into goes on
                 before, self._aside = self._aside, before
                 self._patience = ASIDE
-        if step > before:
+        if step > before + JUMP:
+            self.jumps += 1
+        elif step > before:
             self.lost += step - before - 1
         elif step == before:
             self.duplicates += 1
@@ -135,7 +146,9 @@ class LossCounter:
         if k.size == 0:
             return
         jump = np.diff(k, prepend=k[0])
-        lost, equal = np.cumsum(np.maximum(jump - 1, 0)), np.cumsum(jump == 0)
+        far = jump > JUMP
+        lost, equal = np.cumsum(np.maximum(jump - 1, 0) * ~far), np.cumsum(jump == 0)
+        jumps = np.cumsum(far)
         back = np.append(np.flatnonzero(jump < 0), k.size)
         self.add(int(k[0]))
         at = 1
@@ -148,6 +161,7 @@ class LossCounter:
                 self.count += end - at
                 self.lost += int(lost[end - 1] - lost[at - 1])
                 self.duplicates += int(equal[end - 1] - equal[at - 1])
+                self.jumps += int(jumps[end - 1] - jumps[at - 1])
                 self.last = int(k[end - 1])
                 at = end
 
@@ -159,5 +173,11 @@ class LossCounter:
     def report(self) -> StepReport:
         """Return the report up to now."""
         return StepReport(
-            self.count, self.lost, self.duplicates, self.backward, self.first, self.last
+            self.count,
+            self.lost,
+            self.duplicates,
+            self.backward,
+            self.jumps,
+            self.first,
+            self.last,
         )

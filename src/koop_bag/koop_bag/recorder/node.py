@@ -195,6 +195,11 @@ class RecorderRun(Run):
         for name, counter in counters.items():
             if counter.first:
                 self._node.get_logger().warning(f"{name} begins at step {counter.first}, not at 0")
+            if counter.jumps:
+                self._node.get_logger().warning(
+                    f"the steps of {name} jump ahead {counter.jumps} times: of another sender, or "
+                    "of a clock that was set; that is not counted as lost"
+                )
         for name, missing in early_ends({n: c.last for n, c in counters.items()}).items():
             self._node.get_logger().warning(f"{name} ends {missing} steps before the loop does")
 
