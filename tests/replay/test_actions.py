@@ -20,6 +20,7 @@ from koop_bag.cdr.schema import load_schema
 from koop_lab.cli.main import main
 from koop_lab.replay.recording import read_recording
 from koop_loop.training import TrainingConfig, train
+from koopman_lifter.config import shipped_model
 from vdp_plant.config import PlantConfig
 
 LISTENERS = 2  # on the cost besides the controller: the recorder and the probe
@@ -83,7 +84,7 @@ class Rig:
             f"/{node}/set_parameters_atomically",
             SetParametersAtomically.Request(parameters=[item]),
         )
-        assert answer.result.successful
+        return answer.result
 
     def hold(self, data):
         assert self.probe.call(SetBool, "/relay_esc/hold", SetBool.Request(data=data)).success
@@ -136,10 +137,10 @@ def eventful(module_start, module_probe, tmp_path_factory):
     rig.swing(range(90, 100))
     rig.hold(False)
     rig.swing(range(100, 130), 2.0)
-    rig.set("koopman_lifter", "cost", "raw")
+    assert rig.set("koopman_lifter", "cost", "raw").successful
     rig.swing(range(130, 160), 2.0)
-    rig.set("relay_esc", "dwell", 0.02)
-    rig.set("koopman_lifter", "omega_l", 3.0)
+    assert rig.set("relay_esc", "dwell", 0.02).successful
+    assert rig.set("koopman_lifter", "omega_l", 3.0).successful
     rig.swing(range(160, 200))
     rig.swing(range(900, 930))  # 3.5 s of silence
     rig.swing(range(60))  # the plant was started again
@@ -194,7 +195,7 @@ def test_a_model_that_was_replaced_is_replaced_again(start, probe, tmp_path, cap
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.swing(range(40))
-    rig.set("koopman_lifter", "model", str(other))
+    assert rig.set("koopman_lifter", "model", str(other)).successful
     rig.swing(range(40, 80))
     recorder.process.send_signal(signal.SIGINT)
     assert recorder.process.wait(20.0) == 0
@@ -202,6 +203,46 @@ def test_a_model_that_was_replaced_is_replaced_again(start, probe, tmp_path, cap
     printed = capfd.readouterr().out
     assert "from step 40 on, as recorded: koopman_lifter model =" in printed
     assert "r      identical bit for bit in all 80 steps" in printed
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_the_raw_cost_of_any_channels_needs_no_model_until_it_is_lifted(
+    start, probe, tmp_path, capfd, n
+):
+    folder = tmp_path / "run"
+    recorder = start("recorder", output=folder)
+    esc = {"dt": 0.01, "cost_timeout": TIMEOUT, "dwell": 0.05, "step_size": 0.01}
+    start("relay_esc", recorders=1, **esc)
+    given = {"cost": "raw", "dt": 0.01, "model": "/nowhere.npz", "state_timeout": TIMEOUT}
+    lifter = start("koopman_lifter", recorders=LISTENERS, **given)
+    rig = Rig(probe)
+    wait_until_known(probe, folder)
+    x = [0.5 * k * math.sin(0.3 * k) * np.arange(1.0, n + 1.0) for k in range(60)]
+    for k in range(60):
+        rig(k, [1.0, 2.0] if k == 20 else x[k])
+    probe.spin_until(lambda: len(rig.costs) == 60, "the last cost")
+    energies = [cost.y_out for cost in rig.costs]
+    assert math.isnan(energies.pop(20))
+    assert f"state has 2 values, the first had {n}" in lifter.log.read_text()
+    wanted = [np.sqrt(np.mean(np.square(v))) for k, v in enumerate(x) if k != 20]
+    assert energies == pytest.approx(wanted, rel=1e-12)
+    assert {cost.model_id for cost in rig.costs} == {""}
+    refused = rig.set("koopman_lifter", "cost", "lifted")
+    assert (refused.successful, refused.reason) == (
+        False, "/nowhere.npz: cannot be read: No such file or directory"
+    )  # fmt: skip
+    refused = rig.set("koopman_lifter", "model", str(shipped_model()))
+    assert "trained at dt = 0.005 s, this node runs at dt = 0.01 s" in refused.reason
+    rig(60, x[0])
+    probe.spin_until(lambda: len(rig.costs) == 61, "the cost after the refusals")
+    assert rig.costs[-1].source == Cost.RAW
+    recorder.process.send_signal(signal.SIGINT)
+    assert recorder.process.wait(20.0) == 0
+    for how in (["--offline"], []) if n == 1 else (["--offline"],):
+        code = main(["replay", str(folder), *how])
+        printed, error = capfd.readouterr()
+        assert code == 0, printed + error
+        assert "theta  identical bit for bit in all 61 steps" in printed
 
 
 @pytest.mark.parametrize("kept", [(), ("relay_esc",)])

@@ -16,8 +16,8 @@ from koop_bag.recorder.config import RECORDER, RecorderConfig
 from koop_loop.parameters import EXECUTABLES, NODES, build, names_of
 from koop_node import parameter_file
 from koop_node.config import ConfigError, refuse_unknown
-from koopman_lifter.config import ModelConfig
-from koopman_lifter.model import load
+from koopman_lifter.config import LifterConfig, ModelConfig
+from koopman_lifter.model import load_for
 
 ALL_NODES = {**NODES, **RECORDER}
 WORDS = {"true": True, "1": True, "false": False, "0": False}
@@ -178,7 +178,8 @@ def _check(
         },
         classes,
     )
-    load(configs["koopman_lifter"][ModelConfig].path)
+    lifter = configs["koopman_lifter"]
+    load_for(lifter[LifterConfig], lifter[ModelConfig])
     if "recorder" in configs:
         output = configs["recorder"][RecorderConfig].output
         if output and (Path(output).expanduser() / "bag").exists():

@@ -133,6 +133,15 @@ def test_a_folder_that_holds_a_recording_is_refused(mine, tmp_path):
             plan({"record": "true", **given})
 
 
+def test_only_the_lifted_cost_needs_a_model_that_fits(mine):
+    given = mine("/**: {ros__parameters: {dt: 0.01, model: /nowhere.npz}}")
+    assert plan({**given, "cost": "raw"}).parameters["koopman_lifter"]["cost"] == "raw"
+    with pytest.raises(ValueError, match=r"/nowhere.npz: cannot be read"):
+        plan(given)
+    with pytest.raises(ValueError, match=r"trained at dt = 0.005 s, this node runs at dt = 0.01"):
+        plan(mine("/**: {ros__parameters: {dt: 0.01}}"))
+
+
 def test_an_argument_that_the_launch_does_not_have_is_refused():
     refuse_other_arguments(["duration:=3", "sigterm_timeout:=20"])
     with pytest.raises(ConfigError, match="unknown argument 'durations': did you mean"):

@@ -18,9 +18,8 @@ from koop_loop.kernel import Controller, Memory, control
 from koop_node.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.cost import Lifting, Workspace
+from koopman_lifter.cost import Workspace
 from koopman_lifter.model import KoopmanModel
-from koopman_lifter.observables import Monomials
 from relay_esc.config import EscConfig
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
@@ -105,15 +104,9 @@ def run_kernel(
     return len(theta)
 
 
-def no_lifting() -> Lifting:
-    """Return a placeholder for the raw cost, which needs no model."""
-    observables = Monomials(2, 1)
-    return Lifting(observables.parent, observables.factor, np.zeros((1, observables.p)), 2, 2, 1)
-
-
 def controller(lifter: LifterConfig, esc: EscConfig, model: KoopmanModel | None) -> Controller:
     """Return the kernel's parameters of lifter and controller."""
-    lifting = model.lifting() if model is not None else no_lifting()
+    lifting = model.lifting() if model is not None else cost.no_lifting()
     return Controller(lifter.source, lifting, lifter.detector_params(), esc.params())
 
 

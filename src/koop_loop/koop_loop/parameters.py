@@ -15,7 +15,7 @@ from koop_node import parameter_file
 from koop_node.config import ConfigError, NodeConfig, refuse_unknown
 from koop_node.parameter_file import ROS_OWN
 from koopman_lifter.config import LifterConfig, ModelConfig
-from koopman_lifter.model import KoopmanModel, load
+from koopman_lifter.model import KoopmanModel, load_for
 from relay_esc.config import EscConfig
 from vdp_plant.config import PaceConfig, PlantConfig
 
@@ -42,15 +42,15 @@ class LoopParameters:
     model: ModelConfig
     esc: EscConfig
 
-    def load_model(self) -> KoopmanModel:
-        """Read the model file.
+    def load_model(self) -> KoopmanModel | None:
+        """Read the model file; None if the cost is raw and the file cannot be used.
 
         Raises
         ------
         koopman_lifter.model.ModelError
-            If it cannot be used.
+            If the lifted cost cannot have it.
         """
-        return load(self.model.path)
+        return load_for(self.lifter, self.model)
 
     def as_ros(self) -> dict[str, dict[str, Any]]:
         """Return the parameters by node name, in the terms of a ROS 2 parameter file."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from koop_lab.cli.simulate import run as simulated
-from koop_loop.loop import no_lifting, simulate
+from koop_loop.loop import simulate
 from koop_loop.parameters import make
 from koop_loop.training import train
 from koop_node.stream import StreamMonitor
@@ -85,13 +85,13 @@ def test_what_follows_on_lost_states_is_told_by_the_timeouts_as_in_the_nodes() -
     lost = expose(case.scenario, case.plant, case.steps, case.plant.seed).lost
     states, costs = StreamMonitor("state", 0.02, 0.005), StreamMonitor("cost", 0.035, 0.005)
     detector, relay_state = cost.initial(), case.esc.initial()
-    work = cost.workspace(no_lifting())
+    work = cost.workspace(cost.no_lifting())
     params = case.lifter.detector_params(), case.esc.params()
     for k in np.flatnonzero(~lost).tolist():
         x = np.array(dynamics.measure(case.plant.params(), k, *trace.ground_truth[k]))
         arrivals = [int(monitor.classify(k, 0.0, 0.0)) for monitor in (states, costs)]
         r, _, settling, detector = cost.answer(
-            cost.RAW, no_lifting(), params[0], detector, arrivals[0], k, x, work
+            cost.RAW, cost.no_lifting(), params[0], detector, arrivals[0], k, x, work
         )
         relay_state, _, _ = relay.answer(
             params[1], relay_state, arrivals[1], False, settling, r, False

@@ -35,7 +35,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from koop_node.arrival import Arrival
-from koopman_lifter.observables import lift_into
+from koopman_lifter.observables import Monomials, lift_into
 
 RAW = 0
 LIFTED = 1
@@ -98,6 +98,12 @@ def workspace(lifting: Lifting) -> Workspace:
         np.empty((depth, lifting.channels)),
         np.zeros(3, dtype=np.int64),
     )
+
+
+def no_lifting() -> Lifting:
+    """Return a placeholder for the raw cost, which needs no model."""
+    observables = Monomials(2, 1)
+    return Lifting(observables.parent, observables.factor, np.zeros((1, observables.p)), 2, 2, 1)
 
 
 class DetectorParams(NamedTuple):

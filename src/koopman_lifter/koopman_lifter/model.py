@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koopman_lifter.bootstrap import eigenvalue_spread
+from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.cost import Lifting
 from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram
@@ -248,6 +249,53 @@ def load(path: str | Path) -> KoopmanModel:
         return _parse(_entries(raw))
     except ModelError as error:
         raise ModelError(f"{path}: {error}; make a new one with 'koop train'") from None
+
+
+def load_for(config: LifterConfig, chosen: ModelConfig, n: int = 0) -> KoopmanModel | None:
+    """Return the model that a lifter uses; None if the raw cost does without.
+
+    A model that fits is used for the raw cost, too: its id is recorded.
+
+    Parameters
+    ----------
+    config, chosen
+        Of the lifter.
+    n : int
+        Number of measured values; 0: not known.
+
+    Raises
+    ------
+    ModelError
+        If the lifted cost cannot have the model.
+    """
+    try:
+        return load_fitting(chosen.path, config.dt, n)
+    except ModelError:
+        if config.cost == "raw":
+            return None
+        raise
+
+
+def load_fitting(path: Path, dt: float, n: int = 0) -> KoopmanModel:
+    """Read a model file for a sampling time [s] and a number of measured values, 0: any.
+
+    Raises
+    ------
+    ModelError
+        As :func:`load`, or if the model is for others.
+    """
+    model = load(path)
+    if model.dt != dt:
+        raise ModelError(
+            f"{path}: trained at dt = {model.dt} s, this node runs at dt = {dt} s; "
+            "train a model at that step or set the parameter dt"
+        )
+    if n not in (0, model.delays.channels):
+        raise ModelError(
+            f"{path}: trained on {model.delays.channels} channels, the state has {n}; "
+            "train a model on these"
+        )
+    return model
 
 
 def _entries(raw: bytes) -> dict[str, NDArray[Any]]:

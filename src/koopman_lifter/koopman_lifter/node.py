@@ -6,7 +6,6 @@ import math
 import sys
 from array import array
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,19 +24,18 @@ from koop_node.stamps import classify
 from koop_node.stream import StreamMonitor
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
-from koopman_lifter.model import KoopmanModel, ModelError, load
+from koopman_lifter.model import KoopmanModel, load_fitting, load_for
 
 
 class Loaded:
-    """A model as the kernel takes it."""
+    """A model as the kernel takes it; without one, what the raw cost takes in its place."""
 
-    def __init__(self, model: KoopmanModel) -> None:
+    def __init__(self, model: KoopmanModel | None) -> None:
         self.model = model
-        self.n = model.delays.channels
-        self.id = model.model_id
-        self.lifting = model.lifting()
+        self.n = model.delays.channels if model is not None else 0  # any
+        self.id = model.model_id if model is not None else ""
+        self.lifting = model.lifting() if model is not None else cost.no_lifting()
         self.work = cost.workspace(self.lifting)
-        self.nothing = np.full(self.n, math.nan)
 
 
 class Foreign:
@@ -69,13 +67,14 @@ class Foreign:
 
 
 class LifterRun(Run):
-    """A lifter with its model, from the first state on."""
+    """A lifter with its model, if it has one, from the first state on."""
 
     def __init__(self, node: LifterNode, entities: Entities) -> None:
         config = node.parameters[LifterConfig]
         self._node = node
-        self._loaded = Loaded(read_model(node.parameters[ModelConfig].path, config))
+        self._seen = len(config.foreign.fields) if config.foreign is not None else 0
         self._candidate: KoopmanModel | None = None
+        self._use(load_for(config, node.parameters[ModelConfig], self._seen))
         self._state = cost.initial()
         self._answer = Cost()
         self._source, self._detector = config.source, config.detector_params()
@@ -85,11 +84,6 @@ class LifterRun(Run):
         self.inputs = (self._input,)
         self._publisher: Publisher | None = None
         self._compile()
-        model = self._loaded.model
-        node.get_logger().info(
-            f"model {model.model_id}: {model.observables.p} observables, "
-            f"{model.projector.shape[0]} modes kept"
-        )
 
     def activate(self, entities: Entities) -> None:
         recorders = self._node.parameters[NodeConfig].recorders
@@ -116,13 +110,15 @@ class LifterRun(Run):
             self._foreign.publisher = None
 
     def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
-        if "model" in names:  # the same path, too: there may be another model in the file by now
-            self._candidate = read_model(configs[ModelConfig].path, configs[LifterConfig])
+        self._candidate, config = None, configs[LifterConfig]
+        needed = config.cost == "lifted" and self._loaded.model is None
+        if "model" in names or needed:  # the same path, too: the file may have another by now
+            self._candidate = load_fitting(configs[ModelConfig].path, config.dt, self._seen)
 
     def parameters_changed(self, names: set[str]) -> None:
-        if "model" in names and self._candidate is not None:
-            self._loaded, self._candidate = Loaded(self._candidate), None
-            self._node.get_logger().info(f"model is now {self._loaded.id}")
+        if self._candidate is not None:
+            self._use(self._candidate)
+            self._candidate = None
         config = self._node.parameters[LifterConfig]
         self._source, self._detector = config.source, config.detector_params()
         if {"cost", "model"} & names:  # of another quantity the filters know nothing
@@ -168,16 +164,42 @@ class LifterRun(Run):
         answer.step = state.step
         answer.lockstep = state.lockstep
         answer.source = self._source
-        answer.model_id = self._loaded.id
-        loaded, x = self._loaded, np.frombuffer(state.x)
-        if x.shape[0] != loaded.n:
-            x = loaded.nothing
+        x = self._taken(np.frombuffer(state.x), arrival)
+        loaded = self._loaded
+        answer.model_id = loaded.id
         answer.r, answer.y_out, answer.settling, self._state = cost.answer(
             self._source, loaded.lifting, self._detector, self._state, int(arrival), state.step,
             x, loaded.work,
         )  # fmt: skip
         if math.isnan(answer.r) and not (answer.settling and self._believed(x)):
             self._report_unusable(state.x)
+
+    def _use(self, model: KoopmanModel | None) -> None:
+        self._loaded = Loaded(model)
+        self._n = self._loaded.n or self._seen
+        found = "no model: the raw cost needs none"
+        if model is not None:
+            found = (
+                f"model {model.model_id}: {model.observables.p} observables, "
+                f"{model.projector.shape[0]} modes kept"
+            )
+        self._node.get_logger().info(found)
+
+    def _taken(self, x: NDArray[np.float64], arrival: Arrival) -> NDArray[np.float64]:
+        """Return a state as the kernel takes it: NaN where it has not the run's number of values.
+
+        That is the model's; for the raw cost, any number with which a run begins.
+        """
+        n = self._seen = x.shape[0]
+        if n == self._n:
+            return x
+        begins = self._n == 0 or arrival in (Arrival.RESTART, Arrival.JOIN)
+        if self._source == cost.LIFTED or n == 0 or not begins:
+            return np.full(self._n or 1, math.nan)
+        if self._loaded.model is not None and self._loaded.n != n:
+            self._use(None)
+        self._n = n
+        return x
 
     def _believed(self, x: NDArray[np.float64]) -> bool:
         """Return whether nothing speaks against a state that has no cost yet."""
@@ -187,11 +209,12 @@ class LifterRun(Run):
         )
 
     def _report_unusable(self, x: array[float]) -> None:
-        n, delays = self._loaded.n, self._loaded.model.delays
+        n, model = self._n, self._loaded.model
         if len(x) != n:
-            problem = f"state has {len(x)} values, the model {self._loaded.id} needs {n}"
-        elif delays.count > 1:
-            past = (delays.depth - 1) * self._loaded.model.dt
+            needed = f"the model {self._loaded.id} needs" if model is not None else "the first had"
+            problem = f"state has {len(x)} values, {needed} {n}"
+        elif self._source == cost.LIFTED and model is not None and model.delays.count > 1:
+            past = (model.delays.depth - 1) * model.dt
             problem = f"a state of the last {past:g} s is not finite or y_out too large"
         else:
             problem = f"state {x.tolist()} is not finite or its y_out too large"
@@ -200,7 +223,7 @@ class LifterRun(Run):
 
     def _compile(self) -> None:
         """Compile the kernel for the types that messages bring, before the first sample."""
-        x = np.frombuffer(MeasuredState(x=[0.0] * self._loaded.n).x)
+        x = np.frombuffer(MeasuredState(x=[0.0] * (self._n or 1)).x)
         cost.answer(
             self._source, self._loaded.lifting, self._detector, cost.joining(self._detector),
             int(Arrival.JOIN), 0, x, self._loaded.work,
@@ -220,17 +243,6 @@ class LifterNode(ManagedNode[LifterRun]):
 
     def __init__(self, name: str = "koopman_lifter", **options: Any) -> None:
         super().__init__(name, LifterRun, LifterConfig, ModelConfig, **options)
-
-
-def read_model(path: Path, config: LifterConfig) -> KoopmanModel:
-    """Return the model of a file; raise ModelError if it does not fit the configuration."""
-    model = load(path)
-    if model.dt != config.dt:
-        raise ModelError(
-            f"{path}: trained at dt = {model.dt} s, this node runs at dt = {config.dt} s; "
-            "train a model at that step or set the parameter dt"
-        )
-    return model
 
 
 def main() -> None:

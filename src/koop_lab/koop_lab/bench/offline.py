@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_loop.kernel import Memory
-from koop_loop.loop import controller, initial_state, no_lifting, run_kernel, simulate
+from koop_loop.loop import controller, initial_state, run_kernel, simulate
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
@@ -157,7 +157,7 @@ def compile_c(source: Path, folder: Path) -> Path:
 
 def time_c(program: Path, loop: Loop, rounds: int) -> tuple[float, NDArray[np.float64]]:
     """Return the best time [s] of the C loop, and theta of every 1000th step."""
-    lifting = no_lifting() if loop.model is None else loop.model.lifting()
+    lifting = cost.no_lifting() if loop.model is None else loop.model.lifting()
     rows, p = lifting.projector.shape
     plant, detector = loop.plant.params(), loop.lifter.detector_params()
     relay = loop.esc.params()

@@ -13,7 +13,6 @@ from koop_loop.loop import controller
 from koop_node.arrival import NOTHING, Arrival
 from koopman_lifter import cost
 from koopman_lifter.cost import Workspace
-from koopman_lifter.model import load
 
 
 @njit(cache=True)
@@ -102,18 +101,20 @@ def replay_offline(
     for stretch in plan.stretches:
         part = slice(stretch.begin, stretch.end)
         lifter, esc = stretch.parameters.lifter, stretch.parameters.esc
-        model = load(stretch.parameters.model.path)
-        if x is None or x.shape[1] != model.delays.channels:
-            x = recording.states(model.delays.channels)
+        model = stretch.parameters.load_model()
+        if lifter.cost == "lifted" and model is not None:
+            if x is None or x.shape[1] != model.delays.channels:
+                x = recording.states(model.delays.channels)
+        elif x is None:
+            x = recording.states()
         if any({"cost", "model"} & set(change.values) for change in stretch.changed):
             memory = memory._replace(detector=cost.joining(lifter.detector_params()))
             work = None
+        made = controller(lifter, esc, model)
         if work is None:
-            work = cost.workspace(model.lifting())
-        switched, origin = (
-            origin != (lifter.source, model.model_id),
-            (lifter.source, model.model_id),
-        )
+            work = cost.workspace(made.lifting)
+        now = (lifter.source, model.model_id if model is not None else "")
+        switched, origin = origin != now, now
         step = recording.step[part]
         state_arrivals = np.empty(step.size, np.int8)
         states = listen(step, lifter.state_timeout, lifter.dt, states, state_arrivals)
@@ -124,7 +125,7 @@ def replay_offline(
         costs = listen(step[heard], esc.cost_timeout, esc.dt, costs, found)
         cost_arrivals[heard] = found
         memory = replay_kernel(
-            controller(lifter, esc, model),
+            made,
             memory,
             work,
             switched,

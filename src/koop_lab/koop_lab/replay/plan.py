@@ -16,7 +16,6 @@ from koop_lab.replay.unheard import unheard_costs
 from koop_loop import parameters
 from koop_loop.parameters import LoopParameters
 from koop_node.config import ConfigError
-from koopman_lifter.model import load
 
 Values = dict[str, dict[str, Any]]
 OWN_TOPICS = {"koopman_lifter": {"input_fields": ""}, "relay_esc": {"command_topic": ""}}
@@ -119,7 +118,8 @@ def make_plan(
         for name in given[node]:
             if name != "model" and after[name] != before[node][name]:
                 differences.append((f"{node}.{name}", before[node][name], after[name]))
-    now = stretches[0].parameters.load_model().model_id
+    used_model = stretches[0].parameters.load_model()
+    now = used_model.model_id if used_model is not None else "none"
     if first and now != first:
         differences.append(("koopman_lifter.model", first, now))
     step_size = max(
@@ -191,10 +191,8 @@ def _stretches(used: Values, changes: Iterable[Change], size: int) -> tuple[Stre
         for change in at[begin]:
             used = {**used, change.node: {**used[change.node], **change.values}}
         made = parameters.make(used)
-        dt = load(made.model.path).dt
-        if not dt == made.lifter.dt == made.esc.dt:
-            raise ConfigError(
-                f"dt differs: model {dt}, lifter {made.lifter.dt}, controller {made.esc.dt} s"
-            )
+        made.load_model()
+        if made.lifter.dt != made.esc.dt:
+            raise ConfigError(f"dt differs: lifter {made.lifter.dt}, controller {made.esc.dt} s")
         stretches.append(Stretch(begin, end, made, tuple(at[begin])))
     return tuple(stretches)

@@ -7,6 +7,7 @@ before it, as the nodes' StreamMonitor sees it) and its step.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,13 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.columns import Columns, read_columns, read_tables
 from koop_bag.bag.reader import BagReader
-from koop_lab.replay.settings import Change, first_values, recorded_changes, recorded_values
+from koop_lab.replay.settings import (
+    Change,
+    decoder,
+    first_values,
+    recorded_changes,
+    recorded_values,
+)
 from koop_loop.kernel import listen
 from koop_node.arrival import NOTHING, Arrival
 from koopman_lifter.config import SOURCES
@@ -104,14 +111,24 @@ class Recording:
         begun = self.settling[: first[0]].any() if first.size else True
         return not begun and float(self.r[first[0]]) != 0.0
 
-    def states(self, n: int) -> NDArray[np.float64]:
-        """Return x', shape (M, n); a row of NaN, an unusable state, where its length is not n."""
-        fields = [f"x[{i}]" for i in range(n + 1)]
+    def states(self, n: int = 0) -> NDArray[np.float64]:
+        """Return x', shape (M, n); a row of NaN, an unusable state, where its length is not n.
+
+        By default n is the length of the first one, as of the raw cost, which takes any.
+        """
         with BagReader(self.path) as bag:
+            n = n or self._first_length(bag)
+            fields = [f"x[{i}]" for i in range(n + 1)]
             columns = read_columns(bag, self.state_topic, fields)
         x = np.stack([columns[name][self.message] for name in fields[:n]], axis=1)
         x[~np.isnan(columns[fields[n]][self.message])] = np.nan
         return np.ascontiguousarray(x, dtype=np.float64)
+
+    def _first_length(self, bag: BagReader) -> int:
+        """Return the length of the first state that is not empty."""
+        decode, first = decoder(bag, self.state_topic), self.message[0]
+        messages = islice(bag.messages([self.state_topic]), int(first), None)
+        return next((found for m in messages if (found := len(decode(m.data).x))), 1)
 
 
 def read_recording(path: Path, namespace: str = "/") -> Recording:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
@@ -154,13 +154,7 @@ class _Event(NamedTuple):
 
 
 def _events(bag: BagReader, namespace: str) -> Iterator[_Event]:
-    from mcap.records import Schema
-    from mcap_ros2.decoder import DecoderFactory
-
-    topic = bag.topic(EVENTS)
-    schema = Schema(id=1, name=topic.type_name, encoding="ros2msg", data=topic.definition.encode())
-    decode = DecoderFactory().decoder_for("cdr", schema)
-    assert decode is not None
+    decode = decoder(bag, EVENTS)
     nodes = {f"{namespace.rstrip('/')}/{node}": node for node in CONTROLLER}
     for message in bag.messages([EVENTS]):
         event = decode(message.data)
@@ -171,6 +165,18 @@ def _events(bag: BagReader, namespace: str) -> Iterator[_Event]:
                 for items in (event.new_parameters, event.changed_parameters)
             )
             yield _Event(message.publish_time, node, declared, changed)
+
+
+def decoder(bag: BagReader, name: str) -> Callable[[bytes], Any]:
+    """Return what makes messages of a topic out of their bytes."""
+    from mcap.records import Schema
+    from mcap_ros2.decoder import DecoderFactory
+
+    topic = bag.topic(name)
+    schema = Schema(id=1, name=topic.type_name, encoding="ros2msg", data=topic.definition.encode())
+    decode = DecoderFactory().decoder_for("cdr", schema)
+    assert decode is not None
+    return decode
 
 
 def _value(value: Any) -> Any:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_loop.loop import check_fit, initial_state, no_lifting
+from koop_loop.loop import check_fit, initial_state
 from koop_loop.metrics import evaluate
 from koop_node.config import ConfigError
 from koop_study.controllers import adaptive, perturbation
@@ -63,7 +63,7 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: boo
     detector = lifter.detector_params()
     if case.cost == "log":  # the limit is of the energy, before its logarithm
         detector = detector._replace(y_max=math.log(detector.y_max))
-    lifting = no_lifting() if model is None else model.lifting()
+    lifting = cost.no_lifting() if model is None else model.lifting()
     sensing = Sensing(
         lifter.source,
         case.cost == "log",
