@@ -16,7 +16,6 @@ from koop_lab.identify import counted
 from koop_lab.identify.from_bags import BagTraining, joined, train_from_bags
 from koop_lab.identify.samples import Batch, StateSpec
 from koop_lab.identify.segments import WAYS, Segmentation, Segmenter
-from koopman_lifter.contrast import WINDOW
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import build, load
 from koopman_lifter.observables import Monomials
@@ -34,8 +33,20 @@ def oscillation(t, phase=0.0):
     return (expm(A * np.asarray(t)[:, None, None]) @ start).T
 
 
-def write_joints(path, t, x, begin=1_700_000_000):
-    """Write a bag of sensor_msgs/JointState with another library; the state is joint 1 of two."""
+def write_numbers(writer, topic, times, values):
+    """Add a topic of std_msgs/Float64."""
+    kind = "std_msgs/msg/Float64"
+    connection = writer.add_connection(topic, kind, typestore=STORE)
+    for at, value in zip(times, values, strict=True):
+        message = STORE.types[kind](data=float(value))
+        writer.write(connection, int(at), STORE.serialize_cdr(message, kind))
+
+
+def write_joints(path, t, x, theta=None, begin=1_700_000_000):
+    """Write a bag of sensor_msgs/JointState with another library; the state is joint 1 of two.
+
+    ``theta`` of every sample becomes a number on /knob where it changes, without a stamp.
+    """
     types, plugin = STORE.types, StoragePlugin.MCAP
     header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
     with Writer(path, version=9, storage_plugin=plugin) as writer:
@@ -52,6 +63,10 @@ def write_joints(path, t, x, begin=1_700_000_000):
             )
             late = at + begin * 10**9 + 300_000
             writer.write(topic, late, STORE.serialize_cdr(message, kind))
+        if theta is not None:
+            turned = np.flatnonzero(np.diff(theta, prepend=np.nan) != 0.0)
+            times = begin * 10**9 + np.round(t[turned] * 1e9).astype(np.int64)
+            write_numbers(writer, "/knob", times, theta[turned])
     return path
 
 
@@ -376,9 +391,12 @@ def test_a_bag_5_times_as_large_takes_no_more_memory(tmp_path):
     assert peaks[1] - peaks[0] < 30e6
 
 
+PIECE = 2000  # samples of one strength
+
+
 def test_the_contrast_of_a_bag_is_free_of_what_all_of_it_contains(tmp_path):
-    t = DT * np.arange(6 * WINDOW)
-    swing = np.repeat([1.0, 5.0, 2.0, 6.0, 1.5, 4.0], WINDOW) * np.sin(2.0 * t)
+    t = DT * np.arange(20 * PIECE)
+    swing = np.repeat([1.0, 5.0, 2.0, 6.0, 1.5] * 4, PIECE) * np.sin(2.0 * t)
     common = 20.0 * np.sin(3.1 * t)
     x = np.stack((common + swing + 4.0, 2.0 * common - swing + 1.0))
     path = write_joints(tmp_path / "bag", t, x)
@@ -386,10 +404,48 @@ def test_the_contrast_of_a_bag_is_free_of_what_all_of_it_contains(tmp_path):
     model = train_from_bags([path], BagTraining(JOINTS, **given))
     constant, *direction = model.projector[0, :3]
     # 2 x1 - x2 is free of the common part and has its centre at 2 * 4 - 1
-    assert direction[0] / direction[1] == pytest.approx(-2.0, abs=0.01)
+    assert direction[0] / direction[1] == pytest.approx(-2.0, abs=0.02)
     assert constant / direction[1] == pytest.approx(7.0, abs=0.1)
     assert not model.projector[1:].any()
     assert model.provenance["variant"] == "contrast"
+    assert model.provenance["strong_and_weak_by"] == "amplitude"
+
+
+def test_theta_tells_the_oscillation_from_a_stronger_interference_that_comes_and_goes(tmp_path):
+    """By amplitude alone, the interference's coming and going would be the contrast."""
+    rng = np.random.default_rng(0)
+    t = DT * np.arange(60 * PIECE)
+    theta = np.repeat(rng.uniform(-2.0, 2.0, 60), PIECE)
+    swing = (0.2 + np.abs(theta)) * np.sin(2.0 * t)
+    drifting = 20.0 * (1.2 + np.sin(0.05 * t)) * np.sin(3.1 * t)
+    x = np.stack((drifting + swing, 2.0 * drifting - swing))
+    x += 0.01 * rng.standard_normal(x.shape)
+    path = write_joints(tmp_path / "bag", t, x, theta)
+    given = {"dt": DT, "way": "none", "held_out": 0.0, "contrast": True}
+    ratio = {}
+    for field in (None, "/knob:data"):
+        model = train_from_bags([path], BagTraining(JOINTS, theta=field, **given))
+        ratio[field] = model.projector[0, 1] / model.projector[0, 2]
+    assert model.provenance["strong_and_weak_by"] == "theta"
+    assert ratio["/knob:data"] == pytest.approx(-2.0, abs=0.01)
+    assert abs(ratio[None] + 2.0) > 0.1
+
+
+def test_one_channel_with_delays_tells_as_much_as_two(tmp_path):
+    """A linear oscillator seen through one sensor, from a bag of std_msgs/Float64."""
+    t = DT * np.arange(20 * PIECE)
+    path = tmp_path / "bag"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        times = np.round((1.0 + t) * 1e9)
+        write_numbers(writer, "/pressure", times, np.exp(-0.01 * t) * np.cos(3.0 * t))
+    state = StateSpec.parse("/pressure:data")
+    model = train_from_bags([path], BagTraining(state, dt=DT, way="none", delays=2, degree=1))
+    expected = np.exp((-0.01 + 3.0j) * DT)
+    assert np.abs(model.eigenvalues - expected).min() < 1e-9
+    # together they span an eighth of the period
+    assert model.delays.every * DT == pytest.approx(0.125 * 2.0 * np.pi / 3.0, rel=0.1)
+    # predicted from its past as well as from its state
+    assert max(item["error"][0] for item in model.provenance["forecast"]) < 1e-6
 
 
 def test_a_bag_too_short_for_a_contrast_is_refused_with_what_to_do(tmp_path):

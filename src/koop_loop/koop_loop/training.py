@@ -11,7 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from koop_node.config import parameter, validate
-from koopman_lifter.contrast import WindowCovariances, with_contrast
+from koopman_lifter.contrast import TrajectoryMoments, with_contrast
+from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram
 from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, build
@@ -21,6 +22,7 @@ from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantParams
 
 STATE_NAMES = ("x", "y")
+PLAIN = Delays(len(STATE_NAMES))  # the state as it is measured
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,12 @@ def trajectories(
 
 
 def simulated_gram(
-    plant: PlantConfig, config: TrainingConfig, windows: WindowCovariances | None = None
+    plant: PlantConfig,
+    config: TrainingConfig,
+    delays: Delays = PLAIN,
+    moments: TrajectoryMoments | None = None,
 ) -> tuple[Gram, int]:
-    """Simulate the training trajectories and sum them up, also in ``windows`` where given.
+    """Simulate the training trajectories and sum them up, also in ``moments`` where given.
 
     Returns
     -------
@@ -89,20 +94,24 @@ def simulated_gram(
     dropped : int
         Trajectories left out because they diverged.
     """
-    gram = Gram.empty(Monomials(2, config.degree))
+    gram = Gram.empty(Monomials(delays.n, config.degree))
     dropped = 0
     for states in trajectories(plant, config):
         if states is None:
             dropped += 1
         else:
-            gram.add_trajectory(states)
-            if windows is not None:
-                windows.add_trajectory(states)
+            gram.add_trajectory(delays.embed(states))
+            if moments is not None:
+                moments.add(states)
     return gram, dropped
 
 
 def train(
-    plant: PlantConfig, config: TrainingConfig, contrast: bool = False, fit: Fit | None = None
+    plant: PlantConfig,
+    config: TrainingConfig,
+    contrast: bool = False,
+    delays: Delays = PLAIN,
+    fit: Fit | None = None,
 ) -> KoopmanModel:
     """Train a model on simulated trajectories, for the paper's cost or for ``contrast``.
 
@@ -111,8 +120,8 @@ def train(
     ValueError
         If the surviving trajectories cannot determine the model.
     """
-    windows = WindowCovariances(2) if contrast else None
-    gram, dropped = simulated_gram(plant, config, windows)
+    moments = TrajectoryMoments(delays) if contrast else None
+    gram, dropped = simulated_gram(plant, config, delays, moments)
     provenance: dict[str, Any] = {
         "source": "simulation",
         "integrator": plant.integrator,
@@ -120,5 +129,5 @@ def train(
         **{name: getattr(config, name) for name in config.__dataclass_fields__},
         **({"variant": "contrast"} if contrast else {}),
     }
-    model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance, fit=fit)
-    return with_contrast(model, *windows.result()) if windows is not None else model
+    model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance, delays, fit)
+    return with_contrast(model, *moments.result()) if moments is not None else model

@@ -1,14 +1,21 @@
-"""The ``contrast`` cost: y_out = (w^T x' + c)^2, w where strong oscillations exceed weak ones most.
+"""The ``contrast`` cost: y_out = (w^T X + c)^2, w where the oscillation stands out most.
 
-What every window of the data contains alike, such as interference, drops out: with C_hi and C_lo
-the mean covariances of the windows of largest and smallest amplitude w maximises
+What the data contain alike everywhere, such as interference, drops out. With C_hi and C_lo the mean
+covariances of windows of strong and of weak oscillation w maximises
 
     w^T C_hi w / w^T C_lo w,
 
 a generalised eigenvalue problem (common spatial patterns; Koles 1991, Fukunaga 1990). It is
 restricted to the linear observables because an interference that is added to the state is additive
-there and nowhere else. The result is a projector of the existing model file, so that the lifter
-node runs it unchanged.
+there and nowhere else. With delays w is a filter over the last samples as well. The result is a
+projector of the model file, so that the lifter node runs it unchanged.
+
+Which windows are strong and weak is told by their amplitude, or, where theta of each window is
+known, by theta: an interference or a drift that is stronger than the oscillation comes and goes
+with time, the oscillation with theta. Then windows are put in bins of theta, every pair of bins
+proposes its directions, and the one is taken whose energy (w^T X)^2 theta explains best: the
+largest ratio of the variance of its logarithm between bins to that within them (Fisher's F),
+directions from one half of the windows being judged on the other.
 """
 
 from __future__ import annotations
@@ -18,47 +25,55 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from koopman_lifter.delays import Delays
 from koopman_lifter.model import KoopmanModel
 
 QUARTILE = 0.25  # share of the windows that counts as strongly, and as weakly, oscillating
 TRANSIENT = 0.2  # share of a trajectory that is left out of its moments
-WINDOW = 2000  # [samples] of a window, where a recording does not come in trajectories
+FEWEST = 8  # windows of a recording
+BINS = 6  # of theta, at most
+IN_A_BIN = 4  # windows, at least: two to propose, two to judge
+RIDGE = 1e-9  # of the variance, for directions in which neighbouring samples never differ
 
 
 def with_contrast(
-    model: KoopmanModel, covariances: NDArray[np.float64], means: NDArray[np.float64]
+    model: KoopmanModel,
+    covariances: NDArray[np.float64],
+    means: NDArray[np.float64],
+    theta: NDArray[np.float64] | None = None,
 ) -> KoopmanModel:
     """Return the model with the ``contrast`` projector in place of its dominant modes'.
 
     Parameters
     ----------
     model : KoopmanModel
-        Of n states.
+        Of an n-dimensional state.
     covariances : ndarray, shape (T, n, n)
-        Of the measured state over each of T windows of the data, at least 2.
+        Of the state over each of T windows of the data, at least 2.
     means : ndarray, shape (T, n)
-        Of the measured state over the same windows.
+        Of the state over the same windows.
+    theta : ndarray, shape (T,), optional
+        Control input of each window, where it tells strong from weak.
 
     Raises
     ------
     ValueError
         If a state, or a combination of states, never moves.
     """
-    import scipy.linalg  # slow to import, and no other way of training needs it
-
     n = model.observables.n
-    count = max(1, round(QUARTILE * len(covariances)))
-    order = np.argsort(np.trace(covariances, axis1=1, axis2=2), kind="stable")
-    weak, strong = order[:count], order[-count:]
+    if model.delays.count > 1:  # samples of a smooth signal nearly depend on each other
+        usual = np.trace(covariances.mean(axis=0)) / n
+        covariances = covariances + RIDGE * usual * np.eye(n)
     try:
-        _, directions = scipy.linalg.eigh(
-            covariances[strong].mean(axis=0), covariances[weak].mean(axis=0)
-        )
+        if theta is None:
+            direction, weak = _by_amplitude(covariances)
+        else:
+            direction, weak = _by_theta(covariances, theta)
     except np.linalg.LinAlgError:
         raise ValueError(
             "a state, or a combination of states, never moves: it has no contrast"
         ) from None
-    direction = directions[:, -1] / np.abs(directions[:, -1]).sum()
+    direction = direction / np.abs(direction).sum()
     # without delays as many rows as of N modes: the format's version 1 knows no other number
     size = int(model.kept.sum()) if model.delays.count == 1 else 1
     rows = np.zeros((size, model.observables.p))
@@ -68,34 +83,133 @@ def with_contrast(
     return replace(model, projector=rows)
 
 
-class WindowCovariances:
-    """Covariance and mean of the measured state, window by window.
+def can_tell(theta: NDArray[np.float64] | None) -> bool:
+    """Return whether theta of the windows is known and varied enough to tell strong from weak."""
+    if theta is None or not np.isfinite(theta).all() or theta.size < 2 * IN_A_BIN:
+        return False
+    bins = _bins(theta)
+    return len(np.unique(bins[bins >= 0])) > 1
+
+
+def _by_amplitude(
+    covariances: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the direction, shape (n,), and which windows are weak."""
+    count = max(1, round(QUARTILE * len(covariances)))
+    order = np.argsort(np.trace(covariances, axis1=1, axis2=2), kind="stable")
+    weak, strong = order[:count], order[-count:]
+    return _extremes(covariances[strong], covariances[weak])[:, -1], weak
+
+
+def _by_theta(
+    covariances: NDArray[np.float64], theta: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the direction, shape (n,), and which windows are weak: those of one bin of theta."""
+    bins = _bins(theta)
+    inside = [np.flatnonzero(bins == i) for i in np.unique(bins[bins >= 0])]
+    halves = [(members[::2], members[1::2]) for members in inside]
+    total = np.log(_relative(covariances, covariances).sum(axis=1))
+    # which bins oscillate: what comes and goes with time is alike in all of them
+    strength = np.array([total[members].mean() for members in inside])
+
+    def worth(i: int, j: int, half: int) -> float:
+        """F of the direction that two bins of one half propose, on the other half."""
+        w = _extremes(covariances[halves[i][half]], covariances[halves[j][half]])[:, -1]
+        judged = [members[1 - half] for members in halves]
+        return _f_ratio([_log_energy(covariances[members], w) for members in judged])
+
+    pairs = [
+        (i, j) for i in range(len(inside)) for j in range(len(inside)) if strength[i] > strength[j]
+    ]
+    i, j = max(pairs, key=lambda pair: sum(worth(pair[0], pair[1], half) for half in (0, 1)))
+    return _extremes(covariances[inside[i]], covariances[inside[j]])[:, -1], inside[j]
+
+
+def _bins(theta: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the bin of each window, -1 in none: as many windows in each, equal thetas in one."""
+    count = min(BINS, theta.size // IN_A_BIN)
+    edges = np.unique(np.quantile(theta, np.linspace(0.0, 1.0, count + 1)))
+    bins = np.searchsorted(edges[1:-1], theta, side="right")
+    return np.where(np.bincount(bins)[bins] >= IN_A_BIN, bins, -1)
+
+
+def _relative(
+    covariances: NDArray[np.float64], reference: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the variances of the channels over their mean, shape (T, n)."""
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    usual = np.diagonal(reference, axis1=1, axis2=2).mean(axis=0)
+    return np.asarray(variances / np.where(usual > 0.0, usual, 1.0))
+
+
+def _extremes(strong: NDArray[np.float64], weak: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the directions in the order of their energy ratio, the largest last."""
+    import scipy.linalg  # slow to import, and no other way of training needs it
+
+    _, directions = scipy.linalg.eigh(strong.mean(axis=0), weak.mean(axis=0))
+    return np.asarray(directions)
+
+
+def _log_energy(covariances: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.log(np.einsum("i,tij,j->t", w, covariances, w)))
+
+
+def _f_ratio(groups: list[NDArray[np.float64]]) -> float:
+    """Return the variance between groups over that within them (one-way analysis of variance)."""
+    everything = np.concatenate(groups)
+    between = sum(g.size * (g.mean() - everything.mean()) ** 2 for g in groups)
+    within = sum(((g - g.mean()) ** 2).sum() for g in groups)
+    freedom = (everything.size - len(groups)) / max(len(groups) - 1, 1)
+    return float(between / max(within, 1e-300) * freedom)
+
+
+def moments(
+    x: NDArray[np.float64], starts: NDArray[np.int64], length: int, delays: Delays
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return covariance and mean of the embedded state over windows of a recording.
 
     Parameters
     ----------
-    n : int
-        Number of states.
+    x : ndarray, shape (channels, M)
+        Measured channels, one dt apart within each window.
+    starts : ndarray of int, shape (T,)
+        First sample of each window.
+    length : int
+        Samples of a window, more than the delays span.
+    delays : Delays
+        What the state is.
+
+    Returns
+    -------
+    covariances : ndarray, shape (T, n, n)
+    means : ndarray, shape (T, n)
+    """
+    covariances, means = [], []
+    for start in starts:
+        window = delays.embed(x[:, start : start + length])
+        covariances.append(np.atleast_2d(np.cov(window, bias=True)))
+        means.append(window.mean(axis=1))
+    return np.array(covariances), np.array(means)
+
+
+class TrajectoryMoments:
+    """Covariance and mean of the state over trajectories at one theta each.
+
+    Parameters
+    ----------
+    delays : Delays
+        What the state is.
     """
 
-    def __init__(self, n: int) -> None:
-        self._begun: NDArray[np.float64] = np.empty((n, 0))
-        self._covariances: list[NDArray[np.float64]] = []
-        self._means: list[NDArray[np.float64]] = []
+    def __init__(self, delays: Delays) -> None:
+        self._delays = delays
+        self._parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
 
-    def add_trajectory(self, states: NDArray[np.float64]) -> None:
-        """Take the settled part of a trajectory at one theta, shape (n, M)."""
-        self._add(states[:, round(TRANSIENT * states.shape[1]) :])
-
-    def add_recorded(self, states: NDArray[np.float64], begins: bool) -> None:
-        """Take states, shape (n, M), that follow on the last ones unless ``begins``."""
-        self._begun = states if begins else np.hstack((self._begun, states))
-        while self._begun.shape[1] >= WINDOW:
-            window, self._begun = np.split(self._begun, [WINDOW], axis=1)
-            self._add(window)
-
-    def _add(self, window: NDArray[np.float64]) -> None:
-        self._covariances.append(np.atleast_2d(np.cov(window, bias=True)))
-        self._means.append(window.mean(axis=1))
+    def add(self, states: NDArray[np.float64]) -> None:
+        """Take the settled part of a trajectory, shape (channels, M)."""
+        begin = round(TRANSIENT * states.shape[1])
+        settled = states[:, begin:]
+        self._parts.append(moments(settled, np.zeros(1, np.int64), settled.shape[1], self._delays))
 
     def result(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return covariances, shape (T, n, n), and means, shape (T, n).
@@ -103,11 +217,9 @@ class WindowCovariances:
         Raises
         ------
         ValueError
-            If there are fewer than two windows.
+            If there are fewer than two trajectories.
         """
-        if len(self._means) < 2:
-            raise ValueError(
-                "the contrast needs weak and strong oscillation: two trajectories, or "
-                f"{2 * WINDOW} recorded states; record longer, while theta moves over its range"
-            )
-        return np.array(self._covariances), np.array(self._means)
+        if len(self._parts) < 2:
+            raise ValueError("the contrast needs weak and strong oscillation: two trajectories")
+        covariances, means = zip(*self._parts, strict=True)
+        return np.concatenate(covariances), np.concatenate(means)

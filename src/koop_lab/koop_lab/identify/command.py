@@ -12,9 +12,10 @@ from koop_lab.identify.from_bags import BagTraining, train_from_bags
 from koop_lab.identify.samples import StateSpec
 from koop_lab.identify.segments import WAYS
 from koop_loop import parameters
-from koop_loop.training import TrainingConfig, train
+from koop_loop.training import STATE_NAMES, TrainingConfig, train
 from koopman_lifter.bootstrap import RESAMPLES
 from koopman_lifter.config import shipped_model
+from koopman_lifter.delays import Delays, embedded_degree
 from koopman_lifter.estimators import ESTIMATORS
 from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, load
@@ -24,7 +25,7 @@ from vdp_plant.config import PlantConfig
 SIMULATION = (
     "params_file", "trajectories", "duration", "seed", "integrator", "no_interference"
 )  # fmt: skip
-BAGS = ("state", "names", "dt", "way", "gap", "held_out", "horizons")
+BAGS = ("state", "theta", "names", "dt", "way", "gap", "held_out", "horizons")
 
 
 def register(commands: Any) -> None:
@@ -35,7 +36,22 @@ def register(commands: Any) -> None:
         "bags", nargs="*", type=Path, metavar="BAG", help="recordings to learn from"
     )
     parser.add_argument("--out", type=Path, default=Path("model.npz"), metavar="FILE.npz")
-    parser.add_argument("--degree", type=int, default=default.degree)
+    parser.add_argument(
+        "--degree",
+        type=int,
+        help="largest degree of the monomials (default 3; with delays the "
+        "largest of 3, 2, 1 that has at most 120 observables)",
+    )
+    parser.add_argument(
+        "--delays", type=int, default=1, metavar="D",
+        help="the state is the last D samples of every channel: for a rig of which one signal is "
+        "measured, or channels that lag (8 is a good start)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--spacing", type=float, metavar="S",
+        help="time between two of these samples (default: together they span an eighth of the "
+        "period of the strongest oscillation)",
+    )  # fmt: skip
     parser.add_argument("--modes", type=int, default=default.modes, metavar="N")
     parser.add_argument(
         "--contrast",
@@ -100,6 +116,12 @@ def _add_bag_options(group: Any) -> None:
         metavar="/TOPIC:FIELDS",
         help="numeric fields, such as /joint_states:position[0],velocity[0] (default /state:x)",
     )
+    group.add_argument(
+        "--theta",
+        metavar="/TOPIC:FIELD",
+        help="the knob, for --contrast: which parts oscillate strongly is then told by theta "
+        "(default /theta:theta if the bag has it)",
+    )
     group.add_argument("--names", metavar="A,B", help="names of the states")
     group.add_argument("--dt", type=float, metavar="S", help="default: the recorded loop's")
     group.add_argument(
@@ -145,7 +167,7 @@ def train_main(args: argparse.Namespace) -> int:
 def _bag_training(args: argparse.Namespace) -> BagTraining:
     given: dict[str, Any] = {
         name: getattr(args, name)
-        for name in ("dt", "way", "gap", "held_out")
+        for name in ("dt", "way", "gap", "held_out", "degree", "spacing", "theta")
         if getattr(args, name) is not None
     }
     if args.horizons is not None:
@@ -157,7 +179,12 @@ def _bag_training(args: argparse.Namespace) -> BagTraining:
         given["names"] = tuple(args.names.split(","))
     state = StateSpec.parse(args.state or "/state:x")
     return BagTraining(
-        state, degree=args.degree, modes=args.modes, contrast=args.contrast, fit=_fit(args), **given
+        state,
+        modes=args.modes,
+        contrast=args.contrast,
+        delays=args.delays,
+        fit=_fit(args),
+        **given,
     )
 
 
@@ -172,10 +199,15 @@ def _simulated(args: argparse.Namespace) -> KoopmanModel:
         for name in ("trajectories", "duration", "seed")
         if getattr(args, name) is not None
     }
+    n = len(STATE_NAMES)
+    degree = args.degree or (embedded_degree(n * args.delays) if args.delays > 1 else 3)
     config = TrainingConfig(
-        degree=args.degree, modes=args.modes, corrupted=not args.no_interference, **given
+        degree=degree, modes=args.modes, corrupted=not args.no_interference, **given
     )
-    return train(plant, config, args.contrast, _fit(args))
+    if args.delays > 1 and args.spacing is None:
+        raise ValueError("--delays without a bag needs --spacing: no recording tells a period")
+    every = max(1, round(args.spacing / plant.dt)) if args.delays > 1 else 1
+    return train(plant, config, args.contrast, Delays(n, args.delays, every), _fit(args))
 
 
 def inspect_main(args: argparse.Namespace) -> int:
@@ -187,11 +219,20 @@ def inspect_main(args: argparse.Namespace) -> int:
 
 def describe(model: KoopmanModel) -> str:
     """Return a model in words: identity, observables, training data, modes."""
-    names = " ".join(model.observables.names(model.state_names))
+    delays = model.delays
+    names = " ".join(model.observables.names(delays.names(model.state_names, model.dt)))
     kept, asked = int(model.kept.sum()), model.provenance.get("modes_asked")
     lines = [
         f"model {model.model_id}, dt = {model.dt:g} s, states {', '.join(model.state_names)}",
         f"{model.observables.p} observables: {names}",
+        *(
+            [
+                f"state: the last {delays.count} samples of each, {delays.every * model.dt:g} s "
+                f"apart; no cost for {(delays.depth - 1) * model.dt:g} s after a start"
+            ]
+            if delays.count > 1
+            else []
+        ),
         *origin(model.provenance),
         "",
         mode_table(model),

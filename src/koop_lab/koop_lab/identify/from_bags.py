@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
 from koop_lab.identify.counted import mean_period
+from koop_lab.identify.loaded import Loaded, load_states, theta_of
 from koop_lab.identify.samples import STEP, Batch, StateSpec, batches, sha256, state_names
 from koop_lab.identify.segments import Segment, Segmentation, Segmenter, counted_spacing
+from koop_lab.identify.windows import period_of, training_windows
 from koop_lab.replay.settings import recorded_values
-from koopman_lifter.contrast import WindowCovariances, with_contrast
+from koopman_lifter.contrast import can_tell, moments, with_contrast
+from koopman_lifter.delays import SPAN, Delays, embedded_degree, spacing
 from koopman_lifter.edmd import STRETCHES, Gram
 from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, build
@@ -45,14 +48,21 @@ class BagTraining:
         Share of the data that is not learned from, 0 to 0.5.
     horizons : tuple of int
         Steps ahead of which the error on the held-out data is found.
-    degree, modes : int
-        Largest degree of the monomials, number N of modes to keep.
+    degree : int or None
+        Largest degree of the monomials; None: 3, or less where delays would make that too many.
+    modes : int
+        Number N of modes to keep.
     names : tuple of str
         Names of the states; empty: from the fields.
     contrast : bool
-        Whether the cost is the contrast of strong and weak oscillation
-        (koopman_lifter.contrast) in place
-        of the energy of the dominant modes.
+        Whether the cost is the contrast of strong and weak oscillation (koopman_lifter.contrast)
+        in place of the energy of the dominant modes.
+    delays : int
+        Samples of every channel that make up the state.
+    spacing : float or None
+        Time between two of them [s]; None: so that they span an eighth of the dominant period.
+    theta : str or None
+        Field that is theta, such as /knob:data; None: /theta:theta if the bag has it.
     fit : Fit
         From the sums over the data to the modes.
     """
@@ -63,10 +73,13 @@ class BagTraining:
     gap: float | None = None
     held_out: float = 0.2
     horizons: tuple[int, ...] = (1, 10, 50, 200)
-    degree: int = 3
+    degree: int | None = None
     modes: int = 8
     names: tuple[str, ...] = ()
     contrast: bool = False
+    delays: int = 1
+    spacing: float | None = None
+    theta: str | None = None
     fit: Fit = field(default_factory=Fit)
 
     def __post_init__(self) -> None:
@@ -74,7 +87,11 @@ class BagTraining:
             raise ValueError(f"held-out share {self.held_out:g}: must be 0 to 0.5")
         if not self.horizons or min(self.horizons) < 1:
             raise ValueError("horizons are steps ahead, each at least 1")
-        for name, value in (("dt", self.dt), ("gap", self.gap)):
+        if self.delays < 1:
+            raise ValueError(f"{self.delays} delays: at least 1, the newest sample")
+        if self.spacing is not None and self.delays == 1:
+            raise ValueError("--spacing is that of --delays: give both")
+        for name, value in (("dt", self.dt), ("gap", self.gap), ("spacing", self.spacing)):
             if value is not None and not 0.0 < value < 1e6:
                 raise ValueError(f"{name} = {value:g} s: must be positive")
 
@@ -92,27 +109,31 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     gram: Gram | None = None
     segmentations: list[Segmentation] = []
     described: list[dict[str, Any]] = []
+    loaded: list[Loaded] = []
     for path in paths:
         with BagReader(path) as bag:
             segmentation, n = find_segmentation(bag, path, training)
             if gram is None:
-                gram = Gram.empty(Monomials(n, training.degree))
-                windows = WindowCovariances(n) if training.contrast else None
                 training = replace(training, dt=segmentation.dt)  # of all bags
+                delays = _delays(bag, training, segmentation, n)
+                degree = training.degree or embedded_degree(delays.n)
+                gram = Gram.empty(Monomials(delays.n, degree))
                 names = training.names or state_names(training.state, n)
-                gram.observables.names(names)  # as many as there are states
-            if n != gram.observables.n:
+                if len(names) != n:
+                    raise ValueError(f"{len(names)} state names for {n} states")
+            if n != delays.channels:
                 raise ValueError(f"{path}: {n} numbers in {training.state}, other bags have "
-                                 f"{gram.observables.n}")  # fmt: skip
+                                 f"{delays.channels}")  # fmt: skip
             count = bag.topic(training.state.topic).count
             segmenter = Segmenter(segmentation, count)
             before, stretch = gram.pairs, max(1, count // STRETCHES)
-            for segment, known in joined(_segments(bag, training.state, segmenter), 1):
-                if segment.held_out:
-                    continue
-                gram.add_trajectory(segment.states, stretch)
-                if windows is not None:
-                    windows.add_recorded(segment.states[:, known:], segment.begins)
+            segments = _segments(bag, training.state, segmenter)
+            for segment, _ in joined(segments, delays.depth):
+                if not segment.held_out:
+                    gram.add_trajectory(delays.embed(segment.states), stretch)
+            if training.contrast:
+                theta = theta_of(bag, training.theta)
+                loaded.append(load_states(bag, training.state, segmentation, theta))
             segmentations.append(segmentation)
             described.append(
                 {
@@ -131,14 +152,14 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
         "source": "bags",
         "state": str(training.state),
         "held_out": training.held_out,
-        "degree": training.degree,
+        "degree": degree,
         "bags": described,
     }
+    if delays.count > 1:
+        provenance |= {"delays": delays.count, "spacing": delays.every * training.dt}
+    model = build(gram, training.dt, names, training.modes, provenance, delays, training.fit)
     if training.contrast:
-        provenance["variant"] = "contrast"
-    model = build(gram, training.dt, names, training.modes, provenance, fit=training.fit)
-    if windows is not None:
-        model = with_contrast(model, *windows.result())
+        model = contrasted(model, Loaded.joined(loaded))
     if not training.held_out:
         return model
     forecast = Forecast(model, training.horizons)
@@ -146,10 +167,47 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
         with BagReader(path) as bag:
             segmenter = Segmenter(segmentation, bag.topic(training.state.topic).count)
             segments = _segments(bag, training.state, segmenter)
-            for segment, known in joined(segments, max(training.horizons)):
+            overlap = max(training.horizons) + delays.depth - 1
+            for segment, known in joined(segments, overlap):
                 if segment.held_out:
                     forecast.add(segment.states, known)
     return replace(model, provenance={**model.provenance, "forecast": forecast.result()})
+
+
+def contrasted(model: KoopmanModel, loaded: Loaded) -> KoopmanModel:
+    """Return the model with the cost ``contrast``, learned from the windows of a recording.
+
+    Raises
+    ------
+    ValueError
+        If the recording has too few windows, or a channel never moves.
+    """
+    starts, length = training_windows(loaded, model.delays, model.dt)
+    covariances, means = moments(loaded.x, starts, length, model.delays)
+    theta = None
+    if loaded.theta is not None:
+        theta = loaded.theta[starts[:, None] + np.arange(length)].mean(axis=1)
+    told = can_tell(theta)
+    provenance = {
+        **model.provenance,
+        "variant": "contrast",
+        "windows": int(starts.size),
+        "window": float(f"{length * model.dt:.4g}"),
+        "strong_and_weak_by": "theta" if told else "amplitude",
+    }
+    model = with_contrast(model, covariances, means, theta if told else None)
+    return replace(model, provenance=provenance)
+
+
+def _delays(bag: BagReader, training: BagTraining, segmentation: Segmentation, n: int) -> Delays:
+    """Return the delays, their spacing from the recording where none was given."""
+    if training.delays == 1:
+        return Delays(n)
+    dt = segmentation.dt
+    if training.spacing is not None:
+        return Delays(n, training.delays, max(1, round(training.spacing / dt)))
+    period = period_of(load_states(bag, training.state, segmentation, None), dt)
+    return Delays(n, training.delays, spacing(SPAN * period, training.delays, dt))
 
 
 def joined(segments: Iterator[Segment], overlap: int) -> Iterator[tuple[Segment, int]]:

@@ -1,0 +1,77 @@
+"""Windows of a recording for the contrast: as long as the data allow, theta at rest in each."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_lab.identify.loaded import Loaded
+from koop_lab.identify.merit import settled_windows
+from koopman_lifter.contrast import FEWEST
+from koopman_lifter.delays import Delays, dominant_period
+
+PERIODS = 10.0  # of the dominant oscillation, that a window is long at most
+SKIP = 2.0  # periods that the rig needs after a jump of theta
+SHARE = 0.3  # of the time until the next jump, at most
+
+
+def longest_segment(loaded: Loaded) -> NDArray[np.float64]:
+    """Return the longest piece without a gap, shape (n, M)."""
+    bounds = np.append(np.flatnonzero(loaded.begins), loaded.begins.size)
+    i = int(np.argmax(np.diff(bounds)))
+    return np.asarray(loaded.x[:, bounds[i] : bounds[i + 1]])
+
+
+def period_of(loaded: Loaded, dt: float) -> float:
+    """Return the period of the dominant oscillation [s]."""
+    return dominant_period(longest_segment(loaded), dt)
+
+
+def usual_rest(theta: NDArray[np.float64] | None, dt: float) -> float:
+    """Return how long theta usually rests [s]; infinite where it does not jump."""
+    if theta is None:
+        return np.inf
+    known = theta[np.isfinite(theta)]
+    moves = np.abs(np.diff(known))
+    jumps = np.flatnonzero(moves > 0.05 * np.ptp(known)) if known.size else np.empty(0)
+    return float(np.median(np.diff(jumps))) * dt if jumps.size > 1 else np.inf
+
+
+def training_windows(loaded: Loaded, delays: Delays, dt: float) -> tuple[NDArray[np.int64], int]:
+    """Cut the training part of a recording into windows.
+
+    Parameters
+    ----------
+    loaded : Loaded
+        The recording.
+    delays : Delays
+        A window is longer than they span.
+    dt : float
+        Time between two states [s].
+
+    Returns
+    -------
+    starts : ndarray of int, shape (T,)
+        First state of each window.
+    length : int
+        States of a window.
+
+    Raises
+    ------
+    ValueError
+        If there are too few windows; the message says why and what to do.
+    """
+    period = period_of(loaded, dt)
+    skip = min(SKIP * period, SHARE * usual_rest(loaded.theta, dt))
+    starts, length = settled_windows(loaded.theta, loaded.begins, dt, skip, PERIODS * period)
+    starts = starts[~loaded.held_out[starts]] if starts.size else starts
+    if starts.size < FEWEST or length * dt < period or length <= 2 * delays.depth:
+        pieces, states = int(loaded.begins.sum()), loaded.begins.size
+        raise ValueError(
+            f"the contrast compares windows of strong and weak oscillation: {starts.size} windows "
+            f"of {length * dt:.3g} s were found in {states} states ({pieces} pieces without a gap, "
+            f"the oscillation's period is about {period:.3g} s), {FEWEST} of more than "
+            f"{max(period, 2 * delays.depth * dt):.3g} s are needed: record longer, while theta "
+            "moves over its range and rests for some periods at each value"
+        )
+    return starts, length
