@@ -185,24 +185,31 @@ def test_an_eventful_run_is_replayed_bit_for_bit(eventful, how, capfd):
     assert "from step 130 on, as recorded: koopman_lifter cost = raw" in printed
 
 
-def test_a_model_that_was_replaced_is_replaced_again(start, probe, tmp_path, capfd):
+def test_a_late_controller_and_another_model_are_replayed(start, probe, tmp_path, capfd):
     other = tmp_path / "other.npz"
     train(PlantConfig(), TrainingConfig(trajectories=5, duration=10.0)).save(other)
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
-    start("relay_esc", recorders=1, cost_timeout=TIMEOUT, dwell=0.05, step_size=0.01)
+    start("relay_esc", recorders=1, cost_timeout=TIMEOUT, dwell=0.05, tau_f=0.02, step_size=0.01)
     start("koopman_lifter", recorders=LISTENERS, state_timeout=TIMEOUT)
     rig = Rig(probe)
     wait_until_known(probe, folder)
-    rig.swing(range(40))
+    rig.change_state("relay_esc", Transition.TRANSITION_DEACTIVATE)
+    rig.unanswered(range(12), costs=12)
+    rig.change_state("relay_esc", Transition.TRANSITION_ACTIVATE)
+    rig.swing(range(12, 40))
     assert rig.set("koopman_lifter", "model", str(other)).successful
     rig.swing(range(40, 80))
     recorder.process.send_signal(signal.SIGINT)
     assert recorder.process.wait(20.0) == 0
-    assert main(["replay", str(folder), "--offline"]) == 0, capfd.readouterr()
-    printed = capfd.readouterr().out
-    assert "from step 40 on, as recorded: koopman_lifter model =" in printed
-    assert "r      identical bit for bit in all 80 steps" in printed
+    for how in (["--offline"], []):
+        code = main(["replay", str(folder), *how])
+        printed, error = capfd.readouterr()
+        assert code == 0, printed + error
+        assert "the controller joined at step 12, where its first theta is" in printed
+        assert "from step 40 on, as recorded: koopman_lifter model =" in printed
+        assert "r      identical bit for bit in all 80 steps" in printed
+        assert "theta  identical bit for bit in all 68 steps" in printed
 
 
 @pytest.mark.parametrize("n", [1, 3])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from koop_lab.replay.unheard import unheard_costs
+from koop_lab.replay.unheard import joined_at, unheard_costs
 
 STEP = 0.01
 
@@ -35,3 +35,26 @@ def test_a_state_without_a_cost_is_not_a_cost_that_was_not_heard():
     assert np.flatnonzero(unheard_costs(has_r, has_theta, theta, step)).tolist() == [
         50, 51, 52, 53, 54, 56, 57, 58, 59
     ]  # fmt: skip
+
+
+def late(held):
+    """Return answers of which the first 30 thetas are missing and the next ones are held."""
+    theta = 2.0 - STEP * np.maximum(np.arange(100) - 30 - held, 0)
+    has_r, has_theta, theta, _ = recorded(theta, slice(0, 30))
+    holding = np.arange(100) < 30 + held
+    return has_r, has_theta, holding, theta
+
+
+def test_a_controller_that_holds_its_first_thetas_for_as_long_as_one_that_joins_has_joined():
+    assert joined_at(*late(held=20), settling=20) == 30
+
+
+def test_a_controller_whose_first_thetas_move_sooner_was_there_before():
+    assert joined_at(*late(held=0), settling=20) is None
+    assert joined_at(*late(held=10), settling=20) is None
+
+
+def test_where_theta_begins_with_the_costs_nobody_joined_late():
+    has_r, has_theta, holding, theta = late(held=20)
+    has_r[:30] = False  # of a lifter that joined, too
+    assert joined_at(has_r, has_theta, holding, theta, settling=20) is None

@@ -15,6 +15,7 @@ from koop_lab.replay.compare import Comparison, compare
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import Plan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
+from koop_lab.replay.unheard import first_theta
 
 SHOWN = 10  # places where a node was restarted
 
@@ -102,7 +103,19 @@ def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[
             f"the recording begins in mid-run (the first cost is {recording.r[0]:.6g}, not 0): "
             "what the filters held before it is not in the bag"
         )
-    return lines + restarted(recording, plan)
+    return lines + late(recording, plan) + restarted(recording, plan)
+
+
+def late(recording: Recording, plan: Plan) -> list[str]:
+    """Say that theta begins late, which may be why it differs."""
+    first = first_theta(recording.has_r, recording.has_theta)
+    if first is None or plan.unheard[:first].any():
+        return []
+    begin = recording.step[np.flatnonzero(recording.has_r)[0]]
+    return [
+        f"the controller joined at step {recording.step[first]}, or its thetas were recorded only "
+        f"from there on: costs begin at step {begin}, and what it held before is not in the bag"
+    ]
 
 
 def restarted(recording: Recording, plan: Plan) -> list[str]:

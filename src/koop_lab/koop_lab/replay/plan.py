@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER, Change, Models, known_parameters
-from koop_lab.replay.unheard import unheard_costs
+from koop_lab.replay.unheard import joined_at, unheard_costs
 from koop_loop import parameters
 from koop_loop.parameters import LoopParameters
 from koop_node.config import ConfigError
@@ -125,7 +125,16 @@ def make_plan(
     step_size = max(
         recorded_loop.esc.step_size, *(item.parameters.esc.step_size for item in stretches)
     )
-    unheard = unheard_costs(recording.has_r, recording.has_theta, recording.theta, step_size)
+    has_r, has_theta = recording.has_r, recording.has_theta
+    unheard = unheard_costs(has_r, has_theta, recording.theta, step_size)
+    held = recording.hold | ~np.isfinite(recording.r)
+    settling = recorded_loop.esc.params().settling
+    joined = joined_at(has_r, has_theta, held, recording.theta, settling)
+    if joined is not None:
+        unheard[:joined] = has_r[:joined]
+        notes.append(
+            f"the controller joined at step {recording.step[joined]}, where its first theta is"
+        )
     return Plan(stretches, differences, notes, unheard)
 
 
