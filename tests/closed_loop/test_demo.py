@@ -102,7 +102,7 @@ def test_who_comes_second_starts_nothing_and_a_killed_demo_leaves_nothing(tmp_pa
     assert not second.exists()
     probe.node.create_publisher(MeasuredState, "state", 10)  # nodes that were started by hand
     text = tmp_path / "printed"
-    wait_for(lambda: "note: another loop has come" in text.read_text(), process, "the note")
+    wait_for(lambda: "note: another loop has joined" in text.read_text(), process, "the note")
     process.kill()
     process.wait()
     deadline = time.monotonic() + TIMEOUT

@@ -97,7 +97,7 @@ class LiveLoop:
                 on_progress(monitor.progress)
                 if monitor.count_publishers("state") > 1 and not self.notes:
                     self._note(
-                        f"another loop has come into the ROS domain at step "
+                        f"another loop has joined the ROS domain at step "
                         f"{monitor.progress.step}: this one goes on, but hears its messages"
                     )
                 if monitor.progress.step == 0 and time.monotonic() - started > START_TIMEOUT:
