@@ -1,6 +1,7 @@
 """Each node alone, as a process, against a probe: parameters, lifecycle, services, bad input."""
 
 import math
+import re
 import signal
 import subprocess
 import sys
@@ -19,8 +20,11 @@ from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersA
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
+from koop_bag.recorder.config import RECORDER
+from koop_loop import parameters as loop_parameters
 from koop_loop.parameters import make
 from koop_loop.training import TrainingConfig, train
+from koop_node.describe import parameters_of
 from vdp_plant.config import PlantConfig
 
 NODES = ("vdp_plant", "koopman_lifter", "relay_esc", "recorder")
@@ -153,12 +157,17 @@ def test_ctrl_c_that_comes_again_and_again_is_still_a_clean_end(start, probe):
     assert process.poll() == 0
 
 
-WITH_A_BAD_PARAMETER = """
+WITHOUT_A_RUN = """
 import sys
 from importlib import import_module
 
 for module in ("vdp_plant", "koopman_lifter", "relay_esc", "koop_bag.recorder"):
     node = import_module(f"{module}.node")
+    sys.argv[1:] = ["--help"]
+    try:
+        node.main()
+    except SystemExit as end:
+        print(f"exit code {end.code}", flush=True)
     for parameter in ("dampening:=1.0", "recorders:=-1", "autostart:=7"):
         sys.argv[1:] = ["--ros-args", "-p", parameter]
         try:
@@ -169,12 +178,18 @@ for module in ("vdp_plant", "koopman_lifter", "relay_esc", "koop_bag.recorder"):
 
 
 @pytest.mark.ros
-def test_a_bad_parameter_stops_the_node_with_one_line():
+def test_help_lists_the_parameters_and_a_bad_one_stops_the_node_with_one_line():
     """Of each node the main function; the imports are paid for once."""
     done = subprocess.run(
-        [sys.executable, "-c", WITH_A_BAD_PARAMETER], capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", WITHOUT_A_RUN], capture_output=True, text=True, timeout=60
     )
-    assert (done.returncode, done.stdout) == (0, "")
+    assert done.returncode == 0
+    of_each_node = done.stdout.split("exit code 0\n")
+    for node, printed in zip(NODES, of_each_node, strict=False):
+        assert re.findall(r"^  (\w+) = ", printed, re.M) == [
+            item.name for item in parameters_of({**loop_parameters.NODES, **RECORDER}[node])
+        ]
+    assert of_each_node[len(NODES) :] == [""]
     lines = iter(done.stderr.splitlines())
     for _ in NODES:
         known = "error: unknown parameter 'dampening': "

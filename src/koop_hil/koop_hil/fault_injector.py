@@ -114,8 +114,10 @@ class FaultInjectorRun(Run):
 class FaultInjectorNode(ManagedNode[FaultInjectorRun]):
     """Passes messages on, each through a channel with a fault."""
 
+    configs = (FaultInjectorConfig,)
+
     def __init__(self, name: str = "fault_injector", **options: Any) -> None:
-        super().__init__(name, FaultInjectorRun, FaultInjectorConfig, **options)
+        super().__init__(name, FaultInjectorRun, **options)
 
 
 if __name__ == "__main__":

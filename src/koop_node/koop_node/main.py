@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import signal
 import sys
-from collections.abc import Callable
 from importlib.resources import files
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -15,10 +16,11 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from koop_node.describe import ARGUMENTS, help_text
 from koop_node.lifeline import end_with_parent
 from koop_node.managed import ManagedNode
 
-USAGE = "a node takes --ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO]"
+USAGE = f"a node takes {ARGUMENTS}; --help lists its parameters"
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
 
 
@@ -30,8 +32,10 @@ def set_dds_profile() -> None:
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(files("koop_node") / "fastdds.xml"))
 
 
-def run(make_node: Callable[[], ManagedNode[Any]], args: list[str] | None = None) -> int:
-    """Run a node until it finishes or the process is told to stop.
+def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> int:
+    """Run a node until it finishes or the process is told to stop; with ``--help`` print its.
+
+    The node's constructor needs no argument.
 
     SIGINT and SIGTERM end the process cleanly. The handlers only set a flag, so that no callback
     is interrupted and the context stays valid for the last publications.
@@ -41,6 +45,9 @@ def run(make_node: Callable[[], ManagedNode[Any]], args: list[str] | None = None
     int
         Exit code: 0 after a clean end, 1 if the node failed, 2 if it could not start.
     """
+    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
+        print(help_of(node_class, sys.argv[0]))
+        return 0
     stop: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -53,7 +60,7 @@ def run(make_node: Callable[[], ManagedNode[Any]], args: list[str] | None = None
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         refuse_other_arguments(args)
-        node = make_node()
+        node = node_class()  # type: ignore[call-arg]
     except Exception as error:  # whatever the start-up raises, the user gets one line
         print(f"error: {_one_line(error)}", file=sys.stderr)
         rclpy.try_shutdown()
@@ -75,6 +82,17 @@ def run(make_node: Callable[[], ManagedNode[Any]], args: list[str] | None = None
         executor.shutdown()
         rclpy.try_shutdown()
     return node.exit_code or 0
+
+
+def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:
+    """Return what ``--help`` of a node prints; ``path`` is that of its executable."""
+    program = Path(path)
+    if program.parent.parent.name == "lib":
+        words = f"ros2 run {program.parent.name} {program.name}"
+    else:
+        words = program.name
+    purpose = " ".join(inspect.cleandoc(node_class.__doc__ or "").split("\n\n")[0].split())
+    return help_text(words, purpose, node_class.config_classes())
 
 
 def refuse_other_arguments(args: list[str] | None = None) -> None:

@@ -7,7 +7,7 @@ import time
 import traceback
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -87,25 +87,23 @@ class ManagedNode(WithoutEvents, LifecycleNode, Generic[RunT]):
         Name of the node.
     make_run : callable
         ``make_run(node, entities)`` configures.
-    config_classes : type
-        Configurations besides NodeConfig.
     options
         As of every rclpy node: ``context``, ``namespace``, ``parameter_overrides`` and so on.
 
     Attributes
     ----------
+    configs : tuple of type
+        Configurations of its parameters, besides NodeConfig; of the class.
     run : Run or None
         There from configure to cleanup.
     exit_code : int or None
         Of the process, once the node has finished.
     """
 
+    configs: ClassVar[tuple[type, ...]] = ()
+
     def __init__(
-        self,
-        name: str,
-        make_run: Callable[[Any, Entities], RunT],
-        *config_classes: type,
-        **options: Any,
+        self, name: str, make_run: Callable[[Any, Entities], RunT], **options: Any
     ) -> None:
         super().__init__(name, **options)
         self.exit_code: int | None = None
@@ -118,7 +116,7 @@ class ManagedNode(WithoutEvents, LifecycleNode, Generic[RunT]):
         global_arguments = sys.argv if options.get("use_global_arguments", True) else []
         self.parameters = Parameters(
             self,
-            (NodeConfig, *config_classes),
+            self.config_classes(),
             self._check_parameters,
             self._parameters_changed,
             [*global_arguments, *(options.get("cli_args") or ())],
@@ -130,6 +128,11 @@ class ManagedNode(WithoutEvents, LifecycleNode, Generic[RunT]):
         self._while_there.timer(REPORT_PERIOD, self._report)
         if self.parameters[NodeConfig].autostart:
             self._starter = self._while_there.timer(0.0, self._autostart)
+
+    @classmethod
+    def config_classes(cls) -> tuple[type, ...]:
+        """Return the configurations of all parameters."""
+        return (*cls.configs, NodeConfig)
 
     @property
     def active(self) -> bool:

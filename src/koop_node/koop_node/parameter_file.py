@@ -7,6 +7,7 @@ for one part and ``**`` for any number of them; what comes later in the file win
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -153,6 +154,13 @@ def write(values: Mapping[str, Mapping[str, Any]], path: str | Path) -> None:
     content = {f"/**/{node}": {"ros__parameters": dict(given)} for node, given in values.items()}
     text = yaml.dump(content, Dumper=_Dumper, sort_keys=False)
     Path(path).write_text(text, encoding="utf-8")
+
+
+def as_yaml(value: Any) -> str:
+    """Return a value as ROS reads it back, of the same type."""
+    plain = list(value) if isinstance(value, tuple) else value
+    text = yaml.dump(plain, Dumper=_Dumper, default_flow_style=True, width=math.inf)
+    return text.removesuffix("...\n").strip()
 
 
 def shared_names(args: Sequence[str]) -> set[str]:

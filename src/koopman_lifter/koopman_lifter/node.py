@@ -241,8 +241,10 @@ class LifterNode(ManagedNode[LifterRun]):
     filters can't go back in time, and nobody must act on what is long past.
     """
 
+    configs = (LifterConfig, ModelConfig)
+
     def __init__(self, name: str = "koopman_lifter", **options: Any) -> None:
-        super().__init__(name, LifterRun, LifterConfig, ModelConfig, **options)
+        super().__init__(name, LifterRun, **options)
 
 
 def main() -> None:

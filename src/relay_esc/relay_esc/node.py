@@ -134,8 +134,10 @@ class EscNode(ManagedNode[EscRun]):
     is silent.
     """
 
+    configs = (EscConfig,)
+
     def __init__(self, name: str = "relay_esc", **options: Any) -> None:
-        super().__init__(name, EscRun, EscConfig, **options)
+        super().__init__(name, EscRun, **options)
 
 
 def _compile(config: EscConfig) -> None:

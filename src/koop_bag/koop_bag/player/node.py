@@ -309,8 +309,10 @@ class PlayerNode(ManagedNode[PlayerRun]):
     may be set at any time; setting ``position`` is a seek.
     """
 
+    configs = (PlayerConfig,)
+
     def __init__(self, name: str = "player", **options: Any) -> None:
-        super().__init__(name, PlayerRun, PlayerConfig, **options)
+        super().__init__(name, PlayerRun, **options)
 
 
 def main() -> None:

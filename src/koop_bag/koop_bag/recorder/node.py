@@ -273,8 +273,10 @@ class RecorderNode(ManagedNode[RecorderRun]):
     A failing disk ends the recording and this node, with exit code 1; no other node notices.
     """
 
+    configs = (RecorderConfig,)
+
     def __init__(self, name: str = "recorder", **options: Any) -> None:
-        super().__init__(name, RecorderRun, RecorderConfig, **options)
+        super().__init__(name, RecorderRun, **options)
 
     @property
     def subscriptions(self) -> Iterator[Any]:

@@ -16,8 +16,10 @@ from vdp_plant.node.timed import TimedRun
 class PlantNode(ManagedNode[PlantRun]):
     """Simulates the plant step by step and publishes its corrupted state."""
 
+    configs = (PlantConfig, PaceConfig)
+
     def __init__(self, name: str = "vdp_plant", **options: Any) -> None:
-        super().__init__(name, _make_run, PlantConfig, PaceConfig, **options)
+        super().__init__(name, _make_run, **options)
 
 
 def _make_run(node: PlantNode, entities: Entities) -> PlantRun:
