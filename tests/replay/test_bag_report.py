@@ -1,6 +1,7 @@
 """``koop bag metrics`` and ``koop bag plot`` on the golden bag."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from koop_lab.plots.report import plot_report
 from koop_lab.recorded.report import read
 from koop_lab.recorded.run import read_run
 from koop_loop import parameters
+from koop_loop.metrics import PAPER
 from koop_loop.parameters import make
 
 LOOP = {
@@ -75,14 +77,35 @@ def test_of_a_plant_that_was_started_again_the_longest_run_counts(tmp_path, caps
     assert command("metrics", tmp_path / "bag", "--theta-star", "-3") == 0
     printed = capsys.readouterr().out
     assert "the steps begin 2 times: this is the longest run, to step 1999" in printed
+    assert "the figures cover 10 of 12.5 s ONLY" in printed
+    assert command("metrics", tmp_path / "bag", "--json") == 0
+    result = json.loads(capsys.readouterr().out)["coverage"]
+    assert (result["covered"], result["recorded"], result["runs"]) == (10.0, 12.5, 2)
+    assert not result["whole"]
 
 
-def test_the_table_shows_every_signal(capsys):
+def numbers(value):
+    """Return all numbers of a JSON value."""
+    if isinstance(value, dict):
+        return [number for item in value.values() for number in numbers(item)]
+    return [float(value)] if isinstance(value, int | float) else []
+
+
+def test_the_table_shows_every_signal_and_json_every_figure_of_it(capsys):
     assert command("metrics", RUN) == 0
     printed = capsys.readouterr().out
     assert "IAE_theta [s]" in printed
+    assert command("metrics", RUN, "--json") == 0
+    known = numbers(json.loads(capsys.readouterr().out))
+    known += [100.0 * value for value in known]  # shares are shown in percent
+    known += [value for metrics in PAPER.values() for value in numbers(metrics.as_dict())]
+    text = printed.replace("sqrt(2)", "").replace("last 30 %", "")
+    for word in re.findall(r"(?<![\w\[.])-?\d+(?:\.\d+)?(?:e[+-]\d+)?", text):
+        tolerance = 0.6 * 10.0 ** -len(word.partition(".")[2].partition("e")[0])
+        shown = float(word)
+        assert any(shown == pytest.approx(v, rel=1e-3, abs=tolerance) for v in known), word
     assert {line.split()[0] for line in printed.splitlines() if line} >= {
-        "x[0]", "x[1]", "r", "theta", "2000",
+        "x[0]", "x[1]", "r", "theta", "2000", "true",
     }  # fmt: skip
 
 
@@ -99,6 +122,6 @@ def test_a_run_without_a_model_and_with_holes_is_drawn_too(tmp_path):
     run = read(RUN)
     assert run.model is not None
     assert run.model.model_id == read(RUN / "bag").model.model_id
-    run.signals.measured[100:130] = np.nan
-    plot_report(tmp_path / "report.png", run.signals, run.dt, None, None, "holes")
+    run.signals.x[100:130] = np.nan
+    plot_report(tmp_path / "report.png", run.signals, None, None, "holes")
     assert (tmp_path / "report.png").stat().st_size > 10_000

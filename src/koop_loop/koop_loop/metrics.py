@@ -25,7 +25,7 @@ class Metrics:
     ise_theta : float
         Integral of (theta - theta*)^2 [s].
     t_theta : float or None
-        First time with |theta - theta*| < 0.1 [s]; None if never.
+        First time with |theta - theta*| below the tolerance [s]; None if never.
     e_r_ss : float or None
         |mean r over the last 30 % - r*| / (max r - min r) [-]; None without an r* or a range. r* is
         that of ``koop_loop.static_map``.
@@ -62,6 +62,7 @@ def evaluate(
     theta_star: float,
     r_star: float | None = None,
     start: float = LOGGING_START,
+    tolerance: float = TOLERANCE,
 ) -> Metrics:
     """Compute the metrics of a run from ``start`` on.
 
@@ -77,6 +78,8 @@ def evaluate(
         Optimal cost, as ``koop_loop.static_map.optimal_cost`` finds it.
     start : float
         Time before which the run is left out [s]; a run that is shorter counts from its begin.
+    tolerance : float
+        |theta - theta*| that counts as reached.
 
     Raises
     ------
@@ -90,7 +93,7 @@ def evaluate(
     logged = t >= start
     error = np.abs(theta[logged] - theta_star)
     dt = float(t[-1] - t[0]) / (t.size - 1)
-    reached = np.flatnonzero(error < TOLERANCE)
+    reached = np.flatnonzero(error < tolerance)
     tail = slice(-max(1, round(TAIL * error.size)), None)
     logged_r = r[logged][np.isfinite(r[logged])]
     span = float(np.ptp(logged_r)) if logged_r.size else 0.0

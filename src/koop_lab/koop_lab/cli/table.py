@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from koop_loop.metrics import PAPER, Metrics
+from koop_loop.rig_metrics import RigMetrics
 from koopman_lifter.model import KoopmanModel
 
 
@@ -55,8 +56,8 @@ def forecast_table(model: KoopmanModel) -> str:
     )
 
 
-def metrics_table(metrics: Metrics, cost: str) -> str:
-    """Return the metrics of a run beside the paper's (table 4)."""
+def metrics_table(metrics: Metrics, cost: str, ours: bool = True) -> str:
+    """Return the paper's metrics of a run; of our plant beside the paper's own (table 4)."""
     paper = PAPER[cost]
     rows = [
         ["IAE_theta [s]", f"{metrics.iae_theta:.1f}", f"{paper.iae_theta:.1f}"],
@@ -65,7 +66,41 @@ def metrics_table(metrics: Metrics, cost: str) -> str:
         ["e_r_ss", _optional(metrics.e_r_ss, ".5f", "-"), f"{paper.e_r_ss:.5f}"],
         ["mean |theta - theta*|, last 30 %", f"{metrics.tail_error:.3f}", "-"],
     ]
-    return table([f"{cost} cost", "this run", "paper"], rows)
+    if ours:
+        return table([f"{cost} cost", "this run", "paper"], rows)
+    return table([f"{cost} cost", "this run"], [row[:2] for row in rows if row[1] != "-"])
+
+
+def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
+    """Return what a run says of a rig without a known optimum: amplitudes, theta."""
+    rows = [
+        [name, f"{before:.4g}", f"{after:.4g}", f"{100.0 * share:.1f} %"]
+        for name, before, after, share in zip(
+            names, metrics.before, metrics.after, metrics.reduction, strict=True
+        )
+    ]
+    lines = [
+        table(["oscillation amplitude", "before", "after", "reduction"], rows),
+        "sqrt(2) times the standard deviation about a straight line, in windows of "
+        f"{metrics.window:g} s; before: {metrics.before_from:g} to {metrics.before_to:g} s, "
+        f"after: {metrics.after_from:g} to {metrics.after_to:g} s",
+        "",
+    ]
+    if metrics.theta_mean is None:
+        return "\n".join([*lines, "theta: not recorded at the end"])
+    settled = metrics.settled_at
+    lines.append(
+        "theta has not settled: it came into its final swing only at the end"
+        if settled is None
+        else f"theta has settled: within its final swing from {settled:.1f} s on"
+    )
+    limit = metrics.at_limit
+    lines.append(
+        f"theta at the end: mean {metrics.theta_mean:.4g}, swing {metrics.theta_swing:.4g} "
+        "(largest minus least); at a limit for "
+        + ("an unknown share of the time" if limit is None else f"{100.0 * limit:.1f} % of the run")
+    )
+    return "\n".join(lines)
 
 
 def _optional(value: float | None, form: str, absent: str) -> str:

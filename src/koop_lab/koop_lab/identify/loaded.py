@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.bag.columns import LOG_TIME, iter_columns
+from koop_bag.bag.columns import LOG_TIME, read_columns
 from koop_bag.bag.reader import BagReader
-from koop_lab.identify.samples import STAMP, StateSpec, batches
+from koop_lab.identify.samples import StateSpec, batches
 from koop_lab.identify.segments import Segmentation, Segmenter
 
 THETA = "/theta:theta"
+STALE = 10.0  # usual intervals of theta after which the last one is not known to hold any more
+STALE_LEAST = 1.0  # [s]
+ROUNDED = 1e-6  # more than an interpolated number of a sample is off by rounding
 
 
 @dataclass(frozen=True)
@@ -29,14 +32,17 @@ class Loaded:
     held_out : ndarray of bool, shape (M,)
         Whether training leaves it out.
     theta : ndarray, shape (M,), or None
-        Control input that was last given before each state, NaN before the first; None if the
-        recording holds none.
+        Control input that was last received before each state, NaN before the first and where
+        one that usually comes often has stayed away; None if the recording holds none.
+    time : ndarray, shape (M,)
+        From the first state [s]; of several recordings, each from its own.
     """
 
     x: NDArray[np.float64]
     begins: NDArray[np.bool_]
     held_out: NDArray[np.bool_]
     theta: NDArray[np.float64] | None
+    time: NDArray[np.float64]
 
     @classmethod
     def joined(cls, parts: Sequence[Loaded]) -> Loaded:
@@ -47,6 +53,7 @@ class Loaded:
             np.concatenate([part.begins for part in parts]),
             np.concatenate([part.held_out for part in parts]),
             np.concatenate(thetas) if len(thetas) == len(parts) else None,
+            np.concatenate([part.time for part in parts]),
         )
 
 
@@ -74,23 +81,27 @@ def load_states(
         If ``theta`` is more than one number, or no state is left.
     """
     segmenter = Segmenter(segmentation, bag.topic(state.topic).count)
-    period = segmentation.dt * 1e9
-    states, times, begins, held_out = [], [], [], []
+    given = None if theta is None else _theta_at(bag, state, theta)
+    parts, begins, held_out, n = [], [], [], 0
+    origin: int | None = None
     for batch in segmentation.timed(batches(bag, state)):
-        for segment in segmenter.split(batch):
+        origin, n = int(batch.time[0]) if origin is None else origin, batch.x.shape[1]
+        # time and number of a sample go the way of its state
+        time, number = (batch.time - origin) * 1e-9, batch.index + np.arange(batch.time.size)
+        for segment in segmenter.split(replace(batch, x=np.column_stack((batch.x, time, number)))):
             size = segment.states.shape[1]
-            states.append(segment.states)
-            times.append(segment.time + np.round(np.arange(size) * period).astype(np.int64))
+            parts.append(segment.states)
             begins.append(np.arange(size) < segment.begins)
             held_out.append(np.full(size, segment.held_out))
-    if not states:
+    if not parts:
         raise ValueError(f"no usable samples of {state}")
-    time = np.concatenate(times)
+    rows_of = np.hstack(parts)
     return Loaded(
-        np.hstack(states),
+        np.ascontiguousarray(rows_of[:n]),
         np.concatenate(begins),
         np.concatenate(held_out),
-        None if theta is None else _theta_at(bag, state, theta, time),
+        None if given is None else given[np.floor(rows_of[n + 1] + ROUNDED).astype(np.int64)],
+        rows_of[n],
     )
 
 
@@ -102,24 +113,22 @@ def theta_of(bag: BagReader, given: str | None) -> StateSpec | None:
     return own if any(topic.name == own.topic for topic in bag.topics) else None
 
 
-def _theta_at(
-    bag: BagReader, state: StateSpec, theta: StateSpec, time: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return theta at the times of states [ns]: the last one before, NaN where there is none."""
-    samples = list(batches(bag, theta))
+def _theta_at(bag: BagReader, state: StateSpec, theta: StateSpec) -> NDArray[np.float64]:
+    """Return theta when each state was received, shape (K,); NaN where it is not known.
+
+    The clock is the recorder's: state and theta may be stamped by others, or not at all.
+    """
+    received = read_columns(bag, state.topic, [LOG_TIME])[LOG_TIME].astype(np.int64)
+    samples = list(batches(bag, theta, by_stamp=False))
     if not samples:
-        return np.full(time.size, np.nan)
+        return np.full(received.size, np.nan)
     if samples[0].x.shape[1] != 1:
         raise ValueError(f"theta {theta}: {samples[0].x.shape[1]} numbers; name one of them")
     when = np.concatenate([batch.time for batch in samples])
-    value = np.concatenate([batch.x[:, 0] for batch in samples])
-    first = next(batches(bag, state))
-    if first.stamped and not samples[0].stamped:  # by the clock of the recorder, then
-        columns = next(iter_columns(bag, state.topic, [STAMP, LOG_TIME]))
-        late = columns[LOG_TIME].astype(np.int64) - columns[STAMP].astype(np.int64)
-        time = time + int(np.median(late))
-    elif samples[0].stamped and not first.stamped:
-        when = np.concatenate([batch.time for batch in batches(bag, theta, by_stamp=False)])
     order = np.argsort(when, kind="stable")
-    position = np.searchsorted(when[order], time, side="right") - 1
-    return np.where(position >= 0, value[order][np.maximum(position, 0)], np.nan)
+    when, value = when[order], np.concatenate([batch.x[:, 0] for batch in samples])[order]
+    usual = float(np.median(np.diff(when))) if when.size > 1 else np.inf
+    place = np.searchsorted(when, received, side="right") - 1
+    held, age = value[np.maximum(place, 0)], received - when[np.maximum(place, 0)]
+    known = (place >= 0) & (age <= max(STALE * usual, STALE_LEAST * 1e9))
+    return np.where(known, held, np.nan)

@@ -14,10 +14,12 @@ from koop_bag.recorder.config import RECORDER, RecorderConfig
 from koop_bag.recorder.run_folder import default_folder
 from koop_lab.cli.options import add_loop_options, given_values
 from koop_lab.cli.options import loop_parameters as finite
-from koop_lab.cli.table import metrics_table
+from koop_lab.cli.table import metrics_table, rig_table
 from koop_lab.live.loop import LiveLoop
 from koop_lab.live.monitor import Progress
-from koop_lab.recorded.run import RecordedRun, read_run
+from koop_lab.recorded.report import rig_metrics_of
+from koop_lab.recorded.run import RecordedRun, closed_loop
+from koop_lab.recorded.signals import loop_signals
 from koop_loop import parameters as loop_parameters
 from koop_loop.metrics import PAPER_DURATION, Metrics
 from koop_loop.parameters import LoopParameters
@@ -55,12 +57,15 @@ def main(args: argparse.Namespace) -> int:
         f"{parameters.pace.pace}: plant, lifter, controller and recorder"
     )
     wall, notes = run_with_progress(folder, parameters, recorder)
-    run = read_run(folder / "bag")
-    metrics = write_results(folder, parameters, run, wall, notes)
+    dt = parameters.plant.dt
+    columns, signals = loop_signals(folder / "bag", "/", dt)
+    run = closed_loop(columns, folder)
+    rig, names = rig_metrics_of(signals)
+    metrics = write_results(folder, parameters, run, rig.as_dict(names), wall, notes)
     print(metrics_table(metrics, parameters.lifter.cost))
     if parameters.pace.duration != PAPER_DURATION:
         print(f"(the paper's figures are those of {PAPER_DURATION:g} s)")
-    dt = parameters.plant.dt
+    print("\n" + rig_table(rig, names))
     rate = (run.counts["state"] - 1) / run.duration
     print(
         f"\n{'converged' if metrics.converged else 'not converged'}: "
@@ -144,7 +149,12 @@ def run_with_progress(
 
 
 def write_results(
-    folder: Path, parameters: LoopParameters, run: RecordedRun, wall: float, notes: list[str]
+    folder: Path,
+    parameters: LoopParameters,
+    run: RecordedRun,
+    rig: dict[str, Any],
+    wall: float,
+    notes: list[str],
 ) -> Metrics:
     """Write metrics.json and plot.png of a recorded run."""
     from koop_lab.plots.paper import plot_run  # matplotlib takes half a second to import
@@ -156,6 +166,7 @@ def write_results(
     rate = (run.counts["state"] - 1) / run.duration
     result = {
         **metrics.as_dict(),
+        **rig,
         "rate_hz": rate,
         "real_time_factor": rate * dt,
         "wall_time": wall,

@@ -14,7 +14,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from koop_lab.plots.paper import envelope, fit
-from koop_lab.recorded.run import RecordedRun
+from koop_lab.recorded.signals import Signals
 from koopman_lifter.model import KoopmanModel
 
 FLOOR = -60.0  # [dB] below the largest value, where the colours of the spectrogram end
@@ -25,8 +25,7 @@ TRANSIENT = 0.04  # share of the run that the axes of state and cost need not fi
 
 def plot_report(
     path: Path,
-    run: RecordedRun,
-    dt: float,
+    run: Signals,
     model: KoopmanModel | None,
     theta_star: float | None,
     title: str,
@@ -37,10 +36,8 @@ def plot_report(
     ----------
     path : Path
         File to write; the ending chooses the format.
-    run : RecordedRun
-        Signals.
-    dt : float
-        Time between two steps [s].
+    run : Signals
+        What to draw.
     model : KoopmanModel or None
         Its eigenvalues are shown.
     theta_star : float or None
@@ -48,7 +45,7 @@ def plot_report(
     title : str
         Heading.
     """
-    t, n = run.t(dt), run.measured.shape[1]
+    t, dt, n = run.t, run.dt, run.x.shape[1]
     figure = plt.figure(figsize=(13, 9), layout="constrained")
     figure.suptitle(title)
     grid = figure.add_gridspec(6, 3)
@@ -58,9 +55,9 @@ def plot_report(
     after = t >= t[0] + TRANSIENT * (t[-1] - t[0])
     names = model.state_names if model is not None and len(model.state_names) == n else None
     for i in range(n):
-        envelope(state, t, run.measured[:, i], names[i] if names else f"x[{i}]")
+        envelope(state, t, run.x[:, i], names[i] if names else f"x[{i}]")
     state.legend(loc="upper right", ncols=4)
-    fit(state, run.measured[after])
+    fit(state, run.x[after])
     envelope(cost, t, run.r, "r")
     fit(cost, run.r[after])
     envelope(theta, t, run.theta, "theta")
@@ -71,7 +68,7 @@ def plot_report(
         axis.grid(alpha=0.3)
         axis.margins(x=0.0)
     picture = figure.add_subplot(grid[4:, :2], sharex=state)
-    draw_spectrogram(picture, run.step, run.measured[:, 0], dt, names[0] if names else "x[0]")
+    draw_spectrogram(picture, run.steps, run.x[:, 0], dt, names[0] if names else "x[0]")
     plane, rates = figure.add_subplot(grid[:3, 2]), figure.add_subplot(grid[3:, 2])
     if model is None:
         for axis in (plane, rates):

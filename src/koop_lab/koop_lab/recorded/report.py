@@ -6,18 +6,24 @@ import argparse
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_lab.cli.table import metrics_table, table
-from koop_lab.recorded.run import RecordedRun, read_run
-from koop_lab.replay.recording import read_recording
+from koop_lab.cli.table import metrics_table, rig_table, table
+from koop_lab.recorded.options import source_of
+from koop_lab.recorded.run import LoopColumns, closed_loop
+from koop_lab.recorded.signals import Signals, Source, loop_signals, read_signals
 from koop_lab.replay.settings import Models, known_parameters, recorded_values
-from koop_loop.metrics import Metrics, evaluate
+from koop_loop.metrics import LOGGING_START, TAIL, TOLERANCE, Metrics, evaluate
 from koop_loop.parameters import NODES, LoopParameters, make
+from koop_loop.rig_metrics import RigMetrics, rig_metrics
 from koop_loop.static_map import performance
-from koopman_lifter.model import KoopmanModel
+from koopman_lifter.model import KoopmanModel, load
+
+WHOLE = 0.999  # of the recorded time: figures that cover less say so
 
 
 @dataclass(frozen=True)
@@ -26,34 +32,42 @@ class Run:
 
     Attributes
     ----------
-    signals : RecordedRun
+    path : Path
+        The bag.
+    signals : Signals
         State, cost, theta.
-    dt : float
-        Time between two steps [s].
+    loop : LoopColumns or None
+        The loop's own topics; None of a bag of other messages.
     parameters : LoopParameters or None
         Of the loop; None if they were not recorded.
     simulated : bool
         Whether the plant was ours, so that its theta* is known.
     model : KoopmanModel or None
-        Model of the first cost; None if it is not at hand.
+        The given one, else that of the first cost; None if it is not at hand.
     """
 
-    signals: RecordedRun
-    dt: float
+    path: Path
+    signals: Signals
+    loop: LoopColumns | None
     parameters: LoopParameters | None
     simulated: bool
     model: KoopmanModel | None
 
+    @property
+    def theta_star(self) -> float | None:
+        """The best theta of our plant; None of a rig."""
+        return self.parameters.plant.theta_star if self.simulated and self.parameters else None
 
-def read(path: Path, namespace: str = "/", model: Path | None = None) -> Run:
-    """Read a run.
+
+def read(path: Path, source: Source = Source(), model: Path | None = None) -> Run:  # noqa: B008
+    """Read a run, or a bag of any messages.
 
     Parameters
     ----------
     path : Path
         Folder of a run or of a bag, or an `.mcap` file.
-    namespace : str
-        Namespace of the loop.
+    source : Source
+        Which topics.
     model : Path, optional
         Model file, if it is not in the run's folder.
 
@@ -62,107 +76,187 @@ def read(path: Path, namespace: str = "/", model: Path | None = None) -> Run:
     koop_bag.errors.BagError
         If the bag cannot be read.
     ValueError
-        If it does not hold a closed loop.
+        If there is no state in it, or the model file cannot be used.
     """
-    signals = read_run(path, namespace)
+    given = load(model) if model is not None else None
+    if source.state is not None:
+        signals = read_signals(path, source, given.dt if given else None)
+        return Run(path, signals, None, None, False, given)
     with BagReader(path) as bag:
-        values = recorded_values(bag, path, namespace, NODES)
+        values = recorded_values(bag, path, source.namespace, NODES)
     known = {
         node: {k: v for k, v in given.items() if k in known_parameters(node)}
         for node, given in values.items()
     }
     parameters = make(known) if known else None
-    wanted = read_recording(path, namespace).first_model
-    named = str(known.get("koopman_lifter", {}).get("model", ""))
-    try:
-        found = Models(path, named, str(model or "")).load(wanted) if wanted else None
-    except ValueError:
-        found = None
-    dt = parameters.lifter.dt if parameters else _measured_dt(signals)
-    return Run(signals, dt, parameters, "vdp_plant" in known, found)
+    dt = parameters.lifter.dt if parameters else given.dt if given else None
+    names = given.state_names if given else None
+    loop, signals = loop_signals(path, source.namespace, source.dt or dt, names)
+    found = given
+    if found is None and (wanted := loop.first_model):
+        named = str(known.get("koopman_lifter", {}).get("model", ""))
+        try:
+            found = Models(path, named).load(wanted)
+        except ValueError:
+            found = None
+    return Run(path, signals, loop, parameters, "vdp_plant" in known, found)
 
 
-def _measured_dt(signals: RecordedRun) -> float:
-    """Return the usual time between two states as they were received [s]."""
-    return float(np.median(np.diff(signals.state_time)))
-
-
-def metrics_of(run: Run, theta_star: float | None = None) -> Metrics | None:
-    """Return the paper's metrics; None if nothing says what theta* is."""
-    signals, parameters = run.signals, run.parameters
-    t = signals.t(run.dt)
-    if run.simulated and parameters is not None:
-        lifted = parameters.lifter.cost == "lifted"
-        if theta_star in (None, parameters.plant.theta_star) and (run.model or not lifted):
-            model = run.model if lifted else None
-            return performance(parameters, model, t, signals.theta, signals.r)
-        theta_star = parameters.plant.theta_star if theta_star is None else theta_star
-    if theta_star is None:
+def metrics_of(
+    run: Run,
+    theta_star: float | None = None,
+    start: float | None = None,
+    tolerance: float = TOLERANCE,
+) -> Metrics | None:
+    """Return the paper's metrics; None if nothing says what theta* is, or no theta was recorded."""
+    start = LOGGING_START if start is None else start
+    known, parameters = run.theta_star, run.parameters
+    wanted = known if theta_star is None else theta_star
+    if wanted is None or not run.signals.has_theta:
         return None
-    return evaluate(t, signals.theta, signals.r, theta_star)
+    if run.loop is None or not run.loop.has("cost"):
+        rows = np.isfinite(run.signals.theta)
+        t, theta, r = (x[rows] for x in (run.signals.t, run.signals.theta, run.signals.r))
+        return evaluate(t, theta, r, wanted, None, start, tolerance)
+    answered = closed_loop(run.loop, run.path)
+    t, theta, r = answered.t(run.signals.dt), answered.theta, answered.r
+    if parameters is not None and wanted == known:
+        lifted = parameters.lifter.cost == "lifted"
+        if run.model or not lifted:
+            model = run.model if lifted else None
+            return performance(parameters, model, t, theta, r, start, tolerance)
+    return evaluate(t, theta, r, wanted, None, start, tolerance)
 
 
-def signal_table(run: Run) -> str:
-    """Return mean, deviation and range of every signal over the last 30 % of the run."""
+def rig_metrics_of(
+    signals: Signals,
+    window: float | None = None,
+    start: float | None = None,
+    limits: tuple[float, float] | None = None,
+) -> tuple[RigMetrics, tuple[str, ...]]:
+    """Return the metrics that need no theta*, and the names of their channels."""
+    limited = signals.limited
+    if limits is not None:
+        limited = (signals.theta <= limits[0]) | (signals.theta >= limits[1])
+    true = tuple(f"true {i}" for i in range(signals.ground_truth.shape[1]))
+    if len(true) == len(signals.names):
+        true = tuple(f"true {name}" for name in signals.names)
+    channels = np.hstack((signals.x, signals.ground_truth))
+    theta = signals.theta if signals.has_theta else None
+    return rig_metrics(signals.t, channels, theta, limited, window, start), signals.names + true
+
+
+def coverage(run: Run) -> dict[str, Any]:
+    """Return of how much of the recorded time the figures are."""
     signals = run.signals
-    tail = slice(-max(1, round(0.3 * signals.step.size)), None)
-    columns = [(f"x[{i}]", column) for i, column in enumerate(signals.measured.T)]
-    rows = []
-    for name, values in (*columns, ("r", signals.r), ("theta", signals.theta)):
-        part = values[tail][np.isfinite(values[tail])]
+    return {
+        "covered": signals.covered,
+        "recorded": signals.recorded,
+        "whole": bool(signals.covered >= WHOLE * signals.recorded - signals.dt),
+        "states": int(signals.t.size),
+        "states_without_theta": int(np.count_nonzero(~np.isfinite(signals.theta))),
+        "states_without_cost": int(np.count_nonzero(~np.isfinite(signals.r))),
+        "runs": run.loop.passes if run.loop else 1,
+        "from": float(signals.t[0]),
+        "to": float(signals.t[-1]),
+    }
+
+
+def coverage_lines(run: Run) -> list[str]:
+    """Return in words of how much of the recorded time the figures are, and why not of all."""
+    covers, signals = coverage(run), run.signals
+    lines = [
+        f"the figures cover {covers['covered']:.6g} of {covers['recorded']:.6g} s"
+        + ("" if covers["whole"] else " ONLY")
+    ]
+    if signals.has_theta and covers["states_without_theta"]:
+        known = signals.t[np.isfinite(signals.theta)]
+        lines.append(
+            f"theta is missing for {covers['states_without_theta']} of {covers['states']} states; "
+            f"it is there from {known[0]:.6g} to {known[-1]:.6g} s"
+        )
+    if covers["runs"] > 1 and run.loop is not None:
+        end = run.loop.step[-1]
+        lines.append(
+            f"the steps begin {covers['runs']} times: this is the longest run, to step {end}"
+        )
+    return lines
+
+
+def tail_figures(signals: Signals) -> dict[str, dict[str, float]]:
+    """Return mean, deviation and range of every signal over the last 30 % of the run."""
+    tail = slice(-max(1, round(TAIL * signals.t.size)), None)
+    columns = [*zip(signals.names, signals.x.T, strict=True)]
+    columns += [("r", signals.r), ("theta", signals.theta)]
+    found: dict[str, dict[str, float]] = {}
+    for name, values in columns:
+        part: NDArray[np.float64] = values[tail][np.isfinite(values[tail])]
         if part.size:
             shown = (part.mean(), part.std(), part.min(), part.max())
-            rows.append([name, *(f"{value:.6g}" for value in shown)])
+            names = ("mean", "deviation", "least", "largest")
+            found[name] = dict(zip(names, map(float, shown), strict=True))
+    return found
+
+
+def signal_table(figures: dict[str, dict[str, float]]) -> str:
+    """Return the figures of :func:`tail_figures` as a table."""
+    rows = [[name, *(f"{value:.6g}" for value in row.values())] for name, row in figures.items()]
     return table(["last 30 %", "mean", "deviation", "least", "largest"], rows)
 
 
 def metrics_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop bag metrics``; returns the exit code."""
-    run = read(args.run, args.namespace, args.model)
-    metrics, signals = metrics_of(run, args.theta_star), run.signals
+    run = read(args.run, source_of(args), args.model)
+    tolerance = TOLERANCE if args.tolerance is None else args.tolerance
+    metrics = metrics_of(run, args.theta_star, args.start, tolerance)
+    rig, names = rig_metrics_of(run.signals, args.window, args.start, args.limits)
+    figures, loop = tail_figures(run.signals), run.loop
+    cost = run.parameters.lifter.cost if run.parameters else "lifted"
     if args.json:
+        paper = {}
+        if metrics is not None:
+            best = run.theta_star if args.theta_star is None else args.theta_star
+            start = LOGGING_START if args.start is None else args.start
+            start = start if run.signals.t[-1] > start else float(run.signals.t[0])
+            paper = {**metrics.as_dict(), "cost": cost, "theta_star": best,
+                     "tolerance": tolerance, "start": start}  # fmt: skip
+        counts = {"steps": loop.counts["state"], "rate_hz": _rate(loop), "lost": loop.lost} if (
+            loop is not None
+        ) else {"steps": int(run.signals.t.size)}  # fmt: skip
         result = {
-            **(metrics.as_dict() if metrics else {}),
-            "steps": signals.counts["state"],
-            "rate_hz": _rate(signals),
-            "lost": signals.lost,
-        }
+            **paper, **counts, **rig.as_dict(names), "last_30_percent": figures,
+            "coverage": coverage(run), "resample": run.signals.way, "dt": run.signals.dt,
+        }  # fmt: skip
         print(json.dumps(result, indent=1))
         return 0
     if metrics is not None:
-        cost = run.parameters.lifter.cost if run.parameters else "lifted"
-        print(metrics_table(metrics, cost) + "\n")
+        print(metrics_table(metrics, cost, run.simulated) + "\n")
+    print(rig_table(rig, names) + "\n")
+    print(signal_table(figures) + "\n")
+    if loop is not None:
+        lost = ", ".join(f"{count} on {topic}" for topic, count in loop.lost.items() if count)
+        print(f"{loop.counts['state']} states, {_rate(loop):.1f} /s; lost: {lost or 'none'}")
     else:
-        print("the best theta is not in the bag: --theta-star adds the paper's metrics\n")
-    print(signal_table(run))
-    lost = ", ".join(f"{count} on {topic}" for topic, count in signals.lost.items() if count)
-    print(f"\n{signals.counts['state']} states, {_rate(signals):.1f} /s; lost: {lost or 'none'}")
-    _say_passes(signals)
+        print(f"{run.signals.t.size} states, one each {run.signals.dt:g} s ({run.signals.way})")
+    print("\n".join(coverage_lines(run)))
     return 0
 
 
-def _say_passes(signals: RecordedRun) -> None:
-    if signals.passes > 1:
-        end = signals.step[-1]
-        print(f"the steps begin {signals.passes} times: this is the longest run, to step {end}")
-
-
-def _rate(signals: RecordedRun) -> float:
+def _rate(loop: LoopColumns) -> float:
     """Return the states received per second of wall-clock time."""
-    return (signals.counts["state"] - 1) / signals.duration if signals.duration > 0.0 else 0.0
+    duration = float(loop.state_time[-1])
+    return (loop.counts["state"] - 1) / duration if duration > 0.0 else 0.0
 
 
 def plot_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop bag plot``; returns the exit code."""
     from koop_lab.plots.report import plot_report  # matplotlib takes half a second to import
 
-    run = read(args.run, args.namespace, args.model)
+    run = read(args.run, source_of(args), args.model)
     folder = args.run if args.run.is_dir() else args.run.parent
     out = args.out or folder / "report.png"
-    theta_star = args.theta_star
-    if theta_star is None and run.simulated and run.parameters is not None:
-        theta_star = run.parameters.plant.theta_star
-    plot_report(out, run.signals, run.dt, run.model, theta_star, f"{args.run}")
+    theta_star = run.theta_star if args.theta_star is None else args.theta_star
+    plot_report(out, run.signals, run.model, theta_star, f"{args.run}")
     print(f"written to {out}")
-    _say_passes(run.signals)
+    print("\n".join(coverage_lines(run)))
     return 0

@@ -14,12 +14,13 @@ from koop_bag.bag.extent import measure
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
-from koop_lab.replay.recording import MAX_STEP, keys
+from koop_lab.replay.recording import MAX_STEP, STATE_TYPE, keys
 
+STAMP = "header.stamp"
 FIELDS = {
-    "state": ["step", "x"],
-    "cost": ["step", "r"],
-    "theta": ["step", "theta"],
+    "state": ["step", "x", STAMP],
+    "cost": ["step", "r", "model_id"],
+    "theta": ["step", "theta", "saturated"],
     "ground_truth": ["step", "x"],
 }
 
@@ -82,8 +83,117 @@ def _columns(bag: BagReader, topic: str, wanted: list[str]) -> Columns:
     return {**columns, "x": x[:, :n]}
 
 
+class LoopColumns:
+    """What the bag of a loop holds, looked up by the steps of its states.
+
+    Where steps restart within the bag, the rows are those of the longest run.
+
+    Parameters
+    ----------
+    columns : dict
+        By topic; `state` is among them and not empty.
+
+    Attributes
+    ----------
+    step : ndarray of int64, shape (M,)
+        Of the states, increasing.
+    answered : ndarray of bool, shape (M,)
+        Whether all topics have the step.
+    lost, counts : dict
+        Missing steps and messages by topic.
+    state_time : ndarray, shape (K,)
+        Receive time of every state [s], from the first.
+    passes : int
+        How often the steps of the states begin.
+    recorded_steps : int
+        Steps from the first to the last state, of all runs together.
+    """
+
+    def __init__(self, columns: dict[str, dict[str, Any]]) -> None:
+        self._columns = columns
+        steps = {name: column["step"].astype(np.int64) for name, column in columns.items()}
+        self._keys = {name: keys(values)[1] for name, values in steps.items()}
+        every = np.unique(self._keys["state"])
+        answered = np.ones(every.size, np.bool_)
+        for known in self._keys.values():
+            answered &= np.isin(every, known)
+        number = every // MAX_STEP
+        longest = np.bincount(number[answered] if answered.any() else number).argmax()
+        chosen = number == longest
+        self._rows, self.answered = every[chosen], answered[chosen]
+        self.step = self._rows % MAX_STEP
+        self.passes = int(number[-1])
+        ends = np.flatnonzero(np.diff(number))
+        first, last = np.insert(ends + 1, 0, 0), np.append(ends, every.size - 1)
+        self.recorded_steps = int((every[last] - every[first] + 1).sum())
+        self.lost = {name: count_losses(values).lost for name, values in steps.items()}
+        self.counts = {name: values.size for name, values in steps.items()}
+        stamps = columns["state"]["log_time"].astype(np.int64)
+        self.state_time = (stamps - stamps[0]) * 1e-9
+
+    def has(self, name: str) -> bool:
+        """Return whether there are messages on a topic."""
+        return bool(self.counts.get(name))
+
+    def at(self, name: str, field: str) -> NDArray[np.float64]:
+        """Return a field, one row a state; NaN where the topic lacks the step.
+
+        The first message of a step counts: a repeated one is the same answer again.
+        """
+        if not self.has(name):
+            return np.full(self._rows.size, np.nan)
+        values = self._columns[name][field].astype(np.float64)
+        unique, first = np.unique(self._keys[name], return_index=True)
+        place = np.minimum(np.searchsorted(unique, self._rows), unique.size - 1)
+        found: NDArray[np.float64] = values[first[place]]
+        found[unique[place] != self._rows] = np.nan
+        return found
+
+    @property
+    def first_model(self) -> str:
+        """Id of the model of the first cost; empty if there is none."""
+        if not self.has("cost"):
+            return ""
+        return str(next((name for name in self._columns["cost"]["model_id"] if name), ""))
+
+    @property
+    def measured_dt(self) -> float:
+        """The usual time between two steps as stamped, else as received [s]."""
+        state = self._columns["state"]
+        stamped = (state[STAMP] > 0).sum() > 1
+        times = state[STAMP if stamped else "log_time"].astype(np.int64)
+        apart = np.diff(state["step"].astype(np.int64))
+        return float(np.median(np.diff(times)[apart > 0] / apart[apart > 0])) * 1e-9
+
+
+def read_loop(bag: Path, namespace: str = "/") -> LoopColumns:
+    """Read the loop's four topics from a bag; only the states must be there.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If the bag cannot be read.
+    ValueError
+        If it holds no states of a loop.
+    """
+    base = namespace.rstrip("/")
+    with BagReader(bag) as reader:
+        present = {topic.name: topic.type_name for topic in reader.topics if topic.count}
+        if present.get(f"{base}/state") != STATE_TYPE:
+            others = ", ".join(f"{name} ({kind})" for name, kind in sorted(present.items()))
+            raise ValueError(
+                f"{bag}: no states of a loop on {base}/state. For other messages name the fields: "
+                f"--state /TOPIC:FIELD,FIELD. It has {others or 'no messages'}"
+            )
+        columns: dict[str, dict[str, Any]] = {}
+        for name, wanted in FIELDS.items():
+            if f"{base}/{name}" in present:
+                columns[name] = _columns(reader, f"{base}/{name}", [*wanted, "log_time"])
+    return LoopColumns(columns)
+
+
 def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
-    """Read the loop's four topics from a bag.
+    """Read a closed loop from a bag.
 
     Raises
     ------
@@ -92,45 +202,35 @@ def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
     ValueError
         If it does not hold a closed loop.
     """
-    with BagReader(bag) as reader:
-        present = {topic.name for topic in reader.topics}
-        columns: dict[str, dict[str, Any]] = {}
-        for name, wanted in FIELDS.items():
-            topic = f"{namespace.rstrip('/')}/{name}"
-            if topic in present:
-                columns[name] = _columns(reader, topic, [*wanted, "log_time"])
-    for name in ("state", "cost", "theta"):
-        if name not in columns or columns[name]["step"].size == 0:
+    return closed_loop(read_loop(bag, namespace), bag)
+
+
+def closed_loop(columns: LoopColumns, bag: Path) -> RecordedRun:
+    """Return the steps that have a state, a cost and a theta.
+
+    Raises
+    ------
+    ValueError
+        If there are none.
+    """
+    for name in ("cost", "theta"):
+        if not columns.has(name):
             raise ValueError(
                 f"{bag}: no messages on '{name}', this is not a recording of a closed loop"
             )
-    steps = {name: column["step"].astype(np.int64) for name, column in columns.items()}
-    known = {name: keys(values)[1] for name, values in steps.items()}
-    common = np.unique(known["state"])
-    passes = int(common[-1] // MAX_STEP)
-    for values in known.values():
-        common = np.intersect1d(common, values)
-    if not common.size:
+    rows = columns.answered
+    if not rows.any():
         raise ValueError(f"{bag}: no step has a state, a cost and a theta")
-    common = common[common // MAX_STEP == np.bincount(common // MAX_STEP).argmax()]
-
-    def at(name: str, field: str) -> NDArray[np.float64]:
-        # the first message of a step counts: a repeated one is the same answer again
-        unique, first = np.unique(known[name], return_index=True)
-        chosen: NDArray[np.float64] = columns[name][field][first[np.searchsorted(unique, common)]]
-        return chosen
-
-    stamps = columns["state"]["log_time"].astype(np.int64)
-    seconds = (stamps - stamps[0]) * 1e-9
+    truth = columns.at("ground_truth", "x")[rows] if columns.has("ground_truth") else None
     return RecordedRun(
-        common % MAX_STEP,
-        at("state", "x"),
-        at("ground_truth", "x") if "ground_truth" in columns else np.empty((common.size, 0)),
-        at("cost", "r"),
-        at("theta", "theta"),
-        {name: count_losses(values).lost for name, values in steps.items()},
-        {name: values.size for name, values in steps.items()},
-        float(seconds[-1]),
-        seconds,
-        passes,
+        columns.step[rows],
+        columns.at("state", "x")[rows],
+        np.empty((int(rows.sum()), 0)) if truth is None else truth,
+        columns.at("cost", "r")[rows],
+        columns.at("theta", "theta")[rows],
+        columns.lost,
+        columns.counts,
+        float(columns.state_time[-1]),
+        columns.state_time,
+        columns.passes,
     )

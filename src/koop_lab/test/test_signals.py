@@ -1,0 +1,196 @@
+"""States and theta of bags of any messages, written by another library."""
+
+import json
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from koop_lab.cli.main import main
+from koop_lab.identify import segments
+from koop_lab.identify.samples import StateSpec
+from koop_lab.recorded.options import WAYS
+from koop_lab.recorded.signals import Source, read_signals
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+BEGIN = 1_700_000_000_000_000_000  # [ns] when the recorder started
+JOINTS, PRESSURE = "/joint_states:position[0],velocity[0]", "/pressure:data"
+DT = 0.01
+
+
+def joint_state(t, x):
+    """The rig's own clock began at 0."""
+    types, at = STORE.types, round(t * 1e9)
+    header = types["std_msgs/msg/Header"](
+        types["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9), "rig"
+    )
+    return types["sensor_msgs/msg/JointState"](
+        header, ["one"], np.array([x[0]]), np.array([x[1]]), np.array([])
+    )
+
+
+def number(t, x):
+    return STORE.types["std_msgs/msg/Float64"](float(x))
+
+
+def write(path, **topics):
+    """Write (make, kind, receive times, values) by topic name, in the order of reception."""
+    messages = []
+    for name, (make, kind, t, values) in topics.items():
+        messages += [
+            (round(at * 1e9), name, kind, make(at, v)) for at, v in zip(t, values, strict=True)
+        ]
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        known = {
+            name: writer.add_connection(f"/{name}", kind, typestore=STORE)
+            for name, (_, kind, _, _) in topics.items()
+        }
+        for at, name, kind, message in sorted(messages, key=lambda item: item[0]):
+            writer.write(known[name], BEGIN + at, STORE.serialize_cdr(message, kind))
+    return path
+
+
+def rig(t, before=2.0, after=0.5, until=40.0):
+    """A swing of 1 Hz that dies down."""
+    size = np.interp(t, [0.0, until], [before, after])
+    return np.stack((size * np.sin(2 * np.pi * t), size * np.cos(2 * np.pi * t)), axis=1)
+
+
+def falling(t):
+    """Theta at rest for 10 s, then from 2 to -3 until 40 s, then a triangle of 0.5 and 8 s."""
+    cycle = -3.0 + 0.5 * (4.0 * np.abs((t / 8.0) % 1.0 - 0.5) - 1.0)
+    return np.where(t < 10.0, 2.0, np.where(t < 40.0, 2.0 - (t - 10.0) / 6.0, cycle))
+
+
+@pytest.fixture(scope="module")
+def joints(tmp_path_factory):
+    """100 s of a JointState, stamped by a clock of its own, with a Float64 command at 10 Hz."""
+    t, often = np.arange(10_000) * DT, np.arange(1000) * 0.1
+    return write(
+        tmp_path_factory.mktemp("joints") / "bag",
+        joint_states=(joint_state, "sensor_msgs/msg/JointState", t, rig(t)),
+        command=(number, "std_msgs/msg/Float64", often, falling(often)),
+    )
+
+
+@pytest.fixture(scope="module")
+def pressure(tmp_path_factory):
+    """100 s of a Float64 without stamps, received with jitter; theta told when it changes."""
+    rng = np.random.default_rng(1)
+    t = np.arange(10_000) * DT
+    late = t + rng.uniform(0.0, 0.004, t.size)
+    changes = np.arange(0.0, 100.0, 10.0)
+    return write(
+        tmp_path_factory.mktemp("pressure") / "bag",
+        pressure=(number, "std_msgs/msg/Float64", late, rig(t)[:, 0]),
+        knob=(number, "std_msgs/msg/Float64", changes, np.arange(10.0)),
+    )
+
+
+def test_theta_is_the_last_one_received_before_each_state(joints):
+    source = Source(StateSpec.parse(JOINTS), StateSpec.parse("/command:data"), dt=DT)
+    signals = read_signals(joints, source)
+    t = np.arange(10_000) * DT
+    np.testing.assert_allclose(signals.t, t, atol=1e-6)
+    np.testing.assert_allclose(signals.x, rig(t), atol=1e-9)
+    # a command and a state of the same time: either may come first
+    expected = falling(np.floor((t + 1e-9) / 0.1) * 0.1)
+    np.testing.assert_array_equal(signals.theta[t % 0.1 > 0.005], expected[t % 0.1 > 0.005])
+    assert signals.begins.tolist() == [True] + [False] * 9999
+    assert signals.names == ("position0", "velocity0")
+
+
+def test_states_between_two_messages_have_the_theta_of_the_earlier(joints):
+    source = Source(StateSpec.parse(JOINTS), StateSpec.parse("/command:data"), dt=0.003)
+    signals = read_signals(joints, source)
+    assert signals.way == "linear"
+    given = falling(np.arange(1000) * 0.1)
+    assert np.isin(signals.theta, given).all()  # none is interpolated
+
+
+def test_states_without_stamps_are_counted_and_theta_is_held_between_its_changes(pressure):
+    source = Source(StateSpec.parse(PRESSURE), StateSpec.parse("/knob:data"), dt=DT)
+    signals = read_signals(pressure, source)
+    np.testing.assert_allclose(np.diff(signals.t), DT, atol=1e-9)
+    np.testing.assert_array_equal(signals.theta, np.repeat(np.arange(10.0), 1000))
+    assert signals.covered == pytest.approx(100.0)
+
+
+def test_a_theta_that_comes_often_and_stops_is_not_known_any_more(tmp_path, capsys):
+    t, often = np.arange(10_000) * DT, np.arange(570) * 0.1
+    bag = write(
+        tmp_path / "bag",
+        joint_states=(joint_state, "sensor_msgs/msg/JointState", t, rig(t)),
+        command=(number, "std_msgs/msg/Float64", often, falling(often)),
+    )
+    given = ["--state", JOINTS, "--theta", "/command:data", "--dt", "0.01"]
+    assert main(["bag", "metrics", str(bag), *given]) == 0
+    printed = capsys.readouterr().out
+    assert "the figures cover 57.91 of 100 s ONLY" in printed  # and the second that it is held
+    assert "it is there from 0 to 57.9 s" in printed
+    assert "theta: not recorded at the end" in printed
+    assert main(["bag", "metrics", str(bag), *given, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["coverage"]["covered"] == pytest.approx(57.9, abs=0.02)
+    assert result["coverage"]["recorded"] == pytest.approx(100.0)
+    assert not result["coverage"]["whole"]
+
+
+def test_the_metrics_of_a_rig_need_no_optimum(joints, capsys):
+    given = ["--state", JOINTS, "--theta", "/command:data", "--dt", "0.01", "--limits=-3.4,5"]
+    assert main(["bag", "metrics", str(joints), *given, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    position = result["amplitude"]["channels"]["position0"]
+    assert result["amplitude"]["before"] == pytest.approx({"from": 0.0, "to": 10.1}, abs=0.02)
+    # two windows of 5 s; the amplitude falls from 2 by 0.0375 a second
+    assert position["before"] == pytest.approx(2.0 - 5.0 * 0.0375, rel=0.02)
+    assert position["after"] == pytest.approx(0.5, rel=0.02)  # a line takes a little of a sine
+    assert result["theta"]["mean"] == pytest.approx(-3.0, abs=0.05)
+    assert result["theta"]["swing"] == pytest.approx(1.0, abs=0.05)
+    assert result["theta"]["settled_at"] == pytest.approx(36.4, abs=0.2)  # 2 - (t - 10) / 6 = -2.4
+    # a cycle is below -3.4 for 0.1 of it, from 40 s on
+    assert result["theta"]["at_limit"] == pytest.approx(0.6 * 0.1, abs=0.015)
+    assert "iae_theta" not in result
+    assert main(["bag", "metrics", str(joints), *given]) == 0
+    printed = capsys.readouterr().out
+    assert "paper" not in printed
+    assert "theta has settled: within its final swing from 36." in printed
+
+
+def test_with_theta_star_the_paper_s_metrics_stand_beside(joints, capsys):
+    given = ["--state", JOINTS, "--theta", "/command:data", "--dt", "0.01", "--theta-star", "-3"]
+    assert main(["bag", "metrics", str(joints), *given, "--start", "50", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    # a triangle of 0.5: mean 0.25 over 50 s
+    assert result["iae_theta"] == pytest.approx(12.5, rel=0.02)
+    assert (result["theta_star"], result["start"], result["tolerance"]) == (-3.0, 50.0, 0.1)
+    assert result["amplitude"]["before"]["from"] == pytest.approx(50.0)
+    assert main(["bag", "metrics", str(joints), *given, "--tolerance", "3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["t_theta"] == pytest.approx(22.1, abs=0.2)
+    assert main(["bag", "metrics", str(joints), *given]) == 0
+    assert "IAE_theta [s]" in (printed := capsys.readouterr().out)
+    assert "paper" not in printed
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([], "no states of a loop on /state. For other messages name the fields: --state /TOPIC"),
+        (["--state", "/joint:position[0]"], "no messages on /joint; it has /command (std_msgs/msg"),
+        (["--state", JOINTS, "--dt", "0.01", "--theta", "/knob:data"], "no messages on /knob"),
+        (["--state", JOINTS], "give --dt (the usual time between two messages is 0.01 s)"),
+        (["--theta", "/command:data"], "--theta needs --state"),
+        (["--state", JOINTS, "--dt", "0.01", "--theta", "/joint_states:position"],
+         "name one of them"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_read_is_named(joints, given, message, capsys):
+    if message == "name one of them":  # of one joint, an array of one number is a number
+        given = [*given[:-1], "/joint_states:position[0],velocity[0]"]
+    assert main(["bag", "metrics", str(joints), *given]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_the_ways_of_the_option_are_those_of_the_segments():
+    assert ("auto", *segments.WAYS) == WAYS
