@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from koopman_lifter.observables import Monomials
+from koopman_lifter.products import products
 
-BLOCK = 65536  # snapshots lifted at a time: bounds memory, long enough for BLAS
+BLOCK = 65536  # most pairs of a stretch while there are few
 STRETCHES = 64  # of the data whose sums are kept, at most
 STRETCH_BYTES = 2**28  # of their sums; fewer are kept of many observables
 
@@ -82,11 +83,8 @@ class Gram:
             raise ValueError("the trajectory holds a value that is not finite")
         block = min(longest, BLOCK)
         for start in range(0, array.shape[1] - 1, block):
-            lifted = self.observables.lift(array[:, start : start + block + 1])
-            now, after = lifted[:, :-1], lifted[:, 1:]
-            product = now @ now.T
-            later = _a_step_later(product, lifted)
-            part = Gram(self.observables, product, after @ now.T, later, now.shape[1])
+            piece = array[:, start : start + block + 1]
+            part = Gram(self.observables, *products(self.observables, piece), piece.shape[1] - 1)
             self._add(part)
             self._stretch([part])
 
@@ -134,19 +132,6 @@ class Gram:
 def max_stretches(p: int) -> int:
     """Return of how many stretches the sums over p observables are kept, an even number."""
     return max(8, min(STRETCHES, STRETCH_BYTES // (3 * 8 * p**2) // 2 * 2))
-
-
-def _a_step_later(product: NDArray[np.float64], lifted: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return Z_1 Z_1^T of all columns but the first from Z_0 Z_0^T of all but the last.
-
-    They share all columns but one, which makes a third product needless. Where the first column is
-    most of an observable's sum, as in a state that dies away, taking it off again would leave
-    rounding errors; there the product is formed.
-    """
-    first, last = lifted[:, 0], lifted[:, -1]
-    if (2.0 * first**2 > np.diag(product)).any():
-        return np.asarray(lifted[:, 1:] @ lifted[:, 1:].T)
-    return np.asarray(product - np.outer(first, first) + np.outer(last, last))
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ def decompose(koopman: Koopman, gram: Gram) -> Modes:
     correlation = gram.equilibrated(gram.xx)
     # c = V^-1 z and V = diag(scale) W, so c = W^-1 (z / scale) with W of good condition
     inverse = np.linalg.inv(vectors / koopman.scale[:, None])
-    energies = np.einsum("ij,jk,ik->i", inverse, correlation, inverse.conj()).real
+    energies = _quadratic(inverse, correlation).real
     return Modes(
         eigenvalues,
         vectors,
@@ -89,12 +89,16 @@ def residuals(
         res_j, see the module.
     """
     now, cross, after = (
-        np.einsum("ij,jk,ik->i", left, gram.equilibrated(sums), left.conj(), optimize=True)
-        for sums in (gram.xx, gram.yx, gram.yy)
+        _quadratic(left, gram.equilibrated(sums)) for sums in (gram.xx, gram.yx, gram.yy)
     )
     squares = after.real - 2.0 * (eigenvalues.conj() * cross).real
     squares += np.abs(eigenvalues) ** 2 * now.real
     return np.asarray(np.sqrt(np.maximum(squares, 0.0) / now.real), dtype=np.float64)
+
+
+def _quadratic(rows: NDArray[np.complex128], matrix: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Return r M r* of every row r."""
+    return np.asarray(np.sum((rows @ matrix) * rows.conj(), axis=1))
 
 
 def partner(eigenvalues: NDArray[np.complex128], j: int) -> int:
