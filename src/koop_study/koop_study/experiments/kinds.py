@@ -44,6 +44,7 @@ KINDS: dict[str, tuple[type[Any], Callable[[Any], Steps]]] = {  # in the order o
     "robustness": (robustness.RobustnessConfig, _once(robustness)),
     "sensitivity": (sensitivity.SensitivityConfig, _once(sensitivity)),
     "ablations": (ablations.AblationsConfig, _once(ablations)),
+    "identification": (ablations.AblationsConfig, _once(ablations)),
     "beyond": (beyond.BeyondConfig, beyond.steps),
 }
 

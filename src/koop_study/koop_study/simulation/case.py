@@ -19,6 +19,7 @@ from koop_study.simulation.scenario import ScenarioConfig
 from koop_study.simulation.sensing import SensingConfig
 from koop_study.simulation.variants import COSTS, make
 from koopman_lifter.config import LifterConfig
+from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel
 from relay_esc.config import EscConfig
 from vdp_plant.config import PlantConfig
@@ -47,6 +48,7 @@ class Case:
     training: TrainingConfig = field(default_factory=TrainingConfig)
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     sensing: SensingConfig = field(default_factory=SensingConfig)
+    fit: Fit = field(default_factory=Fit)
     adaptive: AdaptiveConfig = field(default_factory=AdaptiveConfig)
     perturbation: PerturbationConfig = field(default_factory=PerturbationConfig)
 
@@ -58,13 +60,17 @@ class Case:
                 )
         if not 0.0 < self.duration <= 1e6:
             raise ConfigError(f"duration = {self.duration}: must be above 0 and at most 1e6 s")
-        for part, names in WITHOUT_EFFECT[self.controller].items():
+        self._refuse(WITHOUT_EFFECT[self.controller], f"controller '{self.controller}'")
+        self._refuse(WITHOUT_EFFECT.get(self.cost, {}), f"cost '{self.cost}'")
+
+    def _refuse(self, without_effect: dict[str, tuple[str, ...]], what: str) -> None:
+        """Raise ConfigError if a setting that does nothing is not at its default."""
+        for part, names in without_effect.items():
             given, default = getattr(self, part), type(getattr(self, part))()
             for name in names or [item.name for item in fields(given)]:
                 if getattr(given, name) != getattr(default, name):
                     raise ConfigError(
-                        f"{part}.{name} = {getattr(given, name)!r}: has no effect with the "
-                        f"controller '{self.controller}'"
+                        f"{part}.{name} = {getattr(given, name)!r}: has no effect with the {what}"
                     )
 
     @property
@@ -73,7 +79,10 @@ class Case:
         return round(self.duration / self.plant.dt)
 
 
-WITHOUT_EFFECT: dict[str, dict[str, tuple[str, ...]]] = {  # by controller; empty: all of a part
+# by controller and by cost; empty: all of a part
+WITHOUT_EFFECT: dict[str, dict[str, tuple[str, ...]]] = {
+    "raw": {"fit": (), "sensing": ("delays", "spacing", "training_noise")},
+    "contrast": {"fit": ()},
     "relay": {"adaptive": (), "perturbation": ()},
     "adaptive": {"perturbation": (), "esc": ("objective",)},
     "perturbation": {
@@ -86,6 +95,7 @@ NODES_ONLY = {  # settings of the nodes that a study has no use for, and why
     "lifter.input_fields": "a study has no topics",
     "lifter.input_type": "a study has no topics",
     "esc.command_topic": "a study has no topics",
+    "fit.resamples": "a study has seeds",
 }
 DRAWN = (  # what `seeded` draws
     "plant.seed", "plant.interference_phase_1", "plant.interference_phase_2", "training.seed",
@@ -171,4 +181,4 @@ def model_of(case: Case) -> KoopmanModel | None:
         interference_lag_y=case.scenario.interference_lag_y,
     )
     learned = learn(plant, channels, case.training, case.sensing)
-    return make(case.cost, learned, plant.dt, case.training.modes)
+    return make(case.cost, learned, plant.dt, case.training.modes, case.fit)

@@ -60,6 +60,7 @@ def _learn(
     delays = sensing.embedding(plant.dt)
     gram = Gram.empty(Monomials(delays.n, training.degree))
     covariances, means, dropped = [], [], 0
+    rng = np.random.default_rng([training.seed, 2])
     added: NDArray[np.float64] | None = None
     for states in trajectories(plant, training):
         if states is None:
@@ -71,7 +72,11 @@ def _learn(
             )
         if added.size and training.corrupted:
             states[1] += added
-        embedded = delays.embed(states[sensing.indices])
+        sensed = states[sensing.indices]
+        if sensing.training_noise > 0.0:
+            deviation = sensing.training_noise * sensed.std(axis=1, keepdims=True)
+            sensed += deviation * rng.standard_normal(sensed.shape)
+        embedded = delays.embed(sensed)
         gram.add_trajectory(embedded)
         lifted = gram.observables.lift(embedded[:, round(TRANSIENT * embedded.shape[1]) :])
         mean = lifted.mean(axis=1)
