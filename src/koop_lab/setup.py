@@ -13,6 +13,7 @@ setup(
     ],
     install_requires=[
         "koop_bag",
+        "koop_bringup",
         "koop_loop",
         "koop_node",
         "koopman_lifter",
@@ -40,6 +41,7 @@ setup(
             "bench = koop_lab.bench.command:register",
             "demo = koop_lab.live.demo:register",
             "inspect = koop_lab.identify.command:register",
+            "params = koop_lab.cli.params:register",
             "replay = koop_lab.replay.command:register",
             "simulate = koop_lab.cli.simulate:register",
             "train = koop_lab.identify.command:register",

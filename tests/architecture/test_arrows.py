@@ -17,7 +17,7 @@ MAY_IMPORT = {
     "koop_bag": {"koop_node"},
     "koop_loop": {"koop_node"} | ALGORITHMS,
     "koop_bringup": {"koop_node", "koop_loop", "koop_bag"} | ALGORITHMS,
-    "koop_lab": PACKAGES - LEAVES - {"koop_bringup"},
+    "koop_lab": PACKAGES - LEAVES,
     "koop_hil": PACKAGES - LEAVES - {"koop_bringup"},
     "koop_study": PACKAGES - LEAVES - {"koop_bringup"},
 }

@@ -7,6 +7,8 @@ node's own default. Everything is checked here, before the first node starts.
 from __future__ import annotations
 
 import re
+import shlex
+import shutil
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -15,12 +17,40 @@ from typing import Any, NamedTuple
 from koop_bag.recorder.config import RECORDER, RecorderConfig
 from koop_loop.parameters import EXECUTABLES, NODES, build, names_of
 from koop_node import parameter_file
-from koop_node.config import ConfigError, refuse_unknown
+from koop_node.config import ConfigError, parameter, refuse_unknown, validate
+from koop_node.parameter_file import ParameterFile
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import load_for
 
 ALL_NODES = {**NODES, **RECORDER}
 WORDS = {"true": True, "1": True, "false": False, "0": False}
+
+
+@dataclass(frozen=True)
+class RigConfig:
+    """The rig itself, as far as it is a program of this machine; no node reads it."""
+
+    command: str = parameter(
+        "",
+        "program, with its arguments, that is the rig or its driver: started with the loop, ended "
+        "with it, and its end ends the loop; empty: you start it yourself",
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+    def words(self) -> tuple[str, ...]:
+        """Return program and arguments; raise ConfigError if there is no such program."""
+        try:
+            words = tuple(shlex.split(self.command))
+        except ValueError as error:
+            raise ConfigError(f"rig: command = {self.command!r}: {error}") from None
+        if words and shutil.which(words[0]) is None:
+            raise ConfigError(f"rig: command = {self.command!r}: there is no program {words[0]!r}")
+        return words
+
+
+RIG: dict[str, tuple[type, ...]] = {"rig": (RigConfig,)}
 
 
 class Argument(NamedTuple):
@@ -48,7 +78,11 @@ ARGUMENTS = (
     Argument("seed", "seed of the plant's initial state", "vdp_plant"),
     Argument("cost", "lifted or raw", "koopman_lifter"),
     Argument("model", "Koopman model file", "koopman_lifter"),
-    Argument("plant", "true: start the simulated plant; false: your rig is the plant (true)"),
+    Argument(
+        "plant",
+        "true: start the simulated plant; false: your rig is the plant (true without a file, "
+        "else whether the file has a section for vdp_plant)",
+    ),
     Argument(
         "record", "true: record all topics; the simulated plant waits for the recorder (false)"
     ),
@@ -88,6 +122,8 @@ class Plan:
         All that is given, by node.
     rig : bool
         Whether a rig is the plant.
+    program : tuple of str
+        The rig's own program with its arguments; empty: it is started by others.
     notes : tuple of str
         What the user should know.
     """
@@ -96,6 +132,7 @@ class Plan:
     nodes: tuple[PlannedNode, ...]
     parameters: dict[str, dict[str, Any]]
     rig: bool
+    program: tuple[str, ...]
     notes: tuple[str, ...]
 
 
@@ -109,16 +146,29 @@ def plan(given: Mapping[str, str]) -> Plan:
     """
     told = {name: text for name, text in given.items() if text}
     namespace = _namespace(told.get("namespace", ""))
+    file = parameter_file.read(told["params"]) if "params" in told else None
+    notes = []
     simulated, recorded = _flag("plant", told, True), _flag("record", told, False)
+    if file is not None and "plant" not in told and not file.describes(f"{namespace}/vdp_plant"):
+        simulated = False
+        notes.append(
+            f"{file.path}: has no section for vdp_plant: the rig is the plant (plant:=true starts "
+            "the simulated one)"
+        )
+    program = _program(file, namespace)
+    if simulated and program:
+        raise ConfigError(
+            f"{told['params']}: names the simulated plant and the rig's own program: keep the "
+            "section vdp_plant or rig.command"
+        )
     started = [
         name for name in EXECUTABLES
         if {"vdp_plant": simulated, "recorder": recorded}.get(name, True)
     ]  # fmt: skip
     classes = {name: ALL_NODES[name] for name in started}
     values: dict[str, dict[str, Any]] = {name: {} for name in started}
-    notes = []
-    if "params" in told:
-        values, ignored = _from_file(told["params"], namespace, classes)
+    if file is not None:
+        values, ignored = _from_file(file, namespace, classes)
         if ignored:
             notes.append(f"{told['params']}: 'recorders' is not used: the launch counts them")
     for argument in ARGUMENTS:
@@ -133,7 +183,7 @@ def plan(given: Mapping[str, str]) -> Plan:
         values[name]["recorders"] = 0 if name == "recorder" else recorders
     _check(values, classes)
     nodes = tuple(PlannedNode(name, *EXECUTABLES[name]) for name in started)
-    return Plan(namespace, nodes, values, not simulated, tuple(notes))
+    return Plan(namespace, nodes, values, not simulated, program, tuple(notes))
 
 
 def refuse_other_arguments(words: list[str]) -> None:
@@ -154,8 +204,15 @@ def refuse_other_arguments(words: list[str]) -> None:
     refuse_unknown((name for name in names if name not in OF_LAUNCH), known, "argument")
 
 
+def _program(file: ParameterFile | None, namespace: str) -> tuple[str, ...]:
+    given = file.values(f"{namespace}/rig", names_of(RIG["rig"])) if file is not None else {}
+    config = build({"rig": _own(given)}, RIG)["rig"][RigConfig]
+    assert isinstance(config, RigConfig)
+    return config.words()
+
+
 def _from_file(
-    path: str, namespace: str, classes: Mapping[str, tuple[type, ...]]
+    file: ParameterFile, namespace: str, classes: Mapping[str, tuple[type, ...]]
 ) -> tuple[dict[str, dict[str, Any]], bool]:
     """Return what a file says to the nodes, and whether a number of recorders is left out.
 
@@ -163,7 +220,7 @@ def _from_file(
     a recorder that this launch does not start.
     """
     known = {name: names_of(own) for name, own in classes.items()}
-    values = parameter_file.read(path).values_of(known, namespace)
+    values = file.values_of(known, namespace)
     ignored = [own.pop("recorders", 0) for own in values.values()]
     return values, any(ignored)
 
@@ -171,19 +228,27 @@ def _from_file(
 def _check(
     values: Mapping[str, Mapping[str, Any]], classes: Mapping[str, tuple[type, ...]]
 ) -> None:
-    configs = build(
-        {
-            name: {k: v for k, v in own.items() if not k.startswith(parameter_file.ROS_OWN)}
-            for name, own in values.items()
-        },
-        classes,
-    )
+    configs = build({name: _own(given) for name, given in values.items()}, classes)
+    steps = {
+        name: config.dt
+        for name, own in configs.items()
+        for config in own.values()
+        if hasattr(config, "dt")
+    }
+    if len(set(steps.values())) > 1:
+        told = ", ".join(f"{name} {dt:g}" for name, dt in steps.items())
+        raise ConfigError(f"dt differs: {told} s")
     lifter = configs["koopman_lifter"]
     load_for(lifter[LifterConfig], lifter[ModelConfig])
     if "recorder" in configs:
         output = configs["recorder"][RecorderConfig].output
         if output and (Path(output).expanduser() / "bag").exists():
             raise ConfigError(f"{output} holds a recording already: choose another output:=")
+
+
+def _own(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Leave out what every node has."""
+    return {k: v for k, v in given.items() if not k.startswith(parameter_file.ROS_OWN)}
 
 
 def _namespace(text: str) -> str:

@@ -15,6 +15,7 @@ from launch import LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     EmitEvent,
+    ExecuteProcess,
     LogInfo,
     OpaqueFunction,
 )
@@ -58,7 +59,8 @@ def _start(context: LaunchContext) -> list:
     name = f"given_parameters{planned.namespace.replace('/', '-')}.yaml"
     file = Path(launch_config.log_dir) / name
     write(planned.parameters, file)
-    published = [name for name in TOPICS if name != "state" or not planned.rig]
+    own = not planned.rig or planned.program
+    published = [name for name in TOPICS if name != "state" or own]
     PLACE.enter_context(alone(planned.namespace, published))
     lost: list[str] = []
     return [
@@ -75,6 +77,18 @@ def _start(context: LaunchContext) -> list:
                 sigterm_timeout=STOP_TIMEOUT,
             )
             for node in planned.nodes
+        ),
+        *(
+            ExecuteProcess(
+                name="rig",
+                cmd=[sys.executable, "-m", "koop_node.companion", *words],
+                additional_env=TIED,
+                on_exit=_on_exit("rig", planned.rig, lost),
+                output="screen",
+                sigterm_timeout=STOP_TIMEOUT,
+            )
+            for words in [planned.program]
+            if words
         ),
     ]
 

@@ -1,5 +1,7 @@
 """What a launch decides before it starts a node: which values count, what is refused."""
 
+import sys
+
 import pytest
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
@@ -70,6 +72,41 @@ def test_a_rig_takes_the_place_of_the_plant(mine):
     planned = plan({**mine(), "plant": "False", "record": "1"})
     assert planned.rig
     assert names(planned) == ["recorder", "relay_esc", "koopman_lifter"]
+
+
+def test_the_file_says_whether_the_plant_is_simulated_unless_an_argument_does(mine):
+    tuning = mine("relay_esc: {ros__parameters: {dwell: 3.0}}")
+    planned = plan(tuning)
+    assert planned.rig
+    assert "no section for vdp_plant: the rig is the plant" in planned.notes[0]
+    assert not plan({**tuning, "plant": "true"}).rig
+    assert not plan(
+        mine("/**/vdp_plant: {ros__parameters: {}}\n/**: {ros__parameters: {dt: 0.005}}")
+    ).rig
+    assert not plan({}).rig
+
+
+def test_the_rig_s_own_program_is_started_where_the_file_names_one(mine):
+    text = f"rig: {{ros__parameters: {{command: {sys.executable} -m 'a rig' --fast}}}}\n"
+    tuning = "relay_esc: {ros__parameters: {dwell: 3.0}}"
+    planned = plan(mine(text + tuning))
+    assert planned.program == (sys.executable, "-m", "a rig", "--fast")
+    assert names(planned) == ["relay_esc", "koopman_lifter"]
+    assert plan(mine(tuning)).program == ()
+    with pytest.raises(ConfigError, match="names the simulated plant and the rig's own program"):
+        plan(mine(text + MINE))
+    for command, problem in (
+        ("nowhere --now", "there is no program 'nowhere'"),
+        ("'\"sh'", "No closing quotation"),
+        ("3", "expected str, got 3"),
+    ):
+        with pytest.raises(ConfigError, match=f"rig: command.*{problem}"):
+            plan(mine(f"rig: {{ros__parameters: {{command: {command}}}}}\n{tuning}"))
+
+
+def test_one_dt_for_all_nodes(mine):
+    with pytest.raises(ConfigError, match=r"dt differs: relay_esc 0.005, koopman_lifter 0.01"):
+        plan(mine("koopman_lifter: {ros__parameters: {cost: raw, dt: 0.01}}"))
 
 
 def test_a_loop_in_a_namespace_takes_what_the_file_says_to_it(mine):

@@ -22,14 +22,14 @@ def ending(node: str, exit_code: int, rig: bool) -> Ending:
     Parameters
     ----------
     node : str
-        Its name.
+        Its name; ``rig`` is the rig's own program.
     exit_code : int
         With which it ended; negative: the signal that killed it.
     rig : bool
         Whether a real rig is the plant. It keeps its controller when the recording ends, as on a
         full disk; a simulation that is not recorded is of no use.
     """
-    if node == "vdp_plant" and exit_code == 0:
+    if node in ("vdp_plant", "rig") and exit_code == 0:
         return Ending.DONE
     return Ending.GO_ON if node == "recorder" and rig else Ending.FAILED
 

@@ -68,10 +68,13 @@ def parameter_file(nodes: Mapping[str, Iterable[type]]) -> str:
     nodes : mapping of str to iterable of type
         Configuration classes by node.
     """
-    return "\n".join(line for node, classes in nodes.items() for line in _section(node, classes))
+    return "".join(
+        f"{line}\n" for node, classes in nodes.items() for line in _section(node, classes)
+    )
 
 
 def _section(node: str, classes: Iterable[type]) -> Iterator[str]:
+    yield ""
     yield f"/**/{node}:"
     yield "  ros__parameters:"
     for item in parameters_of(classes):

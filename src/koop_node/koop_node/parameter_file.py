@@ -61,6 +61,10 @@ class ParameterFile:
     path: Path
     sections: tuple[Section, ...]
 
+    def describes(self, node: str) -> bool:
+        """Return whether a section is for a node of this full name, not for any."""
+        return any(section.names(node) and not section.for_any for section in self.sections)
+
     def values(self, node: str, known: Collection[str]) -> dict[str, Any]:
         """Return what the file says to a node.
 

@@ -62,4 +62,4 @@ def test_an_annotated_file_is_read_back_as_the_defaults(tmp_path, mode, monkeypa
     assert {name: type(value) for name, value in found["one"].items()} == {
         name: list if name == "limits" else type(value) for name, value in wanted.items()
     }
-    assert "    # none: []" in text
+    assert "    # none: []\n" in text

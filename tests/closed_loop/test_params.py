@@ -1,0 +1,58 @@
+"""The file of ``koop params`` in the real nodes."""
+
+from dataclasses import asdict
+
+import pytest
+
+from koop_bag.recorder.parameters import ParameterCollector
+from koop_bringup.plan import plan
+from koop_lab.cli.main import main
+from koop_lab.cli.params import KNOWN
+
+NODES = ("relay_esc", "koopman_lifter", "vdp_plant", "recorder")
+LEFT_OUT = {"recorders", "autostart", "initial_state"}  # of how it is started; an empty list
+
+
+def test_the_file_of_koop_params_gives_every_node_its_defaults(start, probe, tmp_path, capsys):
+    file = tmp_path / "rig.yaml"
+    assert main(["params", "--out", str(file), *NODES]) == 0
+    for node in NODES:
+        start(node, "--params-file", str(file), "-p", "autostart:=false")
+    asked = ParameterCollector(probe.node, "/")
+    probe.spin_until(
+        lambda: asked.look() and {f"/{node}" for node in NODES} <= set(asked.values), "the nodes"
+    )
+    asked.close()
+    for node in NODES:
+        wanted = {k: v for cls in KNOWN[node] for k, v in asdict(cls()).items()}
+        found = asked.values[f"/{node}"]
+        assert set(wanted) - LEFT_OUT <= set(found)
+        for name in set(wanted) - LEFT_OUT:
+            assert (found[name], type(found[name])) == (wanted[name], type(wanted[name])), name
+
+
+def test_the_file_for_a_rig_feeds_the_launch(tmp_path, capsys):
+    assert main(["params"]) == 0
+    file = tmp_path / "rig.yaml"
+    file.write_text(capsys.readouterr().out)
+    planned = plan({"params": str(file), "record": "true"})
+    assert planned.rig
+    assert [node.name for node in planned.nodes] == ["recorder", "relay_esc", "koopman_lifter"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["relay_ecs"], "unknown node 'relay_ecs': did you mean 'relay_esc'?"),
+        (["--out", "THERE"], "is there already: choose another --out"),
+        (["--out", "THERE/x"], "Not a directory"),
+    ],
+)
+def test_what_cannot_be_written_is_said_in_one_line(words, message, tmp_path, capsys):
+    there = tmp_path / "mine.yaml"
+    there.write_text("tuned for weeks")
+    assert main(["params", *(word.replace("THERE", str(there)) for word in words)]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert there.read_text() == "tuned for weeks"
