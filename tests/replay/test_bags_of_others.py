@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 from koop_bag.bag.reader import BagReader
@@ -11,6 +12,9 @@ from koop_bag.cdr.schema import load_schema
 from koop_lab.cli.main import main
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import shipped_model
+from koopman_lifter.edmd import Gram
+from koopman_lifter.model import build
+from koopman_lifter.observables import Monomials
 from vdp_plant.config import PlantConfig
 
 RUN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
@@ -115,3 +119,17 @@ def test_a_parameter_of_another_version_is_named_and_left_out(tmp_path, capsys):
     code, printed = replay(copy(tmp_path / "bag", parameters=parameters), capsys)
     assert code == 0, printed
     assert "relay_esc.newer = 1.0 was recorded; this version has no such parameter" in printed
+
+
+def test_a_model_of_another_number_of_channels_is_refused(tmp_path, capsys):
+    gram = Gram.empty(Monomials(1, 1))
+    gram.add_trajectory(np.cos(0.1 * np.arange(100))[None])
+    build(gram, 0.005, ("p",), 2, {}).save(tmp_path / "one.npz")
+    code, printed = replay(RUN, capsys, "--model", tmp_path / "one.npz")
+    assert code == 2
+    assert "is for 1 channel (p); the state in" in printed
+    assert "has 2" in printed
+    code, printed = replay(
+        RUN, capsys, "--model", tmp_path / "one.npz", "--set", "koopman_lifter.cost=raw"
+    )
+    assert code == 1, printed  # which needs no model: another cost than the recorded one

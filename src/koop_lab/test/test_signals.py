@@ -12,6 +12,12 @@ from koop_lab.identify import segments
 from koop_lab.identify.samples import StateSpec
 from koop_lab.recorded.options import WAYS
 from koop_lab.recorded.signals import Source, read_signals
+from koop_node.arrival import Arrival
+from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig
+from koopman_lifter.model import load
+from relay_esc.config import EscConfig
+from relay_esc.relay import answer
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 BEGIN = 1_700_000_000_000_000_000  # [ns] when the recorder started
@@ -79,11 +85,11 @@ def pressure(tmp_path_factory):
     """100 s of a Float64 without stamps, received with jitter; theta told when it changes."""
     rng = np.random.default_rng(1)
     t = np.arange(10_000) * DT
-    late = t + rng.uniform(0.0, 0.004, t.size)
+    late, noise = t + rng.uniform(0.0, 0.004, t.size), 0.02 * rng.standard_normal(t.size)
     changes = np.arange(0.0, 100.0, 10.0)
     return write(
         tmp_path_factory.mktemp("pressure") / "bag",
-        pressure=(number, "std_msgs/msg/Float64", late, rig(t)[:, 0]),
+        pressure=(number, "std_msgs/msg/Float64", late, rig(t)[:, 0] + noise),
         knob=(number, "std_msgs/msg/Float64", changes, np.arange(10.0)),
     )
 
@@ -194,3 +200,80 @@ def test_what_cannot_be_read_is_named(joints, given, message, capsys):
 
 def test_the_ways_of_the_option_are_those_of_the_segments():
     assert ("auto", *segments.WAYS) == WAYS
+
+
+# -- open loop ----------------------------------------------------------------------------------
+
+TRAIN = ["--dt", "0.01", "--degree", "2", "--modes", "3", "--resamples", "0"]
+
+
+@pytest.fixture(scope="module")
+def model(pressure, tmp_path_factory):
+    """A model of one channel and four of its samples."""
+    out = tmp_path_factory.mktemp("model") / "pressure.npz"
+    given = ["--state", PRESSURE, *TRAIN, "--delays", "4", "--spacing", "0.1"]
+    assert main(["train", str(pressure), *given, "--out", str(out)]) == 0
+    return out
+
+
+def test_a_replay_of_any_states_says_what_the_nodes_would(pressure, model, tmp_path, capsys):
+    """Beside it the same kernel, called state by state as the nodes call it."""
+    out = tmp_path / "answers.csv"
+    given = ["--offline", "--state", PRESSURE, "--theta", "/knob:data", "--model", str(model)]
+    assert main(["replay", str(pressure), *given, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "OPEN LOOP" in printed
+    assert "identical" not in printed
+    found = np.genfromtxt(out, delimiter=",", names=True)
+    source = Source(StateSpec.parse(PRESSURE), dt=DT)
+    states = read_signals(pressure, source).x
+    lifter, relay = LifterConfig(dt=DT), EscConfig(dt=DT)
+    lifting = load(model).lifting()
+    detector, state, work = cost.initial(), relay.initial(), cost.workspace(lifting)
+    r, theta = np.empty(10_000), np.empty(10_000)
+    for k in range(10_000):
+        arrival = int(Arrival.NEXT if k else Arrival.JOIN)  # no step 0: it joins
+        r[k], _, settling, detector = cost.answer(
+            lifter.source, lifting, lifter.detector_params(), detector, arrival, k + 1, states[k],
+            work,
+        )  # fmt: skip
+        state, _, _ = answer(relay.params(), state, arrival, False, settling, r[k], False)
+        theta[k] = state.output
+    np.testing.assert_array_equal(found["open_loop_r"], r)
+    np.testing.assert_array_equal(found["open_loop_theta"], theta)
+    assert np.isfinite(r).sum() > 8000
+    assert np.ptp(theta) > 0.5
+    np.testing.assert_array_equal(found["recorded_theta"], np.repeat(np.arange(10.0), 1000))
+
+
+def test_an_open_loop_replay_is_drawn_and_follows_the_settings(joints, tmp_path, capsys):
+    given = ["--offline", "--state", JOINTS, "--dt", "0.01", "--set", "koopman_lifter.cost=raw"]
+    drawn = tmp_path / "open.png"
+    assert main(["replay", str(joints), *given, "--plot", str(drawn)]) == 0
+    usual = capsys.readouterr().out
+    assert "cost raw, omega_h 20" in usual
+    assert drawn.read_bytes().startswith(b"\x89PNG")
+    assert main(["replay", str(joints), *given, "--set", "relay_esc.theta_initial=-1"]) == 0
+    assert "theta  would have gone from -1 to" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--offline"], "the lifted cost needs a model of this rig: give --model FILE"),
+        (["--model", "MODEL"], "--state needs --offline"),
+        (["--offline", "--model", "MODEL"], "is for 1 channel (data); /joint_states:position[0]"),
+        (["--offline", "--model", "MODEL", "--set", "relay_esc.dt=0.02"], "dt differs: states"),
+    ],
+)
+def test_an_open_loop_replay_that_makes_no_sense_is_refused(joints, model, given, message, capsys):
+    given = [str(model) if word == "MODEL" else word for word in given]
+    given += ["--state", JOINTS, "--dt", "0.01"]
+    assert main(["replay", str(joints), *given]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_model_learned_at_another_dt_is_refused(pressure, model, capsys):
+    given = ["--offline", "--state", PRESSURE, "--dt", "0.02", "--model", str(model)]
+    assert main(["replay", str(pressure), *given]) == 2
+    assert "--dt 0.02: the model was learned at 0.01 s" in capsys.readouterr().err

@@ -68,7 +68,7 @@ def plot_report(
         axis.grid(alpha=0.3)
         axis.margins(x=0.0)
     picture = figure.add_subplot(grid[4:, :2], sharex=state)
-    draw_spectrogram(picture, run.steps, run.x[:, 0], dt, names[0] if names else "x[0]")
+    draw_spectrogram(picture, run.step, run.x[:, 0], dt, names[0] if names else "x[0]")
     plane, rates = figure.add_subplot(grid[:3, 2]), figure.add_subplot(grid[3:, 2])
     if model is None:
         for axis in (plane, rates):

@@ -58,6 +58,8 @@ class Signals:
         Time between two states [s].
     way : str
         How messages became states.
+    step : ndarray of int64, shape (M,)
+        Step of each state, increasing; of other messages as a lifter that joins counts, from 1.
     t : ndarray, shape (M,)
         Time [s]; of a loop step times dt, else from the first state.
     begins : ndarray of bool, shape (M,)
@@ -75,6 +77,7 @@ class Signals:
     names: tuple[str, ...]
     dt: float
     way: str
+    step: NDArray[np.int64]
     t: NDArray[np.float64]
     begins: NDArray[np.bool_]
     x: NDArray[np.float64]
@@ -93,11 +96,6 @@ class Signals:
     def has_r(self) -> bool:
         """Whether a cost was recorded."""
         return bool(np.isfinite(self.r).any())
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """Step of each state, from its time, as a lifter that joins the rig counts; from 1."""
-        return 1 + np.round((self.t - self.t[0]) / self.dt).astype(np.int64)
 
     @property
     def covered(self) -> float:
@@ -119,6 +117,7 @@ def of_loop(columns: LoopColumns, dt: float, names: tuple[str, ...] | None = Non
         names or tuple(f"x[{i}]" for i in range(x.shape[1])),
         dt,
         "steps",
+        step,
         step * dt,
         begins,
         x,
@@ -166,6 +165,7 @@ def read_signals(path: Path, source: Source, dt: float | None = None) -> Signals
         state_names(spec, n),
         segmentation.dt,
         segmentation.way,
+        _steps(loaded.time, segmentation),
         loaded.time,
         loaded.begins,
         np.ascontiguousarray(loaded.x.T),
@@ -175,6 +175,15 @@ def read_signals(path: Path, source: Source, dt: float | None = None) -> Signals
         None,
         recorded,
     )
+
+
+def _steps(time: NDArray[np.float64], segmentation: Segmentation) -> NDArray[np.int64]:
+    """Return the steps of states at these times [s]; each state has one of its own."""
+    number = np.arange(time.size)
+    if segmentation.way == "none":
+        return 1 + number
+    step = np.round(time / segmentation.dt).astype(np.int64)
+    return np.asarray(1 + number + np.maximum.accumulate(step - number))
 
 
 def _duration(bag: BagReader, segmentation: Segmentation, spec: StateSpec) -> float:

@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 
 from koop_lab.cli.table import table
+from koop_lab.recorded.options import add_source_options, source_of
+from koop_lab.recorded.signals import Source, read_signals
 from koop_lab.replay.compare import Comparison, compare
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import Plan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
 from koop_lab.replay.unheard import first_theta
+from koopman_lifter.model import load
 
 SHOWN = 10  # places where a node was restarted
 
@@ -27,7 +30,8 @@ def register(commands: Any) -> None:
         description="Feeds the recorded states through the real lifter and controller and compares "
         "cost and theta with the recorded ones, bit by bit. Exit code 1 if they differ. With "
         "another model or other parameters it shows what the controller would have answered to "
-        "the same states; the plant does not react to it.",
+        "the same states; the plant does not react to it. With --state and --offline: r and theta "
+        "that lifter and controller would give to the states of any bag, open loop.",
     )
     parser.add_argument("bag", type=Path, help="folder of a run or of a bag, or an .mcap file")
     parser.add_argument(
@@ -42,12 +46,24 @@ def register(commands: Any) -> None:
         help="one other parameter, such as relay_esc.dwell=3; may be repeated",
     )  # fmt: skip
     parser.add_argument("--namespace", default="/", help="namespace of the recorded loop")
-    parser.add_argument("--out", type=Path, metavar="FILE.npz", help="write both answers")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE",
+        help="write the answers as .npz; with --state also as .csv",
+    )  # fmt: skip
+    parser.add_argument(
+        "--plot", type=Path, metavar="FILE", help="with --state: draw the answers (png, svg, pdf)"
+    )
+    add_source_options(parser)
     parser.set_defaults(func=main)
 
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 1 if an answer differs."""
+    source = source_of(args)
+    if source.state is not None:
+        return open_loop_main(args, source)
+    if args.plot is not None:
+        raise ValueError("--plot needs --state; koop bag plot draws a run")
     recording = read_recording(args.bag, args.namespace)
     plan = make_plan(recording, args.params_file, args.model, args.settings)
     started = time.perf_counter()
@@ -72,6 +88,31 @@ def main(args: argparse.Namespace) -> int:
                 recorded_theta=recording.theta,
             )  # fmt: skip
     return 1 if any(result.different for result in results) else 0
+
+
+def open_loop_main(args: argparse.Namespace, source: Source) -> int:
+    """Answer the states of any bag; returns the exit code."""
+    from koop_lab.replay import open_loop
+
+    if not args.offline:
+        raise ValueError("--state needs --offline: through the nodes only states of a loop are fed")
+    model = load(Path(args.model)) if args.model else None
+    if model is not None and source.dt is not None and source.dt != model.dt:
+        raise ValueError(f"--dt {source.dt:g}: the model was learned at {model.dt:g} s")
+    signals = read_signals(args.bag, source, model.dt if model is not None else None)
+    made = open_loop.settings(signals.dt, args.params_file, args.model, args.settings)
+    answers = open_loop.answer(signals, made, str(source.state))
+    print(f"{args.bag}: {signals.step.size} states of {source.state} ({signals.way})")
+    print("\n".join(open_loop.describe(signals, made, answers)))
+    if args.out is not None:
+        open_loop.write(args.out, signals, answers)
+        print(f"written to {args.out}")
+    if args.plot is not None:
+        from koop_lab.plots.open_loop import plot_open_loop
+
+        plot_open_loop(args.plot, signals, answers, f"{args.bag}: {source.state}, open loop")
+        print(f"drawn to {args.plot}")
+    return 0
 
 
 def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[str]:

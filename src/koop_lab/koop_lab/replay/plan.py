@@ -16,6 +16,7 @@ from koop_lab.replay.unheard import joined_at, unheard_costs
 from koop_loop import parameters
 from koop_loop.parameters import LoopParameters
 from koop_node.config import ConfigError
+from koopman_lifter.model import KoopmanModel
 
 Values = dict[str, dict[str, Any]]
 OWN_TOPICS = {"koopman_lifter": {"input_fields": ""}, "relay_esc": {"command_topic": ""}}
@@ -86,7 +87,7 @@ def make_plan(
     ValueError
         If a parameter or a model cannot be used.
     """
-    given = _given(params, model, settings)
+    given = given_values(params, model, settings)
     notes, recorded = _known(recording.values)
     first = recording.first_model
     named = [recorded["koopman_lifter"], *(change.values for change in recording.changes)]
@@ -120,6 +121,8 @@ def make_plan(
                 differences.append((f"{node}.{name}", before[node][name], after[name]))
     used_model = stretches[0].parameters.load_model()
     now = used_model.model_id if used_model is not None else "none"
+    if now != first and any(item.parameters.lifter.cost == "lifted" for item in stretches):
+        check_channels(used_model, recording.channels, f"the state in {recording.path}")
     if first and now != first:
         differences.append(("koopman_lifter.model", first, now))
     step_size = max(
@@ -138,8 +141,14 @@ def make_plan(
     return Plan(stretches, differences, notes, unheard)
 
 
-def _given(params: str | None, model: str | None, settings: Iterable[str]) -> Values:
-    """Return the user's values of the lifter and the controller."""
+def given_values(params: str | None, model: str | None, settings: Iterable[str]) -> Values:
+    """Return the user's values of the lifter and the controller.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If one cannot be used.
+    """
     given = parameters.read(params) if params else {}
     for text in settings:
         name, equals, value = text.partition("=")
@@ -157,6 +166,26 @@ def _given(params: str | None, model: str | None, settings: Iterable[str]) -> Va
         given.setdefault("koopman_lifter", {})["model"] = model
     parameters.make({node: given.get(node, {}) for node in CONTROLLER})  # names what is wrong
     return {node: dict(given.get(node, {})) for node in CONTROLLER}
+
+
+def check_channels(model: KoopmanModel | None, n: int, what: str) -> None:
+    """Raise ConfigError unless a model is for states of n channels; None is for any.
+
+    Parameters
+    ----------
+    model : KoopmanModel or None
+        The model.
+    n : int
+        Channels of the states.
+    what : str
+        Where the states are from.
+    """
+    if model is not None and model.delays.channels != n:
+        wanted = model.delays.channels
+        raise ConfigError(
+            f"model {model.model_id} is for {wanted} channel{'s' * (wanted > 1)} "
+            f"({', '.join(model.state_names)}); {what} has {n}"
+        )
 
 
 def _known(recorded: Values) -> tuple[list[str], Values]:

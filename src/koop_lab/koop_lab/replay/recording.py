@@ -111,6 +111,12 @@ class Recording:
         begun = self.settling[: first[0]].any() if first.size else True
         return not begun and float(self.r[first[0]]) != 0.0
 
+    @property
+    def channels(self) -> int:
+        """Length of the first state that is not empty."""
+        with BagReader(self.path) as bag:
+            return self._first_length(bag)
+
     def states(self, n: int = 0) -> NDArray[np.float64]:
         """Return x', shape (M, n); a row of NaN, an unusable state, where its length is not n.
 

@@ -1,0 +1,169 @@
+"""What lifter and controller would say to the states of any bag: nothing recorded to compare with.
+
+The loop is open. The states are those of whatever theta the rig had at the time, so that theta here
+says how the controller would have begun, and where it would have turned; not where it would be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_lab.recorded.signals import Signals
+from koop_lab.replay.offline import replay_kernel
+from koop_lab.replay.plan import check_channels, given_values
+from koop_loop import parameters
+from koop_loop.kernel import Memory, listen
+from koop_loop.loop import controller
+from koop_loop.parameters import LoopParameters
+from koop_node.arrival import NOTHING
+from koop_node.config import ConfigError
+from koopman_lifter import cost
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Open-loop answers, one row a state; NaN in r where there is none."""
+
+    r: NDArray[np.float64]
+    theta: NDArray[np.float64]
+
+
+def settings(
+    dt: float, params: str | None, model: str | None, changes: Iterable[str] = ()
+) -> LoopParameters:
+    """Return the parameters of an open-loop replay; what is not given is the default.
+
+    Parameters
+    ----------
+    dt : float
+        Time between two states [s].
+    params : str, optional
+        ROS 2 parameter file.
+    model : str, optional
+        Model file.
+    changes : iterable of str
+        `node.parameter=value`.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If one cannot be used, or the lifted cost has no model of this dt.
+    """
+    given = given_values(params, model, changes)
+    lifter = given["koopman_lifter"]
+    if lifter.get("cost", "lifted") == "lifted" and "model" not in lifter:
+        raise ConfigError(
+            "the lifted cost needs a model of this rig: give --model FILE, "
+            "or --set koopman_lifter.cost=raw"
+        )
+    for node in given.values():
+        node.setdefault("dt", dt)
+    made = parameters.make(given)
+    made.load_model()
+    if made.esc.dt != made.lifter.dt or made.lifter.dt != dt:
+        raise ConfigError(
+            f"dt differs: states {dt:g} s, lifter {made.lifter.dt:g} s, controller {made.esc.dt:g}"
+        )
+    return made
+
+
+def answer(signals: Signals, made: LoopParameters, what: str) -> Answers:
+    """Answer the states of a recording, as nodes that join the rig would.
+
+    Parameters
+    ----------
+    signals : Signals
+        States with their steps.
+    made : LoopParameters
+        Of lifter and controller.
+    what : str
+        Where the states are from, for an error.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the model is for another number of channels.
+    """
+    lifted = made.lifter.cost == "lifted"
+    model = made.load_model() if lifted else None
+    check_channels(model, signals.x.shape[1], what)
+    size = signals.step.size
+    parts = controller(made.lifter, made.esc, model)
+    states, costs = np.empty(size, np.int8), np.empty(size, np.int8)
+    listen(signals.step, made.lifter.state_timeout, made.lifter.dt, NOTHING, states)
+    listen(signals.step, made.esc.cost_timeout, made.esc.dt, NOTHING, costs)
+    r, theta = np.empty(size), np.empty(size)
+    replay_kernel(
+        parts,
+        Memory(cost.initial(), made.esc.initial()),
+        cost.workspace(parts.lifting),
+        False,
+        signals.step,
+        states,
+        costs,
+        np.ascontiguousarray(signals.x),
+        np.zeros(size, np.bool_),
+        r,
+        theta,
+    )
+    return Answers(r, theta)
+
+
+def turns(theta: NDArray[np.float64]) -> int:
+    """Return how often theta changes its direction."""
+    moves = np.sign(np.diff(theta))
+    return int(np.count_nonzero(np.diff(moves[moves != 0.0])))
+
+
+def describe(signals: Signals, made: LoopParameters, answers: Answers) -> list[str]:
+    """Return in words what the controller would have said."""
+    lifter, esc = made.lifter, made.esc
+    model = made.load_model() if lifter.cost == "lifted" else None
+    usable = np.isfinite(answers.r)
+    lines = [
+        "OPEN LOOP: what lifter and controller would have said to these states; the rig did not "
+        "react to this theta, and nothing recorded is compared",
+        f"cost {lifter.cost}" + (f" of model {model.model_id}" if model is not None else "")
+        + f", omega_h {lifter.omega_h:g}, omega_l {lifter.omega_l:g} rad/s; tau_f {esc.tau_f:g}, "
+        f"dwell {esc.dwell:g} s, theta from {esc.theta_initial:g}",
+        f"r      usable for {np.count_nonzero(usable)} of {usable.size} states",
+    ]  # fmt: skip
+    if usable.any():
+        known = answers.r[usable]
+        low, middle, high = np.quantile(known, (0.0, 0.5, 1.0))
+        lines[-1] += f": least {low:.6g}, median {middle:.6g}, largest {high:.6g}"
+    lines.append(
+        f"theta  would have gone from {answers.theta[0]:.6g} to {answers.theta[-1]:.6g} "
+        f"with {turns(answers.theta)} turns"
+    )
+    if signals.has_theta:
+        known = signals.theta[np.isfinite(signals.theta)]
+        lines.append(
+            f"theta  recorded: from {known[0]:.6g} to {known[-1]:.6g}, {turns(known)} turns"
+        )
+    return lines
+
+
+def write(path: Path, signals: Signals, answers: Answers) -> None:
+    """Write states and answers: as CSV by that ending, else as `.npz`."""
+    columns = {
+        "step": signals.step,
+        "t": signals.t,
+        **dict(zip(signals.names, signals.x.T, strict=True)),
+        "recorded_theta": signals.theta,
+        "open_loop_r": answers.r,
+        "open_loop_theta": answers.theta,
+    }
+    if path.suffix == ".csv":
+        table = np.stack([values.astype(np.float64) for values in columns.values()], axis=1)
+        header = ",".join(columns)
+        formats = ["%d", *["%.17g"] * (len(columns) - 1)]
+        np.savetxt(path, table, formats, delimiter=",", header=header, comments="")
+        return
+    with open(path, "wb") as file:
+        np.savez(file, **columns)
