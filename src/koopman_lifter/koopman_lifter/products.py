@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from koopman_lifter.observables import Monomials
 
 TILE_BYTES = 2**21  # of lifted states at a time: what a core's cache about holds
-TILE = 2048  # states at a time at least: long enough for BLAS
+TILE = (2048, 20480)  # states at a time, at least for BLAS' sake, at most for the cache's
 Sums = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -68,7 +68,7 @@ def delay_line(states: NDArray[np.float64]) -> int:
 
 
 def _tiles(observables: Monomials, states: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    size = max(TILE, TILE_BYTES // (8 * observables.p))
+    size = min(max(TILE[0], TILE_BYTES // (8 * observables.p)), TILE[1])
     for begin in range(0, states.shape[1] - 1, size):
         yield observables.lift(states[:, begin : begin + size + 1])
 

@@ -1,0 +1,43 @@
+"""What `koop bench identify` compares is the same identification, in memory that stays the same."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from koop_lab.bench.identify import Case, check, difference, measure, recording
+from koop_lab.cli.main import main
+
+SOURCE = Path(__file__).parents[2] / "benchmarks" / "identify.py"
+
+
+def test_the_recording_is_identified_as_numpy_does_it_whole(tmp_path):
+    file = tmp_path / "samples.npy"
+    np.save(file, recording(300_016))
+    case = Case(4, 2, {})
+    figures = {
+        name: measure(SOURCE, Path(sys.executable), name, file, case, 300_000)
+        for name in ("koop", "numpy")
+    }
+    ours, whole = figures["koop"], figures["numpy"]
+    assert ours.eigenvalues.size == case.observables == 15
+    assert difference(ours.eigenvalues, whole.eigenvalues) < 1e-9
+    # all lifted states together are 36 MB
+    assert ours.memory < 20e6 < 36e6 < whole.memory
+
+
+def test_spectra_are_compared_eigenvalue_by_eigenvalue():
+    ours = np.array([1.0, 0.9 + 0.1j, 0.9 - 0.1j, 0.2])
+    assert difference(ours, np.array([0.2, 0.9 - 0.1j, 0.9 + 0.13j])) == pytest.approx(0.03)
+
+
+def test_a_python_without_the_others_is_told_what_it_needs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(SOURCE.parents[1])
+    bare = tmp_path / "python"
+    bare.write_text("#!/bin/sh\nexit 1\n")
+    bare.chmod(0o755)
+    with pytest.raises(ValueError, match="lacks PyDMD or pykoop"):
+        check(bare)
+    assert main(["bench", "identify", "--python", str(tmp_path / "none")]) == 2
+    assert "No such file" in capsys.readouterr().err
