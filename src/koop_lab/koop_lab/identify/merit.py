@@ -30,6 +30,7 @@ from koopman_lifter.cost import DetectorParams
 UNTOLD = 20  # windows that a recording without theta is cut into
 QUIET = 0.1  # share of theta's range by which theta may move within a window
 LEAST = 0.1  # share of the windows that are called those of least r, or of least oscillation
+SHORTER = 0.95  # than a settled stretch, so that one that is a little shorter counts, too
 STEP = 0.1  # of theta's range, or of the windows in the order of their amplitude: see Merit.right
 MOST = 2000  # windows that are compared with each other
 
@@ -161,7 +162,7 @@ def settled_windows(
         return nothing
     ordered = np.sort(usable)[::-1]
     half = ordered[np.searchsorted(np.cumsum(ordered), 0.5 * ordered.sum())]
-    limits = [longest / dt, float(half)]
+    limits = [longest / dt, SHORTER * half]
     speed = float(moved[~cut].mean()) if (~cut).any() else 0.0
     if speed > 0.0:
         limits.append(QUIET * span / speed)

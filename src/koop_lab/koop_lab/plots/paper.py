@@ -81,11 +81,18 @@ def fit(axis: Axes, y: NDArray[np.float64]) -> None:
     axis.set_ylim(low - margin, high + margin)
 
 
-def envelope(axis: Axes, t: NDArray[np.float64], y: NDArray[np.float64], label: str) -> None:
+def envelope(
+    axis: Axes,
+    t: NDArray[np.float64],
+    y: NDArray[np.float64],
+    label: str,
+    color: str | None = None,
+) -> None:
     """Plot a signal; a long one as the band between its extremes, so that no peak is lost."""
     block = -(-t.size // POINTS)
     if block == 1:
-        axis.plot(t, y, linewidth=0.8, label=label)
+        axis.plot(t, y, linewidth=0.8, label=label, color=color)
         return
     edges = np.stack(extremes(y, block), axis=1)
-    axis.plot(np.repeat(t[::block][: len(edges)], 2), edges.ravel(), linewidth=0.6, label=label)
+    twice = np.repeat(t[::block][: len(edges)], 2)
+    axis.plot(twice, edges.ravel(), linewidth=0.6, label=label, color=color)

@@ -1,7 +1,9 @@
-"""One page about a recorded run: its signals, their spectrogram, the model's eigenvalues."""
+"""One page about a recorded run: signals over time, eigenvalues, spectra, cost by theta."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -14,7 +16,9 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from koop_lab.plots.paper import envelope, fit
+from koop_lab.plots.views import draw_amplitude_by_theta, draw_cost_by_theta, draw_spectrum
 from koop_lab.recorded.signals import Signals
+from koop_lab.recorded.windows import Windows
 from koopman_lifter.model import KoopmanModel
 
 FLOOR = -60.0  # [dB] below the largest value, where the colours of the spectrogram end
@@ -23,9 +27,19 @@ POWER = 0.999  # share of the power that the frequency axis shows
 TRANSIENT = 0.04  # share of the run that the axes of state and cost need not fit
 
 
+@dataclass(frozen=True)
+class Cost:
+    """A cost over time, and its name."""
+
+    r: NDArray[np.float64]
+    name: str
+
+
 def plot_report(
     path: Path,
     run: Signals,
+    costs: Sequence[Cost],
+    windows: Windows,
     model: KoopmanModel | None,
     theta_star: float | None,
     title: str,
@@ -38,53 +52,79 @@ def plot_report(
         File to write; the ending chooses the format.
     run : Signals
         What to draw.
+    costs : sequence of Cost
+        One or two; each has an axis of its own.
+    windows : Windows
+        Settled windows, with the first of the costs.
     model : KoopmanModel or None
-        Its eigenvalues are shown.
+        Its eigenvalues and frequencies are shown.
     theta_star : float or None
         Best theta, a dashed line.
     title : str
         Heading.
     """
     t, dt, n = run.t, run.dt, run.x.shape[1]
-    figure = plt.figure(figsize=(13, 9), layout="constrained")
+    figure = plt.figure(figsize=(16, 13), layout="constrained")
     figure.suptitle(title)
-    grid = figure.add_gridspec(6, 3)
-    state = figure.add_subplot(grid[0:2, :2])
-    cost = figure.add_subplot(grid[2, :2], sharex=state)
-    theta = figure.add_subplot(grid[3, :2], sharex=state)
+    grid = figure.add_gridspec(9, 6)
+    state = figure.add_subplot(grid[0:2, :4])
+    cost = figure.add_subplot(grid[2, :4], sharex=state)
+    theta = figure.add_subplot(grid[3, :4], sharex=state)
     after = t >= t[0] + TRANSIENT * (t[-1] - t[0])
-    names = model.state_names if model is not None and len(model.state_names) == n else None
-    for i in range(n):
-        envelope(state, t, run.x[:, i], names[i] if names else f"x[{i}]")
-    state.legend(loc="upper right", ncols=4)
+    for name, values in zip(run.names, run.x.T, strict=True):
+        envelope(state, t, values, name)
+    state.legend(loc="upper right", ncols=max(4, n))
     fit(state, run.x[after])
-    envelope(cost, t, run.r, "r")
-    fit(cost, run.r[after])
-    envelope(theta, t, run.theta, "theta")
+    draw_costs(cost, t, after, costs)
+    if run.has_theta:
+        envelope(theta, t, run.theta, "theta")
+    else:
+        theta.text(0.5, 0.5, "theta is not known", ha="center", transform=theta.transAxes)
     if theta_star is not None:
         theta.axhline(theta_star, linestyle="--", color="black", linewidth=1.0)
-    for axis, label in ((state, "measured state"), (cost, "cost r"), (theta, "theta")):
+    for axis, label in ((state, "measured state"), (theta, "theta")):
         axis.set_ylabel(label)
+    for axis in (state, cost, theta):
         axis.grid(alpha=0.3)
         axis.margins(x=0.0)
-    picture = figure.add_subplot(grid[4:, :2], sharex=state)
-    draw_spectrogram(picture, run.step, run.x[:, 0], dt, names[0] if names else "x[0]")
-    plane, rates = figure.add_subplot(grid[:3, 2]), figure.add_subplot(grid[3:, 2])
+    picture = figure.add_subplot(grid[4:6, :4], sharex=state)
+    draw_spectrogram(picture, t, run.x[:, 0], dt, run.names[0])
+    plane, rates = figure.add_subplot(grid[:3, 4:]), figure.add_subplot(grid[3:6, 4:])
     if model is None:
         for axis in (plane, rates):
             axis.set_axis_off()
         plane.text(0.5, 0.5, "no model at hand", ha="center", transform=plane.transAxes)
     else:
         draw_eigenvalues(plane, rates, model)
+    draw_spectrum(figure.add_subplot(grid[6:, :2]), run, model)
+    draw_cost_by_theta(figure.add_subplot(grid[6:, 2:4]), windows)
+    draw_amplitude_by_theta(figure.add_subplot(grid[6:, 4:]), windows, run.names)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
 
+def draw_costs(
+    axis: Axes, t: NDArray[np.float64], after: NDArray[np.bool_], costs: Sequence[Cost]
+) -> None:
+    """Draw one or two costs over time, each with an axis of its own."""
+    for i, (cost, own) in enumerate(zip(costs, (axis, axis.twinx()), strict=False)):
+        if not np.isfinite(cost.r[after]).any():
+            own.text(0.5, 0.5, f"{cost.name}: none", ha="center", transform=own.transAxes)
+            continue
+        envelope(own, t, cost.r, cost.name, f"C{3 * i}")
+        fit(own, cost.r[after])
+        own.set_ylabel("cost r", color=f"C{3 * i}")
+        own.legend(loc=("upper right", "upper left")[i], fontsize="small")
+    if len(costs) == 1:
+        axis.figure.axes[-1].set_axis_off()
+
+
 def draw_spectrogram(
-    axis: Axes, step: NDArray[np.int64], y: NDArray[np.float64], dt: float, name: str
+    axis: Axes, t: NDArray[np.float64], y: NDArray[np.float64], dt: float, name: str
 ) -> None:
     """Draw how the spectrum of a signal changes; what is missing is drawn as a straight line."""
     usable = np.isfinite(y)
+    step = np.round(t / dt).astype(np.int64)
     axis.set_ylabel(f"frequency of {name} [Hz]")
     axis.set_xlabel("time [s]")
     known, problem = step[usable], ""

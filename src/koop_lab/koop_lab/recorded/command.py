@@ -35,9 +35,15 @@ def register(commands: Any) -> None:
     metrics.set_defaults(func=_metrics)
 
     plot = bag.add_parser(
-        "plot", help="state, cost, theta, spectrogram and the model's eigenvalues"
+        "plot",
+        help="a page: signals, spectra, the model's modes, cost and oscillation against theta",
     )
     _add_run_options(plot)
+    plot.add_argument("--params-file", metavar="FILE", help="settings under which r is computed")
+    plot.add_argument(
+        "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
+        help="one setting, such as koopman_lifter.omega_h=100; may be repeated",
+    )  # fmt: skip
     text = "png, svg or pdf (default: report.png in RUN)"
     plot.add_argument("--out", type=Path, metavar="FILE", help=text)
     plot.set_defaults(func=_plot)
@@ -46,7 +52,12 @@ def register(commands: Any) -> None:
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path, help="folder of a run or of a bag, or an .mcap file")
     parser.add_argument("--namespace", default="/", help="namespace of the loop")
-    parser.add_argument("--model", type=Path, metavar="FILE", help="if it is not in the folder")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        metavar="FILE",
+        help="r is computed under it; default: the recorded one",
+    )
     text = "the best theta, if you know it: adds the paper's metrics"
     parser.add_argument("--theta-star", type=float, metavar="THETA", help=text)
     add_source_options(parser)

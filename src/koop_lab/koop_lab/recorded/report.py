@@ -250,13 +250,46 @@ def _rate(loop: LoopColumns) -> float:
 
 def plot_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop bag plot``; returns the exit code."""
-    from koop_lab.plots.report import plot_report  # matplotlib takes half a second to import
+    # matplotlib takes half a second to import
+    from koop_lab.plots.report import Cost, plot_report
+    from koop_lab.recorded.windows import windows_of
 
-    run = read(args.run, source_of(args), args.model)
+    source = source_of(args)
+    run = read(args.run, source, args.model)
+    signals, costs = run.signals, []
+    if run.signals.has_r:
+        costs.append(Cost(signals.r, "recorded r"))
+    made, r, name = costs_under(run, args)
+    if r is not None:
+        costs.insert(0, Cost(r, name))
+    windows = windows_of(signals, costs[0].r, made)
     folder = args.run if args.run.is_dir() else args.run.parent
     out = args.out or folder / "report.png"
     theta_star = run.theta_star if args.theta_star is None else args.theta_star
-    plot_report(out, run.signals, run.model, theta_star, f"{args.run}")
+    plot_report(out, signals, costs, windows, run.model, theta_star, f"{args.run}")
     print(f"written to {out}")
     print("\n".join(coverage_lines(run)))
     return 0
+
+
+def costs_under(
+    run: Run, args: argparse.Namespace
+) -> tuple[LoopParameters, NDArray[np.float64] | None, str]:
+    """Return settings, the cost under them, and its name; no cost where the recorded one serves.
+
+    The user's settings win over the recorded ones. Without a model the cost is raw.
+    """
+    from koop_lab.replay import open_loop
+
+    recorded = run.parameters.as_ros() if run.parameters is not None else {}
+    asked = args.model is not None or args.settings or args.params_file
+    changes = list(args.settings)
+    if run.model is None and not any("koopman_lifter.cost" in text for text in changes):
+        changes.append("koopman_lifter.cost=raw")
+    given = str(args.model) if args.model else None
+    made = open_loop.settings(run.signals.dt, args.params_file, given, changes, recorded)
+    if run.signals.has_r and not asked:
+        return made, None, ""
+    answers = open_loop.answer(run.signals, made, f"the state in {run.path}")
+    lifted = made.lifter.cost == "lifted" and run.model is not None
+    return made, answers.r, f"r under {run.model.model_id}" if lifted and run.model else "raw r"

@@ -6,16 +6,17 @@ says how the controller would have begun, and where it would have turned; not wh
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from koop_lab.recorded.signals import Signals
 from koop_lab.replay.offline import replay_kernel
-from koop_lab.replay.plan import check_channels, given_values
+from koop_lab.replay.plan import OWN_TOPICS, check_channels, given_values
 from koop_loop import parameters
 from koop_loop.kernel import Memory, listen
 from koop_loop.loop import controller
@@ -34,7 +35,11 @@ class Answers:
 
 
 def settings(
-    dt: float, params: str | None, model: str | None, changes: Iterable[str] = ()
+    dt: float,
+    params: str | None,
+    model: str | None,
+    changes: Iterable[str] = (),
+    recorded: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> LoopParameters:
     """Return the parameters of an open-loop replay; what is not given is the default.
 
@@ -48,13 +53,19 @@ def settings(
         Model file.
     changes : iterable of str
         `node.parameter=value`.
+    recorded : mapping, optional
+        Recorded parameters by node, which the others win over.
 
     Raises
     ------
     koop_node.config.ConfigError
         If one cannot be used, or the lifted cost has no model of this dt.
     """
-    given = given_values(params, model, changes)
+    known = recorded or {}
+    given = {
+        node: {**known.get(node, {}), **values, **OWN_TOPICS[node]}
+        for node, values in given_values(params, model, changes).items()
+    }
     lifter = given["koopman_lifter"]
     if lifter.get("cost", "lifted") == "lifted" and "model" not in lifter:
         raise ConfigError(

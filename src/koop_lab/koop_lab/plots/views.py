@@ -1,0 +1,150 @@
+"""What to look at before a loop is closed: spectra with modes, cost and amplitude by theta.
+
+Each function draws into axes that it is given.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from koop_lab.recorded.signals import Signals
+from koop_lab.recorded.windows import Windows
+from koopman_lifter.model import KoopmanModel
+
+WIDE = 100.0  # ratio of largest to least r above which its axis is logarithmic
+SEGMENTS = 8  # of Welch's method
+NAMED = 6  # modes whose frequency is written down
+DEEP = 1e-8  # of the largest power, below which nothing is drawn
+
+
+def frequencies(model: KoopmanModel) -> NDArray[np.float64]:
+    """Return the frequency of each mode [Hz]: |arg lambda| / (2 pi dt)."""
+    return np.asarray(np.abs(np.angle(model.eigenvalues)) / (2.0 * np.pi * model.dt))
+
+
+def longest_stretch(signals: Signals) -> NDArray[np.float64]:
+    """Return the states of the longest piece without a gap or a hole, shape (L, n)."""
+    cut = signals.begins | ~np.isfinite(signals.x).all(axis=1)
+    bounds = np.append(np.flatnonzero(cut), signals.t.size)
+    if not bounds.size or bounds[0] != 0:
+        bounds = np.insert(bounds, 0, 0)
+    longest = int(np.diff(bounds).argmax())
+    piece = signals.x[bounds[longest] : bounds[longest + 1]]
+    return np.asarray(piece[np.isfinite(piece).all(axis=1)])
+
+
+def draw_spectrum(axis: Axes, signals: Signals, model: KoopmanModel | None) -> None:
+    """Draw the spectral density of every channel, and where the modes of a model lie."""
+    x = longest_stretch(signals)
+    axis.set_title("spectrum of each channel" + (", modes marked" if model is not None else ""))
+    axis.set_xlabel("frequency [Hz]")
+    axis.set_ylabel("share of the variance [1/Hz]")
+    if x.shape[0] < 64:
+        axis.text(0.5, 0.5, "too short for a spectrum", ha="center", transform=axis.transAxes)
+        return
+    size = max(64, 2 * x.shape[0] // (SEGMENTS + 1))
+    least = most = 1.0
+    for name, values in zip(signals.names, x.T, strict=True):
+        frequency, power = welch(values, 1.0 / signals.dt, nperseg=size, detrend="linear")
+        density = power[1:] / (values.var() or 1.0)
+        axis.loglog(frequency[1:], density, linewidth=0.9, label=name)
+        most = max(most, float(density.max()))
+        least = min(least, float(density.min()))
+    axis.set_ylim(max(least, DEEP * most), 3.0 * most)
+    axis.set_xlim(frequency[1], frequency[-1])
+    if model is not None:
+        mark_modes(axis, model)
+    axis.legend(loc="lower left", fontsize="small")
+    axis.grid(alpha=0.3)
+
+
+def mark_modes(axis: Axes, model: KoopmanModel) -> None:
+    """Draw a line at each mode's frequency: kept ones solid, with the frequency; others dotted."""
+    where = frequencies(model)
+    for kept, style in ((False, "dotted"), (True, "solid")):
+        known = np.unique(where[(model.kept == kept) & (where > 0.0)].round(9))
+        slow = int(np.count_nonzero((model.kept == kept) & (where == 0.0)))
+        label = f"mode {'kept' if kept else 'left out'}" + (f" ({slow} at 0 Hz)" if slow else "")
+        for i, value in enumerate(known):
+            axis.axvline(
+                value, color="C3", linestyle=style, linewidth=0.9, label=None if i else label
+            )
+        for i, value in enumerate(known[:NAMED] if kept else ()):
+            axis.annotate(
+                f"{value:.3g}", (value, 1.0), xycoords=("data", "axes fraction"),
+                xytext=(2, -10 - 10 * (i % 3)), textcoords="offset points", fontsize="x-small",
+                color="C3",
+            )  # fmt: skip
+
+
+def draw_cost_by_theta(axis: Axes, windows: Windows) -> None:
+    """Draw the mean cost of each settled window against theta, and where it is least."""
+    merit = windows.merit
+    axis.set_title("r against theta" + _rank(merit.rank_amplitude))
+    axis.set_ylabel("mean r of a window")
+    if _lacking(axis, windows, windows.r):
+        return
+    assert windows.theta is not None
+    positive = windows.r[windows.r > 0.0]
+    if positive.size and float(np.nanmax(windows.r)) > WIDE * float(positive.min()):
+        axis.set_yscale("log")
+    _scatter(axis, windows, windows.r, "o", "", cmap=True)
+    _least(axis, merit.theta_least_r, merit.theta_least_amplitude)
+
+
+def draw_amplitude_by_theta(axis: Axes, windows: Windows, names: tuple[str, ...]) -> None:
+    """Draw the amplitude of each channel in each settled window against theta."""
+    several = len(names) > 1
+    axis.set_title(f"oscillation against theta, {windows.t.size} windows of {windows.length:.3g} s")
+    axis.set_ylabel("amplitude" + (" over its median" if several else f" of {names[0]}"))
+    if _lacking(axis, windows, windows.amplitude[0]):
+        return
+    for i, (name, values) in enumerate(zip(names, windows.amplitude, strict=True)):
+        usual = float(np.nanmedian(values)) or 1.0
+        shown = values / usual if several else values
+        _scatter(axis, windows, shown, "osv^D<>"[i % 7], name)
+    _least(axis, None, windows.merit.theta_least_amplitude)
+
+
+def _rank(value: float | None) -> str:
+    return "" if value is None else f" (rank correlation with amplitude {value:.2f})"
+
+
+def _lacking(axis: Axes, windows: Windows, values: NDArray[np.float64]) -> bool:
+    axis.set_xlabel("theta")
+    axis.grid(alpha=0.3)
+    problem = ""
+    if windows.theta is None:
+        problem = "theta is not in the recording, or not named (--theta)"
+    elif np.count_nonzero(np.isfinite(values)) < 3:
+        problem = "fewer than three settled windows"
+    if problem:
+        axis.text(0.5, 0.5, problem, ha="center", transform=axis.transAxes)
+    return bool(problem)
+
+
+def _scatter(
+    axis: Axes, windows: Windows, values: NDArray[np.float64], marker: str, label: str,
+    cmap: bool = False,
+) -> None:  # fmt: skip
+    assert windows.theta is not None
+    if cmap:
+        drawn = axis.scatter(windows.theta, values, s=14, c=windows.t, cmap="viridis")
+        axis.figure.colorbar(drawn, ax=axis, label="time [s]", pad=0.01)
+    else:
+        axis.scatter(windows.theta, values, s=12, marker=marker, label=label, alpha=0.7)
+        axis.legend(loc="best", fontsize="small")
+
+
+def _least(axis: Axes, of_r: float | None, of_amplitude: float | None) -> None:
+    for value, style, color, label in (
+        (of_amplitude, "dashed", "black", "least amplitude"), (of_r, "dashdot", "C3", "least r"),
+    ):  # fmt: skip
+        if value is not None:
+            axis.axvline(value, linestyle=style, color=color, linewidth=1.0,
+                         label=f"{label}: {value:.3g}")  # fmt: skip
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(loc="best", fontsize="small")
