@@ -63,15 +63,17 @@ def windows_of(signals: Signals, r: NDArray[np.float64], made: LoopParameters) -
     settling, esc, dt = made.lifter.detector_params().settling, made.esc, signals.dt
     theta = signals.theta if signals.has_theta else None
     starts, length = settled_windows(theta, signals.begins, dt, settling * dt)
+    if not starts.size:
+        empty = np.empty(0)
+        nothing = Merit(0, None, None, None, None, None, None, 0.0)
+        held = None if theta is None else empty
+        channels = np.empty((signals.x.shape[1], 0))
+        return Windows(0.0, empty, held, empty, channels, nothing)
     in_windows = cut_windows(r, starts, length)
-    usable = np.isfinite(in_windows).any(axis=1) if length else np.empty(0, np.bool_)
+    usable = np.isfinite(in_windows).any(axis=1)
     mean = np.full(starts.size, np.nan)
     mean[usable] = np.nanmean(in_windows[usable], axis=1)
     held = None if theta is None else cut_windows(theta, starts, length).mean(axis=1)
-    if not starts.size:
-        empty = np.empty((signals.x.shape[1], 0))
-        nothing = Merit(0, None, None, None, None, None, None, 0.0)
-        return Windows(0.0, np.empty(0), held, mean, empty, nothing)
     swing = esc.params().step_size * esc.dwell / esc.dt
     return Windows(
         length * dt,
