@@ -325,3 +325,27 @@ def test_the_page_of_any_bag_is_drawn_under_a_model(pressure, model, tmp_path, c
     assert main(["bag", "plot", str(pressure), *given, "--out", str(out)]) == 0
     assert out.read_bytes().startswith(b"\x89PNG")
     assert "the figures cover 100 of 100 s" in capsys.readouterr().out
+
+
+def test_a_model_is_judged_on_a_recording_as_the_cost_that_it_is_for(pressure, model, capsys):
+    given = ["--state", PRESSURE, "--theta", "/knob:data", "--set", "koopman_lifter.omega_l=3"]
+    assert main(["inspect", str(model), str(pressure), *given]) == 0
+    printed = capsys.readouterr().out
+    assert "cost: lifted, the energy of" in printed
+    assert "10000 states (linear)" in printed
+    assert "error on this recording over the state's standard deviation" in printed
+    rows = {line.split()[0]: line.split()[1:] for line in printed.splitlines() if line.strip()}
+    for name in ("lifted", "raw"):
+        # the amplitude falls as the knob goes from 0 to 4; of the other half noise decides
+        assert float(rows[name][0]) > 0.6
+        assert float(rows[name][1]) > 0.5
+        assert float(rows[name][2]) > 3.0
+    assert "over 10 settled windows of 8.4" in printed  # 95 % of 10 s but the detector's 1.15 s
+
+
+def test_a_model_that_does_not_fit_the_recording_is_refused(joints, model, capsys):
+    assert main(["inspect", str(model), str(joints), "--state", JOINTS]) == 2
+    assert "is for 1 channel (data)" in capsys.readouterr().err
+    given = ["--state", JOINTS, "--dt", "0.02"]
+    assert main(["inspect", str(model), str(joints), *given]) == 2
+    assert "--dt 0.02: the model was learned at 0.01 s" in capsys.readouterr().err

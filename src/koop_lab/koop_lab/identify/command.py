@@ -11,6 +11,7 @@ from koop_lab.cli.table import forecast_table, mode_table
 from koop_lab.identify.from_bags import BagTraining, train_from_bags
 from koop_lab.identify.samples import StateSpec
 from koop_lab.identify.segments import WAYS
+from koop_lab.recorded.options import add_source_options, source_of
 from koop_loop import parameters
 from koop_loop.training import STATE_NAMES, TrainingConfig, train
 from koopman_lifter.bootstrap import RESAMPLES
@@ -77,6 +78,17 @@ def register(commands: Any) -> None:
 
     parser = commands.add_parser("inspect")
     parser.add_argument("model", nargs="?", type=Path, help="model file (default: the shipped one)")
+    parser.add_argument(
+        "bag", nargs="?", type=Path,
+        help="a recording: how the model does on it, as a forecast and as a cost",
+    )  # fmt: skip
+    parser.add_argument("--namespace", default="/", help="namespace of the loop")
+    parser.add_argument("--params-file", metavar="FILE", help="settings of detector and relay")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
+        help="one setting, such as koopman_lifter.omega_h=100; may be repeated",
+    )  # fmt: skip
+    add_source_options(parser)
     parser.set_defaults(func=inspect_main)
 
 
@@ -213,7 +225,12 @@ def _simulated(args: argparse.Namespace) -> KoopmanModel:
 def inspect_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop inspect``; returns the exit code."""
     path = args.model or shipped_model()
-    print(f"{path}\n{describe(load(path))}")
+    model = load(path)
+    print(f"{path}\n{describe(model)}")
+    if args.bag is not None:
+        from koop_lab.recorded.inspection import inspect_on  # SciPy's statistics are slow to import
+
+        print("\n" + inspect_on(args.bag, path, model, source_of(args), args))
     return 0
 
 
@@ -240,9 +257,15 @@ def describe(model: KoopmanModel) -> str:
     ]
     variant = model.provenance.get("variant", "lifted")
     if variant != "lifted":
-        lines.append(f"the cost is not that of these modes but '{variant}' (see koop study)")
+        lines.append(
+            f"cost: {variant}. It is not the energy of these modes but of one direction of the "
+            "state: the one in which strong and weak oscillation differ most (docs/theory.md)"
+        )
     else:
-        lines.append(f"{kept} mode{'s' * (kept > 1)} kept, {_selection(model.provenance)}")
+        lines.append(
+            f"cost: lifted, the energy of the {kept} mode{'s' * (kept > 1)} kept, "
+            f"{_selection(model.provenance)}"
+        )
         if asked is not None and asked < kept:
             lines[-1] += f"; {asked} were asked for, but no complex pair is split"
         elif asked is not None and asked > kept:
