@@ -22,7 +22,7 @@ from koop_node.alone import alone
 from koop_node.errors import LiveError
 from vdp_plant.config import PlantConfig
 
-HOLD = 20.0  # [s] that theta stays, long enough for the limit cycle of that theta
+HOLD = 60.0  # [s] that theta stays: rig and detector settle, and some periods are left
 LOOK_PERIOD = 0.2  # [s] between looks at the processes
 PUBLISHERS = {"state": 1, "cost": 0, "theta": 1, "ground_truth": 1}
 

@@ -411,24 +411,47 @@ def test_the_contrast_of_a_bag_is_free_of_what_all_of_it_contains(tmp_path):
     assert model.provenance["strong_and_weak_by"] == "amplitude"
 
 
-def test_theta_tells_the_oscillation_from_a_stronger_interference_that_comes_and_goes(tmp_path):
-    """By amplitude alone, the interference's coming and going would be the contrast."""
+def write_swept(path, drift):
+    """Write a rig that oscillates as theta is from 0, and an interference that comes and goes."""
     rng = np.random.default_rng(0)
     t = DT * np.arange(60 * PIECE)
     theta = np.repeat(rng.uniform(-2.0, 2.0, 60), PIECE)
     swing = (0.2 + np.abs(theta)) * np.sin(2.0 * t)
-    drifting = 20.0 * (1.2 + np.sin(0.05 * t)) * np.sin(3.1 * t)
-    x = np.stack((drifting + swing, 2.0 * drifting - swing))
+    interference = 20.0 * (1.2 + drift * np.sin(0.05 * t)) * np.sin(3.1 * t)
+    x = np.stack((interference + swing, 2.0 * interference - swing))
     x += 0.01 * rng.standard_normal(x.shape)
-    path = write_joints(tmp_path / "bag", t, x, theta)
+    return write_joints(path, t, x, theta)
+
+
+def test_theta_tells_the_oscillation_from_a_stronger_interference_that_comes_and_goes(tmp_path):
+    """By amplitude alone, the interference's coming and going would be the contrast."""
+    swept = write_swept(tmp_path / "bag", 1.0)
     given = {"dt": DT, "way": "none", "held_out": 0.0, "contrast": True}
     ratio = {}
     for field in (None, "/knob:data"):
-        model = train_from_bags([path], BagTraining(JOINTS, theta=field, **given))
+        model = train_from_bags([swept], BagTraining(JOINTS, theta=field, **given))
         ratio[field] = model.projector[0, 1] / model.projector[0, 2]
     assert model.provenance["strong_and_weak_by"] == "theta"
     assert ratio["/knob:data"] == pytest.approx(-2.0, abs=0.01)
     assert abs(ratio[None] + 2.0) > 0.1
+
+
+def test_the_candidates_are_compared(tmp_path, capsys):
+    swept = write_swept(tmp_path / "bag", 0.0)
+    where = ["--dt", str(DT), "--state", str(JOINTS), "--theta", "/knob:data"]
+    out = tmp_path / "model.npz"
+    assert main(["train", str(swept), "--compare", "--out", str(out), *where]) == 0
+    printed = capsys.readouterr().out
+    right = {
+        line.split("  ")[0]: int(line.split(" %")[0].split()[-1])
+        for line in printed.splitlines()
+        if line.count(" %") == 1 and "chance" not in line
+    }
+    assert len(right) == 6
+    assert right["contrast"] > 95 > right["raw"]
+    assert "most often right: " in printed
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    assert not out.exists()
 
 
 def test_one_channel_with_delays_tells_as_much_as_two(tmp_path):
@@ -449,7 +472,7 @@ def test_one_channel_with_delays_tells_as_much_as_two(tmp_path):
 
 
 def test_a_bag_too_short_for_a_contrast_is_refused_with_what_to_do(tmp_path):
-    t = DT * np.arange(3000)
+    t = DT * np.arange(1500)
     path = write_joints(tmp_path / "bag", t, oscillation(t))
     with pytest.raises(ValueError, match="record longer, while theta moves over its range"):
         linear([path], contrast=True)

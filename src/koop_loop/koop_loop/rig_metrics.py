@@ -169,7 +169,7 @@ def _usual_window(x: NDArray[np.float64], dt: float, span: float) -> float:
     x = x[:, np.isfinite(x).any(axis=0)]
     usable = x[np.isfinite(x).all(axis=1)]
     try:
-        periods = PERIODS * dominant_period(usable.T, dt)
+        periods = PERIODS * dominant_period([usable.T], dt)
     except ValueError:  # nothing moves
         periods = 0.0
     return min(max(periods, LEAST * span), MOST * span)

@@ -10,12 +10,13 @@ embedding: the state is what is measured.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-SPAN = 0.125  # of the dominant period, from the newest to the oldest sample
+SPAN = 0.125  # of the oscillation's period, from the newest to the oldest sample
 
 
 @dataclass(frozen=True)
@@ -97,34 +98,50 @@ def spacing(span: float, count: int, dt: float) -> int:
     return max(1, round(span / dt / max(count - 1, 1)))
 
 
-def dominant_period(states: NDArray[np.float64], dt: float) -> float:
-    """Return the period [s] in which the channels oscillate most.
+def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
+    """Return the period [s] of the oscillation that comes and goes.
 
-    The highest peak of the spectra (Welch's method, channels of unit variance, a segment of a
-    quarter of the data), refined by nothing: within a frequency bin it is as good as any for
-    choosing a spacing.
+    Where the power of the channels, in units of their variance, varies most from window to window
+    (from the 10 to the 90 % quantile): an interference that is always there does not vary, however
+    strong it is. Windows are a twentieth of the data, or as long as the pieces of half of it if
+    these are shorter; a period of which not two fit into a window is not found.
 
     Parameters
     ----------
-    states : ndarray, shape (channels, M)
-        Consecutive samples; some ten periods or more.
+    pieces : sequence of ndarray, each of shape (channels, M)
+        Consecutive samples.
     dt : float
         Sampling time [s].
 
     Raises
     ------
     ValueError
-        If there are fewer than 64 samples, or no channel moves.
+        If there are too few samples, or no channel moves.
     """
-    from scipy.signal import welch  # slow to import, and only training asks
+    from scipy.signal import spectrogram  # slow to import, and only training asks
 
-    size = states.shape[1]
-    deviation = states.std(axis=1)
-    if size < 64 or not (deviation > 0.0).any():
-        raise ValueError("too few samples that move to choose a spacing: give --spacing")
-    moving = states[deviation > 0.0] / deviation[deviation > 0.0, None]
-    frequency, power = welch(moving, fs=1.0 / dt, nperseg=max(64, size // 4))
-    return float(1.0 / frequency[1 + int(np.argmax(power.sum(axis=0)[1:]))])
+    sizes = np.sort([piece.shape[1] for piece in pieces])[::-1]
+    half = sizes[np.searchsorted(np.cumsum(sizes), 0.5 * sizes.sum())] if sizes.size else 0
+    length = int(min(half, sizes.sum() // 20))
+    deviation = np.hstack(list(pieces)).std(axis=1) if pieces else np.zeros(1)
+    if length < 32 or not (deviation > 0.0).any():
+        raise ValueError(
+            f"{sizes.sum():.0f} samples are too few, or do not move: they tell no period to choose "
+            "the spacing of delays or the length of windows by"
+        )
+    moving = deviation > 0.0
+    powers = [
+        spectrogram(
+            piece[moving] / deviation[moving, None], 1.0 / dt, "hann", length, 0, detrend="linear"
+        )[2].sum(axis=0)
+        for piece in pieces
+        if piece.shape[1] >= length
+    ]
+    low, high = np.quantile(np.hstack(powers), [0.1, 0.9], axis=1)
+    peak = 2 + int(np.argmax((high - low)[2:-1]))
+    around = slice(peak - 1, peak + 2)  # the window function spreads a line over three bins
+    bins = np.arange(high.size)[around]
+    return float(length * dt / np.average(bins, weights=(high - low)[around]))
 
 
 def embedded_degree(n: int, most: int = 120) -> int:

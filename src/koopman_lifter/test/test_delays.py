@@ -120,12 +120,15 @@ def test_a_sample_that_is_not_finite_has_no_cost_when_it_is_part_of_the_state(mo
 
 
 def test_spacing_and_degree_are_chosen():
-    t = np.arange(5000) * DT
+    t = np.arange(40000) * DT
     noise = np.random.default_rng(4).standard_normal(t.size)
-    x = np.stack((np.sin(2.0 * t) + 0.1 * noise, 3.0 * np.cos(2.0 * t)))
-    assert dominant_period(x, DT) == pytest.approx(math.pi, rel=0.1)
-    with pytest.raises(ValueError, match="give --spacing"):
-        dominant_period(np.ones((2, 5000)), DT)
+    swing = (1.5 + np.sin(0.02 * t)) * np.sin(2.0 * t)
+    steady = 20.0 * np.sin(9.0 * t)  # an interference is not what is looked for
+    x = np.stack((swing + steady + 0.1 * noise, 3.0 * steady - swing))
+    assert dominant_period([x[:, :15000], x[:, 15000:]], DT) == pytest.approx(math.pi, rel=0.1)
+    for nothing in ([], [np.ones((2, 5000))], [x[:, :500]]):
+        with pytest.raises(ValueError, match="too few"):
+            dominant_period(nothing, DT)
     assert [embedded_degree(n) for n in (1, 2, 7, 8, 14, 15, 40)] == [3, 3, 3, 2, 2, 1, 1]
 
 

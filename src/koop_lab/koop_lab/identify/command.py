@@ -61,6 +61,12 @@ def register(commands: Any) -> None:
         "parts of the data differ most from weakly oscillating ones (the study's best cost)",
     )
     _add_fit_options(parser)
+    parser.add_argument(
+        "--compare",
+        action="store_true",
+        help="train nothing, but say how well each kind of cost would tell the oscillation of "
+        "these bags, and draw it beside --out",
+    )
     _add_bag_options(parser.add_argument_group("from bags"))
     group = parser.add_argument_group("without a bag: the simulated plant")
     group.add_argument("--params-file", metavar="FILE", help="ROS 2 parameter file of the plant")
@@ -169,10 +175,25 @@ def train_main(args: argparse.Namespace) -> int:
         raise ValueError(
             f"--{option} is for training {'without a bag' if args.bags else 'on bags'}"
         )
+    if args.compare:
+        return _compare(args)
     model = train_from_bags(args.bags, _bag_training(args)) if args.bags else _simulated(args)
     model.save(args.out)
     print(describe(model))
     print(f"written to {args.out}")
+    return 0
+
+
+def _compare(args: argparse.Namespace) -> int:
+    from koop_lab.identify.compare import compare, described, draw  # draws, which is slow to import
+
+    if not args.bags:
+        raise ValueError("--compare needs bags: the recordings to judge the costs by")
+    found = compare(args.bags, _bag_training(args))
+    print(described(found))
+    figure = args.out.with_suffix(".png")
+    draw(found, figure, ", ".join(path.name for path in args.bags))
+    print(f"figure {figure}")
     return 0
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,31 +12,38 @@ from koop_lab.identify.merit import settled_windows
 from koopman_lifter.contrast import FEWEST
 from koopman_lifter.delays import Delays, dominant_period
 
-PERIODS = 10.0  # of the dominant oscillation, that a window is long at most
+PERIODS = 10.0  # of the oscillation, that a window is long at most
+LEAST = 1.5  # periods that a window is long at least
 SKIP = 2.0  # periods that the rig needs after a jump of theta
 SHARE = 0.3  # of the time until the next jump, at most
 
 
-def longest_segment(loaded: Loaded) -> NDArray[np.float64]:
-    """Return the longest piece without a gap, shape (n, M)."""
-    bounds = np.append(np.flatnonzero(loaded.begins), loaded.begins.size)
-    i = int(np.argmax(np.diff(bounds)))
-    return np.asarray(loaded.x[:, bounds[i] : bounds[i + 1]])
-
-
 def period_of(loaded: Loaded, dt: float) -> float:
-    """Return the period of the dominant oscillation [s]."""
-    return dominant_period(longest_segment(loaded), dt)
+    """Return the period of the oscillation that comes and goes [s]; jumps of theta do not count."""
+    cut = loaded.begins.copy()
+    skip = 0
+    if np.isfinite(usual_rest(loaded.theta, dt)):
+        assert loaded.theta is not None
+        cut |= jumps(loaded.theta)
+        skip = round(SHARE * usual_rest(loaded.theta, dt) / dt)
+    bounds = np.append(np.flatnonzero(cut), cut.size)
+    return dominant_period([loaded.x[:, begin + skip : end] for begin, end in pairwise(bounds)], dt)
+
+
+def jumps(theta: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return where theta is no longer what it was, by more than a twentieth of its range."""
+    known = theta[np.isfinite(theta)]
+    moved = np.abs(np.diff(theta, prepend=theta[:1]))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(moved > 0.05 * np.ptp(known)) if known.size else np.isnan(theta) & False
 
 
 def usual_rest(theta: NDArray[np.float64] | None, dt: float) -> float:
     """Return how long theta usually rests [s]; infinite where it does not jump."""
     if theta is None:
         return np.inf
-    known = theta[np.isfinite(theta)]
-    moves = np.abs(np.diff(known))
-    jumps = np.flatnonzero(moves > 0.05 * np.ptp(known)) if known.size else np.empty(0)
-    return float(np.median(np.diff(jumps))) * dt if jumps.size > 1 else np.inf
+    places = np.flatnonzero(jumps(theta))
+    return float(np.median(np.diff(places))) * dt if places.size > 1 else np.inf
 
 
 def training_windows(loaded: Loaded, delays: Delays, dt: float) -> tuple[NDArray[np.int64], int]:
@@ -65,13 +74,13 @@ def training_windows(loaded: Loaded, delays: Delays, dt: float) -> tuple[NDArray
     skip = min(SKIP * period, SHARE * usual_rest(loaded.theta, dt))
     starts, length = settled_windows(loaded.theta, loaded.begins, dt, skip, PERIODS * period)
     starts = starts[~loaded.held_out[starts]] if starts.size else starts
-    if starts.size < FEWEST or length * dt < period or length <= 2 * delays.depth:
+    if starts.size < FEWEST or length * dt < LEAST * period or length <= 2 * delays.depth:
         pieces, states = int(loaded.begins.sum()), loaded.begins.size
         raise ValueError(
             f"the contrast compares windows of strong and weak oscillation: {starts.size} windows "
             f"of {length * dt:.3g} s were found in {states} states ({pieces} pieces without a gap, "
             f"the oscillation's period is about {period:.3g} s), {FEWEST} of more than "
-            f"{max(period, 2 * delays.depth * dt):.3g} s are needed: record longer, while theta "
-            "moves over its range and rests for some periods at each value"
+            f"{max(LEAST * period, 2 * delays.depth * dt):.3g} s are needed: record longer, while "
+            "theta moves over its range and rests for some periods at each value"
         )
     return starts, length
