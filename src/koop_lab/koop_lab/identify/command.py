@@ -233,7 +233,9 @@ def _simulated(args: argparse.Namespace) -> KoopmanModel:
         if getattr(args, name) is not None
     }
     n = len(STATE_NAMES)
-    degree = args.degree or (embedded_degree(n * args.delays) if args.delays > 1 else 3)
+    degree = args.degree
+    if degree is None:
+        degree = embedded_degree(n * args.delays) if args.delays > 1 else TrainingConfig.degree
     config = TrainingConfig(
         degree=degree, modes=args.modes, corrupted=not args.no_interference, **given
     )

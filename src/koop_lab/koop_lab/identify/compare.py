@@ -30,7 +30,7 @@ from koop_lab.identify.windows import PERIODS, SKIP, period_of, usual_rest
 from koop_lab.replay.settings import recorded_values
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import SETTLED
-from koopman_lifter.delays import SPAN, Delays, embedded_degree, spacing
+from koopman_lifter.delays import SPAN, Delays, spacing
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
@@ -189,7 +189,7 @@ def _of(model: KoopmanModel | str, loaded: Loaded) -> NDArray[np.float64] | str:
 def _learned(loaded: Loaded, training: BagTraining, delays: Delays) -> KoopmanModel:
     """Return the model of the training part."""
     assert training.dt is not None
-    gram = Gram.empty(Monomials(delays.n, training.degree or embedded_degree(delays.n)))
+    gram = Gram.empty(Monomials(delays.n, training.degree_for(delays)))
     bounds = np.append(np.flatnonzero(loaded.begins), loaded.begins.size)
     for begin, end in pairwise(bounds):
         if not loaded.held_out[begin]:

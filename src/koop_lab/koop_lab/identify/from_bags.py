@@ -87,6 +87,8 @@ class BagTraining:
             raise ValueError(f"held-out share {self.held_out:g}: must be 0 to 0.5")
         if not self.horizons or min(self.horizons) < 1:
             raise ValueError("horizons are steps ahead, each at least 1")
+        if self.degree is not None and not 1 <= self.degree <= 8:
+            raise ValueError(f"degree = {self.degree}: must be 1 to 8")
         if self.delays < 1:
             raise ValueError(f"{self.delays} delays: at least 1, the newest sample")
         if self.spacing is not None and self.delays == 1:
@@ -94,6 +96,10 @@ class BagTraining:
         for name, value in (("dt", self.dt), ("gap", self.gap), ("spacing", self.spacing)):
             if value is not None and not 0.0 < value < 1e6:
                 raise ValueError(f"{name} = {value:g} s: must be positive")
+
+    def degree_for(self, delays: Delays) -> int:
+        """Return the largest degree of the monomials."""
+        return embedded_degree(delays.n) if self.degree is None else self.degree
 
 
 def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanModel:
@@ -116,7 +122,7 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
             if gram is None:
                 training = replace(training, dt=segmentation.dt)  # of all bags
                 delays = _delays(bag, training, segmentation, n)
-                degree = training.degree or embedded_degree(delays.n)
+                degree = training.degree_for(delays)
                 gram = Gram.empty(Monomials(delays.n, degree))
                 names = training.names or state_names(training.state, n)
                 if len(names) != n:
