@@ -151,10 +151,11 @@ def plan(given: Mapping[str, str]) -> Plan:
     simulated, recorded = _flag("plant", told, True), _flag("record", told, False)
     if file is not None and "plant" not in told and not file.describes(f"{namespace}/vdp_plant"):
         simulated = False
-        notes.append(
-            f"{file.path}: has no section for vdp_plant: the rig is the plant (plant:=true starts "
-            "the simulated one)"
-        )
+        if not file.describes(f"{namespace}/rig"):
+            notes.append(
+                f"{file.path}: has no section for vdp_plant: the rig is the plant (plant:=true: "
+                "the simulated one)"
+            )
     program = _program(file, namespace)
     if simulated and program:
         raise ConfigError(
@@ -243,7 +244,7 @@ def _check(
     if "recorder" in configs:
         output = configs["recorder"][RecorderConfig].output
         if output and (Path(output).expanduser() / "bag").exists():
-            raise ConfigError(f"{output} holds a recording already: choose another output:=")
+            raise ConfigError(f"{output} holds a recording already: choose another output")
 
 
 def _own(given: Mapping[str, Any]) -> dict[str, Any]:

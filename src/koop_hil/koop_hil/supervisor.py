@@ -14,7 +14,7 @@ from pathlib import Path
 from koop_hil.hosts import OtherHost, other_host
 from koop_hil.processes import Processes
 from koop_hil.scenario import SECOND, Event, Scenario
-from koop_lab.live.monitor import Monitor
+from koop_lab.live.monitor import LEVELS, Monitor
 from koop_lab.live.process import START_TIMEOUT
 from koop_node.alone import alone
 from koop_node.errors import LiveError
@@ -22,7 +22,6 @@ from vdp_plant.config import PlantConfig
 
 FIRST = "relay_esc"
 MORE_PUBLISHERS = ("kill", "cut", "handover", SECOND)  # events with more publishers than usual
-LEVELS = ("OK", "WARN", "ERROR", "STALE")
 PATIENCE = 5.0  # [s] until a theta is heard
 ARRIVAL = 0.05  # [s] that the last theta may be under way
 TICK = 0.02  # [s] between looks at the clock

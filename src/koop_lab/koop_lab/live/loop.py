@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
+from typing import Any, TypeVar
 
 from koop_bag.recorder.config import RecorderConfig
 from koop_lab.live.monitor import Monitor, Progress
@@ -16,56 +17,74 @@ from koop_lab.live.process import START_TIMEOUT, NodeProcess, uninterrupted
 from koop_loop.ending import Ending, ending
 from koop_loop.parameters import EXECUTABLES, LoopParameters
 from koop_node import parameter_file
-from koop_node.alone import alone
+from koop_node.alone import TOPICS, alone
 from koop_node.errors import LiveError
 
+Own = TypeVar("Own", bound="LiveNodes")
 
-class LiveLoop:
-    """The node processes of one run; a context manager that leaves no process behind.
+
+class LiveNodes:
+    """The processes of one run; a context manager that leaves none behind.
 
     Parameters
     ----------
     folder : Path
         Of the run: receives bag, logs and parameters.
-    parameters : LoopParameters
-        Of the three nodes.
-    recorder : RecorderConfig
-        Of the recorder; its output is the folder, whatever it says.
+    values : mapping of str to mapping
+        Parameters by node, of those that are started.
+    namespace : str
+        Of all nodes, such as ``/rig``; empty for the root.
+    rig : bool
+        Whether a rig is the plant.
+    program : sequence of str
+        The rig's own program; empty: it is started by others.
 
     Attributes
     ----------
     notes : list of str
         What a reader of the results should know.
+    lost : list of str
+        Nodes that ended while the run went on.
     """
 
     def __init__(
         self,
         folder: Path,
-        parameters: LoopParameters,
-        recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
+        values: Mapping[str, Mapping[str, Any]],
+        namespace: str = "",
+        rig: bool = False,
+        program: Sequence[str] = (),
     ) -> None:
         self.folder = folder
         self.notes: list[str] = []
-        self._parameters = parameters
-        self._recorder = replace(recorder, output=str(folder))
+        self.lost: list[str] = []
+        self._values = values
+        self._namespace = namespace
+        self._rig = rig
+        self._program = list(program)
         self._nodes: dict[str, NodeProcess] = {}
         self._stack = ExitStack()
 
-    def __enter__(self) -> LiveLoop:
+    def __enter__(self: Own) -> Own:
+        by_others = self._rig and not self._program
         with ExitStack() as stack:
-            stack.enter_context(alone())
+            stack.enter_context(
+                alone(self._namespace, [t for t in TOPICS if t != "state" or not by_others])
+            )
             logs = self.folder / "logs"
             logs.mkdir(parents=True, exist_ok=True)
-            given = {
-                node: {**values, "recorders": 1}
-                for node, values in self._parameters.as_ros().items()
-            }
             file = logs / "given_parameters.yaml"
-            parameter_file.write({**given, "recorder": asdict(self._recorder)}, file)
+            parameter_file.write(self._values, file)
+            arguments = ["--ros-args", "--params-file", str(file)]
+            if self._namespace:
+                arguments += ["-r", f"__ns:={self._namespace}"]
             stack.callback(self._stop_all)
             for node in EXECUTABLES:
-                arguments = ["--ros-args", "--params-file", str(file)]
-                self._nodes[node] = NodeProcess(node, arguments, logs / f"{node}.log")
+                if node in self._values:
+                    self._nodes[node] = NodeProcess(node, arguments, logs / f"{node}.log")
+            if self._program:
+                companion = [sys.executable, "-m", "koop_node.companion"]
+                self._nodes["rig"] = NodeProcess("rig", self._program, logs / "rig.log", companion)
             self._stack = stack.pop_all()
         return self
 
@@ -91,34 +110,77 @@ class LiveLoop:
             If a node ends before its time or with an exit code other than 0.
         """
         started = time.monotonic()
-        with Monitor() as monitor:
+        state, alone_on_it = f"{self._namespace}/state", True
+        with Monitor(self._namespace) as monitor:
             while not self._done():
                 monitor.spin(0.2)
                 on_progress(monitor.progress)
-                if monitor.count_publishers("state") > 1 and not self.notes:
+                if alone_on_it and monitor.count_publishers(state) > 1:
+                    alone_on_it = False
                     self._note(
                         f"another loop has joined the ROS domain at step "
                         f"{monitor.progress.step}: this one goes on, but hears its messages"
                     )
-                if monitor.progress.step == 0 and time.monotonic() - started > START_TIMEOUT:
+                silent = monitor.progress.step == 0 and not self._rig  # a rig may come later
+                if silent and time.monotonic() - started > START_TIMEOUT:
                     raise LiveError(
                         f"the loop did not start in {START_TIMEOUT:g} s: see {self.folder}/logs"
                     )
+        self.end()
+
+    def end(self) -> None:
+        """Stop all that runs.
+
+        Raises
+        ------
+        LiveError
+            If a node then ends with an exit code other than 0.
+        """
         self._stop_all()
-        for process in self._nodes.values():
-            if process.poll() != 0:
+        for node, process in self._nodes.items():
+            if process.poll() != 0 and node not in self.lost:
                 raise process.failure()
 
     def _done(self) -> bool:
         """Return whether the run has come to its end; raise if it is the wrong one."""
         for node, process in self._nodes.items():
             code = process.poll()
-            if code is not None:
-                if ending(node, code, rig=False) is Ending.DONE:
-                    return True
+            if code is None or node in self.lost:
+                continue
+            found = ending(node, code, self._rig)
+            if found is Ending.DONE:
+                return True
+            if found is Ending.FAILED:
                 raise process.failure()
+            self.lost.append(node)
+            self._note(f"{process.failure()}\nthe loop goes on without it")
         return False
 
     def _note(self, text: str) -> None:
         self.notes.append(text)
         print(f"\nnote: {text}", file=sys.stderr)
+
+
+class LiveLoop(LiveNodes):
+    """The node processes of a simulated run that is recorded.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run: receives bag, logs and parameters.
+    parameters : LoopParameters
+        Of the three nodes.
+    recorder : RecorderConfig
+        Of the recorder; its output is the folder, whatever it says.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        parameters: LoopParameters,
+        recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
+    ) -> None:
+        given = {node: {**own, "recorders": 1} for node, own in parameters.as_ros().items()}
+        super().__init__(
+            folder, {**given, "recorder": asdict(replace(recorder, output=str(folder)))}
+        )
