@@ -14,10 +14,13 @@ from koop_lab.replay.plan import make_plan
 from koop_lab.replay.recording import read_recording
 from koop_loop.loop import simulate
 from koop_loop.parameters import LoopParameters, make, read
+from koop_loop.training import TrainingConfig, train
 from koop_node.errors import LiveError
 from koop_study.simulation.case import Case
 from koop_study.simulation.run import run as run_case
 from koopman_lifter.config import LifterConfig
+from koopman_lifter.delays import Delays
+from vdp_plant.config import PlantConfig
 
 pytestmark = pytest.mark.ros
 
@@ -100,6 +103,31 @@ def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_
     unlimited = replace(given.plant, theta_min=-100.0, theta_max=100.0, theta_rate=0.0)
     free = simulate(unlimited, given.lifter, given.esc, None, lockstep.steps)
     assert not np.array_equal(free.ground_truth, offline.ground_truth)
+
+
+def test_with_delays_nodes_loop_and_replay_are_equal_to_the_last_bit(module_domain, tmp_path):
+    """The state is the last samples: the delay line is part of what all of them share."""
+    plant = PlantConfig(seed=5)
+    training = TrainingConfig(trajectories=20, duration=20.0, degree=1)
+    train(plant, training, True, Delays(2, 4, 22)).save(tmp_path / "model.npz")
+    values = {
+        "vdp_plant": {"pace": "lockstep", "duration": 10.0, "seed": 5},
+        "koopman_lifter": {"model": str(tmp_path / "model.npz"), "omega_l": 1.0},
+        "relay_esc": {"dwell": 0.5, "step_size": 0.01},
+    }
+    given = make(values)
+    with LiveLoop(tmp_path / "run", given) as loop:
+        loop.run(lambda progress: None)
+    run = read_run(tmp_path / "run" / "bag")
+    offline = simulate(given.plant, given.lifter, given.esc, given.load_model(), 2000)
+    recording = read_recording(tmp_path / "run")
+    for r, theta in ((offline.r, offline.theta), replay_offline(recording, make_plan(recording))):
+        np.testing.assert_array_equal(run.r, r)
+        np.testing.assert_array_equal(run.theta, theta)
+    assert np.isnan(run.r[:66]).all()  # until the line is full
+    assert np.isfinite(run.r[66:]).all()
+    assert np.ptp(run.theta[:67]) == 0.0
+    assert np.ptp(run.theta) > 0.1
 
 
 def test_the_recorder_finds_out_what_the_nodes_were_given(lockstep):

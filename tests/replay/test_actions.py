@@ -21,6 +21,7 @@ from koop_lab.cli.main import main
 from koop_lab.replay.recording import read_recording
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import shipped_model
+from koopman_lifter.delays import Delays
 from vdp_plant.config import PlantConfig
 
 LISTENERS = 2  # on the cost besides the controller: the recorder and the probe
@@ -250,6 +251,37 @@ def test_the_raw_cost_of_any_channels_needs_no_model_until_it_is_lifted(
         printed, error = capfd.readouterr()
         assert code == 0, printed + error
         assert "theta  identical bit for bit in all 61 steps" in printed
+
+
+def test_a_run_with_delays_is_replayed_bit_for_bit_over_a_gap(start, probe, tmp_path, capfd):
+    model = tmp_path / "delays.npz"
+    config = TrainingConfig(trajectories=5, duration=10.0, degree=1)
+    train(PlantConfig(), config, True, Delays(2, 4, 5)).save(model)
+    folder = tmp_path / "run"
+    recorder = start("recorder", output=folder)
+    start("relay_esc", recorders=1, cost_timeout=TIMEOUT, dwell=0.05, step_size=0.01)
+    given = {"state_timeout": TIMEOUT, "omega_h": 200.0, "omega_l": 30.0, "model": model}
+    start("koopman_lifter", recorders=LISTENERS, **given)
+    rig = Rig(probe)
+    wait_until_known(probe, folder)
+    rig.swing(range(60))
+    rig.swing(range(63, 100))  # three lost
+    rig(100, (math.nan, 1.0))
+    rig.swing(range(101, 140))
+    rig.swing(range(900, 960))  # 3.8 s of silence empty the delay line
+    recorder.process.send_signal(signal.SIGINT)
+    assert recorder.process.wait(20.0) == 0
+    recording = read_recording(folder)
+    assert np.ptp(recording.theta[recording.has_theta]) > 0.1
+    without = np.flatnonzero(np.isnan(recording.r))
+    # the line fills, one sample is not finite wherever it is part of the state, the line fills
+    expected = [*range(15), *(97 + np.array([0, 5, 10, 15])), *(137 + np.arange(15))]
+    assert without.tolist() == expected
+    for how in ([], ["--offline"]):
+        assert main(["replay", str(folder), *how]) == 0, capfd.readouterr()
+        printed = capfd.readouterr().out
+        assert "r      identical bit for bit in all 197 steps" in printed
+        assert "theta  identical bit for bit in all 197 steps" in printed
 
 
 @pytest.mark.parametrize("kept", [(), ("relay_esc",)])

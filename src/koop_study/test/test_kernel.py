@@ -49,6 +49,21 @@ def limited(cost: str, **settings: object) -> Case:
     )
 
 
+def test_with_delays_it_is_the_nodes_loop_to_the_last_bit() -> None:
+    given = {"sensing.delays": 4, "sensing.spacing": 0.1, "training.degree": 1, "duration": 20.0}
+    case = override(Case(cost="contrast"), {**given, "training.trajectories": 20})
+    trace = run(case, with_truth=True)
+    loop = simulate(case.plant, case.lifter, case.esc, model_of(case), case.steps)
+    np.testing.assert_array_equal(trace.r, loop.r)
+    np.testing.assert_array_equal(trace.theta, loop.theta)
+    assert np.isnan(trace.r[:60]).all()
+    assert np.isfinite(trace.r[60:]).all()
+    # one channel of the two is the same loop of one channel
+    one = override(case, {"sensing.channels": "x"})
+    assert model_of(one).delays.channels == 1
+    assert not np.array_equal(run(one).r[60:], trace.r[60:])
+
+
 @pytest.mark.parametrize("cost", ["raw", "lifted"])
 def test_every_limit_acts_as_in_the_nodes_loop_to_the_last_bit(cost: str) -> None:
     case = limited(cost)
