@@ -16,8 +16,10 @@ to climb.
 
 Where the model's state is the last samples of the measurement, a delay line holds them, as much a
 part of the lifter's state as the filters. It is reset where they are not continued: at a start, a
-join, a silence. Until it is full there is no cost, which is no fault (``settling``). A few samples
-that were lost count as the one before them.
+join, a silence. Until it is full there is no cost, which is no fault (``settling``). One or two
+samples that were lost are interpolated, as ``koop train`` bridges them; after more it is reset: a
+filter over the delays may cancel signals a thousand times its own output, and what is not of one
+piece comes out as a spike.
 
 Functions that take arrays are inlined before compilation: each call would count references to them,
 which costs as much as the arithmetic. So are those that every sample passes: the whole loop is 8 %
@@ -39,6 +41,7 @@ from koopman_lifter.observables import Monomials, lift_into
 
 RAW = 0
 LIFTED = 1
+BRIDGED = 2  # samples that may be lost and are interpolated
 SETTLED = 3.0  # time constants after which a filter has settled: to e^-3 = 5 %
 
 
@@ -209,12 +212,18 @@ def push(every: int, arrival: int, step: int, x: NDArray[np.float64], work: Work
     if arrival != Arrival.NEXT:
         cursor[1] = 0
     newest, held = cursor[0], cursor[1]
-    lost = min(step - cursor[2] - 1, depth) if held > 0 else 0
-    for i in range(lost + 1):
-        after = newest + 1 if newest + 1 < depth else 0
+    lost = step - cursor[2] - 1 if held > 0 else 0
+    if lost > BRIDGED:
+        lost = held = 0
+    last = newest
+    for i in range(1, lost + 2):
+        newest = newest + 1 if newest + 1 < depth else 0
+        weight = i / (lost + 1)
         for j in range(channels):
-            ring[after, j] = x[j] if i == lost else ring[newest, j]
-        newest = after
+            if i > lost:
+                ring[newest, j] = x[j]
+            else:
+                ring[newest, j] = (1.0 - weight) * ring[last, j] + weight * x[j]
     held = min(held + lost + 1, depth)
     cursor[0], cursor[1], cursor[2] = newest, held, step
     if held < depth:

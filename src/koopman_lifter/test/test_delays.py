@@ -90,16 +90,24 @@ def test_the_kernel_lifts_what_training_embeds(model):
     assert np.isfinite(r[depth - 1 :]).all()
 
 
-def test_a_silence_empties_the_delay_line_and_a_lost_sample_counts_as_the_one_before(model):
+@pytest.mark.parametrize("lost", [1, 2])
+def test_samples_that_were_lost_are_interpolated(model, lost):
+    x = np.random.default_rng(2).standard_normal(300)
+    kept = np.delete(np.arange(300), np.arange(100, 100 + lost))
+    _, y_out, settling = energies(model, x[kept], steps=kept)
+    bridged = np.interp(np.arange(300), kept, x[kept])
+    np.testing.assert_allclose(y_out, energies(model, bridged)[1][kept], rtol=1e-9)
+    assert not settling[model.delays.depth :].any()
+
+
+def test_a_gap_or_a_silence_empties_the_delay_line(model):
     x = np.random.default_rng(2).standard_normal(300)
     depth = model.delays.depth
-    # two samples lost
-    kept = np.delete(np.arange(300), [100, 101])
+    kept = np.delete(np.arange(300), [100, 101, 102])
     _, y_out, settling = energies(model, x[kept], steps=kept)
-    repeated = x.copy()
-    repeated[100:102] = x[99]
-    np.testing.assert_array_equal(y_out, energies(model, repeated)[1][kept])
-    assert not settling[depth:].any()
+    assert settling[100 : 100 + depth - 1].all()
+    alone = energies(model, x[103:])[1][depth - 1 :]
+    np.testing.assert_array_equal(y_out[100 + depth - 1 :], alone)
     # a silence: nothing of before is in the state after it
     arrivals = [Arrival.RESTART, *[Arrival.NEXT] * 299]
     arrivals[150] = Arrival.RESUME
