@@ -118,7 +118,7 @@ def _recover(args: argparse.Namespace) -> int:
 def _diff(args: argparse.Namespace) -> int:
     from koop_bag.bag.diff import compare
     from koop_bag.bag.reader import BagReader
-    from koop_bag.recorder.config import is_common
+    from koop_bag.bag.topics import is_common
 
     same = True
     with BagReader(args.a) as a, BagReader(args.b) as b:

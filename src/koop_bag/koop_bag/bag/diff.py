@@ -13,11 +13,11 @@ from koop_bag.bag.column_diff import column_diff
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.extent import measure
 from koop_bag.bag.reader import BagReader, Topic
+from koop_bag.bag.topics import is_common
 from koop_bag.cdr.definition import parse_definition
 from koop_bag.cdr.header import has_step
 from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError
-from koop_bag.recorder.config import is_common
 
 
 @dataclass(frozen=True)

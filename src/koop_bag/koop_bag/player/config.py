@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from koop_bag.recorder.config import is_common
+from koop_bag.bag.topics import is_common
 from koop_node.config import ConfigError, parameter, validate
 
 PACES = ("realtime", "scaled", "fast", "lockstep")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.bag.writer import WriterOptions
 from koop_node.config import ConfigError, NodeConfig, parameter, validate
 
@@ -14,18 +15,6 @@ LOOP_TOPICS = {
     "ground_truth": "koop_msgs/msg/PlantTruth",
 }
 """Topics of a loop, relative to its namespace."""
-
-COMMON_TOPICS = {
-    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-    "/parameter_events": "rcl_interfaces/msg/ParameterEvent",
-    "/rosout": "rcl_interfaces/msg/Log",
-}
-"""Topics that every node of a system shares: what they reported, which parameters changed."""
-
-
-def is_common(topic: str) -> bool:
-    """Whether every node publishes a topic by itself, so that it says nothing about the loop."""
-    return topic in COMMON_TOPICS or topic == "/clock" or topic.endswith("/transition_event")
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,11 @@ from rclpy.qos import qos_profile_parameter_events
 
 from koop_bag.bag.losses import LossCounter, complete_from, early_ends
 from koop_bag.bag.metadata import OfferedQos, dump
+from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.bag.writer import BagWriter
 from koop_bag.errors import BagError, BagWriteError
 from koop_bag.recorder import run_folder
-from koop_bag.recorder.config import COMMON_TOPICS, LOOP_TOPICS, RecorderConfig, wanted_topics
+from koop_bag.recorder.config import LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.topics import RecordedTopic, fetch, polled
 from koop_node.main import run
