@@ -130,6 +130,15 @@ def test_states_without_stamps_are_counted_and_theta_is_held_between_its_changes
     assert signals.covered == pytest.approx(100.0)
 
 
+def test_states_that_are_taken_as_they_are_are_one_dt_apart(pressure):
+    source = Source(StateSpec.parse(PRESSURE), StateSpec.parse("/knob:data"), dt=0.04, way="none")
+    signals = read_signals(pressure, source)  # recorded four times as fast as the rig was
+    np.testing.assert_allclose(signals.t, 0.04 * np.arange(10_000))
+    assert signals.step.tolist() == list(range(1, 10_001))
+    np.testing.assert_array_equal(signals.theta, np.repeat(np.arange(10.0), 1000))
+    assert signals.covered == signals.recorded == pytest.approx(400.0)
+
+
 def test_a_theta_that_comes_often_and_stops_is_not_known_any_more(tmp_path, capsys):
     t, often = np.arange(10_000) * DT, np.arange(570) * 0.1
     bag = write(

@@ -20,6 +20,7 @@ from koopman_lifter.delays import dominant_period
 PERIODS = 5.0  # of the strongest oscillation, that a window is long by default
 LEAST, MOST = 0.04, 0.2  # shares of the run within which that length is kept
 WIDENED = 0.1  # by which theta's final swing is widened at both ends before it counts as left
+SHORTEST = 8  # samples of a window
 REST = 0.2  # of the tail, by which theta must have been in its final swing earlier
 
 
@@ -37,7 +38,8 @@ class RigMetrics:
         Time that counts as after, and as the end for theta [s]: the last 30 %.
     before, after : tuple of float
         Amplitude of each channel (``koop_loop.oscillation``): the root mean square over the
-        windows; NaN where no window is whole.
+        windows; where none is whole, over the longest pieces without a gap; NaN where the data
+        have none of 8 samples.
     theta_mean, theta_swing : float or None
         Mean and range of theta at the end; None without theta.
     settled_at : float or None
@@ -136,7 +138,7 @@ def rig_metrics(
     span = float(t[-1] - t[0]) + dt
     if window is None:
         window = _usual_window(x, dt, span)
-    window = max(window, 8 * dt)
+    window = max(window, SHORTEST * dt)
     if window > 0.5 * span:
         raise ValueError(f"--window {window:g} s: the run has {span:g} s, choose less than half")
     before_to = _first_move(t, theta)
@@ -191,7 +193,11 @@ def _amplitudes(
     rows = np.flatnonzero((t > begin - half) & (t < end - half))
     gap = np.diff(t[rows]) > 1.5 * dt
     usable = []
-    for part in np.split(rows, np.flatnonzero(gap) + 1):
+    parts = np.split(rows, np.flatnonzero(gap) + 1)
+    length = min(length, max(part.size for part in parts))  # where no piece is that long
+    if length < SHORTEST:
+        return (float("nan"),) * x.shape[1]
+    for part in parts:
         whole = part[: part.size // length * length].reshape(-1, length)
         usable += [x[window].T for window in whole]
     found = np.array([amplitude(window) for window in usable]).reshape(-1, x.shape[1])

@@ -85,6 +85,14 @@ def test_no_window_spans_a_pause_or_a_hole():
     assert metrics.after == pytest.approx((1.0, 2.0), rel=0.02)
 
 
+def test_where_no_window_is_whole_the_longest_piece_counts():
+    x = damped(before=1.0, after=1.0)
+    kept = np.arange(T.size) % 300 < 290  # no 3 s without a gap
+    metrics = rig_metrics(T[kept], x[kept], None, window=8.0)
+    assert metrics.before == pytest.approx((1.0, 2.0), rel=0.05)
+    assert metrics.after == pytest.approx((1.0, 2.0), rel=0.05)
+
+
 def test_the_start_leaves_out_what_is_before():
     x = damped(before=1.0, after=1.0)
     x[T < 30.0] *= 100.0

@@ -23,7 +23,7 @@ from koop_loop.rig_metrics import RigMetrics, rig_metrics
 from koop_loop.static_map import performance
 from koopman_lifter.model import KoopmanModel, load
 
-WHOLE = 0.999  # of the recorded time: figures that cover less say so
+WHOLE = 0.99  # of the recorded time: figures that cover less say so
 
 
 @dataclass(frozen=True)

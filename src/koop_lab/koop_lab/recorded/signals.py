@@ -158,15 +158,19 @@ def read_signals(path: Path, source: Source, dt: float | None = None) -> Signals
         if source.theta is not None:
             _check_topic(bag, path, source.theta.topic)
         segmentation, n = find_segmentation(bag, path, training)
+        received = bag.topic(spec.topic).count
         loaded = load_states(bag, spec, segmentation, source.theta)
-        recorded = _duration(bag, segmentation, spec)
-    size = loaded.time.size
+        recorded, t = _duration(bag, segmentation, spec), loaded.time
+    size = t.size
+    if segmentation.way == "none":  # one dt apart, whatever the time between them
+        t = np.asarray(np.arange(size) * segmentation.dt, np.float64)
+        recorded = received * segmentation.dt
     return Signals(
         state_names(spec, n),
         segmentation.dt,
         segmentation.way,
-        _steps(loaded.time, segmentation),
-        loaded.time,
+        _steps(t, segmentation),
+        t,
         loaded.begins,
         np.ascontiguousarray(loaded.x.T),
         np.empty((size, 0)),
@@ -180,8 +184,6 @@ def read_signals(path: Path, source: Source, dt: float | None = None) -> Signals
 def _steps(time: NDArray[np.float64], segmentation: Segmentation) -> NDArray[np.int64]:
     """Return the steps of states at these times [s]; each state has one of its own."""
     number = np.arange(time.size)
-    if segmentation.way == "none":
-        return 1 + number
     step = np.round(time / segmentation.dt).astype(np.int64)
     return np.asarray(1 + number + np.maximum.accumulate(step - number))
 

@@ -135,11 +135,12 @@ def describe(signals: Signals, made: LoopParameters, answers: Answers) -> list[s
     """Return in words what the controller would have said."""
     lifter, esc = made.lifter, made.esc
     model = made.load_model() if lifter.cost == "lifted" else None
+    kind = lifter.cost if model is None else model.provenance.get("variant", "lifted")
     usable = np.isfinite(answers.r)
     lines = [
         "OPEN LOOP: what lifter and controller would have said to these states; the rig did not "
         "react to this theta, and nothing recorded is compared",
-        f"cost {lifter.cost}" + (f" of model {model.model_id}" if model is not None else "")
+        f"cost {kind}" + (f" of model {model.model_id}" if model is not None else "")
         + f", omega_h {lifter.omega_h:g}, omega_l {lifter.omega_l:g} rad/s; tau_f {esc.tau_f:g}, "
         f"dwell {esc.dwell:g} s, theta from {esc.theta_initial:g}",
         f"r      usable for {np.count_nonzero(usable)} of {usable.size} states",
