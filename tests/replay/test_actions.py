@@ -265,23 +265,25 @@ def test_a_run_with_delays_is_replayed_bit_for_bit_over_a_gap(start, probe, tmp_
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.swing(range(60))
-    rig.swing(range(63, 100))  # three lost
-    rig(100, (math.nan, 1.0))
-    rig.swing(range(101, 140))
-    rig.swing(range(900, 960))  # 3.8 s of silence empty the delay line
+    rig.swing(range(62, 99))  # two lost: interpolated
+    rig(99, (math.nan, 1.0))
+    rig.swing(range(100, 140))
+    rig.swing(range(144, 170))  # four lost empty the delay line
+    rig.swing(range(900, 960))  # so does a silence of 3.7 s
     recorder.process.send_signal(signal.SIGINT)
     assert recorder.process.wait(20.0) == 0
     recording = read_recording(folder)
     assert np.ptp(recording.theta[recording.has_theta]) > 0.1
     without = np.flatnonzero(np.isnan(recording.r))
     # the line fills, one sample is not finite wherever it is part of the state, the line fills
-    expected = [*range(15), *(97 + np.array([0, 5, 10, 15])), *(137 + np.arange(15))]
+    filling = np.arange(15)
+    expected = [*filling, *(97 + np.array([0, 5, 10, 15])), *(138 + filling), *(164 + filling)]
     assert without.tolist() == expected
     for how in ([], ["--offline"]):
         assert main(["replay", str(folder), *how]) == 0, capfd.readouterr()
         printed = capfd.readouterr().out
-        assert "r      identical bit for bit in all 197 steps" in printed
-        assert "theta  identical bit for bit in all 197 steps" in printed
+        assert "r      identical bit for bit in all 224 steps" in printed
+        assert "theta  identical bit for bit in all 224 steps" in printed
 
 
 @pytest.mark.parametrize("kept", [(), ("relay_esc",)])

@@ -85,6 +85,7 @@ def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tm
         "lost": 3,
         "duplicates": 1,
         "backward": 0,
+        "jumps": 0,
         "first": 0,
         "last": 20,
     }
