@@ -42,7 +42,11 @@ from koop_node.config import ConfigError
 from koop_node.fields import check_fields, check_type, parse_source
 from koopman_lifter import cost
 from koopman_lifter.config import shipped_model
-from koopman_lifter.model import ModelError, load
+from koopman_lifter.delays import Delays
+from koopman_lifter.edmd import Gram
+from koopman_lifter.fit import Fit
+from koopman_lifter.model import ModelError, build, load
+from koopman_lifter.observables import Monomials
 
 SLOW = 5.0  # [s] for one input; a hang
 LARGE = 200.0  # [MB] that one input may add to the peak of memory
@@ -127,15 +131,25 @@ def fuzz(
     return outcome
 
 
+def delayed_model(folder: Path) -> bytes:
+    """Return a model file of version 2, with all that it may hold."""
+    delays = Delays(1, 3, 2)
+    gram = Gram.empty(Monomials(delays.n, 2))
+    samples = np.random.default_rng(0).normal(size=(1, 1000))
+    gram.add_trajectory(delays.embed(samples), longest=50)
+    build(gram, 0.01, ("x",), 4, {}, delays, Fit(resamples=5)).save(folder / "delayed.npz")
+    return (folder / "delayed.npz").read_bytes()
+
+
 def targets(folder: Path) -> dict[str, tuple[Trial, tuple[type[Exception], ...]]]:
     """Return what is fuzzed: a trial and the errors that it may raise."""
-    model = ModelMaker(shipped_model().read_bytes())
+    models = [ModelMaker(shipped_model().read_bytes()), ModelMaker(delayed_model(folder))]
     bag = BagMaker(small_bag(folder / "seed"), _topics())
     model_file, bag_file = folder / "fuzzed.npz", folder / "fuzzed.mcap"
     messages = _messages()
 
     def load_model(rng: Random) -> None:
-        model_file.write_bytes(model(rng))
+        model_file.write_bytes(rng.choice(models)(rng))
         loaded = load(model_file)
         names = loaded.delays.names(loaded.state_names, loaded.dt)
         if len(loaded.observables.names(names)) != loaded.observables.p:

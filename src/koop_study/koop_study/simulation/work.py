@@ -71,6 +71,7 @@ def modes(settings: dict[str, Any], seed: int) -> dict[str, Any]:
         "real": found.eigenvalues.real.tolist(),
         "imag": found.eigenvalues.imag.tolist(),
         "energy": found.energies.tolist(),
+        "residual": found.residuals.tolist(),
         "kept": kept.tolist(),
         "condition": koopman.condition,
     }
