@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 PART = 65536  # samples that koop reads at a time
-RUNS = 3  # of which the fastest counts: a first one also compiles and loads
-LONG = 20.0  # [s] of a run; no other one follows
+RUNS = 7  # of which the fastest counts: a first one also compiles and loads
+LONG = 10.0  # [s] of all runs; no other one follows
 Spectrum = Any
 
 
