@@ -83,13 +83,17 @@ class Monomials:
             for row in self.exponents
         ]
 
-    def lift(self, states: ArrayLike) -> NDArray[np.float64]:
+    def lift(
+        self, states: ArrayLike, out: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
         """Lift states.
 
         Parameters
         ----------
         states : array_like, shape (n,) or (n, M)
             One state or M of them as columns.
+        out : ndarray, shape (p,) or (p, M), optional
+            Where to write the observables.
 
         Returns
         -------
@@ -106,10 +110,11 @@ class Monomials:
             raise ValueError(
                 f"states must have shape ({self.n},) or ({self.n}, M), got {array.shape}"
             )
-        lifted = np.empty((self.p, *array.shape[1:]))
+        lifted = np.empty((self.p, *array.shape[1:])) if out is None else out
         lifted[0] = 1.0
-        for i in range(1, self.p):
-            lifted[i] = lifted[self.parent[i]] * array[self.factor[i]]
+        for i, (parent, factor) in enumerate(zip(self.parent, self.factor, strict=True)):
+            if i:
+                np.multiply(lifted[parent], array[factor], out=lifted[i, ...])
         return lifted
 
 

@@ -80,8 +80,10 @@ def delay_line(states: NDArray[np.float64]) -> int:
 
 def _tiles(observables: Monomials, states: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
     size = min(max(TILE[0], TILE_BYTES // (8 * observables.p)), TILE[1])
+    room = np.empty((observables.p, min(size + 1, states.shape[1])))  # of every tile in turn
     for begin in range(0, states.shape[1] - 1, size):
-        yield observables.lift(states[:, begin : begin + size + 1])
+        tile = states[:, begin : begin + size + 1]
+        yield observables.lift(tile, room[:, : tile.shape[1]])
 
 
 class _Shifts(NamedTuple):
