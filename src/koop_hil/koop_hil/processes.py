@@ -160,6 +160,9 @@ class Processes:
 
     def _command(self, name: str) -> tuple[list[str], list[str] | None]:
         setting, injects = self._scenario.setting, self._controlled and self._scenario.injects
+        topics = {"state": "rig/state", "theta": "rig/theta"} if injects else {}
+        if self._controlled and self._scenario.sensor_topic:
+            topics["state"] = self._scenario.sensor_topic
         if name == "recorder":
             return ["--ros-args", "-p", f"output:={self._folder}"], None
         ros = ["--ros-args", "--params-file", str(self._parameter_file)]
@@ -170,14 +173,14 @@ class Processes:
         if name != "plant":
             return ros, None
         if setting.plant == "vdp_plant":
-            remap = ["-r", "state:=rig/state", "-r", "theta:=rig/theta"] if injects else []
+            remap = [word for name, to in topics.items() for word in ("-r", f"{name}:={to}")]
             return ros + remap, None
         options = {
             "scale": setting.time_scale,
             "theta-initial": setting.theta_initial,
             "readers": 2,  # the recorder, and who answers
             "seed": setting.seed,
-            **({"state": "rig/state", "theta": "rig/theta"} if injects else {}),
+            **topics,
         }
         words = [f"--{key}={value}" for key, value in options.items()]
         return [setting.plant, "--until-eof", *words], [sys.executable, str(rig_script())]

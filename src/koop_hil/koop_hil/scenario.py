@@ -12,6 +12,7 @@ import yaml
 
 from koop_hil import faults, installed
 from koop_node.config import ConfigError, mapping, parameter, refuse_unknown, validate
+from koop_node.fields import parse_source
 from koop_node.yaml_file import read_yaml
 
 NODES = ("plant", "koopman_lifter", "relay_esc")
@@ -136,7 +137,14 @@ class Scenario:
         """How many publishers the topics of its loop have."""
         names = ["state", "cost", "theta", "ground_truth"]
         names += ["rig/state", "rig/theta"] if self.injects else []
+        names += [self.sensor_topic] if self.sensor_topic else []
         return dict.fromkeys(names, 1)
+
+    @property
+    def sensor_topic(self) -> str:
+        """Where the plant measures if the lifter picks `input_fields` of it; else empty."""
+        fields = self.parameters.get("koopman_lifter", {}).get("input_fields", "")
+        return parse_source(fields).topic.lstrip("/") if fields else ""
 
     @property
     def second_controller(self) -> bool:
@@ -215,7 +223,7 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
         raise ConfigError("cut: there is a link only if 'remote' names what runs on another host")
     if len({event.what for event in happens if event.action in (SECOND, "handover")}) > 1:
         raise ConfigError(f"{SECOND}: one theta, and no handover besides")
-    return Scenario(
+    scenario = Scenario(
         name,
         setting,
         {str(node): mapping(values, str(node)) for node, values in parameters.items()},
@@ -223,6 +231,9 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
         Limits(**limits),
         {str(node): level for node, level in levels.items()},
     )
+    if scenario.sensor_topic and scenario.injects:
+        raise ConfigError("inject: between the plant's 'state' and the lifter, not input_fields")
+    return scenario
 
 
 def write(scenario: Scenario, path: Path) -> None:

@@ -78,6 +78,13 @@ def test_a_fault_that_is_none_is_refused(text):
         ({"events": [{"kill": "recorder"}]}, "kill: one of plant"),
         ({"events": [{"inject": {"state": False}}]}, "quote 'off' in YAML"),
         ({"events": [{"inject": {"cost": "off"}}]}, "into state or theta"),
+        (
+            {
+                "events": [{"at": 1, "inject": {"state": "off"}}],
+                "parameters": {"koopman_lifter": {"input_fields": "/rig/state:x[0]"}},
+            },
+            "and the lifter, not input_fields",
+        ),
         ({"plant": "papier"}, "plant = 'papier': must be one of vdp_plant, galloping"),
         ({"remote": "recorder"}, "remote = 'recorder': must be one of"),
         ({"events": [{"cut": "link"}]}, "there is a link only if 'remote'"),
@@ -108,6 +115,13 @@ def test_the_link_is_cut_for_a_time():
     scenario = parse("name", content, Path("."))
     assert scenario.setting.remote == "plant"
     assert str(scenario.events[0]) == "cut link for 8 s"
+
+
+def test_a_rig_of_which_the_lifter_takes_one_field_measures_on_a_topic_of_its_own():
+    lifter = {"input_fields": "/rig/state:x[0]", "input_type": "koop_msgs/msg/MeasuredState"}
+    scenario = parse("name", {"parameters": {"koopman_lifter": lifter}}, Path("."))
+    assert scenario.sensor_topic == "rig/state"
+    assert scenario.publishers["rig/state"] == 1
 
 
 def test_an_event_names_a_file_without_its_folder():
