@@ -75,7 +75,8 @@ def test_a_rig_takes_the_place_of_the_plant(mine):
 
 
 def test_the_file_says_whether_the_plant_is_simulated_unless_an_argument_does(mine):
-    tuning = mine("relay_esc: {ros__parameters: {dwell: 3.0}}")
+    of_all = "/**: {ros__parameters: {use_sim_time: false}}\n"
+    tuning = mine(f"{of_all}relay_esc: {{ros__parameters: {{dwell: 3.0}}}}")
     planned = plan(tuning)
     assert planned.rig
     assert "no section for vdp_plant: the rig is the plant" in planned.notes[0]

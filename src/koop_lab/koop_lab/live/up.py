@@ -98,10 +98,10 @@ class Status:
         found = "; ".join(progress.findings.values())
         where = ""
         if progress.step:
-            where = (
-                f"step {progress.step}, r = {progress.r:.3g}, θ = {progress.theta:+.3f}, "
-                f"{progress.steps_per_second:.0f} steps/s: "
-            )
+            known = [f"step {progress.step}"]
+            known += [f"r = {progress.r:.3g}"] * math.isfinite(progress.r)
+            known += [f"θ = {progress.theta:+.3f}"] * math.isfinite(progress.theta)
+            where = f"{', '.join(known)}, {progress.steps_per_second:.0f} steps/s: "
             found = found or "ok"
         elif progress.values:
             found = found or "waiting for the first state"
