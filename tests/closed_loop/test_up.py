@@ -107,7 +107,9 @@ def test_ctrl_c_ends_a_rig_s_loop_in_order_and_who_comes_second_is_refused(
     assert not (tmp_path / "second").exists()
     first.send_signal(signal.SIGINT)
     assert first.wait(TIMEOUT) == 0, first.printed()
-    assert first.printed().splitlines()[-1].startswith("recording in first/bag")
+    printed = first.printed()
+    assert "oscillation amplitude" in printed.partition("recording in first/bag")[2], printed
+    assert "the figures cover " in printed
     assert not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values())
     assert_whole(tmp_path / "first")
     own = read(tmp_path / "first" / "parameters.yaml")  # what ran is what the file says

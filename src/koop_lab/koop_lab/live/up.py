@@ -12,6 +12,7 @@ from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.plan import ALL_NODES, ARGUMENTS, Plan, plan
 from koop_lab.live.loop import LiveNodes
 from koop_lab.live.monitor import Progress
+from koop_lab.recorded.report import run_figures
 from koop_node import parameter_file
 
 STATUS = 10.0  # [s] between two status lines when nothing new is to be said
@@ -58,6 +59,7 @@ def main(args: argparse.Namespace) -> int:
     finally:
         if (folder / "bag").is_dir():
             print(f"recording in {folder}/bag, parameters in {folder}/parameters.yaml", flush=True)
+    print("\n" + run_figures(folder, planned.namespace), flush=True)
     return 1 if nodes.lost else 0
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
+from koop_bag.errors import BagError
 from koop_lab.cli.table import metrics_table, rig_table, table
 from koop_lab.recorded.options import source_of
 from koop_lab.recorded.run import LoopColumns, closed_loop
@@ -181,6 +182,16 @@ def coverage_lines(run: Run) -> list[str]:
             f"the steps begin {covers['runs']} times: this is the longest run, to step {end}"
         )
     return lines
+
+
+def run_figures(folder: Path, namespace: str) -> str:
+    """Return what a run achieved in words, for its end; or why that is not known."""
+    try:
+        run = read(folder, Source(namespace=namespace or "/"))
+        rig, names = rig_metrics_of(run.signals)
+    except (BagError, ValueError) as error:
+        return f"no figures of the run: {error}"
+    return "\n".join([rig_table(rig, names), *coverage_lines(run)])
 
 
 def tail_figures(signals: Signals) -> dict[str, dict[str, float]]:
