@@ -1,0 +1,70 @@
+"""A rig of one sensor and one knob, both plain numbers: from its recording to the closed loop."""
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from std_msgs.msg import Float64
+
+from koop_lab.cli.main import main
+from koop_loop.training import trajectory_kernel
+from vdp_plant import dynamics
+from vdp_plant.config import PlantConfig
+
+DT = 0.02
+PLANT = PlantConfig(dt=DT)
+STORE = get_typestore(Stores.ROS2_JAZZY)
+KIND = "std_msgs/msg/Float64"
+REST = 60.0  # [s] of theta in the recording
+WATCHED = 30.0  # [s] at the end of the run
+
+
+def record(path):
+    """Write what a recorder of another make would: the sensor, and the knob now and then."""
+    rng = np.random.default_rng(0)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        pressure, knob = (
+            writer.add_connection(topic, KIND, typestore=STORE) for topic in ("/pressure", "/knob")
+        )
+        states = np.empty((2, round(REST / DT)))
+        at = 10**18
+        for theta in rng.uniform(-5.0, 2.0, 40):
+            message = STORE.types[KIND](data=float(theta))
+            writer.write(knob, at, STORE.serialize_cdr(message, KIND))
+            assert trajectory_kernel(PLANT.params(), *rng.uniform(-3, 3, 2), theta, states)
+            for value in states[0]:
+                at += round(DT * 1e9)
+                message = STORE.types[KIND](data=float(value))
+                writer.write(pressure, at, STORE.serialize_cdr(message, KIND))
+
+
+@pytest.mark.slow
+def test_a_rig_of_one_sensor_is_damped(start, probe, tmp_path, capfd):
+    record(tmp_path / "recorded")
+    model = tmp_path / "model.npz"
+    what = ["--state", "/pressure:data", "--theta", "/knob:data", "--dt", str(DT)]
+    learn = ["train", str(tmp_path / "recorded"), "--contrast", "--delays", "8"]
+    assert main([*learn, *what, "--out", str(model)]) == 0, capfd.readouterr()
+    assert "strong_and_weak_by theta" in capfd.readouterr().out
+    start(
+        "koopman_lifter", input_fields="/pressure:data", input_type=KIND, model=model, dt=DT,
+        omega_l=0.6, state_timeout=0.0,
+    )  # fmt: skip
+    start(
+        "relay_esc", command_topic="/knob", dt=DT, theta_initial=-1.0, step_size=DT / 15.0,
+        tau_f=3.0, cost_timeout=0.0,
+    )  # fmt: skip
+    turned = probe.collect(Float64, "/knob")
+    sensor = probe.publisher(Float64, "/pressure")
+    params, steps = PLANT.params(), round(120.0 / DT)
+    x, y = dynamics.initial_state(3)
+    theta = np.full(steps, -1.0)
+    applied = -1.0
+    for k in range(steps):  # the rig waits for the knob: the machine may be as slow as it likes
+        heard = len(turned)
+        sensor.publish(Float64(data=dynamics.measure(params, k, x, y)[0]))
+        probe.spin_until(lambda n=heard: len(turned) > n, f"an answer to sample {k}")
+        theta[k] = turned[-1].data
+        x, y, applied = dynamics.advance(params, k, x, y, applied, theta[k], 0.0)
+    error = np.abs(theta[-round(WATCHED / DT) :] - PLANT.theta_star)
+    assert error.mean() < 0.8  # it began 2 from the optimum
