@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -118,3 +119,28 @@ def module_start(module_domain: str, tmp_path_factory: pytest.TempPathFactory) -
     """Start nodes in the module's domain; they are stopped after its last test."""
     with Nodes(tmp_path_factory.mktemp("nodes")) as nodes:
         yield nodes
+
+
+def nodes_of(process: Any) -> dict[str, int]:
+    """Return the processes that a command has started, by the names of their executables."""
+    found = {}
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{pid}/stat") as file:
+                parent = int(file.read().rpartition(")")[2].split()[1])
+            with open(f"/proc/{pid}/cmdline", "rb") as file:
+                words = file.read().decode().split("\0")
+        except OSError:
+            continue
+        names = [word.rsplit("/", 1)[-1] for word in words if "/lib/" in word]
+        if parent == process.pid and "koop_node.companion" in words:
+            found["rig"] = int(pid)
+        elif parent == process.pid and names:
+            found[names[0]] = int(pid)
+    return found
+
+
+@pytest.fixture(name="nodes_of")
+def nodes_of_fixture() -> Callable[[Any], dict[str, int]]:
+    """Return :func:`nodes_of`."""
+    return nodes_of

@@ -46,22 +46,6 @@ def launch(own_domain, tmp_path, monkeypatch):
         process.communicate(timeout=TIMEOUT)
 
 
-def nodes_of(process):
-    """Return the running nodes of a launch, by the names of their executables."""
-    found = {}
-    for pid in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            with open(f"/proc/{pid}/stat") as file:
-                parent = int(file.read().rpartition(")")[2].split()[1])
-            with open(f"/proc/{pid}/cmdline", "rb") as file:
-                words = file.read().decode().split("\0")
-        except OSError:
-            continue
-        if parent == process.pid:
-            found |= {word.rsplit("/", 1)[-1]: int(pid) for word in words if "/lib/" in word}
-    return found
-
-
 def is_running(pid):
     try:
         with open(f"/proc/{pid}/stat") as file:
@@ -118,7 +102,7 @@ def test_a_run_s_own_parameters_run_the_same_experiment_again(launch, tmp_path):
 @pytest.mark.parametrize(
     ("executable", "name"), [("lifter", "koopman_lifter"), ("recorder", "recorder")]
 )
-def test_the_end_of_a_node_ends_the_launch_with_its_reason(launch, executable, name):
+def test_the_end_of_a_node_ends_the_launch_with_its_reason(nodes_of, launch, executable, name):
     process = launch("record:=true")
     nodes = wait_for(lambda: len(found := nodes_of(process)) == 4 and found, process)
     os.kill(nodes[executable], signal.SIGKILL)
@@ -127,7 +111,7 @@ def test_the_end_of_a_node_ends_the_launch_with_its_reason(launch, executable, n
     assert f"{name} was killed by signal 9" in printed
 
 
-def test_the_nodes_end_with_a_launch_that_is_killed(launch, tmp_path):
+def test_the_nodes_end_with_a_launch_that_is_killed(nodes_of, launch, tmp_path):
     process = launch("record:=true", f"output:={tmp_path / 'run'}")
     bag = tmp_path / "run" / "bag" / "bag_0.mcap"
     wait_for(lambda: bag.is_file() and bag.stat().st_size > 50_000, process)
@@ -142,7 +126,7 @@ def test_the_nodes_end_with_a_launch_that_is_killed(launch, tmp_path):
         assert reader.complete
 
 
-def test_a_rig_keeps_its_controller_when_the_recorder_ends(launch):
+def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, launch):
     process = launch("plant:=false", "record:=true")
     nodes = wait_for(lambda: len(found := nodes_of(process)) == 3 and found, process)
     os.kill(nodes["recorder"], signal.SIGKILL)

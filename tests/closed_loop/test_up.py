@@ -63,23 +63,6 @@ def wait_for(condition, process, what):
     return found
 
 
-def nodes_of(process):
-    """Return the process ids of what a command has started, by the names of the executables."""
-    found = {}
-    for pid in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            with open(f"/proc/{pid}/stat") as file:
-                parent = int(file.read().rpartition(")")[2].split()[1])
-            with open(f"/proc/{pid}/cmdline", "rb") as file:
-                words = file.read().decode().split("\0")
-        except OSError:
-            continue
-        if parent == process.pid:
-            last = next((word for word in words if "/lib/" in word), "")
-            found["rig" if "koop_node.companion" in words else last.rsplit("/", 1)[-1]] = int(pid)
-    return found
-
-
 def assert_whole(folder, namespace=""):
     with BagReader(folder / "bag") as reader:
         assert reader.complete
@@ -94,7 +77,7 @@ def moving(folder):
 
 
 def test_ctrl_c_ends_a_rig_s_loop_in_order_and_who_comes_second_is_refused(
-    up, rig_file, tmp_path, capsys
+    nodes_of, up, rig_file, tmp_path, capsys
 ):
     first = up(rig_file, "--out", "first")
     wait_for(moving(tmp_path / "first"), first, "the recording")
@@ -116,7 +99,7 @@ def test_ctrl_c_ends_a_rig_s_loop_in_order_and_who_comes_second_is_refused(
     assert (own["koopman_lifter"]["cost"], own["relay_esc"]["dwell"]) == ("raw", 0.1)
 
 
-def test_a_rig_keeps_its_controller_when_the_recorder_ends(up, rig_file, tmp_path):
+def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, up, rig_file, tmp_path):
     process = up(rig_file, "--out", "run")
     wait_for(moving(tmp_path / "run"), process, "the recording")
     os.kill(nodes_of(process)["recorder"], signal.SIGKILL)
@@ -127,7 +110,7 @@ def test_a_rig_keeps_its_controller_when_the_recorder_ends(up, rig_file, tmp_pat
     assert process.wait(TIMEOUT) == 1
 
 
-def test_a_node_that_dies_ends_the_run_with_its_reason(up, tmp_path):
+def test_a_node_that_dies_ends_the_run_with_its_reason(nodes_of, up, tmp_path):
     file = tmp_path / "simulated.yaml"
     file.write_text(f"{FAST}/two/vdp_plant: {{ros__parameters: {{pace: lockstep}}}}\n")
     process = up(file)
