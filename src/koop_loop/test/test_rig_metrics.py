@@ -43,6 +43,11 @@ def test_before_lasts_until_theta_first_moves():
     assert metrics.before == pytest.approx((3.0, 6.0), rel=0.01)
 
 
+def test_what_is_before_ends_where_the_end_begins():
+    metrics = rig_metrics(T, damped(), np.where(T < 180.0, 2.0, -3.0))
+    assert metrics.before_to == metrics.after_from == pytest.approx(140.0)
+
+
 def test_the_window_is_five_periods_of_the_strongest_oscillation():
     omega = 2.0 * np.pi / 3.0
     metrics = rig_metrics(T, damped(omega=omega), None)
