@@ -463,6 +463,9 @@ def test_one_channel_with_delays_tells_as_much_as_two(tmp_path):
         write_numbers(writer, "/pressure", times, np.exp(-0.01 * t) * np.cos(3.0 * t))
     state = StateSpec.parse("/pressure:data")
     model = train_from_bags([path], BagTraining(state, dt=DT, way="none", delays=2, degree=1))
+    # two states are all that there is: three samples and products of them are told down from 3 to 1
+    with pytest.raises(ValueError, match="take fewer delays"):
+        train_from_bags([path], BagTraining(state, dt=DT, way="none", delays=3))
     expected = np.exp((-0.01 + 3.0j) * DT)
     assert np.abs(model.eigenvalues - expected).min() < 1e-9
     # together they span an eighth of the period

@@ -24,6 +24,10 @@ STRETCHES = 64  # of the data whose sums are kept, at most
 STRETCH_BYTES = 2**28  # of their sums; fewer are kept of many observables
 
 
+class RankDeficient(ValueError):
+    """The data do not tell the observables apart."""
+
+
 @dataclass
 class Gram:
     """Sums over snapshot pairs from which K and what its modes are worth follow.
@@ -57,6 +61,18 @@ class Gram:
         """Return the sums over no data."""
         p = observables.p
         return cls(observables, np.zeros((p, p)), np.zeros((p, p)), np.zeros((p, p)))
+
+    def of_degree(self, degree: int) -> Gram:
+        """Return the sums over the monomials up to a lower degree: they come first."""
+        observables = Monomials(self.observables.n, degree)
+        p = observables.p
+        parts = [self, *self.stretches]
+        total, *stretches = (
+            Gram(observables, part.xx[:p, :p], part.yx[:p, :p], part.yy[:p, :p], part.pairs)
+            for part in parts
+        )
+        total.stretches = stretches
+        return total
 
     def add_trajectory(self, states: ArrayLike, longest: int = BLOCK) -> None:
         """Add the consecutive pairs of one trajectory.
@@ -172,8 +188,8 @@ def edmd(gram: Gram) -> Koopman:
     Raises
     ------
     ValueError
-        If there are fewer pairs than observables, or if the data do not excite every observable
-        (equilibrated Psi_X rank deficient to double precision).
+        If there are fewer pairs than observables; `RankDeficient` if the data do not excite every
+        observable (equilibrated Psi_X rank deficient to double precision).
     """
     p = gram.observables.p
     if gram.pairs < p:
@@ -186,7 +202,7 @@ def edmd(gram: Gram) -> Koopman:
     correlation = gram.equilibrated(gram.xx)
     eigenvalues = np.linalg.eigvalsh(correlation)
     if eigenvalues[0] <= p * np.finfo(float).eps * eigenvalues[-1]:
-        raise ValueError(
+        raise RankDeficient(
             "the data do not excite every observable (rank deficient): "
             "record more varied trajectories, lower the degree or take fewer delays, further apart"
         )

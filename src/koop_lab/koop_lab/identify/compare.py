@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from koop_bag.bag.reader import BagReader
 from koop_lab.cli.table import table
 from koop_lab.identify.energies import band_energy, energies
-from koop_lab.identify.from_bags import BagTraining, contrasted, find_segmentation
+from koop_lab.identify.from_bags import BagTraining, built, contrasted, find_segmentation
 from koop_lab.identify.loaded import Loaded, load_states, theta_of
 from koop_lab.identify.merit import (
     Merit,
@@ -32,7 +32,7 @@ from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import SETTLED
 from koopman_lifter.delays import SPAN, Delays, spacing
 from koopman_lifter.edmd import Gram
-from koopman_lifter.model import KoopmanModel, build
+from koopman_lifter.model import KoopmanModel
 from koopman_lifter.observables import Monomials
 from relay_esc.config import EscConfig
 
@@ -195,7 +195,7 @@ def _learned(loaded: Loaded, training: BagTraining, delays: Delays) -> KoopmanMo
         if not loaded.held_out[begin]:
             gram.add_trajectory(delays.embed(loaded.x[:, begin:end]))
     names = training.names or state_names(training.state, delays.channels)
-    return build(gram, training.dt, names, training.modes, {}, delays, training.fit)
+    return built(gram, training, names, {}, delays)
 
 
 def described(found: Comparison) -> str:

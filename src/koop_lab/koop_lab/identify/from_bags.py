@@ -19,7 +19,7 @@ from koop_lab.identify.windows import period_of, training_windows
 from koop_lab.replay.settings import recorded_values
 from koopman_lifter.contrast import can_tell, moments, with_contrast
 from koopman_lifter.delays import SPAN, Delays, embedded_degree, spacing
-from koopman_lifter.edmd import STRETCHES, Gram
+from koopman_lifter.edmd import STRETCHES, Gram, RankDeficient
 from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
@@ -163,7 +163,7 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     }
     if delays.count > 1:
         provenance |= {"delays": delays.count, "spacing": delays.every * training.dt}
-    model = build(gram, training.dt, names, training.modes, provenance, delays, training.fit)
+    model = built(gram, training, names, provenance, delays)
     if training.contrast:
         model = contrasted(model, Loaded.joined(loaded))
     if not training.held_out:
@@ -178,6 +178,29 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
                 if segment.held_out:
                     forecast.add(segment.states, known)
     return replace(model, provenance={**model.provenance, "forecast": forecast.result()})
+
+
+def built(
+    gram: Gram,
+    training: BagTraining,
+    names: tuple[str, ...],
+    provenance: dict[str, Any],
+    delays: Delays,
+) -> KoopmanModel:
+    """Return the model of the sums; of a lower degree where none was asked for and data need it.
+
+    Products of samples that follow each other closely hardly differ. The provenance then says which
+    degree was given up.
+    """
+    assert training.dt is not None
+    degree = gram.observables.degree
+    try:
+        return build(gram, training.dt, names, training.modes, provenance, delays, training.fit)
+    except RankDeficient:
+        if training.degree is not None or delays.count == 1 or degree == 1:
+            raise
+        lower = {"degree": degree - 1, "rank_deficient_at_degree": degree}
+        return built(gram.of_degree(degree - 1), training, names, provenance | lower, delays)
 
 
 def contrasted(model: KoopmanModel, loaded: Loaded) -> KoopmanModel:
