@@ -23,6 +23,7 @@ from koop_node.errors import LiveError
 from vdp_plant.config import PlantConfig
 
 HOLD = 60.0  # [s] that theta stays: rig and detector settle, and some periods are left
+LISTENERS = 2  # to theta: the plant and the recorder
 LOOK_PERIOD = 0.2  # [s] between looks at the processes
 PUBLISHERS = {"state": 1, "cost": 0, "theta": 1, "ground_truth": 1}
 
@@ -58,7 +59,7 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
 
     dt = PlantConfig().dt
     rng = random.Random(scenario.setting.seed)
-    chosen = [rng.uniform(low, high) for _ in range(int(duration // HOLD) + 2)]
+    chosen = [rng.uniform(low, high) for _ in range(int(duration // HOLD) + 3)]
     reached = 0  # step
 
     def theta(step: int) -> float:
@@ -70,6 +71,8 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
         publisher = monitor.node.create_publisher(ControlInput, "theta", RELIABLE)
 
         def answer(state: MeasuredState) -> None:
+            if publisher.get_subscription_count() < LISTENERS:
+                return  # a command that is not recorded is of no use
             publisher.publish(
                 ControlInput(header=state.header, step=state.step, theta=theta(state.step))
             )
@@ -83,7 +86,8 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
         ):
             wait_until(lambda: reached > 0, monitor, processes)
             looked, heard, last = 0.0, time.monotonic(), 0
-            while (t := reached * dt) < duration:
+            first = reached  # before it nobody recorded theta
+            while (t := (reached - first) * dt) < duration:
                 monitor.spin(LOOK_PERIOD)
                 if (now := time.monotonic()) < looked + LOOK_PERIOD:
                     continue

@@ -72,13 +72,13 @@ class LifterRun(Run):
     def __init__(self, node: LifterNode, entities: Entities) -> None:
         config = node.parameters[LifterConfig]
         self._node = node
+        self._foreign = Foreign(config.foreign, config) if config.foreign is not None else None
         self._seen = len(config.foreign.fields) if config.foreign is not None else 0
         self._candidate: KoopmanModel | None = None
         self._use(load_for(config, node.parameters[ModelConfig], self._seen))
         self._state = cost.initial()
         self._answer = Cost()
         self._source, self._detector = config.source, config.detector_params()
-        self._foreign = Foreign(config.foreign, config) if config.foreign is not None else None
         self._topic = config.foreign.topic if config.foreign is not None else "state"
         self._input = StreamMonitor(self._topic, config.state_timeout, config.dt, may_end=True)
         self.inputs = (self._input,)
