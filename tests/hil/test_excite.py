@@ -9,13 +9,14 @@ from koop_msgs.msg import MeasuredState
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_hil import report
-from koop_hil.excite import HOLD, count_answers, excite
+from koop_hil.excite import count_answers, excite
 from koop_hil.run import run_here
 from koop_hil.scenario import find, parse, read
 from koop_hil.supervisor import Supervisor
 from koop_node.errors import LiveError
 
 pytestmark = pytest.mark.ros
+HOLD = 20.0  # [s] that theta stays; a rig would not settle, but nothing here looks at that
 
 
 def scenario(tmp_path):
@@ -23,7 +24,10 @@ def scenario(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "pace"), [("rig-paper", "scaled"), ("state-nan", "lockstep")])
-def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, name, pace):
+def test_theta_moves_over_its_range_while_the_plant_is_recorded(
+    tmp_path, name, pace, monkeypatch
+):
+    monkeypatch.setattr("koop_hil.excite.HOLD", HOLD)
     given, duration = read(find(name)), 1.2 * HOLD
     faster = replace(given, setting=replace(given.setting, pace=pace, time_scale=8.0))
     recorded = excite(faster, tmp_path, -4.0, 3.0, duration)
