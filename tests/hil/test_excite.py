@@ -24,9 +24,7 @@ def scenario(tmp_path):
 
 
 @pytest.mark.parametrize(("name", "pace"), [("rig-paper", "scaled"), ("state-nan", "lockstep")])
-def test_theta_moves_over_its_range_while_the_plant_is_recorded(
-    tmp_path, name, pace, monkeypatch
-):
+def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, name, pace, monkeypatch):
     monkeypatch.setattr("koop_hil.excite.HOLD", HOLD)
     given, duration = read(find(name)), 1.2 * HOLD
     faster = replace(given, setting=replace(given.setting, pace=pace, time_scale=8.0))
