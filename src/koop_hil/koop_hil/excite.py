@@ -59,7 +59,7 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
 
     dt = PlantConfig().dt
     rng = random.Random(scenario.setting.seed)
-    chosen = [rng.uniform(low, high) for _ in range(int(duration // HOLD) + 3)]
+    chosen = [rng.uniform(low, high) for _ in range(int(duration // HOLD) + 2)]
     reached = 0  # step
 
     def theta(step: int) -> float:
@@ -71,23 +71,22 @@ def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: 
         publisher = monitor.node.create_publisher(ControlInput, "theta", RELIABLE)
 
         def answer(state: MeasuredState) -> None:
-            if publisher.get_subscription_count() < LISTENERS:
-                return  # a command that is not recorded is of no use
             publisher.publish(
                 ControlInput(header=state.header, step=state.step, theta=theta(state.step))
             )
 
-        monitor.node.create_subscription(MeasuredState, "state", answer, RELIABLE)
         with (
             Processes(folder, scenario, controlled=False) as processes,
             tqdm(
                 total=duration, desc=scenario.name, bar_format=BAR, leave=False, disable=None
             ) as bar,
         ):
+            # as in the nodes: who listens to the state tells the plant that all downstream is ready
+            wait_until(lambda: publisher.get_subscription_count() >= LISTENERS, monitor, processes)
+            monitor.node.create_subscription(MeasuredState, "state", answer, RELIABLE)
             wait_until(lambda: reached > 0, monitor, processes)
             looked, heard, last = 0.0, time.monotonic(), 0
-            first = reached  # before it nobody recorded theta
-            while (t := (reached - first) * dt) < duration:
+            while (t := reached * dt) < duration:
                 monitor.spin(LOOK_PERIOD)
                 if (now := time.monotonic()) < looked + LOOK_PERIOD:
                     continue
