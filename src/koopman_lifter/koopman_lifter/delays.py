@@ -46,6 +46,11 @@ class Delays:
         if self.count == 1 and self.every != 1:
             raise ValueError("one sample has no spacing")
 
+    @classmethod
+    def spaced(cls, channels: int, count: int, spacing: float, dt: float) -> Delays:
+        """Return delays with a spacing and a sampling time [s]; one sample needs no spacing."""
+        return cls(channels, count, max(1, round(spacing / dt)) if count > 1 else 1)
+
     @property
     def n(self) -> int:
         """Dimension of the embedded state."""
@@ -93,9 +98,9 @@ class Delays:
         )
 
 
-def spacing(span: float, count: int, dt: float) -> int:
-    """Return the sampling times between ``count`` samples that are to span ``span`` [s]."""
-    return max(1, round(span / dt / max(count - 1, 1)))
+def spacing_for(period: float, count: int) -> float:
+    """Return the spacing of ``count`` samples for an oscillation of a period [s]."""
+    return SPAN * period / max(count - 1, 1)
 
 
 def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:

@@ -138,7 +138,7 @@ class LifterRun(Run):
         if self._foreign is not None and self._foreign.too_fast(self._input.count):
             text = f"'{self._topic}' is faster than one message in dt = {config.dt:g} s"
             return WARN, text, values
-        if wait := self._loaded.work.filling if self._source == cost.LIFTED else 0:
+        if wait := self._filling():
             text = f"no cost until {wait * config.dt:.1f} s more fill the delay line"
             return OK, text, values
         if self._state.settling:
@@ -201,11 +201,14 @@ class LifterRun(Run):
         self._n = n
         return x
 
+    def _filling(self) -> int:
+        """Return the samples until the delay line is full; 0 where the cost needs none."""
+        return self._loaded.work.filling if self._source == cost.LIFTED else 0
+
     def _believed(self, x: NDArray[np.float64]) -> bool:
         """Return whether nothing speaks against a state that has no cost yet."""
-        filling = self._source == cost.LIFTED and self._loaded.work.filling
         return bool(
-            np.isfinite(x).all() and (filling or self._answer.y_out <= self._detector.y_max)
+            np.isfinite(x).all() and (self._filling() or self._answer.y_out <= self._detector.y_max)
         )
 
     def _report_unusable(self, x: array[float]) -> None:

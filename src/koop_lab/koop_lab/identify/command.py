@@ -241,8 +241,8 @@ def _simulated(args: argparse.Namespace) -> KoopmanModel:
     )
     if args.delays > 1 and args.spacing is None:
         raise ValueError("--delays without a bag needs --spacing: no recording tells a period")
-    every = max(1, round(args.spacing / plant.dt)) if args.delays > 1 else 1
-    return train(plant, config, args.contrast, Delays(n, args.delays, every), _fit(args))
+    delays = Delays.spaced(n, args.delays, args.spacing or 0.0, plant.dt)
+    return train(plant, config, args.contrast, delays, _fit(args))
 
 
 def inspect_main(args: argparse.Namespace) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from koop_bag.bag.reader import BagReader
 from koop_lab.cli.table import table
 from koop_lab.identify.energies import band_energy, energies
 from koop_lab.identify.from_bags import BagTraining, built, contrasted, find_segmentation
-from koop_lab.identify.loaded import Loaded, load_states, theta_of
+from koop_lab.identify.loaded import Loaded, load_states, pieces, theta_of
 from koop_lab.identify.merit import (
     Merit,
     cut_windows,
@@ -29,8 +28,7 @@ from koop_lab.identify.samples import state_names
 from koop_lab.identify.windows import PERIODS, SKIP, period_of, usual_rest
 from koop_lab.replay.settings import recorded_values
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.cost import SETTLED
-from koopman_lifter.delays import SPAN, Delays, spacing
+from koopman_lifter.delays import Delays, spacing_for
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel
 from koopman_lifter.observables import Monomials
@@ -120,7 +118,7 @@ def compare(paths: Sequence[Path], training: BagTraining) -> Comparison:
     lifter = replace(LifterConfig(**_own(LifterConfig, recorded.get("koopman_lifter", {}))), dt=dt)
     esc = replace(EscConfig(**_own(EscConfig, recorded.get("relay_esc", {}))), dt=dt)
     period = period_of(loaded, dt)
-    settling = SETTLED * (1.0 / lifter.omega_h + 1.0 / lifter.omega_l)
+    settling = lifter.detector_params().settling * dt
     skip = min(max(SKIP * period, settling), REST * usual_rest(loaded.theta, dt))
     starts, length = settled_windows(loaded.theta, loaded.begins, dt, skip, PERIODS * period)
     if starts.size < 3:
@@ -161,14 +159,12 @@ def _costs(
     yield "band-limited energy", "", band_energy(x, begins, dt, period)
     n = x.shape[0]
     count = training.delays if training.delays > 1 else DELAYS
-    every = (
-        max(1, round(training.spacing / dt))
-        if training.spacing is not None
-        else spacing(SPAN * period, count, dt)
-    )
-    for delays in (Delays(n), Delays(n, count, every)):
-        past = f" --delays {count} --spacing {every * dt:g}" if delays.count > 1 else ""
-        words = f", {count} samples {every * dt:g} s apart" if delays.count > 1 else ""
+    spacing = spacing_for(period, count) if training.spacing is None else training.spacing
+    for delays in (Delays(n), Delays.spaced(n, count, spacing, dt)):
+        past = words = ""
+        if delays.count > 1:
+            past = f" --delays {count} --spacing {delays.every * dt:g}"
+            words = f", {count} samples {delays.every * dt:g} s apart"
         model: KoopmanModel | str
         try:
             model = _learned(loaded, training, delays)
@@ -176,7 +172,7 @@ def _costs(
             model = str(error)
         yield f"lifted{words}", past, _of(model, loaded)
         try:
-            told = model if isinstance(model, str) else contrasted(model, loaded)
+            told = model if isinstance(model, str) else contrasted(model, loaded, period)
         except ValueError as error:
             told = str(error)
         yield f"contrast{words}", f"{past} --contrast", _of(told, loaded)
@@ -190,10 +186,9 @@ def _learned(loaded: Loaded, training: BagTraining, delays: Delays) -> KoopmanMo
     """Return the model of the training part."""
     assert training.dt is not None
     gram = Gram.empty(Monomials(delays.n, training.degree_for(delays)))
-    bounds = np.append(np.flatnonzero(loaded.begins), loaded.begins.size)
-    for begin, end in pairwise(bounds):
-        if not loaded.held_out[begin]:
-            gram.add_trajectory(delays.embed(loaded.x[:, begin:end]))
+    for piece in pieces(loaded.begins):
+        if not loaded.held_out[piece.start]:
+            gram.add_trajectory(delays.embed(loaded.x[:, piece]))
     names = training.names or state_names(training.state, delays.channels)
     return built(gram, training, names, {}, delays)
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from koop_lab.identify.loaded import pieces
 from koop_node.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.cost import Lifting, Workspace
@@ -68,7 +67,6 @@ def band_energy(
     sections = butter(2, np.minimum(edges, 0.49 / dt), "bandpass", fs=1.0 / dt, output="sos")
     deviation = x.std(axis=1, keepdims=True)
     scaled = (x - x.mean(axis=1, keepdims=True)) / np.where(deviation > 0.0, deviation, 1.0)
-    bounds = np.append(np.flatnonzero(begins), begins.size)
-    for begin, end in pairwise(bounds):
-        scaled[:, begin:end] = sosfilt(sections, scaled[:, begin:end], axis=1)
+    for piece in pieces(begins):
+        scaled[:, piece] = sosfilt(sections, scaled[:, piece], axis=1)
     return np.asarray((scaled**2).sum(axis=0))

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from koop_bag.bag.reader import BagReader
 from koop_lab.identify.counted import mean_period
 from koop_lab.identify.loaded import Loaded, load_states, theta_of
+from koop_lab.identify.merit import cut_windows
 from koop_lab.identify.samples import STEP, Batch, StateSpec, batches, sha256, state_names
 from koop_lab.identify.segments import Segment, Segmentation, Segmenter, counted_spacing
 from koop_lab.identify.windows import period_of, training_windows
 from koop_lab.replay.settings import recorded_values
 from koopman_lifter.contrast import can_tell, moments, with_contrast
-from koopman_lifter.delays import SPAN, Delays, embedded_degree, spacing
+from koopman_lifter.delays import Delays, embedded_degree, spacing_for
 from koopman_lifter.edmd import STRETCHES, Gram, RankDeficient
 from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, build
@@ -165,7 +166,8 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
         provenance |= {"delays": delays.count, "spacing": delays.every * training.dt}
     model = built(gram, training, names, provenance, delays)
     if training.contrast:
-        model = contrasted(model, Loaded.joined(loaded))
+        whole = Loaded.joined(loaded)
+        model = contrasted(model, whole, period_of(whole, training.dt))
     if not training.held_out:
         return model
     forecast = Forecast(model, training.horizons)
@@ -203,19 +205,21 @@ def built(
         return built(gram.of_degree(degree - 1), training, names, provenance | lower, delays)
 
 
-def contrasted(model: KoopmanModel, loaded: Loaded) -> KoopmanModel:
+def contrasted(model: KoopmanModel, loaded: Loaded, period: float) -> KoopmanModel:
     """Return the model with the cost ``contrast``, learned from the windows of a recording.
+
+    ``period`` is that of the oscillation [s].
 
     Raises
     ------
     ValueError
         If the recording has too few windows, or a channel never moves.
     """
-    starts, length = training_windows(loaded, model.delays, model.dt)
+    starts, length = training_windows(loaded, model.delays, model.dt, period)
     covariances, means = moments(loaded.x, starts, length, model.delays)
     theta = None
     if loaded.theta is not None:
-        theta = loaded.theta[starts[:, None] + np.arange(length)].mean(axis=1)
+        theta = cut_windows(loaded.theta, starts, length).mean(axis=1)
     told = can_tell(theta)
     provenance = {
         **model.provenance,
@@ -232,11 +236,11 @@ def _delays(bag: BagReader, training: BagTraining, segmentation: Segmentation, n
     """Return the delays, their spacing from the recording where none was given."""
     if training.delays == 1:
         return Delays(n)
-    dt = segmentation.dt
-    if training.spacing is not None:
-        return Delays(n, training.delays, max(1, round(training.spacing / dt)))
-    period = period_of(load_states(bag, training.state, segmentation, None), dt)
-    return Delays(n, training.delays, spacing(SPAN * period, training.delays, dt))
+    dt, spacing = segmentation.dt, training.spacing
+    if spacing is None:
+        period = period_of(load_states(bag, training.state, segmentation, None), dt)
+        spacing = spacing_for(period, training.delays)
+    return Delays.spaced(n, training.delays, spacing, dt)
 
 
 def joined(segments: Iterator[Segment], overlap: int) -> Iterator[tuple[Segment, int]]:

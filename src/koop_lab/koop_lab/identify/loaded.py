@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,12 @@ class Loaded:
             np.concatenate(thetas) if len(thetas) == len(parts) else None,
             np.concatenate([part.time for part in parts]),
         )
+
+
+def pieces(begins: NDArray[np.bool_]) -> list[slice]:
+    """Return the pieces that samples fall into, of which each begins where ``begins`` is set."""
+    bounds = np.append(np.flatnonzero(begins), begins.size)
+    return [slice(begin, end) for begin, end in pairwise(bounds.tolist())]
 
 
 def load_states(

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_lab.identify.loaded import Loaded
+from koop_lab.identify.loaded import Loaded, pieces
 from koop_lab.identify.merit import settled_windows
 from koopman_lifter.contrast import FEWEST
 from koopman_lifter.delays import Delays, dominant_period
@@ -20,22 +18,21 @@ SHARE = 0.3  # of the time until the next jump, at most
 
 def period_of(loaded: Loaded, dt: float) -> float:
     """Return the period of the oscillation that comes and goes [s]; jumps of theta do not count."""
-    cut = loaded.begins.copy()
-    skip = 0
-    if np.isfinite(usual_rest(loaded.theta, dt)):
-        assert loaded.theta is not None
-        cut |= jumps(loaded.theta)
-        skip = round(SHARE * usual_rest(loaded.theta, dt) / dt)
-    bounds = np.append(np.flatnonzero(cut), cut.size)
-    return dominant_period([loaded.x[:, begin + skip : end] for begin, end in pairwise(bounds)], dt)
+    cut, skip, rest = loaded.begins, 0, usual_rest(loaded.theta, dt)
+    if loaded.theta is not None and np.isfinite(rest):
+        cut, skip = cut | jumps(loaded.theta), round(SHARE * rest / dt)
+    return dominant_period([loaded.x[:, p.start + skip : p.stop] for p in pieces(cut)], dt)
 
 
 def jumps(theta: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return where theta is no longer what it was, by more than a twentieth of its range."""
     known = theta[np.isfinite(theta)]
-    moved = np.abs(np.diff(theta, prepend=theta[:1]))
-    with np.errstate(invalid="ignore"):
-        return np.asarray(moved > 0.05 * np.ptp(known)) if known.size else np.isnan(theta) & False
+    if not known.size:
+        return np.zeros(theta.size, np.bool_)
+    moved = np.abs(
+        np.diff(theta, prepend=theta[:1])
+    )  # NaN, where theta is not known, compares false
+    return np.asarray(moved > 0.05 * np.ptp(known))
 
 
 def usual_rest(theta: NDArray[np.float64] | None, dt: float) -> float:
@@ -46,7 +43,9 @@ def usual_rest(theta: NDArray[np.float64] | None, dt: float) -> float:
     return float(np.median(np.diff(places))) * dt if places.size > 1 else np.inf
 
 
-def training_windows(loaded: Loaded, delays: Delays, dt: float) -> tuple[NDArray[np.int64], int]:
+def training_windows(
+    loaded: Loaded, delays: Delays, dt: float, period: float
+) -> tuple[NDArray[np.int64], int]:
     """Cut the training part of a recording into windows.
 
     Parameters
@@ -57,6 +56,8 @@ def training_windows(loaded: Loaded, delays: Delays, dt: float) -> tuple[NDArray
         A window is longer than they span.
     dt : float
         Time between two states [s].
+    period : float
+        Of the oscillation [s], see :func:`period_of`.
 
     Returns
     -------
@@ -70,7 +71,6 @@ def training_windows(loaded: Loaded, delays: Delays, dt: float) -> tuple[NDArray
     ValueError
         If there are too few windows; the message says why and what to do.
     """
-    period = period_of(loaded, dt)
     skip = min(SKIP * period, SHARE * usual_rest(loaded.theta, dt))
     starts, length = settled_windows(loaded.theta, loaded.begins, dt, skip, PERIODS * period)
     starts = starts[~loaded.held_out[starts]] if starts.size else starts

@@ -9,7 +9,7 @@ import matplotlib
 matplotlib.use("Agg")  # a file is written: no display is needed or looked for
 from matplotlib import pyplot as plt
 
-from koop_lab.plots.paper import envelope, fit
+from koop_lab.plots.paper import envelope, fit, save
 from koop_lab.recorded.signals import Signals
 from koop_lab.replay.open_loop import Answers
 
@@ -31,8 +31,4 @@ def plot_open_loop(path: Path, signals: Signals, answers: Answers, title: str) -
     axes[2].legend(loc="upper right")
     axes[2].set_ylabel("theta")
     axes[2].set_xlabel("time [s]")
-    for axis in axes:
-        axis.grid(alpha=0.3)
-        axis.margins(x=0.0)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, axes, path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import matplotlib
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 matplotlib.use("Agg")  # a file is written: no display is needed or looked for
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from koop_loop.metrics import LOGGING_START
 from koop_loop.thinning import extremes
@@ -67,6 +69,11 @@ def plot_run(
     )
     axes[2].set_ylabel("control input θ")
     axes[2].set_xlabel("time [s]")
+    save(figure, axes, path)
+
+
+def save(figure: Figure, axes: Iterable[Axes], path: Path) -> None:
+    """Write a figure of signals over time, and let go of it."""
     for axis in axes:
         axis.grid(alpha=0.3)
         axis.margins(x=0.0)

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from koop_lab.identify.loaded import pieces
 from koop_lab.recorded.signals import Signals
 from koop_lab.recorded.windows import Windows
 from koopman_lifter.model import KoopmanModel
@@ -28,11 +29,9 @@ def frequencies(model: KoopmanModel) -> NDArray[np.float64]:
 def longest_stretch(signals: Signals) -> NDArray[np.float64]:
     """Return the states of the longest piece without a gap or a hole, shape (L, n)."""
     cut = signals.begins | ~np.isfinite(signals.x).all(axis=1)
-    bounds = np.append(np.flatnonzero(cut), signals.t.size)
-    if not bounds.size or bounds[0] != 0:
-        bounds = np.insert(bounds, 0, 0)
-    longest = int(np.diff(bounds).argmax())
-    piece = signals.x[bounds[longest] : bounds[longest + 1]]
+    cut[:1] = True
+    longest = max(pieces(cut), key=lambda piece: piece.stop - piece.start, default=slice(0))
+    piece = signals.x[longest]
     return np.asarray(piece[np.isfinite(piece).all(axis=1)])
 
 

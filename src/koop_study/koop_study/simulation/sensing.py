@@ -53,5 +53,4 @@ class SensingConfig:
 
     def embedding(self, dt: float) -> Delays:
         """Return the delays at a sampling time [s]."""
-        every = max(1, round(self.spacing / dt)) if self.delays > 1 else 1
-        return Delays(len(CHANNELS[self.channels]), self.delays, every)
+        return Delays.spaced(len(CHANNELS[self.channels]), self.delays, self.spacing, dt)
