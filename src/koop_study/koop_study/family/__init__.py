@@ -1,0 +1,1 @@
+"""A family of random rigs: oscillators whose amplitude depends on theta, with known truths."""

@@ -1,0 +1,261 @@
+"""One step of a rig of the family, and what its sensors say; compiled.
+
+The oscillation is a complex amplitude z = a exp(i phi) that turns by 2 pi f dt a step. theta sets
+the level L(theta) that a settles at, with the time constant tau(theta); both kinds are exact for
+a theta that rests over the step, so no step size is too large:
+
+    limit cycle    d a^2/dt = a^2 (1 - a^2 / L^2) / tau,   phi with a random walk (Stuart, Landau)
+    noise-driven   dz = -z dt / tau + L sqrt(2 / tau) dw,   complex white noise of unit intensity
+
+In both the root mean square of |z| at a resting theta is L(theta) itself: the truth needs no
+simulation. With u in [0, 1] the position of theta in its range (on a log scale where the rig has
+one), u* that of the optimum and e the distance from u* beyond a flat bottom,
+
+    L = L* sqrt(1 + (e / w)^2p)   to be minimised,      L = L* / sqrt(1 + (e / w)^2p)   maximised,
+
+with a width w for each side; as the paper's plant, a^2 = 1 + (theta - theta*)^2, is for p = 1.
+A rig without an optimum has L exponential in u, or constant.
+
+A channel is  m_1 Re z + m_2 Im z + m_3 Re z^2 / L_mid + offset + interference + white noise.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+LIMIT_CYCLE = 0
+NOISE_DRIVEN = 1
+BOWL = 0
+MONOTONE = 1
+FLAT = 2
+MARGIN = 0.05  # of the range, that a moving optimum keeps from its ends
+
+
+class RigParams(NamedTuple):
+    """Constants of a rig.
+
+    Attributes
+    ----------
+    kind : int
+        LIMIT_CYCLE or NOISE_DRIVEN.
+    turn, jitter : float
+        Phase of a step [rad], and the standard deviation of its random part.
+    dt : float
+        Sampling time [s].
+    theta_min, theta_max : float
+        Range of theta; the rig clips to it.
+    log_scale : bool
+        Whether u is the position of log theta.
+    shape : int
+        BOWL, MONOTONE or FLAT.
+    sense : float
+        +1 if L* is the smallest level, -1 if it is the largest.
+    best, level : float
+        u* at t = 0 and L*; of a monotone map, L at u = 1/2.
+    width_below, width_above, flat, power : float
+        w on the two sides of u*, half the width of the bottom, p; a monotone map has the slope of
+        log L in ``width_above``.
+    drift, jump, jump_every : float
+        Motion of u*: rate [1/s], turning at MARGIN; jump to and fro, and the time between two [s].
+    tau, exponent, tau_low, tau_high : float
+        tau(theta) = tau (L / L*)^exponent within its limits [s].
+    middle : float
+        L_mid, geometric mean of the smallest and the largest level at t = 0.
+    mix : ndarray, shape (n, 3)
+        m_1, m_2, m_3 of each of n channels.
+    offset, noise : ndarray, shape (n,)
+        Offset and standard deviation of the white noise of each channel.
+    tone : ndarray, shape (m,)
+        Frequencies of the interference [rad/s].
+    tone_amplitude, tone_phase : ndarray, shape (m, n)
+        What reaches each channel of it.
+    """
+
+    kind: int
+    turn: float
+    jitter: float
+    dt: float
+    theta_min: float
+    theta_max: float
+    log_scale: bool
+    shape: int
+    sense: float
+    best: float
+    level: float
+    width_below: float
+    width_above: float
+    flat: float
+    power: float
+    drift: float
+    jump: float
+    jump_every: float
+    tau: float
+    exponent: float
+    tau_low: float
+    tau_high: float
+    middle: float
+    mix: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    tone: NDArray[np.float64]
+    tone_amplitude: NDArray[np.float64]
+    tone_phase: NDArray[np.float64]
+
+
+class RigState(NamedTuple):
+    """The complex amplitude z = re + i im."""
+
+    re: float
+    im: float
+
+
+@njit(cache=True)
+def position(p: RigParams, theta: float) -> float:
+    """Return u, the position of theta in its range, 0 to 1."""
+    theta = min(max(theta, p.theta_min), p.theta_max)
+    if p.log_scale:
+        return math.log(theta / p.theta_min) / math.log(p.theta_max / p.theta_min)
+    return (theta - p.theta_min) / (p.theta_max - p.theta_min)
+
+
+@njit(cache=True)
+def theta_at(p: RigParams, u: float) -> float:
+    """Return theta at a position; the inverse of :func:`position`."""
+    u = min(max(u, 0.0), 1.0)
+    if p.log_scale:
+        theta = p.theta_min * math.exp(u * math.log(p.theta_max / p.theta_min))
+    else:
+        theta = p.theta_min + u * (p.theta_max - p.theta_min)
+    return min(max(theta, p.theta_min), p.theta_max)
+
+
+@njit(cache=True)
+def best_position(p: RigParams, t: float) -> float:
+    """Return u* at a time [s]."""
+    if p.drift == 0.0 and p.jump == 0.0:
+        return p.best
+    inside = 1.0 - 2.0 * MARGIN
+    way = (p.best - MARGIN + p.drift * t) % (2.0 * inside)
+    jumped = p.jump if math.floor(t / p.jump_every) % 2.0 == 1.0 else 0.0
+    return MARGIN + (way if way <= inside else 2.0 * inside - way) + jumped
+
+
+@njit(cache=True)
+def level(p: RigParams, u: float, t: float) -> float:
+    """Return L, the root mean square of \\|z\\| that position u leads to at a time [s]."""
+    if p.shape == FLAT:
+        return p.level
+    if p.shape == MONOTONE:
+        return p.level * math.exp(p.width_above * (u - 0.5))
+    beyond = u - best_position(p, t)
+    width = p.width_above if beyond > 0.0 else p.width_below
+    beyond = max(abs(beyond) - p.flat, 0.0) / width
+    gain = math.sqrt(1.0 + beyond ** (2.0 * p.power))
+    return p.level * gain if p.sense > 0.0 else p.level / gain
+
+
+@njit(cache=True)
+def levels(p: RigParams, u: NDArray[np.float64], t: float) -> NDArray[np.float64]:
+    """Return :func:`level` of positions, shape (M,)."""
+    found = np.empty(u.shape[0])
+    for i in range(u.shape[0]):
+        found[i] = level(p, u[i], t)
+    return found
+
+
+@njit(cache=True)
+def relaxation(p: RigParams, settled: float) -> float:
+    """Return tau [s] at the level ``settled``."""
+    return min(max(p.tau * (settled / p.level) ** p.exponent, p.tau_low), p.tau_high)
+
+
+@njit(cache=True)
+def step(
+    p: RigParams, state: RigState, k: int, theta: float, noise_1: float, noise_2: float
+) -> RigState:
+    """Advance by one step: z(t_k) to z(t_{k+1}), theta held.
+
+    Parameters
+    ----------
+    p : RigParams
+        The rig.
+    state : RigState
+        At t_k = k dt.
+    k : int
+        Step index; it decides where a moving optimum is.
+    theta : float
+        Control input, clipped to the rig's range.
+    noise_1, noise_2 : float
+        Two standard normal numbers.
+    """
+    settled = level(p, position(p, theta), k * p.dt)
+    fade = math.exp(-p.dt / relaxation(p, settled))
+    if p.kind == NOISE_DRIVEN:
+        c, s = fade * math.cos(p.turn), fade * math.sin(p.turn)
+        kick = settled * math.sqrt(0.5 * (1.0 - fade * fade))
+        return RigState(
+            c * state.re - s * state.im + kick * noise_1,
+            s * state.re + c * state.im + kick * noise_2,
+        )
+    square = max(state.re * state.re + state.im * state.im, 1e-12 * settled * settled)
+    after = settled * settled / (1.0 + (settled * settled / square - 1.0) * fade)
+    gain = math.sqrt(after / square)
+    angle = p.turn + p.jitter * noise_1
+    c, s = gain * math.cos(angle), gain * math.sin(angle)
+    return RigState(c * state.re - s * state.im, s * state.re + c * state.im)
+
+
+@njit(cache=True)
+def measure(
+    p: RigParams,
+    state: RigState,
+    k: int,
+    noise: NDArray[np.float64],
+    x: NDArray[np.float64],
+) -> None:
+    """Fill ``x``, shape (n,), with what the channels say at t_k.
+
+    ``noise``, shape (n,), are standard normal numbers.
+    """
+    t = k * p.dt
+    second = (state.re * state.re - state.im * state.im) / p.middle
+    for i in range(x.shape[0]):
+        value = p.mix[i, 0] * state.re + p.mix[i, 1] * state.im + p.mix[i, 2] * second
+        for j in range(p.tone.shape[0]):
+            value += p.tone_amplitude[j, i] * math.sin(p.tone[j] * t + p.tone_phase[j, i])
+        x[i] = value + p.offset[i] + p.noise[i] * noise[i]
+
+
+@njit(cache=True)
+def run(
+    p: RigParams,
+    state: RigState,
+    first: int,
+    theta: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    x: NDArray[np.float64],
+    amplitude: NDArray[np.float64],
+) -> RigState:
+    """Run along a given theta from step ``first`` on.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (M,)
+        Control input of each step.
+    noise : ndarray, shape (M, 2 + n)
+        Standard normal numbers: two of the rig, one a channel.
+    x : ndarray, shape (M, n)
+        Receives the channels.
+    amplitude : ndarray, shape (M,)
+        Receives \\|z\\|.
+    """
+    for k in range(theta.shape[0]):
+        measure(p, state, first + k, noise[k, 2:], x[k])
+        amplitude[k] = math.sqrt(state.re * state.re + state.im * state.im)
+        state = step(p, state, first + k, theta[k], noise[k, 0], noise[k, 1])
+    return state

@@ -1,0 +1,229 @@
+"""The family of random rigs: reproducible, within its ranges, and right about its own truths."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from koop_node.config import ConfigError
+from koop_study.experiments.spec import parse
+from koop_study.family import oscillator
+from koop_study.family.config import MAPS, WITH_OPTIMUM, FamilyConfig
+from koop_study.family.rig import GRID, Rig, draw
+
+STILL = {"drift": (0.0, 0.0)}
+ALL = FamilyConfig(maps=dict.fromkeys(MAPS, 1.0))
+RIGS = [draw(ALL, seed) for seed in range(60)]
+
+
+def of(maps: str, seed: int = 0, **settings: object) -> Rig:
+    return draw(FamilyConfig(maps={maps: 1.0}, **{**STILL, **settings}), seed)  # type: ignore[arg-type]
+
+
+def rms(rig: Rig, theta: float, seed: int, periods: float) -> float:
+    """Brute force: |z| at a resting theta, after it has settled."""
+    steps = round(periods / rig.frequency / rig.params.dt)
+    settling = round(25.0 * rig.slowest / rig.params.dt)
+    _, amplitude = rig.record(np.full(settling + steps, theta), seed)
+    return float(np.sqrt(np.mean(amplitude[settling:] ** 2)))
+
+
+def same(one: Rig, other: Rig) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(one.params, other.params, strict=True))
+
+
+def test_the_same_seed_draws_the_same_rig_and_another_one_another() -> None:
+    assert same(RIGS[3], draw(ALL, 3))
+    assert RIGS[3].theta_initial == draw(ALL, 3).theta_initial
+    assert not same(RIGS[3], RIGS[4])
+    x, amplitude = RIGS[3].record(np.full(500, RIGS[3].theta_initial), 7)
+    again, _ = draw(ALL, 3).record(np.full(500, RIGS[3].theta_initial), 7)
+    assert np.array_equal(x, again)
+    assert x.shape == (500, RIGS[3].channels)
+    assert amplitude.shape == (500,)
+
+
+def test_another_range_of_one_quantity_leaves_the_rest_of_the_rig_as_it_was() -> None:
+    loud, still = of("symmetric", 5, clean=0.0), of("symmetric", 5, clean=1.0)
+    assert loud.params.tone.size > 0 == still.params.tone.size
+    bare = {name: np.zeros(0) for name in ("tone", "tone_amplitude", "tone_phase")}
+    assert same(*(Rig(0, "", 1.0, 0.0, rig.params._replace(**bare)) for rig in (loud, still)))
+
+
+def test_rigs_are_within_the_ranges_and_of_every_kind() -> None:
+    assert {rig.map for rig in RIGS} == set(MAPS)
+    assert {rig.params.kind for rig in RIGS} == {oscillator.LIMIT_CYCLE, oscillator.NOISE_DRIVEN}
+    assert {rig.objective for rig in RIGS} == {"minimise", "maximise"}
+    assert {rig.params.log_scale for rig in RIGS} == {False, True}
+    assert {rig.channels for rig in RIGS} == {1, 2, 3, 4}
+    for rig in RIGS:
+        p = rig.params
+        assert 0.05 <= rig.frequency <= 50.0
+        assert 20 <= round(1.0 / rig.frequency / p.dt) <= 50
+        assert p.theta_min < rig.theta_initial < p.theta_max
+        if p.log_scale:
+            assert 1e-3 <= p.theta_min < 10.0 * p.theta_min < p.theta_max * 1.0001 <= 1e3 * 1.001
+        else:
+            assert 1e-3 <= p.theta_max - p.theta_min <= 1e3
+        taus = [rig.relaxation(oscillator.theta_at(p, u)) * rig.frequency for u in GRID[::100]]
+        assert 2.0 * 0.999 <= min(taus) <= max(taus) <= 200.0 * 1.001
+        assert max(taus) <= rig.slowest * rig.frequency * 1.001
+
+
+@pytest.mark.parametrize("log_scaled", [0.0, 1.0])
+def test_position_and_theta_are_each_others_inverse(log_scaled: float) -> None:
+    p = of("symmetric", 2, log_scaled=log_scaled).params
+    for u in (0.0, 0.3, 1.0):
+        assert oscillator.position(p, oscillator.theta_at(p, u)) == pytest.approx(u, abs=1e-12)
+    middle = oscillator.theta_at(p, 0.5)
+    mean = math.sqrt(p.theta_min * p.theta_max) if log_scaled else (p.theta_min + p.theta_max) / 2
+    assert middle == pytest.approx(mean, rel=1e-9)
+
+
+@pytest.mark.parametrize("noise_driven", [0.0, 1.0])
+@pytest.mark.parametrize("maximised", [0.0, 1.0])
+def test_the_true_amplitude_is_that_of_a_long_run(noise_driven: float, maximised: float) -> None:
+    settings = {"noise_driven": noise_driven, "maximised": maximised, "amplitude_time": (2.0, 4.0)}
+    rig = of("asymmetric", 1, **settings)
+    for u in (0.1, 0.5, 0.9):
+        theta = oscillator.theta_at(rig.params, u)
+        # noise-driven: |z|^2 is exponential with a memory of tau / 2 <= 2 periods; the mean over
+        # 20 000 periods has a standard deviation of 1.4 %, its root half of that
+        tolerance = 0.02 if noise_driven else 1e-6
+        assert rms(rig, theta, 4, 20_000.0 if noise_driven else 100.0) == pytest.approx(
+            rig.amplitude(theta), rel=tolerance
+        )
+
+
+@pytest.mark.parametrize("name", MAPS)
+@pytest.mark.parametrize("maximised", [0.0, 1.0])
+def test_the_best_theta_is_the_best_of_many(name: str, maximised: float) -> None:
+    settings = {"maximised": maximised, "noise_driven": 0.0, "amplitude_time": (2.0, 2.0)}
+    for seed in range(4):
+        rig = of(name, seed, **settings)
+        thetas = [oscillator.theta_at(rig.params, u) for u in np.linspace(0.0, 1.0, 41)]
+        found = [rms(rig, theta, seed, 3.0) for theta in thetas]
+        best, amplitude = rig.best()
+        pick = max if maximised else min
+        # a limit cycle has settled to 1e-6 after 25 time constants, from any level
+        assert amplitude == pytest.approx(pick([*found, rms(rig, best, seed, 3.0)]), rel=1e-3)
+        assert rig.has_optimum == (name in WITH_OPTIMUM or name == "drowned") - (name == "drowned")
+        if rig.has_optimum:
+            worst = (min if maximised else max)(found)
+            assert max(worst / amplitude, amplitude / worst) > 1.5
+            u = oscillator.position(rig.params, rig.theta_initial)
+            assert abs(u - oscillator.position(rig.params, best)) >= 0.249
+
+
+def test_the_amplitude_goes_up_and_down_with_the_time_constant() -> None:
+    rig = of("symmetric", 3, noise_driven=0.0, amplitude_time=(50.0, 50.0))
+    p, (best, low) = rig.params, rig.best()
+    steps = round(rig.relaxation(best) / p.dt)
+    # 0.1 % beside the level, the deviation falls to 1/e within tau
+    state = oscillator.RigState(1.001 * low, 0.0)
+    x, amplitude = np.empty((steps + 1, rig.channels)), np.empty(steps + 1)
+    noise = np.zeros((steps + 1, 2 + rig.channels))
+    oscillator.run(p, state, 0, np.full(steps + 1, best), noise, x, amplitude)
+    assert amplitude[-1] / low - 1.0 == pytest.approx(1e-3 * math.exp(-1.0), rel=0.01)
+
+
+def test_a_noise_driven_amplitude_has_its_memory() -> None:
+    rig = of("symmetric", 3, noise_driven=1.0, amplitude_time=(5.0, 5.0))
+    p, (best, _) = rig.params, rig.best()
+    lag = round(rig.relaxation(best) / p.dt)
+    _, amplitude = rig.record(np.full(20_000 * lag // 10, best), 1)
+    square = amplitude**2 - np.mean(amplitude**2)
+    # <|z|^2 |z|^2'> of a complex Ornstein-Uhlenbeck process decays as exp(-2 t / tau)
+    found = np.mean(square[lag:] * square[:-lag]) / np.mean(square**2)
+    assert found == pytest.approx(math.exp(-2.0), abs=0.05)
+
+
+def test_the_interference_has_the_ratio_asked_for_and_is_common_or_lagged() -> None:
+    clean = {"quiet": 1.0, "harmonic": (0.0, 0.0), "amplitude_time": (2.0, 2.0)}
+    loud = {"interference": (5.0, 5.0), "clean": 0.0, "channels": (2, 2)}
+    for common in (0.0, 1.0):
+        rig = of("flat", 4, **clean, **loud, common=common, noise_driven=0.0)
+        p = rig.params
+        x, _ = rig.record(np.full(200_000, rig.theta_initial), 0)
+        still, _ = of("flat", 4, **clean, **{**loud, "clean": 1.0}, noise_driven=0.0).record(
+            np.full(200_000, rig.theta_initial), 0
+        )
+        alone = x - still
+        if common:
+            assert np.array_equal(p.tone_phase[:, 0], p.tone_phase[:, 1])
+            assert np.allclose(alone[:, 0], alone[:, 1], atol=1e-9 * p.middle)
+            # some thousand periods of each tone
+            assert np.sqrt(np.mean(alone**2)) == pytest.approx(
+                5.0 * p.middle / math.sqrt(2.0), rel=0.01
+            )
+        else:
+            assert np.abs(alone[:, 0] - alone[:, 1]).max() > 0.1 * p.middle
+
+
+def test_a_drifting_optimum_turns_at_the_ends_and_a_jumping_one_comes_back() -> None:
+    drifting = of("symmetric", 6, drift=(0.1, 0.1), frequency=(1.0, 1.0), amplitude_time=(2.0, 2.0))
+    p = drifting.params
+    assert abs(p.drift) == pytest.approx(0.1 / 3600.0)
+    path = [oscillator.best_position(p, t) for t in np.linspace(0.0, 20 * 3600.0, 500)]
+    assert path[0] == p.best
+    assert min(path) >= 0.05 - 1e-9
+    assert max(path) <= 0.95 + 1e-9
+    assert np.abs(np.diff(path)).max() <= 0.1 * 20 / 499 + 1e-9
+    assert np.ptp(path) > 0.85
+    jumping = of("symmetric", 6, jump=(0.3, 0.3))
+    q = jumping.params
+    there = [oscillator.best_position(q, (i + 0.5) * q.jump_every) for i in range(4)]
+    assert there[0] == there[2] == q.best
+    assert there[1] == there[3] == q.best + q.jump
+    assert q.jump_every == pytest.approx(60.0 * jumping.slowest)
+
+
+def test_the_best_fixed_theta_of_a_jumping_optimum_is_the_best_of_many_runs() -> None:
+    settings = {"noise_driven": 0.0, "amplitude_time": (2.0, 2.0), "power": (1.0, 1.0),
+                "maximised": 0.0}  # fmt: skip
+    rig = of("symmetric", 9, jump=(0.3, 0.3), depth=(3.0, 3.0), log_scaled=0.0, **settings)
+    duration = 4.0 * rig.params.jump_every
+    theta, amplitude = rig.best_fixed(duration)
+    steps = round(duration / rig.params.dt)
+
+    def run(theta: float) -> float:
+        return float(np.sqrt(np.mean(rig.record(np.full(steps, theta), 0)[1] ** 2)))
+
+    # tau is a hundredth of the time between jumps or less: the transients count little
+    assert run(theta) == pytest.approx(amplitude, rel=0.05)
+    thetas = [oscillator.theta_at(rig.params, u) for u in np.linspace(0.0, 1.0, 21)]
+    assert run(theta) <= 1.02 * min(run(other) for other in thetas)
+
+
+def test_a_drowned_rig_shows_nothing_of_its_oscillation() -> None:
+    rig = of("drowned", 1)
+    x, amplitude = rig.record(np.full(50_000, rig.best()[0]), 0)
+    assert x.std() > 30.0 * amplitude.max()
+    assert not rig.has_optimum
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"depth": [20.0, 2.0]}, r"depth = \[20\.0, 2\.0\]: must be two numbers"),
+        ({"frequency": [0.0, 1.0]}, "within 0.001 to 1000"),
+        ({"quiet": 2.0}, "quiet = 2: a share must be 0 to 1"),
+        ({"maps": {"round": 1.0}}, r"maps\.round = 1: known are symmetric"),
+        ({"maps": {"flat": 0.0}}, "none has a weight above 0"),
+        ({"deep": 1}, "unknown key 'deep': did you mean 'depth'"),
+    ],
+)
+def test_a_wrong_family_is_refused_with_the_reason(settings: object, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse(FamilyConfig, settings, "family")
+
+
+def test_compiled_and_plain_step_agree() -> None:
+    for rig in RIGS[:10]:
+        state = plain = rig.initial(1)
+        for k, noise in enumerate(rig.noise(50, 1)):
+            state = oscillator.step(rig.params, state, k, rig.theta_initial, *noise[:2])
+            plain = oscillator.step.py_func(rig.params, plain, k, rig.theta_initial, *noise[:2])
+        assert state == pytest.approx(plain, rel=1e-9)
