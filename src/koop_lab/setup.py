@@ -39,6 +39,7 @@ setup(
         "koop.commands": [
             "bag = koop_lab.recorded.command:register",
             "bench = koop_lab.bench.command:register",
+            "commission = koop_lab.commission.new:register",
             "demo = koop_lab.live.demo:register",
             "inspect = koop_lab.identify.command:register",
             "params = koop_lab.cli.params:register",

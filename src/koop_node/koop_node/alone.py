@@ -61,10 +61,15 @@ def _claimed(name: str) -> Iterator[bool]:
         yield first
 
 
+def is_empty(domain: int) -> bool:
+    """Return whether it is certain that nobody takes part in a ROS domain."""
+    own_host = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("LOCALHOST", "OFF")
+    return own_host and not os.environ.get("ROS_STATIC_PEERS") and not is_taken(domain)
+
+
 def _published(domain: int, topics: list[str]) -> bool:
     """Return whether one of the topics has a publisher."""
-    own_host = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("LOCALHOST", "OFF")
-    if own_host and not os.environ.get("ROS_STATIC_PEERS") and not is_taken(domain):
+    if is_empty(domain):
         return False
     from koop_node.client import Client  # needs ROS
 

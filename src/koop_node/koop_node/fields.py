@@ -134,6 +134,63 @@ def read_field(path: Path, message: Any) -> float:
     return float(value) if isinstance(value, Real) else math.nan
 
 
+def write_field(path: Path, message: Any, value: float) -> None:
+    """Set a number of a message; arrays that are too short are filled with zeros.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the message has no such number.
+    """
+    *above, (name, index) = path
+    for part, place in above:
+        message = getattr(message, part)
+        message = message if place is None else message[place]
+    if index is None:
+        setattr(message, name, type(getattr(message, name))(value))
+        return
+    elements = getattr(message, name)
+    try:
+        kind = int if getattr(elements, "typecode", "d") not in "fd" else float
+        while len(elements) <= index:
+            elements.append(kind(0))
+        elements[index] = kind(value)
+    except (AttributeError, TypeError, IndexError):
+        raise ConfigError(f"{type(message).__name__}: '{name}' takes no number there") from None
+
+
+def numbers_of(message: Any) -> list[Path]:
+    """Return all fields of a message that are numbers, up to :data:`MAX_FIELDS`.
+
+    What says when and not what was measured is left out: headers, stamps, steps, flags.
+
+    Parameters
+    ----------
+    message : object
+        One that was received: arrays have their elements then.
+    """
+    found: list[Path] = []
+    _collect(message, (), found)
+    return found[:MAX_FIELDS]
+
+
+def _collect(value: Any, above: Path, found: list[Path]) -> None:
+    for name in getattr(value, "get_fields_and_field_types", dict)():
+        item = getattr(value, name)
+        if name in ("header", "stamp", "step", "seq", "layout") or isinstance(item, bool | str):
+            continue
+        if isinstance(item, Real):
+            found.append((*above, (name, None)))
+        elif hasattr(item, "get_fields_and_field_types") and len(above) < MAX_DEPTH:
+            _collect(item, (*above, (name, None)), found)
+        elif hasattr(item, "__len__") and len(item) and not isinstance(item, bytes):
+            for i in range(min(len(item), MAX_FIELDS)):
+                if isinstance(item[i], Real):
+                    found.append((*above, (name, i)))
+                else:
+                    _collect(item[i], (*above, (name, i)), found)
+
+
 def _has(message: Any, name: str) -> bool:
     known = getattr(message, "get_fields_and_field_types", None)
     return name in known() if known is not None else hasattr(message, name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -31,3 +32,36 @@ def read_yaml(path: str | Path, loader: type[yaml.SafeLoader] = yaml.SafeLoader)
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, yaml.YAMLError, RecursionError) as error:
         raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
+
+
+class Lined(dict[Any, Any]):
+    """A mapping of a file, which knows the line of each key."""
+
+    lines: dict[str, int]
+
+
+class LinedLoader(yaml.SafeLoader):
+    """Makes every mapping a :class:`Lined`; a key may stand there once; 1e-3 is a number."""
+
+    def construct_lined(self, node: yaml.MappingNode) -> Lined:
+        """Return the mapping of a node."""
+        found = Lined()
+        found.lines = {}
+        for key, value in node.value:
+            name, line = self.construct_object(key, deep=True), key.start_mark.line + 1
+            if name in found:
+                raise yaml.constructor.ConstructorError(
+                    None,
+                    None,
+                    f"'{name}' stands in line {found.lines[name]} already",
+                    key.start_mark,
+                )
+            found[name] = self.construct_object(value, deep=True)
+            found.lines[str(name)] = line
+        return found
+
+
+LinedLoader.add_constructor("tag:yaml.org,2002:map", LinedLoader.construct_lined)
+LinedLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)

@@ -12,9 +12,11 @@ from koop_node.fields import (
     check_fields,
     check_type,
     format_field,
+    numbers_of,
     parse_field,
     parse_source,
     read_field,
+    write_field,
 )
 
 DT = 0.005
@@ -136,3 +138,24 @@ def test_the_adapter_makes_states():
 def test_a_header_of_another_kind_is_no_stamp(header):
     adapter = StateAdapter(parse_source("/js:x"), DT)
     assert adapter.convert(SimpleNamespace(header=header, x=1.0)) == (1, [1.0])
+
+
+class Made(SimpleNamespace):
+    """Like a message: it knows its fields."""
+
+    def get_fields_and_field_types(self):
+        return vars(self)
+
+
+def test_the_numbers_of_a_message_are_all_but_what_says_when():
+    inner = Made(x=1.0, name="a", ok=True)
+    whole = Made(header=Made(stamp=Made(sec=1)), step=3, gain=2, axes=[1.0, 2.0], twist=[inner])
+    found = [format_field(path) for path in numbers_of(whole)]
+    assert found == ["gain", "axes[0]", "axes[1]", "twist[0].x"]
+
+
+@pytest.mark.parametrize("text", ["gain", "axes[3]", "twist.x", "count"])
+def test_what_is_written_into_a_field_is_read_there(text):
+    given = SimpleNamespace(gain=0.0, count=0, axes=[1.0], twist=SimpleNamespace(x=0.0))
+    write_field(parse_field(text), given, 7.0)
+    assert read_field(parse_field(text), given) == 7.0

@@ -1,0 +1,1 @@
+"""Commissioning: from a rig that nobody knows to a recording that a controller is made from."""

@@ -1,0 +1,59 @@
+"""``koop commission --new``: answers piped in, on a graph with a rig and without one."""
+
+import subprocess
+import sys
+import threading
+
+import pytest
+from std_msgs.msg import Float64, Float64MultiArray
+
+from koop_lab.commission.rig_file import read
+
+pytestmark = pytest.mark.ros
+
+
+def answered(path, answers):
+    """Run the command with answers piped in."""
+    words = [sys.executable, "-m", "koop_lab", "commission", "--new", str(path)]
+    return subprocess.run(words, input=answers, capture_output=True, text=True)
+
+
+@pytest.fixture
+def rig(probe):
+    """A rig that says two numbers a message, without a stamp, and listens to a Float64."""
+    tower = probe.node.create_publisher(Float64MultiArray, "/tower", 10)
+    probe.node.create_subscription(Float64, "/tower/stiffness", lambda message: None, 10)
+    probe.node.create_timer(0.01, lambda: tower.publish(Float64MultiArray(data=[0.5, -1.0])))
+    over = threading.Event()
+
+    def spin():
+        while not over.is_set():
+            probe.executor.spin_once(timeout_sec=0.05)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    yield
+    over.set()
+    thread.join()
+
+
+def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
+    path = tmp_path / "rig.yaml"
+    done = answered(path, "1 \n\n0.01\n\n\n0.5\n1.6\n0.05\n1\n\nnone\n3 3\n\n600\n")
+    assert done.returncode == 0, done.stderr
+    found = read(path)
+    assert (found.measured, found.command) == ("/tower:data[0],data[1]", "/tower/stiffness:data")
+    assert found.measured_type == "std_msgs/msg/Float64MultiArray"
+    assert (found.theta_safe, found.channel_min, found.channel_max) == (1.0, (), (3.0, 3.0))
+    assert "time between two messages [s] [0.01" in done.stdout
+    assert "seen: data[0] 0.5 to 0.5, data[1] -1 to -1" in done.stdout
+    assert f"now: ./koop check {path}" in done.stdout
+
+
+def test_without_a_rig_it_says_so_and_writes_nothing_half(tmp_path):
+    path = tmp_path / "rig.yaml"
+    done = answered(path, "/tower\nstd_msgs/msg/Float64\n")
+    assert done.returncode == 2
+    assert "nobody publishes anything in this ROS domain: is the rig started?" in done.stdout
+    assert "no more answers at 'fields that are the measured channels" in done.stderr
+    assert not path.exists()
