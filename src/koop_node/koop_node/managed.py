@@ -10,13 +10,14 @@ from importlib import import_module
 from typing import Any, ClassVar, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 
 from koop_node.config import NodeConfig
 from koop_node.entities import Entities, WithoutEvents
 from koop_node.fields import check_type
 from koop_node.parameters import Parameters
+from koop_node.rclpy_internals import RefusingLifecycleNode
 from koop_node.report import ERROR, OK, STALE, WARN, Finding, News, summary
 from koop_node.stream import StreamMonitor
 
@@ -78,7 +79,7 @@ class Run:
 RunT = TypeVar("RunT", bound=Run)
 
 
-class ManagedNode(WithoutEvents, LifecycleNode, Generic[RunT]):
+class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     """Base of the nodes: lifecycle, parameters, diagnostics, end of the run.
 
     Parameters

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from lifecycle_msgs.srv import ChangeState
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 
 
@@ -13,3 +16,22 @@ def parameter_overrides(node: Node) -> dict[str, Any]:
     rclpy only offers to declare them all, with types guessed from the values and an event for each.
     """
     return {name: item.value for name, item in node._parameter_overrides.items()}
+
+
+class RefusingLifecycleNode(LifecycleNode):
+    """A node that refuses a transition which its state does not allow.
+
+    rclpy raises in the service's callback, and the node would end, whoever had asked.
+    """
+
+    def _LifecycleNodeMixin__on_change_state(  # the private name of rclpy's callback
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        state = self._state_machine.current_state[1]
+        try:
+            return super()._LifecycleNodeMixin__on_change_state(request, response)  # type: ignore[misc]
+        except _rclpy.RCLError:
+            asked = request.transition.label or f"transition {request.transition.id}"
+            self.get_logger().error(f"refused: {asked} is not possible while the node is {state}")
+            response.success = False
+            return response
