@@ -37,7 +37,7 @@ class RecorderRun(Run):
         self._config = config
         self._topics: dict[str, RecordedTopic] = {}
         self._problem = ""
-        self._recording = False
+        self._recording = self._paused = False
         self._refused: set[str] = set()
         self._models: dict[str, str] = {}
         self._complete_from: dict[str, int] = {}
@@ -67,12 +67,15 @@ class RecorderRun(Run):
         node.get_logger().info(f"recording to {self._folder}")
 
     def activate(self, entities: Entities) -> None:
-        # What already waits is recorded: publishers begin as soon as the subscriptions exist.
+        # What already waits is recorded the first time: publishers begin as soon as the
+        # subscriptions exist. After a pause it was published in the pause.
+        if self._paused:
+            self._poll()
         self._recording = True
 
     def deactivate(self) -> None:
         self._poll()
-        self._recording = False
+        self._recording, self._paused = False, True
         if self._writer is not None:
             self._guarded(self._writer.flush)
 
