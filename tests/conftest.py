@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from koop_lab.live.process import NodeProcess
+from koop_node.question import Question
 
 TIMEOUT = (
     30.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well
@@ -55,10 +56,9 @@ class Probe:
         """Call a service and return its response."""
         client = self.node.create_client(service_type, name)
         self.spin_until(client.service_is_ready, f"service {name}")
-        future = client.call_async(request)
-        self.spin_until(future.done, f"an answer of {name}")
+        answer = self.spin_until(Question(client, request).answer, f"an answer of {name}")
         self.node.destroy_client(client)
-        return future.result()
+        return answer
 
     def __enter__(self) -> Probe:
         return self

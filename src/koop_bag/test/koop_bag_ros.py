@@ -20,6 +20,7 @@ from rclpy.serialization import deserialize_message
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_bag.recorder.topics import message_class
+from koop_node.question import Question
 
 Self = TypeVar("Self", bound="Program")
 PATIENCE = 30.0  # [s] for what should take far less
@@ -160,10 +161,9 @@ class Talker:
         """Call a service and return its response."""
         client = self.node.create_client(service_type, name)
         self.spin_until(client.service_is_ready, f"the service {name}")
-        future = client.call_async(request)
-        self.spin_until(future.done, f"an answer of {name}")
+        answer = self.spin_until(Question(client, request).answer, f"an answer of {name}")
         self.node.destroy_client(client)
-        return future.result()
+        return answer
 
     def spin_until(self, condition: Callable[[], Any], what: str) -> Any:
         """Answer services until a condition is true."""

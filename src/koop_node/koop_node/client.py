@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from koop_node.errors import LiveError
+from koop_node.question import Question
 
 ANSWER = 5.0  # [s] for a node to answer a call
 Found = TypeVar("Found")
@@ -108,14 +109,16 @@ class Client:
         seconds: float = ANSWER,
         check: Callable[[], object] | None = None,
     ) -> Any:
-        """Call a service and return its answer; as :meth:`wait_for`."""
+        """Call a service and return its answer; as :meth:`wait_for`.
+
+        It is asked again until it is answered, see :class:`~koop_node.question.Question`.
+        """
         if name not in self._services:
             self._services[name] = self.node.create_client(service_type, name)
         client = self._services[name]
         self.wait_for(client.service_is_ready, seconds, f"the service {name}", check)
-        future = client.call_async(request)
-        self.wait_for(future.done, seconds, f"an answer of {name}", check)
-        return future.result()
+        question = Question(client, request)
+        return self.wait_for(question.answer, seconds, f"an answer of {name}", check)
 
     def set_parameters(
         self,
@@ -141,21 +144,36 @@ class Client:
         if not answer.successful:
             raise LiveError(f"{node} refuses {', '.join(values)}: {answer.reason}")
 
-    def change_state(self, node: str, transition: str, seconds: float = ANSWER) -> None:
-        """Make a node ``configure``, ``activate``, ``deactivate`` or ``cleanup``.
+    def change_state(
+        self,
+        node: str,
+        transition: str,
+        seconds: float = ANSWER,
+        check: Callable[[], object] | None = None,
+    ) -> None:
+        """Make a node ``configure``, ``activate``, ``deactivate`` or ``cleanup``; as :meth:`call`.
 
         Raises
         ------
         LiveError
             If the node does not answer or refuses.
         """
-        from lifecycle_msgs.msg import Transition
-        from lifecycle_msgs.srv import ChangeState
+        from lifecycle_msgs.msg import State, Transition
+        from lifecycle_msgs.srv import ChangeState, GetState
 
-        request = ChangeState.Request()
-        request.transition.id = getattr(Transition, f"TRANSITION_{transition.upper()}")
-        if not self.call(ChangeState, f"{node}/change_state", request, seconds).success:
-            raise LiveError(f"{node} cannot {transition}")
+        number, aim = {
+            "configure": (Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE),
+            "activate": (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE),
+            "deactivate": (Transition.TRANSITION_DEACTIVATE, State.PRIMARY_STATE_INACTIVE),
+            "cleanup": (Transition.TRANSITION_CLEANUP, State.PRIMARY_STATE_UNCONFIGURED),
+        }[transition]
+        request = ChangeState.Request(transition=Transition(id=number))
+        if self.call(ChangeState, f"{node}/change_state", request, seconds, check).success:
+            return
+        # asked a second time, a node that has done it refuses
+        state = self.call(GetState, f"{node}/get_state", GetState.Request(), seconds, check)
+        if state.current_state.id != aim:
+            raise LiveError(f"{node} is {state.current_state.label} and cannot {transition}")
 
     def count_publishers(self, topic: str) -> int:
         """Return how many publishers of a topic are on this domain."""

@@ -9,6 +9,8 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
+from koop_node.question import Question
+
 WAITED_FOR = "recorders"  # a parameter of the nodes, see koop_node.config
 
 
@@ -78,22 +80,24 @@ class _Request:
         self._node = node
         self._list = node.create_client(ListParameters, f"{name}/list_parameters")
         self._get = node.create_client(GetParameters, f"{name}/get_parameters")
-        self._future: Any = None
+        self._question: Question | None = None
         self._names: list[str] | None = None
         self.values: dict[str, Any] | None = None
 
     def advance(self) -> None:
-        if self._future is None:
+        if self._question is None:
             if self._list.service_is_ready() and self._get.service_is_ready():
-                self._future = self._list.call_async(ListParameters.Request())
-        elif self._future.done():
-            answer = self._future.result()
-            if self._names is None:
-                self._names = list(answer.result.names)
-                self._future = self._get.call_async(GetParameters.Request(names=self._names))
-            else:
-                values = [_plain(parameter_value_to_python(value)) for value in answer.values]
-                self.values = dict(zip(self._names, values, strict=False))
+                self._question = Question(self._list, ListParameters.Request())
+            return
+        answer = self._question.answer()
+        if answer is None:
+            return
+        if self._names is None:
+            self._names = list(answer.result.names)
+            self._question = Question(self._get, GetParameters.Request(names=self._names))
+        else:
+            values = [_plain(parameter_value_to_python(value)) for value in answer.values]
+            self.values = dict(zip(self._names, values, strict=False))
 
     def close(self) -> None:
         self._node.destroy_client(self._list)

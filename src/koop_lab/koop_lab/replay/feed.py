@@ -161,15 +161,8 @@ class Feeder(Client):
 
     def _control(self, controlled: bool) -> None:
         """Let the controller hear the costs that follow, or not: it is active, or silent."""
-        from lifecycle_msgs.msg import Transition
-        from lifecycle_msgs.srv import ChangeState
-
-        number = Transition.TRANSITION_ACTIVATE if controlled else Transition.TRANSITION_DEACTIVATE
-        request = ChangeState.Request(transition=Transition(id=number))
-        service = f"{CONTROLLER[1]}/change_state"
-        answer = self.call(ChangeState, service, request, START_TIMEOUT, self._check_nodes)
-        if not answer.success:
-            raise LiveError(f"{CONTROLLER[1]} refuses to be made active or inactive")
+        transition = "activate" if controlled else "deactivate"
+        self.change_state(CONTROLLER[1], transition, START_TIMEOUT, self._check_nodes)
         listeners = 1 + controlled  # this one, too
         self.wait_for(
             lambda: self.node.count_subscribers("cost") == listeners,
