@@ -89,8 +89,8 @@ class Ask:
 
 @pytest.fixture(scope="module")
 def shared_lifter(module_start, module_probe):
-    module_start("koopman_lifter", "-r", "__ns:=/shared")
-    return Ask(module_probe, MeasuredState, "/shared/state", Cost, "/shared/cost")
+    module_start("koopman_lifter", "-r", "__ns:=/lifter")
+    return Ask(module_probe, MeasuredState, "/lifter/state", Cost, "/lifter/cost")
 
 
 @pytest.fixture
@@ -108,14 +108,14 @@ def fresh_lifter(start, probe):
 
 @pytest.fixture(scope="module")
 def shared_esc(module_start, module_probe):
-    module_start("relay_esc", "-r", "__ns:=/shared", dwell=0.0, step_size=0.01)
-    return Ask(module_probe, Cost, "/shared/cost", ControlInput, "/shared/theta")
+    module_start("relay_esc", "-r", "__ns:=/esc", dwell=0.0, step_size=0.01)
+    return Ask(module_probe, Cost, "/esc/cost", ControlInput, "/esc/theta")
 
 
 @pytest.fixture
 def esc(shared_esc, module_probe):
     """A controller after a reset."""
-    assert module_probe.call(Trigger, "/shared/relay_esc/reset", Trigger.Request()).success
+    assert module_probe.call(Trigger, "/esc/relay_esc/reset", Trigger.Request()).success
     shared_esc.answers.clear()
     return shared_esc
 
@@ -224,6 +224,8 @@ def test_without_autostart_the_node_waits_to_be_configured(start, probe):
     assert state_of(probe, "relay_esc") == "inactive"
     assert change_state(probe, "relay_esc", Transition.TRANSITION_ACTIVATE)
     assert state_of(probe, "relay_esc") == "active"
+    refused = Transition.TRANSITION_CONFIGURE
+    assert not change_state(probe, "relay_esc", refused), "and the node goes on"
     assert change_state(probe, "relay_esc", Transition.TRANSITION_DEACTIVATE)
     assert change_state(probe, "relay_esc", Transition.TRANSITION_CLEANUP)
     assert state_of(probe, "relay_esc") == "unconfigured"
@@ -440,14 +442,14 @@ def test_hold_and_reset(esc, module_probe):
     esc(0, r=1.0)
     moved = esc(1, r=0.9)
     assert moved.theta == pytest.approx(1.99)
-    answer = module_probe.call(SetBool, "/shared/relay_esc/hold", SetBool.Request(data=True))
+    answer = module_probe.call(SetBool, "/esc/relay_esc/hold", SetBool.Request(data=True))
     assert answer.success
     held = esc(2, r=0.8)
     assert (held.holding, held.theta) == (True, moved.theta)
-    module_probe.call(SetBool, "/shared/relay_esc/hold", SetBool.Request(data=False))
+    module_probe.call(SetBool, "/esc/relay_esc/hold", SetBool.Request(data=False))
     esc(3, r=0.7)
     assert esc(4, r=0.6).theta == pytest.approx(1.98)
-    assert module_probe.call(Trigger, "/shared/relay_esc/reset", Trigger.Request()).success
+    assert module_probe.call(Trigger, "/esc/relay_esc/reset", Trigger.Request()).success
     assert esc(5, r=0.5).theta == 2.0
 
 
