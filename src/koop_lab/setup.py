@@ -39,8 +39,10 @@ setup(
         "koop.commands": [
             "bag = koop_lab.recorded.command:register",
             "bench = koop_lab.bench.command:register",
+            "check = koop_lab.commission.check:register",
             "commission = koop_lab.commission.new:register",
             "demo = koop_lab.live.demo:register",
+            "excite = koop_lab.commission.excite:register",
             "inspect = koop_lab.identify.command:register",
             "params = koop_lab.cli.params:register",
             "replay = koop_lab.replay.command:register",

@@ -66,6 +66,6 @@ def test_only_the_node_of_an_algorithm_imports_ros(package):
 
 def test_the_offline_commands_import_no_ros():
     for path in modules("koop_lab"):
-        if path.name not in ("bare_chain.py", "fault_injector.py"):  # processes of their own
+        if path.name not in ("bare_chain.py", "commander.py"):  # processes of their own
             top = {name.split(".")[0] for name in imports(path, top_level_only=True)}
             assert not top & ROS, path

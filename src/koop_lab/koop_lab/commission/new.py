@@ -117,7 +117,7 @@ def asked(dialogue: Dialogue) -> RigFile:
         ("theta_min", "least theta that may be commanded"),
         ("theta_max", "largest theta that may be commanded"),
         ("theta_rate", "largest change of theta per second"),
-        ("theta_start", "theta that the rig has now"),
+        ("theta_start", "theta that the rig has before anybody commands it"),
         ("theta_safe", "theta that is safe, which is taken when anything ends"),
     ):
         proposal = f"{values['theta_start']:g}" if name == "theta_safe" else ""

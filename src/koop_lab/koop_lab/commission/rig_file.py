@@ -50,7 +50,7 @@ class RigFile:
     theta_rate: float = parameter(
         0.0, "largest change of theta per second, also on the way back", unit="1/s", low=1e-12
     )
-    theta_start: float = parameter(0.0, "theta that the rig has now")
+    theta_start: float = parameter(0.0, "theta that the rig has before anybody commands it")
     theta_safe: float = parameter(
         0.0,
         "theta that is taken when anything ends: done, Ctrl-C, a limit crossed, a rig that falls "

@@ -1,0 +1,253 @@
+"""Commands theta for a commissioning process, in a process of its own.
+
+``python -m koop_lab.commission.commander``; :mod:`koop_lab.commission.hand` is its other side. It
+is told a target by a line on stdin and walks there within limits and rate, answering every state as
+a controller does. It takes theta to the safe value, whatever it was told, when
+
+- its stdin closes or SIGTERM or SIGINT comes: whoever started it has ended, also by kill -9;
+- a line has not come for a while: that process hangs;
+- a channel is beyond its limit, or no usable message comes any more.
+
+It ends when theta is there and nobody holds its stdin. Lines are JSON, both ways.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from koop_msgs.msg import ControlInput, MeasuredState
+
+from koop_lab.commission.leash import Leash, beyond, silence
+from koop_lab.commission.rig_file import RigFile
+from koop_node.adapter import StateAdapter
+from koop_node.client import Client
+from koop_node.fields import Source, parse_source, write_field
+from koop_node.managed import message_type
+from koop_node.qos import BEST_EFFORT, NEWEST, RELIABLE
+
+HANG = 10.0  # [s] without a line, after which whoever started it counts as hanging
+TELL = 0.2  # [s] between two lines to it
+TICK = 0.02  # [s] between two commands where no state asks for one
+HELD = 0.5  # [s] that the safe value is said again before the end
+LISTENERS = 15.0  # [s] for a rig to be found
+THETA = "/theta"
+
+
+class Commander:
+    """Theta on its leash, over DDS.
+
+    Parameters
+    ----------
+    client : Client
+        Guest in the ROS domain.
+    given : mapping
+        The first line: ``rig``, ``theta`` it begins with, ``source`` and ``type`` of the states,
+        ``scale`` (the rig's seconds in one second), ``recorders`` that must listen to theta,
+        ``rescue`` if another commander has moved theta before, ``note``: file for where it is left.
+    """
+
+    def __init__(self, client: Client, given: dict[str, Any]) -> None:
+        rig = self.rig = RigFile(**given["rig"])
+        self.leash = Leash(rig, given["theta"], given["theta"])
+        self._client = client
+        self._scale = float(given["scale"])
+        self._silence = silence(rig.dt, self._scale)
+        self._source: Source = parse_source(given["source"])
+        self._kind = message_type(given["type"])
+        self._adapter = StateAdapter(self._source, rig.dt)
+        self._own = self._kind is MeasuredState
+        node = client.node
+        self._answer = ControlInput(theta=self.leash.theta)
+        self._theta = node.create_publisher(ControlInput, THETA, RELIABLE)
+        knob = rig.knob
+        self._command: Any = None
+        self._path = knob.fields[0]
+        if (knob.topic, rig.command_type) != (THETA, "koop_msgs/msg/ControlInput"):
+            kind = message_type(rig.command_type)
+            self._message = kind()
+            self._answers = kind is ControlInput
+            self._command = node.create_publisher(kind, knob.topic, NEWEST)
+        self.rescue = bool(given["rescue"])
+        self._note = given["note"]
+        self._needed = [(self._theta, int(given["recorders"]) + (self._command is None))]
+        if self._command is not None:
+            self._needed.append((self._command, 1))
+        self._heard = self._usable = self._sent = self._moved = time.monotonic()
+        self.step = -1
+
+    def matched(self) -> bool:
+        """Return whether all that must listen do."""
+        return all(publisher.get_subscription_count() >= n for publisher, n in self._needed)
+
+    def listen(self) -> None:
+        """Begin to answer states."""
+        self._heard = self._usable = time.monotonic()
+        qos = RELIABLE if self._own else BEST_EFFORT
+        self._client.node.create_subscription(self._kind, self._source.topic, self._on_state, qos)
+
+    def _on_state(self, message: Any) -> None:
+        now = self._heard = time.monotonic()
+        step, x = self._adapter.convert(message)
+        if self._own:
+            step = message.step
+        if all(map(math.isfinite, x)):
+            self._usable = now
+            if problem := beyond(self.rig, x):
+                self.leash = self.leash.called_home(problem)
+        elapsed = (now - self._moved) * self._scale
+        if getattr(message, "lockstep", False):  # its time is that of its steps
+            elapsed = (step - self.step) * self.rig.dt
+        self.step, self._moved = step, now
+        self.leash = self.leash.moved(elapsed)
+        if hasattr(message, "header"):
+            with suppress(AssertionError, TypeError):  # a package may have a header of its own
+                self._answer.header = message.header
+        self._publish(now)
+
+    def _publish(self, now: float) -> None:
+        answer = self._answer
+        answer.step, answer.theta = max(self.step, 0), self.leash.theta
+        answer.holding = self.leash.there
+        rig = self.rig
+        answer.saturated = not rig.theta_min < self.leash.theta < rig.theta_max
+        self._theta.publish(answer)
+        if self._command is not None:
+            if self._answers:
+                self._command.publish(answer)
+            else:
+                write_field(self._path, self._message, self.leash.theta)
+                self._command.publish(self._message)
+        self._sent = now
+
+    def tick(self) -> None:
+        """Find silence, and go on where no state asks for a command."""
+        now = time.monotonic()
+        if now - self._usable > self._silence:
+            what = "message" if now - self._heard > self._silence else "finite number"
+            self.leash = self.leash.called_home(
+                f"no {what} on {self._source.topic} for {now - self._usable:.1f} s"
+            )
+        if self.leash.home and now - self._sent > max(TICK, 2.0 * self.rig.dt / self._scale):
+            # of a time without a state, as much as passes until the next tick
+            while now - self._moved > self.rig.dt and not self.leash.there:
+                self._moved += self.rig.dt
+                self.leash = self.leash.moved(self.rig.dt)
+            self._moved = max(self._moved, now - 2.0 * self.rig.dt)
+            self._publish(now)
+
+    def leave(self) -> None:
+        """Note where theta is left: who commands it next begins there."""
+        if self._note:
+            with suppress(OSError):
+                Path(self._note).write_text(f"{self.leash.theta!r}\n")
+
+
+class Lines:
+    """Lines of stdin, read by a thread; None when it has closed."""
+
+    def __init__(self) -> None:
+        self.waiting: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        threading.Thread(target=self._read, daemon=True, name="lines").start()
+
+    def _read(self) -> None:
+        rest = b""
+        with suppress(OSError):
+            while data := os.read(0, 65536):
+                *lines, rest = (rest + data).split(b"\n")
+                for line in lines:
+                    self.waiting.put(line.decode())
+        self.waiting.put(None)
+
+
+def tell(**values: Any) -> None:
+    """Write a line to whoever started this process, if it is still there."""
+    with suppress(OSError):
+        os.write(1, json.dumps(values).encode() + b"\n")
+
+
+def main() -> int:
+    """Run until theta is safe and nobody needs it any more; return the exit code."""
+    asked: list[int] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        asked.append(number)
+
+    signal.signal(signal.SIGINT, on_signal)
+    signal.signal(signal.SIGTERM, on_signal)
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    lines = Lines()
+    first = lines.waiting.get()
+    if first is None:
+        return 0
+    with Client("koop_commander") as client:
+        try:
+            commander = Commander(client, json.loads(first))
+        except ValueError as error:
+            tell(error=str(error))
+            return 2
+        return _run(client, commander, lines, asked)
+
+
+def _run(client: Client, commander: Commander, lines: Lines, asked: list[int]) -> int:
+    begin = heard = time.monotonic()
+    listening = closed = False
+    told: tuple[Any, ...] = ()
+    when = safe_since = -math.inf
+    while True:
+        client.spin(TICK)
+        now = time.monotonic()
+        while not lines.waiting.empty():
+            line, heard = lines.waiting.get(), now
+            if line is None:
+                closed = True
+                commander.leash = commander.leash.called_home("the command has ended")
+                break
+            said = json.loads(line)
+            if "home" in said:
+                commander.leash = commander.leash.called_home(said["home"])
+            elif "target" in said:
+                commander.leash = commander.leash.asked(said["target"])
+        if asked:
+            closed = True
+            commander.leash = commander.leash.called_home("the commander was told to stop")
+        if now - heard > HANG:
+            commander.leash = commander.leash.called_home(
+                f"the command has said nothing for {HANG:g} s"
+            )
+        if not listening:
+            if commander.matched():
+                commander.listen()
+                listening = True
+            elif closed and not commander.rescue:
+                return 0  # theta was never commanded
+            elif now - begin > LISTENERS:
+                tell(error=f"nobody listens to {commander.rig.knob.topic}")
+                return 2
+        else:
+            commander.tick()
+        leash = commander.leash
+        news = (leash.there, leash.target, leash.home)
+        if news != told or now - when > TELL:
+            told, when = news, now
+            tell(theta=leash.theta, there=leash.there, target=leash.target, home=leash.home,
+                 step=commander.step)  # fmt: skip
+        if not leash.safe:
+            safe_since = now
+        elif closed and now - safe_since > HELD:
+            commander.leave()
+            return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

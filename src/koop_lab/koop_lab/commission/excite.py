@@ -1,0 +1,480 @@
+"""``koop excite``: moves theta over its range and records: the data to make a controller from."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import math
+import shutil
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from koop_bag.recorder.run_folder import default_folder
+from koop_lab.cli.table import table
+from koop_lab.commission import progress as progress_file
+from koop_lab.commission import rig_file, staircase
+from koop_lab.commission.channels import listens, strongest_period
+from koop_lab.commission.ears import Ears, refuse_wrong_names, who
+from koop_lab.commission.features import Bands, bands, bridged, features, window_length
+from koop_lab.commission.hand import Hand, note_of
+from koop_lab.commission.leash import way_home
+from koop_lab.commission.progress import Progress
+from koop_lab.commission.rig_file import RigFile
+from koop_lab.commission.staircase import Visit
+from koop_lab.live.loop import LiveNodes
+from koop_lab.live.process import START_TIMEOUT
+from koop_node.config import ConfigError
+from koop_node.errors import LiveError
+
+WINDOW = 4.0  # periods of the strongest oscillation
+LISTEN = 40.0  # windows' worth of periods is not known before: periods that are listened to first
+SHORTEST, LONGEST = 3.0, 120.0  # [s] of that
+GUESS = 12  # windows that theta stays at a value, before any was seen
+MOST_SHARE = 0.15  # of the time, that theta stays at one value at most
+BYTES = 250.0  # of a bag for one state, with its cost and theta
+COMMANDER = "/koop_commander"
+BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"
+STATE, STATE_TYPE = "/state", "koop_msgs/msg/MeasuredState"
+
+
+class Result(NamedTuple):
+    """What an excitation came to.
+
+    Attributes
+    ----------
+    progress : Progress
+        All that was done.
+    reason : str
+        Why it ended, in words.
+    """
+
+    progress: Progress
+    reason: str
+
+
+def register(commands: Any) -> None:
+    """Add the command to the subparsers of ``koop``."""
+    parser = commands.add_parser(
+        "excite",
+        description="Moves theta over its range, up, down and at random, with the lifter on, and "
+        "records everything. It stays at each value until the rig has settled and the amplitude "
+        "is known, and ends when the whole map is. Whatever ends it, theta goes back to "
+        "theta_safe at the permitted rate. The same command with the same --out goes on where it "
+        "was interrupted.",
+    )
+    parser.add_argument("rig", metavar="RIG.YAML", help="of 'koop commission --new'")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR",
+        help="folder of the recordings (default: recordings/TIME-NAME)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--time-scale", type=float, default=1.0, metavar="K",
+        help="of a simulated rig: its seconds in one second",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="of the random order")
+    parser.set_defaults(func=main)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Entry point; returns the exit code: 0 if theta was at every value at least twice."""
+    rig = rig_file.read(args.rig)
+    if not 0.0 < args.time_scale < 1e3:
+        raise ConfigError("--time-scale: above 0, below 1000")
+    folder = args.out or default_folder(Path(args.rig).stem)
+    again = f"koop excite {args.rig} --out {folder}"
+    try:
+        result = excite(rig, folder, args.time_scale, args.seed, note_of(args.rig))
+    except LiveError as error:
+        raise LiveError(
+            f"{error}. theta is back at {rig.theta_safe:g}; to go on: {again}"
+        ) from None
+    except KeyboardInterrupt:
+        print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; to go on: {again}")
+        return 130
+    print("\n" + shown(rig, result.progress))
+    print(f"\n{result.reason}; theta is back at {rig.theta_safe:g}")
+    bags = " ".join(str(folder / part / "bag") for part in result.progress.parts)
+    print(f"recorded in {folder}; now: ./koop train {bags} --dt {rig.dt:g} --compare")
+    return 1 if staircase.unknown_twice(result.progress.visits) else 0
+
+
+def excite(
+    rig: RigFile, folder: Path, scale: float = 1.0, seed: int = 0, note: Path | None = None
+) -> Result:
+    """Move theta over its range and record, until the static map is known or the time is over.
+
+    Parameters
+    ----------
+    rig : RigFile
+        The rig, which runs.
+    folder : Path
+        Of the recordings; what was begun there goes on.
+    scale : float
+        The rig's seconds in one second.
+    seed : int
+        Of the random order.
+    note : Path, optional
+        File that says where theta was left.
+
+    Raises
+    ------
+    koop_node.errors.LiveError
+        If it ends before that: the rig, a node or the disk fails, a limit is crossed, somebody else
+        commands. theta is at its safe value then.
+    koop_node.config.ConfigError
+        If the folder holds what was recorded of another rig, or all that was wanted.
+    """
+    from koop_node.client import Client
+
+    refuse_incomplete_state(rig)
+    known = progress_file.load(rig, folder)
+    if known is not None and known.done:
+        raise ConfigError(f"{folder}: the map is known already: choose another --out")
+    middle = 0.5 * (rig.theta_min + rig.theta_max)
+    state = known or progress_file.begin(seed, staircase.passes(rig.theta_start <= middle))
+    refuse_small_disk(rig, folder, state)
+    with ExitStack() as stack:
+        client = stack.enter_context(Client("koop_excite"))
+        refuse_wrong_names(client, rig)
+        part = f"part-{len(state.parts) + 1}"
+        while (folder / part).exists():  # of one that was killed before it was noted
+            part = f"part-{int(part[5:]) + 1}"
+        nodes = stack.enter_context(
+            LiveNodes(folder / part, nodes_of(rig, folder / part), rig=True)
+        )
+        state.parts.append(part)
+        _save(state, rig, folder)
+        names = ",".join(f"x[{i}]" for i in range(len(rig.names)))
+        source = rig.measured if _own(rig) else f"{STATE}:{names}"
+        kind = rig.measured_type if _own(rig) else STATE_TYPE
+        run = Excitation(rig, folder, scale, state, client, nodes, source, kind)
+        client.wait_for(
+            lambda: client.node.count_subscribers("/theta") and run.ears.count,
+            START_TIMEOUT, f"the first state (see {folder / part}/logs)", run.check_nodes,
+        )  # fmt: skip
+        if others := who(client, rig.knob.topic)[0]:
+            raise LiveError(f"{rig.knob.topic} is commanded by {', '.join(others)}: end that first")
+        log = folder / part / "logs" / "commander.log"
+        run.hand = stack.enter_context(Hand(rig, log, source, kind, scale, 1, note))
+        return run.run()
+
+
+def refuse_incomplete_state(rig: RigFile) -> None:
+    """Refuse a rig that speaks on the loop's own topic, of which not all channels are named."""
+    if rig.state.topic == STATE and not _own(rig):
+        raise ConfigError(
+            f"measured = {rig.measured!r}: on {STATE} the lifter takes all of {STATE_TYPE}: name "
+            "x[0], x[1] and so on in order, or let the rig publish on another topic"
+        )
+
+
+def refuse_small_disk(rig: RigFile, folder: Path, state: Progress) -> None:
+    """Refuse to begin where the disk has no room for the recording."""
+    there = folder
+    while not there.exists():
+        there = there.parent
+    free = shutil.disk_usage(there).free
+    needed = BYTES * max(rig.time - state.elapsed, 0.0) / rig.dt
+    if free < needed:
+        raise LiveError(
+            f"{there}: {free / 1e6:.0f} MB are free, up to {needed / 1e6:.0f} MB are needed: make "
+            "room, or set a shorter time in the rig file"
+        )
+
+
+def nodes_of(rig: RigFile, folder: Path) -> dict[str, dict[str, Any]]:
+    """Return the nodes that run beside, with their parameters."""
+    lifter: dict[str, Any] = {"cost": "raw", "dt": rig.dt, "recorders": 0}
+    if not _own(rig):
+        lifter |= {"input_fields": rig.measured, "input_type": rig.measured_type}
+    return {"recorder": {"output": str(folder)}, "koopman_lifter": lifter}
+
+
+def _own(rig: RigFile) -> bool:
+    """Return whether the rig itself publishes what the lifter listens to."""
+    n = len(rig.names)
+    return (rig.state.topic, rig.measured_type) == (STATE, STATE_TYPE) and rig.names == tuple(
+        f"x[{i}]" for i in range(n)
+    )
+
+
+def _save(state: Progress, rig: RigFile, folder: Path) -> None:
+    try:
+        progress_file.save(state, rig, folder)
+    except OSError as error:
+        raise LiveError(f"{folder}/{progress_file.NAME}: {error.strerror}") from None
+
+
+class Excitation:
+    """One part of an excitation, from its first state to its end.
+
+    Parameters
+    ----------
+    rig : RigFile
+        The rig.
+    folder : Path
+        Of all parts.
+    scale : float
+        The rig's seconds in one second.
+    state : Progress
+        What was done; it grows.
+    client : Client
+        Guest in the ROS domain.
+    nodes : LiveNodes
+        Lifter and recorder.
+    source, kind : str
+        Where the states come from.
+    """
+
+    def __init__(
+        self, rig: RigFile, folder: Path, scale: float, state: Progress, client: Any,
+        nodes: LiveNodes, source: str, kind: str,
+    ) -> None:  # fmt: skip
+        from koop_node.fields import parse_source
+
+        self._rig = rig
+        self._folder = folder
+        self._scale = scale
+        self._state = state
+        self._client = client
+        self._nodes = nodes
+        parsed = parse_source(source)
+        self.ears = Ears(client, parsed.topic, kind, parsed.fields, reliable=True)
+        self.hand: Hand | None = None
+        self._values = staircase.values(rig.theta_min, rig.theta_max)
+        self._begin, self._before, self._began = 0, state.elapsed, time.monotonic()
+        self._looked = self._beat = 0.0
+        self._bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
+
+    # -- watching -----------------------------------------------------------------------------
+
+    def check_nodes(self) -> None:
+        """Raise LiveError if the recording has ended, or the lifter."""
+        self._nodes.done()
+        if self._nodes.lost:
+            logs = f"{self._folder / self._state.parts[-1]}/logs/recorder.log"
+            raise LiveError(f"the recording has ended: see {logs}; is the disk full?")
+
+    def _check(self) -> None:
+        now = time.monotonic()
+        if now < self._beat + 0.1:
+            return
+        self._beat = now
+        assert self.hand is not None
+        self.hand.beat()
+        if now < self._looked + 1.0:
+            return
+        self._looked = now
+        self.check_nodes()
+        others = [name for name in who(self._client, self._rig.knob.topic)[0] if name != COMMANDER]
+        if others:
+            raise LiveError(f"{self._rig.knob.topic} is also commanded by {', '.join(others)}")
+        self._show()
+
+    @property
+    def _elapsed(self) -> float:
+        """Time of all parts [s]; of the rig's own."""
+        if getattr(self.ears.last, "lockstep", False):
+            return self._before + (self.ears.count - self._begin) * self._rig.dt
+        return self._before + (time.monotonic() - self._began) * self._scale
+
+    def _until(self, condition: Callable[[], object]) -> None:
+        while not condition():
+            self._client.spin(0.05)
+            self._check()
+
+    # -- moving -------------------------------------------------------------------------------
+
+    def run(self) -> Result:
+        """Move theta until the map is known or the time is over."""
+        state, rig = self._state, self._rig
+        self._begin, self._began = self.ears.count, time.monotonic()
+        if state.how is None:
+            state.how = self._listen()
+        self._forecast()
+        reason = "the static map is known well enough"
+        while True:
+            if not state.queue:
+                feature = self._feature()
+                state.queue = staircase.next_round(state.visits, feature, state.seed)
+                if not state.queue:
+                    state.done = True
+                    break
+            visit = self._stay(state.queue[0])
+            if visit is None:
+                reason = f"the {rig.time:g} s of the rig file are over"
+                break
+            state.queue.pop(0)
+            state.visits.append(visit)
+            state.elapsed = self._elapsed
+            _save(state, rig, self._folder)
+        state.elapsed = self._elapsed
+        _save(state, rig, self._folder)
+        self._bar.close()
+        return Result(state, reason)
+
+    def _listen(self) -> Bands:
+        """Choose the windows from what the rig does before theta moves."""
+        dt = self._rig.dt
+
+        heard = 0
+
+        def more() -> bool:
+            return self.ears.count >= heard + 0.2 * SHORTEST / dt
+
+        while listens(x := self.ears.samples(self._begin).x, dt, SHORTEST, LISTEN, LONGEST):
+            heard = self.ears.count
+            self._until(more)
+        period = strongest_period(x, dt)
+        if period is None:
+            raise LiveError("no channel moves: dead sensors, or other fields")
+        x = bridged(self.ears.samples(self._begin).x)
+        length = min(window_length(period, WINDOW, dt), x.shape[0])
+        print(f"the strongest oscillation has a period of {period:.3g} s: amplitudes are taken in "
+              f"windows of {length * dt:.3g} s", flush=True)  # fmt: skip
+        return bands(x, length, dt)
+
+    def _stay(self, level: int) -> Visit | None:
+        """Go to a value and stay as long as it needs; None if the time is over."""
+        state, rig, how = self._state, self._rig, self._state.how
+        assert how is not None
+        assert self.hand is not None
+        value, hand = self._values[level], self.hand
+        hand.go(value)
+        self._until(lambda: hand.there)
+        begin = self.ears.count
+        guide, seen = self._guide(), [visit.settled for visit in state.visits]
+        length = how.length * rig.dt
+        points = staircase.static_map(state.visits, guide[0])
+        target = staircase.target_error(points)
+        most = max(2 * staircase.FEWEST, int(MOST_SHARE * rig.time / length))
+        series: list[NDArray[np.float64]] = []
+        while True:
+            end = begin + (len(series) + 1) * how.length
+            self._until(functools.partial(self._heard_or_over, end))
+            if self._elapsed > rig.time:
+                return None
+            x = self.ears.samples(end - how.length, end).x
+            self._refuse_dead(x)
+            series.append(features(x, how))
+            if len(series) < staircase.FEWEST:
+                continue
+            judged = staircase.judge(np.array(series), guide)
+            if not staircase.stays(judged, len(series), length, guide, target, seen, most):
+                break
+        return Visit(
+            level,
+            tuple(map(float, judged.mean)),
+            tuple(map(float, judged.error)),
+            judged.skip * length,
+            len(series) * length,
+        )
+
+    def _heard_or_over(self, count: int) -> bool:
+        return self.ears.count >= count or self._elapsed > self._rig.time
+
+    def _refuse_dead(self, x: NDArray[np.float64]) -> None:
+        for name, column in zip(self._rig.names, x.T, strict=True):
+            known = column[np.isfinite(column)]
+            if not known.size:
+                raise LiveError(f"{name} is not a number any more: dead sensor")
+            if np.ptp(known) == 0.0:
+                raise LiveError(f"{name} is {known[0]:g} and does not change: dead sensor")
+
+    def _guide(self) -> list[int]:
+        """Return the features that tell how long theta stays."""
+        if len(self._state.visits) >= len(staircase.passes(True)):
+            return [self._feature()]
+        return self._wholes()
+
+    def _wholes(self) -> list[int]:
+        """Return the features that are a channel's amplitude at all frequencies."""
+        assert self._state.how is not None
+        each = len(self._state.how.edges)
+        return [i * each for i in range(len(self._rig.names))]
+
+    def _feature(self) -> int:
+        """Return the feature that tells theta best."""
+        assert self._state.how is not None
+        every = len(self._state.how.edges) * len(self._rig.names)
+        return staircase.clearest(self._state.visits, range(every))
+
+    # -- telling ------------------------------------------------------------------------------
+
+    def _left(self) -> float:
+        """Return how long it is going to take yet [s]."""
+        state, rig = self._state, self._rig
+        assert state.how is not None
+        length = state.how.length * rig.dt
+        stays = [visit.stay for visit in state.visits]
+        stay = float(np.mean(stays)) if stays else GUESS * length
+        first = len(staircase.passes(True))
+        random_round = staircase.LEVELS if len(state.visits) + len(state.queue) <= first else 0
+        visits = len(state.queue) + random_round
+        travel = visits * rig.span / rig.theta_rate / (staircase.LEVELS - 1) * 1.5
+        return min(visits * stay + travel, max(rig.time - self._elapsed, 0.0))
+
+    def _forecast(self) -> None:
+        rig, home = self._rig, way_home(self._rig, self._rig.theta_max)
+        done = len(self._state.visits)
+        again = f"; {done} stays were done before" if done else ""
+        print(
+            f"{staircase.LEVELS} values of theta from {rig.theta_min:g} to {rig.theta_max:g}, up "
+            f"and down, then at random{again}: about {_time(self._left() / self._scale)}, at most "
+            f"{_time((rig.time - self._elapsed) / self._scale)}, and up to "
+            f"{_time(home / self._scale)} back to {rig.theta_safe:g}; Ctrl-C ends it there",
+            flush=True,
+        )
+
+    def _show(self) -> None:
+        if self._state.how is None or self.hand is None:
+            return
+        self._bar.set_description_str(f"theta {self.hand.theta:+.4g}", refresh=False)
+        self._bar.total = self._elapsed + self._left()
+        self._bar.n = self._elapsed
+        left = f", {_time(self._left() / self._scale)} left" if self._state.visits else ""
+        self._bar.set_postfix_str(f"{len(self._state.visits)} stays{left}", refresh=True)
+
+
+def shown(rig: RigFile, state: Progress) -> str:
+    """Return the static map as a table."""
+    if not state.visits or state.how is None:
+        return "no value of theta was reached"
+    names = state.how.names(rig.names)
+    feature = staircase.clearest(state.visits, range(len(names)))
+    rows = []
+    for level, (value, point) in enumerate(
+        zip(
+            staircase.values(rig.theta_min, rig.theta_max),
+            staircase.static_map(state.visits, feature),
+            strict=True,
+        )
+    ):
+        if point is None:
+            rows.append([f"{value:.4g}", "-", "-", "0", "-"])
+            continue
+        own = [visit for visit in state.visits if visit.level == level]
+        settled = max(visit.settled for visit in own)
+        error = "-" if math.isinf(point.error) else f"{100.0 * point.error:.2g} %"
+        rows.append(
+            [f"{value:.4g}", f"{math.exp(point.mean):.4g}", error, str(len(own)), f"{settled:.3g}"]
+        )
+    return f"amplitude of {names[feature]}, in which theta shows most\n" + table(
+        ["theta", "amplitude", "error", "stays", "settled after [s]"], rows
+    )
+
+
+def _time(seconds: float) -> str:
+    """Return a time in words.
+
+    >>> _time(600.0)
+    '10 min'
+    """
+    return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} min"

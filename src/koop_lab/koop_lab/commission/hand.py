@@ -1,0 +1,199 @@
+"""The hand on the knob: theta is moved by a process that takes it home if this one ends."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from koop_lab.commission.leash import way_home
+from koop_lab.commission.rig_file import RigFile
+from koop_lab.live.process import uninterrupted
+from koop_loop.ending import told
+from koop_node.errors import LiveError
+
+BEAT = 1.0  # [s] between two signs of life
+PATIENCE = 20.0  # [s] beyond the way home, after which the commander is given up
+WORDS = [sys.executable, "-m", "koop_lab.commission.commander"]
+
+
+class Hand:
+    """A commander of theta; a context manager that leaves theta at its safe value.
+
+    Parameters
+    ----------
+    rig : RigFile
+        Limits, command, safe value.
+    log : Path
+        File for what the commander prints.
+    source, kind : str, optional
+        Where the states come from; default: the measured channels of the rig.
+    scale : float
+        The rig's seconds in one second.
+    recorders : int
+        Recorders that must listen to theta before it moves.
+    note : Path, optional
+        File that says where theta was left: it goes on from there.
+
+    Attributes
+    ----------
+    theta : float
+        Commanded now.
+    home : str
+        Why theta goes back to the safe value; empty: it does not.
+    """
+
+    def __init__(
+        self,
+        rig: RigFile,
+        log: Path,
+        source: str = "",
+        kind: str = "",
+        scale: float = 1.0,
+        recorders: int = 0,
+        note: Path | None = None,
+    ) -> None:
+        self.theta = self._target = self._begin = left_at(note, rig)
+        self._rig = rig
+        self._log = log
+        self._scale = scale
+        self._first = {
+            "rig": asdict(rig),
+            "theta": self.theta,
+            "source": source or rig.measured,
+            "type": kind or rig.measured_type,
+            "scale": scale,
+            "recorders": recorders,
+            "rescue": False,
+            "note": str(note.resolve()) if note is not None else "",
+        }
+        self.home = ""
+        self._said: dict[str, Any] = {}
+        self._error = ""
+        self._beat = -math.inf
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> Hand:
+        self._start()
+        return self
+
+    @uninterrupted()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with suppress(OSError):
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+        if not self._ended_safe():
+            # killed: another one takes theta home, from where it was last known to be
+            self._first |= {"theta": self.theta, "recorders": 0, "rescue": True}
+            self._start()
+            with suppress(OSError):
+                assert self._process.stdin is not None
+                self._process.stdin.close()
+            if not self._ended_safe():
+                raise LiveError(
+                    f"theta may be at {self.theta:g}, not at its safe value "
+                    f"{self._rig.theta_safe:g}: see {self._log}"
+                ) from error
+
+    @property
+    def step(self) -> int:
+        """Step of the newest state that was answered; -1 before the first."""
+        return int(self._said.get("step", -1))
+
+    @property
+    def there(self) -> bool:
+        """Whether theta is where it was told to go."""
+        return bool(self._said.get("there")) and self._said.get("target") == self._target
+
+    def go(self, theta: float) -> None:
+        """Let theta move to a value, within limits and rate."""
+        self._target = min(max(theta, self._rig.theta_min), self._rig.theta_max)
+        self._tell(target=theta)
+
+    def beat(self) -> None:
+        """Give a sign of life.
+
+        Raises
+        ------
+        LiveError
+            If the commander takes theta home, or has ended.
+        """
+        if self.home:
+            raise LiveError(self.home)
+        if self._process.poll() is not None:
+            words = self._error or told("the commander", self._process.returncode)
+            raise LiveError(words)
+        if time.monotonic() - self._beat > BEAT:
+            self._tell()
+
+    def _tell(self, **values: Any) -> None:
+        self._beat = time.monotonic()
+        with suppress(OSError):  # that it has ended is found by the next look
+            assert self._process.stdin is not None
+            self._process.stdin.write(json.dumps(values).encode() + b"\n")
+            self._process.stdin.flush()
+
+    def _start(self) -> None:
+        self._said, self._error = {}, ""
+        with open(self._log, "ab") as output:
+            self._process = subprocess.Popen(
+                WORDS,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=output,
+                start_new_session=True,  # Ctrl-C reaches this process, which tells the commander
+                env=os.environ,
+            )
+        self._tell(**self._first)
+        threading.Thread(target=self._listen, args=(self._process,), daemon=True).start()
+
+    def _listen(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            with suppress(ValueError):
+                said = json.loads(line)
+                self._error = said.get("error", self._error)
+                if "theta" in said:
+                    self._said, self.theta, self.home = said, said["theta"], said["home"]
+
+    def _ended_safe(self) -> bool:
+        """Wait for the commander's end; return whether theta was at its safe value then."""
+        way = way_home(self._rig, self.theta) / self._scale
+        try:
+            code = self._process.wait(way + PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            return False
+        never = self._said.get("step", -1) < 0 and self.theta == self._begin
+        return code == 0 or (code == 2 and never)  # it has not begun: theta is as it was
+
+
+def note_of(rig_file: str | Path) -> Path:
+    """Return the file that says where theta of a rig was left."""
+    path = Path(rig_file)
+    return path.with_name(f".{path.name}.theta")
+
+
+def left_at(note: Path | None, rig: RigFile) -> float:
+    """Return where theta is: where the last command left it, or as the rig file says."""
+    if note is not None:
+        with suppress(OSError, ValueError):
+            theta = float(note.read_text())
+            if rig.theta_min <= theta <= rig.theta_max:
+                return theta
+    return rig.theta_start

@@ -1,0 +1,95 @@
+"""How far an excitation is, in a file beside its recordings: what resumes it. Pure: no ROS."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from koop_lab.commission.features import Bands
+from koop_lab.commission.rig_file import RigFile, as_values
+from koop_lab.commission.staircase import Visit
+from koop_node.config import ConfigError
+
+NAME = "excite.json"
+
+
+@dataclass
+class Progress:
+    """What an excitation has done, and what it is going to do.
+
+    Attributes
+    ----------
+    seed : int
+        Of the order of theta's values.
+    how : Bands or None
+        How windows are looked at, once that is known.
+    visits : list of Visit
+        Done.
+    queue : list of int
+        Next values of theta.
+    elapsed : float
+        Time of all parts [s].
+    parts : list of str
+        Folders of the recordings.
+    done : bool
+        Whether it has come to its end.
+    """
+
+    seed: int
+    how: Bands | None
+    visits: list[Visit]
+    queue: list[int]
+    elapsed: float
+    parts: list[str]
+    done: bool = False
+
+
+def begin(seed: int, queue: Sequence[int]) -> Progress:
+    """Return the progress of an excitation that begins."""
+    return Progress(seed, None, [], list(queue), 0.0, [])
+
+
+def save(progress: Progress, rig: RigFile, folder: Path) -> None:
+    """Write the file; it is whole at any time."""
+    text = json.dumps({"rig": as_values(rig), **asdict(progress)}, indent=1)
+    path, new = folder / NAME, folder / f"{NAME}.new"
+    with open(new, "w", encoding="utf-8") as file:
+        file.write(text + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(new, path)
+
+
+def load(rig: RigFile, folder: Path) -> Progress | None:
+    """Return what was done before; None if nothing was.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the file cannot be used, or is of another rig.
+    """
+    path = folder / NAME
+    if not path.exists():
+        return None
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+        own = RigFile(**known.pop("rig"))
+        how = known.pop("how")
+        visits = [
+            Visit(**{**visit, "mean": tuple(visit["mean"]), "error": tuple(visit["error"])})
+            for visit in known.pop("visits")
+        ]
+        bands = Bands(how[0], tuple(how[1]), how[2]) if how else None
+        found = Progress(how=bands, visits=visits, **known)
+    except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None
+    for name, value in as_values(own).items():
+        if value != as_values(rig)[name] and name not in ("time", "theta_start"):
+            raise ConfigError(
+                f"{path}: was begun with {name} = {value}, the rig file says "
+                f"{as_values(rig)[name]}: choose another --out"
+            )
+    return found

@@ -1,0 +1,228 @@
+"""Where theta goes next, how long it stays, and when the static map is known. Pure: no ROS.
+
+Theta goes up and down through its values, then through them at random, so that neither a memory of
+the rig nor a drift is taken for the map. At each value the logarithm of an amplitude is taken in
+one window after the other. What comes before the rig has settled is left out: the d windows for
+which the marginal standard error of the rest is least (White, Simulation 69 (1997) 323-334),
+
+    d = argmin_{d <= m/2} var(a_d .. a_m) / (m - d)
+
+and as long as d is at that end, the rig is still settling. The standard error of the rest counts
+that neighbouring windows are alike. Theta stays until it is small enough: longer where it is noisy.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+LEVELS = 9
+LOGARITHMIC = 20.0  # ratio of the limits of theta, from which on its values are a geometric series
+FEWEST = 6  # windows at a value
+LONGER = 2.0  # than the rig was seen to need, theta stays at least
+FLOOR = 0.03  # of an amplitude: no map need be known better
+SHARE = 0.07  # of the map's span, that is good enough
+MOST_VISITS = 6
+ALIKE = 0.8  # largest correlation of neighbouring windows that is believed
+
+
+@dataclass(frozen=True)
+class Visit:
+    """What was seen at one value of theta.
+
+    Attributes
+    ----------
+    level : int
+        Number of the value.
+    mean, error : tuple of float
+        Of each feature, after the rig had settled; its standard error.
+    settled : float
+        Time that the rig needed [s].
+    stay : float
+        Time that theta was there [s].
+    """
+
+    level: int
+    mean: tuple[float, ...]
+    error: tuple[float, ...]
+    settled: float
+    stay: float
+
+
+class Judged(NamedTuple):
+    """What the windows at one value say so far.
+
+    Attributes
+    ----------
+    skip : int
+        Windows that are left out: the rig was settling.
+    settled : bool
+        Whether that is over.
+    mean, error : ndarray, shape (f,)
+        Of each feature.
+    """
+
+    skip: int
+    settled: bool
+    mean: NDArray[np.float64]
+    error: NDArray[np.float64]
+
+
+class Point(NamedTuple):
+    """One value of the static map: mean and error of a feature, and how often theta was there."""
+
+    mean: float
+    error: float
+    visits: int
+
+
+def values(low: float, high: float, count: int = LEVELS) -> list[float]:
+    """Return the values of theta: evenly spaced, or by a factor where the limits are far apart.
+
+    >>> values(0.5, 50.0, 3)
+    [0.5, 5.0, 50.0]
+    """
+    if low > 0.0 and high / low >= LOGARITHMIC:
+        return [low * (high / low) ** (i / (count - 1)) for i in range(count - 1)] + [high]
+    return [low + (high - low) * i / (count - 1) for i in range(count - 1)] + [high]
+
+
+def judge(series: NDArray[np.float64], guide: Sequence[int]) -> Judged:
+    """Judge the windows at one value.
+
+    Parameters
+    ----------
+    series : ndarray, shape (m, f)
+        Features of each window, m at least 2.
+    guide : sequence of int
+        The features that tell when the rig has settled.
+    """
+    m = series.shape[0]
+    most = m // 2
+    skip = 0
+    for j in guide:
+        worth = [series[d:, j].var() / (m - d) for d in range(most + 1)]
+        skip = max(skip, int(np.argmin(worth)))
+    rest = series[skip:]
+    return Judged(skip, skip < most, rest.mean(axis=0), standard_error(rest))
+
+
+def standard_error(rest: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the standard error of the mean of each column; neighbours may be alike."""
+    m = rest.shape[0]
+    if m < 3:
+        return np.full(rest.shape[1], math.inf)
+    centred = rest - rest.mean(axis=0)
+    power = np.maximum((centred**2).sum(axis=0), 1e-300)
+    alike = np.clip((centred[1:] * centred[:-1]).sum(axis=0) / power, 0.0, ALIKE)
+    deviation = np.sqrt(power / (m - 1))
+    return np.asarray(deviation * np.sqrt((1.0 + alike) / (1.0 - alike) / m))
+
+
+def stays(
+    judged: Judged, windows: int, length: float, guide: Sequence[int], target: float,
+    seen: Sequence[float], most: int,
+) -> bool:  # fmt: skip
+    """Return whether theta should stay where it is.
+
+    Parameters
+    ----------
+    judged : Judged
+        What the windows say.
+    windows : int
+        How many there were.
+    length : float
+        Of one [s].
+    guide : sequence of int
+        Features that count.
+    target : float
+        Standard error that is good enough.
+    seen : sequence of float
+        Times that the rig needed to settle before [s].
+    most : int
+        Windows after which theta goes on anyhow.
+    """
+    if windows >= most:
+        return False
+    needed = max(FEWEST, LONGER * float(np.quantile(seen, 0.75)) / length if seen else 0)
+    small = bool((judged.error[list(guide)] <= target).all())
+    return windows < min(needed, most) or not judged.settled or not small
+
+
+def static_map(visits: Sequence[Visit], feature: int, count: int = LEVELS) -> list[Point | None]:
+    """Return the map of one feature; None where theta was not."""
+    found: list[Point | None] = []
+    for level in range(count):
+        own = [visit for visit in visits if visit.level == level]
+        if not own:
+            found.append(None)
+            continue
+        mean = np.array([visit.mean[feature] for visit in own])
+        error = np.maximum([visit.error[feature] for visit in own], 1e-9)
+        weight = 1.0 / np.minimum(error, 1e3) ** 2
+        centre = float(np.average(mean, weights=weight))
+        inner = 1.0 / math.sqrt(float(weight.sum()))
+        between = float(mean.std(ddof=1)) / math.sqrt(mean.size) if mean.size > 1 else 0.0
+        found.append(Point(centre, max(inner, between), len(own)))
+    return found
+
+
+def clearest(visits: Sequence[Visit], candidates: Sequence[int], count: int = LEVELS) -> int:
+    """Return the feature whose map stands out most from its error."""
+
+    def worth(feature: int) -> float:
+        points = [p for p in static_map(visits, feature, count) if p is not None]
+        if len(points) < 2:
+            return 0.0
+        errors = np.array([p.error for p in points])
+        return float(np.var([p.mean for p in points]) / (np.median(errors**2) + 1e-12))
+
+    return max(candidates, key=worth)
+
+
+def target_error(points: Sequence[Point | None]) -> float:
+    """Return the standard error at which a map is known well enough."""
+    means = [p.mean for p in points if p is not None]
+    return max(FLOOR, SHARE * (max(means) - min(means))) if means else FLOOR
+
+
+def unknown(visits: Sequence[Visit], feature: int, count: int = LEVELS) -> list[int]:
+    """Return the values at which the map is not known well enough, and may be some day."""
+    points = static_map(visits, feature, count)
+    target = target_error(points)
+    return [
+        level
+        for level, p in enumerate(points)
+        if p is None or (p.visits < MOST_VISITS and (p.visits < 2 or p.error > target))
+    ]
+
+
+def unknown_twice(visits: Sequence[Visit], count: int = LEVELS) -> bool:
+    """Return whether theta was at some value less than twice; the turning point needs one."""
+    stays = [sum(visit.level == level for visit in visits) for level in range(count)]
+    return sum(stay < 2 for stay in stays) > 1 or 0 in stays
+
+
+def passes(up_first: bool, count: int = LEVELS) -> list[int]:
+    """Return the staircase: up and down, or down and up."""
+    up = list(range(count))
+    return [*up, *up[-2::-1]] if up_first else [*up[::-1], *up[1:]]
+
+
+def next_round(visits: Sequence[Visit], feature: int, seed: int, count: int = LEVELS) -> list[int]:
+    """Return the values for another round, at random; empty if the map is known well enough.
+
+    The first round has all of them.
+    """
+    first = len(visits) <= len(passes(True, count))
+    wanted = list(range(count)) if first else unknown(visits, feature, count)
+    random.Random(f"{seed} {len(visits)}").shuffle(wanted)
+    if visits and len(wanted) > 1 and wanted[0] == visits[-1].level:
+        wanted.append(wanted.pop(0))
+    return wanted

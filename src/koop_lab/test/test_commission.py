@@ -1,0 +1,204 @@
+"""Commissioning offline: channels, reaction, the way of theta, against what is known exactly."""
+
+import json
+import math
+import random
+
+import numpy as np
+import pytest
+
+from koop_lab.commission import progress, staircase
+from koop_lab.commission.channels import channel, lines, strongest_period
+from koop_lab.commission.features import Bands, bands, features
+from koop_lab.commission.leash import Leash, beyond
+from koop_lab.commission.reaction import order, reaction, reaction_of_rests
+from koop_lab.commission.rig_file import RigFile
+from koop_lab.commission.staircase import Visit
+from koop_node.config import ConfigError
+
+DT = 0.01
+T = np.arange(6000) * DT
+RIG = RigFile(
+    "/a:x,y", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, -1.0, 3.0, 0.5, 2.0, 0.5,
+    channel_max=(5.0, 6.0),
+)  # fmt: skip
+
+
+def test_a_spectrum_names_frequency_and_amplitude_of_each_sine():
+    noise = np.random.default_rng(0).normal(0.0, 0.1, T.size)
+    x = 7.0 + 3.0 * np.sin(2 * np.pi * 1.7 * T) + 0.8 * np.sin(2 * np.pi * 6.3 * T) + noise
+    found = lines(x, DT)
+    assert [line.frequency for line in found] == pytest.approx([1.7, 6.3], abs=0.02)
+    assert [line.amplitude for line in found] == pytest.approx([3.0, 0.8], rel=0.03)
+    assert strongest_period(x[:, None], DT) == pytest.approx(1 / 1.7, rel=0.01)
+    assert lines(np.ones(500), DT) == []
+
+
+@pytest.mark.parametrize("levels", [0.0, 0.05])
+def test_a_stop_is_told_from_a_sine_that_turns(levels):
+    x = 2.0 * np.sin(2 * np.pi * 1.3 * T)
+    x = np.round(x / levels) * levels if levels else x
+    assert channel(x).saturated == 0.0
+    held = channel(np.minimum(x, 1.5))
+    assert held.saturated == pytest.approx(math.acos(0.75) / math.pi, abs=0.02)  # of a sine
+    assert held.quantum == pytest.approx(levels)
+
+
+def test_a_channel_that_says_nothing_or_rests_is_seen():
+    x = np.sin(T)
+    assert channel(np.full(100, 3.0)).dead
+    assert channel(np.full(100, math.nan)).dead
+    assert channel(np.r_[x[:3000], np.full(3000, x[2999])]).held == pytest.approx(0.5, abs=0.01)
+    assert channel(np.where(T < 6.0, math.nan, x)).bad == pytest.approx(0.1)
+
+
+def test_features_are_the_logarithms_of_amplitudes_in_all_and_in_bands():
+    x = np.column_stack([2.0 * np.sin(2 * np.pi * 5.0 * T), 0.5 * np.sin(2 * np.pi * 1.5 * T)])
+    how = bands(x, 400, DT)
+    found = np.exp(features(x[:400], how)).reshape(2, -1)
+    assert found[:, 0] == pytest.approx([2.0, 0.5], rel=0.01)
+    inside = [a <= 5.0 * 4.0 < b for a, b in zip(how.edges, how.edges[1:], strict=False)]
+    assert found[0, 1:][inside] == pytest.approx([2.0], rel=0.05)
+    assert found[0, 1:][~np.array(inside)].max() < 0.4
+
+
+def test_nothing_reacts_to_a_theta_that_reaches_nothing_more_often_than_p_says():
+    rng, drawn = np.random.default_rng(1), random.Random(1)
+    found = []
+    for _ in range(100):  # a rig that drifts and remembers, with many features
+        noise = np.cumsum(rng.normal(size=(8, 12)), axis=0)
+        found.append(reaction(noise, order(8, drawn)).p)
+    share = np.mean(np.array(found) <= 2 / 70)
+    assert share < 2 / 70 + 3 * math.sqrt(2 / 70 / 100)
+
+
+def test_a_theta_that_reaches_the_rig_is_found_and_where():
+    rng, moved = np.random.default_rng(2), order(8, random.Random(2))
+    noise = rng.normal(size=(8, 12))
+    noise[:, 7] += 30.0 * np.array(moved)
+    found = reaction(noise, moved)
+    assert (found.p, found.feature) == (pytest.approx(2 / 70), 7)
+    assert found.change == pytest.approx(30.0, abs=2.0)
+
+
+def test_a_map_that_is_the_same_on_both_sides_is_found_in_a_recording():
+    rng, theta = np.random.default_rng(4), np.tile(np.linspace(-1, 1, 9), 3)
+    found = rng.normal(0.0, 0.1, (27, 6))
+    assert reaction_of_rests(found, theta).p > 0.05
+    found[:, 2] += theta**2
+    assert reaction_of_rests(found, theta).p <= 0.01
+    assert reaction_of_rests(found, theta).feature == 2
+
+
+def test_theta_keeps_its_limits_and_rate_whoever_asks():
+    leash = Leash(RIG, 2.0, 2.0).asked(99.0)
+    assert leash.target == RIG.theta_max
+    assert leash.moved(1e9).theta == pytest.approx(2.0 + 2 * DT * 0.5)  # however late
+    assert leash.moved(-1.0).theta == 2.0
+    assert leash.asked(math.nan) == leash
+    for _ in range(1000):
+        before, leash = leash, leash.moved(DT)
+        assert abs(leash.theta - before.theta) <= 0.5 * DT + 1e-12
+    assert leash.there
+    home = leash.called_home("first").called_home("second").asked(3.0)
+    assert (home.home, home.target) == ("first", RIG.theta_safe)
+    assert not home.safe
+    while not home.there:
+        home = home.moved(DT)
+    assert home.safe
+
+
+def test_a_limit_of_a_channel_is_named():
+    assert beyond(RIG, [4.9, 5.9]) == ""
+    assert beyond(RIG, [4.9, 6.1]) == "y = 6.1 is beyond its limit 6"
+
+
+class Simulated:
+    """A rig of which the map is known: log amplitude (theta - 1)^2, first order, noisy."""
+
+    def __init__(self, tau, noise, seed=0):
+        self.tau, self.noise, self.value = tau, noise, 0.0
+        self.rng = np.random.default_rng(seed)
+
+    def windows(self, theta, length):
+        while True:
+            aim = (theta - 1.0) ** 2
+            self.value += (1.0 - math.exp(-length / self.tau)) * (aim - self.value)
+            yield np.array([self.value + self.rng.normal(0.0, self.noise)])
+
+
+def excited(rig, length=1.0, most=400):
+    """Do as the excitation does; return the visits."""
+    values = staircase.values(RIG.theta_min, RIG.theta_max)
+    visits, queue = [], staircase.passes(True)
+    while queue or (queue := staircase.next_round(visits, 0, 0)):
+        level = queue.pop(0)
+        target = staircase.target_error(staircase.static_map(visits, 0))
+        series, source = [], rig.windows(values[level], length)
+        while True:
+            series.append(next(source))
+            if len(series) < staircase.FEWEST:
+                continue
+            judged = staircase.judge(np.array(series), [0])
+            seen = [visit.settled for visit in visits]
+            if not staircase.stays(judged, len(series), length, [0], target, seen, most):
+                break
+        visits.append(
+            Visit(level, tuple(judged.mean), tuple(judged.error), judged.skip * length,
+                  len(series) * length)
+        )  # fmt: skip
+    return visits
+
+
+@pytest.mark.parametrize(("tau", "noise"), [(1.0, 0.02), (10.0, 0.05), (3.0, 0.8)])
+def test_the_map_is_found_as_well_as_was_promised(tau, noise):
+    visits = excited(Simulated(tau, noise))
+    points = staircase.static_map(visits, 0)
+    target = staircase.target_error(points)
+    values = np.array(staircase.values(RIG.theta_min, RIG.theta_max))
+    off = np.array([point.mean for point in points]) - (values - 1.0) ** 2
+    assert min(point.visits for point in points) >= 2
+    assert np.sqrt(np.mean(off**2)) < 1.5 * target
+    assert np.abs(off).max() < 4.0 * target
+
+
+def test_theta_stays_longer_where_the_rig_is_slow_or_noisy():
+    usual = np.mean([visit.stay for visit in excited(Simulated(1.0, 0.02))])
+    assert np.mean([visit.stay for visit in excited(Simulated(10.0, 0.02))]) > 2.0 * usual
+    assert np.mean([visit.stay for visit in excited(Simulated(1.0, 0.8))]) > 2.0 * usual
+
+
+def test_theta_goes_up_and_down_and_then_everywhere_at_random():
+    visits = excited(Simulated(1.0, 0.02))
+    levels = [visit.level for visit in visits]
+    assert levels[:17] == [*range(9), *range(7, -1, -1)]
+    assert sorted(levels[17:26]) == list(range(9))
+    assert levels[17:26] != sorted(levels[17:26])
+    assert staircase.passes(False)[:9] == list(range(8, -1, -1))
+
+
+def test_limits_far_apart_are_a_geometric_series():
+    found = np.array(staircase.values(0.5, 60.0))
+    assert found[1:] / found[:-1] == pytest.approx(120.0 ** (1 / 8))
+    assert np.diff(staircase.values(-0.5, 60.0)) == pytest.approx(60.5 / 8)
+
+
+def test_of_several_features_the_one_that_shows_theta_guides():
+    visits = [Visit(i, (0.0, i * 0.5, i * 0.5), (0.1, 0.1, 3.0), 0.0, 1.0) for i in range(9)]
+    assert staircase.clearest(visits, range(3)) == 1
+
+
+def test_progress_is_what_was_saved_and_of_this_rig(tmp_path):
+    state = progress.begin(3, [1, 2])
+    assert progress.load(RIG, tmp_path) is None
+    state.how = Bands(64, (1, 2, 5), DT)
+    state.visits.append(Visit(4, (0.1, -2.0), (math.inf, 0.2), 1.0, 8.0))
+    progress.save(state, RIG, tmp_path)
+    assert progress.load(RIG, tmp_path) == state
+    from dataclasses import replace
+
+    with pytest.raises(ConfigError, match=r"begun with theta_max = 3.0, the rig file says 4.0"):
+        progress.load(replace(RIG, theta_max=4.0), tmp_path)
+    (tmp_path / progress.NAME).write_text(json.dumps({"rig": 3}))
+    with pytest.raises(ConfigError, match="cannot be read"):
+        progress.load(RIG, tmp_path)

@@ -1,0 +1,87 @@
+"""A rig for commissioning: fast, unstamped, with one knob."""
+
+import math
+import random
+import threading
+import time
+
+from koop_lab.commission.rig_file import RigFile
+
+DT = 0.004
+OMEGA = 2.0 * math.pi * 20.0
+BEST = 0.8
+RIG = RigFile(
+    measured="/fast:data[0],data[1]",
+    measured_type="std_msgs/msg/Float64MultiArray",
+    command="/fast/knob:data",
+    command_type="std_msgs/msg/Float64",
+    dt=DT,
+    theta_min=-1.0,
+    theta_max=2.0,
+    theta_rate=20.0,
+    theta_start=1.5,
+    theta_safe=1.0,
+    channel_max=(8.0, 8.0),
+    time=30.0,
+)
+
+
+class FastRig:
+    """Oscillates at 20 Hz; its amplitude follows 0.3 + (theta - 0.8)^2 within 0.1 s.
+
+    Attributes
+    ----------
+    theta : float
+        Commanded last.
+    moved : list of (float, float)
+        Every command with its time [s].
+    applied, dead, silent, spike : bool
+        Whether theta has an effect, the second channel and all of it say nothing, the first channel
+        is beyond all limits.
+    """
+
+    def __init__(self):
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from std_msgs.msg import Float64, Float64MultiArray
+
+        self.theta, self.moved = RIG.theta_start, []
+        self.applied, self.dead, self.silent, self.spike = True, False, False, False
+        self._context = rclpy.Context()
+        self._context.init(args=[])
+        self._node = rclpy.create_node("fast_rig", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._message = Float64MultiArray()
+        self._publisher = self._node.create_publisher(Float64MultiArray, "/fast", 100)
+        self._node.create_subscription(Float64, "/fast/knob", self._on_command, 10)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def close(self):
+        self._over.set()
+        self._thread.join()
+        self._executor.shutdown()
+        self._node.destroy_node()
+        self._context.try_shutdown()
+
+    def _on_command(self, message):
+        self.theta = message.data
+        self.moved.append((time.monotonic(), message.data))
+
+    def _run(self):
+        rng, size, k, due = random.Random(0), 1.0, 0, time.monotonic()
+        while not self._over.is_set():
+            self._executor.spin_once(timeout_sec=max(due - time.monotonic(), 0.0))
+            if time.monotonic() < due:
+                continue
+            due += DT
+            k += 1
+            aim = 0.3 + ((self.theta if self.applied else 1.5) - BEST) ** 2
+            size += DT / 0.03 * (aim - size)
+            x = size * math.sin(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
+            y = size * math.cos(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
+            self._message.data = [99.0 if self.spike else x, 0.5 if self.dead else y]
+            if not self.silent:
+                self._publisher.publish(self._message)

@@ -1,0 +1,70 @@
+"""``koop check``: a fit rig, a command that nothing applies, a user's mistakes."""
+
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from commission_rig import RIG
+from std_msgs.msg import Float64
+
+from koop_lab.commission import check, ears
+from koop_lab.commission.check import BAD, live
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    monkeypatch.setattr(check, "LISTEN", 1.0)
+    monkeypatch.setattr(ears, "DISCOVERY", 1.0)
+
+
+def rows_of(rig, moves=True, seed=0):
+    rows = list(live(rig, 1.0, moves, random.Random(seed)))
+    assert len({str(row).count("\n") for row in rows}) == 1  # a line each
+    return {row.name: row for row in rows}, [row.name for row in rows if row.level == BAD]
+
+
+def test_a_fit_rig_reacts_and_theta_ends_at_its_safe_value(fast_rig):
+    rows, bad = rows_of(RIG)
+    assert bad == []
+    assert "lost none, no stamps: counted by arrival" in rows["arrival"].text
+    assert "strongest at 20 Hz" in rows["spectrum"].text
+    assert "reaches the rig with 97" in rows["theta"].text
+    assert fast_rig.theta == RIG.theta_safe
+    times, theta = np.array(fast_rig.moved).T
+    assert RIG.theta_min <= theta.min()
+    assert theta.max() <= RIG.theta_max
+    # within the rate: over a time longer than the messages may be late
+    for i, j in zip(range(0, theta.size - 60, 20), range(60, theta.size, 20), strict=False):
+        assert abs(theta[j] - theta[i]) <= RIG.theta_rate * (times[j] - times[i] + 0.15)
+
+
+def test_a_command_that_is_never_applied_and_a_dead_sensor_are_a_line_each(fast_rig, monkeypatch):
+    monkeypatch.setattr(check, "STAGES", check.STAGES[:1])
+    fast_rig.applied = False
+    rows, bad = rows_of(RIG)
+    assert bad == ["theta"]
+    assert "nothing reacts" in rows["theta"].text
+    fast_rig.dead = True
+    rows, bad = rows_of(RIG, moves=False)
+    assert rows["channel"].text == "data[1] is always 0.5: dead sensor"
+
+
+def test_what_a_user_does_wrong_is_a_line(fast_rig, probe):
+    rows, bad = rows_of(replace(RIG, measured="/slow:data[0]", channel_max=()), moves=False)
+    assert bad == ["graph"]
+    assert "nobody publishes /slow: is the rig started" in rows["graph"].text
+    assert "/fast (std_msgs/msg/Float64MultiArray)" in rows["graph"].text
+    rows, bad = rows_of(replace(RIG, measured_type="std_msgs/msg/Float64", measured="/fast:data",
+                                channel_max=()), moves=False)  # fmt: skip
+    assert "speaks std_msgs/msg/Float64MultiArray, the file says" in rows["graph"].text
+    probe.node.create_publisher(Float64, "/fast/knob", 10)
+    rows, bad = rows_of(replace(RIG, dt=0.01, channel_max=(8.0, 0.1)))
+    assert {"command", "arrival", "channel"} <= set(bad)
+    assert rows["command"].text == "/fast/knob is commanded by /probe: end that"
+    assert "dt = 0.01: dt is not that" in rows["arrival"].text
+    assert "beyond its limit 0.1 before theta moves" in rows["channel"].text
+    assert rows["theta"].text.startswith("was not moved")
+    assert not fast_rig.moved
