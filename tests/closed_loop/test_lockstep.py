@@ -46,6 +46,11 @@ LIMITED = {  # every limit and timeout away from its default; y_out_max, limits 
     },
 }  # fmt: skip
 
+ADAPTIVE = LIMITED | {
+    "relay_esc": LIMITED["relay_esc"]
+    | {"law": "adaptive", "theta_scale": "log", "step_ratio": 0.2, "lost": 4.0},
+}
+
 
 @dataclass(frozen=True)
 class Lockstep:
@@ -80,7 +85,9 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
     assert np.ptp(run.theta) > 0.1  # the controller did act
 
 
-@pytest.mark.parametrize("lockstep", [(2000, LIMITED)], ids=["limited"], indirect=True)
+@pytest.mark.parametrize(
+    "lockstep", [(2000, LIMITED), (2000, ADAPTIVE)], ids=["relay", "adaptive"], indirect=True
+)
 def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_bit(lockstep):
     given, run = lockstep.parameters, lockstep.run
     offline = simulate(given.plant, given.lifter, given.esc, None, lockstep.steps)
@@ -99,7 +106,12 @@ def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_
     assert 100 < unusable.size < 1900
     np.testing.assert_array_equal(run.theta[unusable[1:]], run.theta[unusable[1:] - 1])
     assert (run.theta.min(), run.theta.max()) == (1.95, 2.1)
-    assert np.abs(np.diff(run.theta)).max() == pytest.approx(0.3 * 0.005)
+    u = np.array([given.esc.scaled(theta) for theta in run.theta])
+    assert np.abs(np.diff(u)).max() == pytest.approx(0.3 * 0.005)
+    other = replace(given.esc, law="adaptive" if given.esc.law == "relay" else "relay")
+    assert not np.array_equal(
+        simulate(given.plant, given.lifter, other, None, lockstep.steps).theta, run.theta
+    )
     unlimited = replace(given.plant, theta_min=-100.0, theta_max=100.0, theta_rate=0.0)
     free = simulate(unlimited, given.lifter, given.esc, None, lockstep.steps)
     assert not np.array_equal(free.ground_truth, offline.ground_truth)

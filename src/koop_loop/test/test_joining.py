@@ -15,6 +15,7 @@ from koopman_lifter.config import LifterConfig, shipped_model
 from koopman_lifter.model import load
 from relay_esc.config import EscConfig
 from relay_esc.relay import RelayState
+from relay_esc.swing import OPEN
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 
@@ -44,8 +45,9 @@ def run(plant, p, memory, work, x, y, who, at, joins, theta):
                 to_controller = Arrival.RESUME if who == LIFTER else begin
                 if who == CONTROLLER:  # with theta as it was: it is the filter that is looked at
                     relay_state = RelayState(
-                        relay_state.theta, 1, 0.0, 0.0, 0, False, relay_state.output
-                    )
+                        relay_state.u, 1, 0.0, 0.0, 0, False, relay_state.given,
+                        relay_state.output, OPEN,
+                    )  # fmt: skip
             _, detector, relay_state = control(
                 source, lifting, detector_params, relay_params, detector, relay_state,
                 to_lifter, to_controller, False, False, k, state, work,

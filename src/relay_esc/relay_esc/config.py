@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 from koop_node.config import ConfigError, parameter, validate
 from koop_node.fields import check_topic
+from relay_esc.elementary import log
 from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
+from relay_esc.swing import LEVEL_TIME
 
 
 @dataclass(frozen=True)
@@ -20,8 +22,34 @@ class EscConfig:
         If a value has the wrong type or is out of range, or the limits cross.
     """
 
+    law: str = parameter(
+        "relay",
+        "relay: the paper's, which swings for ever; adaptive: a relay on log r that shrinks its "
+        "step when it has arrived and opens it again when the optimum moves",
+        choices=("relay", "adaptive"),
+        read_only=True,
+    )
+    theta_scale: str = parameter(
+        "linear",
+        "log: steps, step_size and rate_limit are of ln theta [Np]; theta_min must be above 0",
+        choices=("linear", "log"),
+        read_only=True,
+    )
     step_size: float = parameter(
-        0.005 / 15.0, "relay step k, the change of theta per sample", low=0.0, high=10.0
+        0.005 / 15.0,
+        "relay step k, the change of theta per sample; adaptive: the largest",
+        low=0.0,
+        high=10.0,
+    )
+    step_ratio: float = parameter(
+        0.1, "adaptive: smallest step in units of step_size", low=1e-4, high=1.0
+    )
+    lost: float = parameter(
+        8.0,
+        "adaptive: the optimum counts as lost when log r is that many times its noise above the "
+        "level that it had there",
+        low=3.0,
+        high=1e3,
     )
     dwell: float = parameter(
         15.0, "least time between two flips of the relay", unit="s", low=0.0, high=1e4
@@ -78,13 +106,21 @@ class EscConfig:
                 f"theta_initial = {self.theta_initial:g} must lie within "
                 f"[theta_min, theta_max] = [{self.theta_min:g}, {self.theta_max:g}]"
             )
+        if self.theta_scale == "log" and self.theta_min <= 0.0:
+            raise ConfigError(
+                f"theta_min = {self.theta_min:g}: must be above 0 with theta_scale log"
+            )
         if self.epsilon_initial == 0:
             raise ConfigError("epsilon_initial = 0: must be 1 or -1")
 
     @property
     def largest_change(self) -> float:
-        """Largest change of theta in one step; infinite without a rate limit."""
+        """Largest change of theta, or of its logarithm, in one step; infinite without a limit."""
         return self.rate_limit * self.dt if self.rate_limit > 0.0 else math.inf
+
+    def scaled(self, theta: float) -> float:
+        """Return u of a theta: theta itself, or its logarithm."""
+        return log(theta) if self.theta_scale == "log" else theta
 
     def params(self) -> RelayParams:
         """Return the values that ``relay_esc.relay.step`` takes."""
@@ -92,13 +128,20 @@ class EscConfig:
             math.exp(-self.dt / self.tau_f),
             min(self.step_size, self.largest_change),
             dwell_samples(self.dwell, self.dt),
-            self.theta_min,
-            self.theta_max,
+            self.scaled(self.theta_min),
+            self.scaled(self.theta_max),
             1.0 if self.objective == "minimise" else -1.0,
             self.largest_change,
             dwell_samples(max(self.dwell, self.tau_f), self.dt),
+            self.law == "adaptive",
+            math.exp(-self.dt / (LEVEL_TIME * max(self.dwell, self.dt))),
+            self.step_ratio,
+            self.lost,
+            self.theta_scale == "log",
+            self.theta_min,
+            self.theta_max,
         )
 
     def initial(self) -> RelayState:
         """Return the relay's state before the first sample."""
-        return initial(self.theta_initial, self.epsilon_initial)
+        return initial(self.scaled(self.theta_initial), self.epsilon_initial, self.theta_initial)

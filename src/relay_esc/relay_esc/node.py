@@ -31,7 +31,7 @@ class EscRun(Run):
         self._node = node
         self._params = config.params()
         self._state = config.initial()
-        self._answer = ControlInput(theta=self._state.theta)
+        self._answer = ControlInput(theta=self._state.output)
         self._input = StreamMonitor("cost", config.cost_timeout, config.dt, may_end=True)
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
@@ -112,15 +112,15 @@ class EscRun(Run):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]
-        self._state = relay.reset(self._state, config.theta_initial, config.epsilon_initial)
+        self._state = relay.reset(self._state, config.initial())
         response.success = True
-        response.message = f"theta is {self._state.theta:g} again, filter and relay are reset"
+        response.message = f"theta is {config.theta_initial:g} again, filter and relay are reset"
         return response
 
     def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._hold_asked = request.data
         response.success = True
-        held = f"theta held at {self._state.theta:g}"
+        held = f"theta held at {self._state.output:g}"
         response.message = held if request.data else "seeking"
         return response
 

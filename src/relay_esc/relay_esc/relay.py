@@ -1,8 +1,12 @@
 """Relay extremum-seeking control (paper section 2.2; Salsbury et al. 2023).
 
-    hp_k    = alpha hp_{k-1} + (1 - alpha) (r_k - r_{k-1}),   alpha = exp(-dt / tau_f)
+    hp_k    = alpha hp_{k-1} + (1 - alpha) (x_k - x_{k-1}),   alpha = exp(-dt / tau_f)
     epsilon <- -epsilon   if hp_k > 0 and the dwell time has passed since the last flip
-    theta_k = clip(theta_{k-1} - k epsilon)
+    u_k     = clip(u_{k-1} - k g epsilon)
+
+The law ``relay`` is the paper's: x = r and g = 1. The law ``adaptive`` takes x = log r, and g and
+the dwell time from :mod:`relay_esc.swing`; a cost of 0 is unusable for it. The control input is
+theta = u, or theta = exp(u) with ``theta_scale: log``.
 
 The first sample only primes the filter: r_{-1} is unknown, so its difference is taken as 0 and
 theta stays. The same holds for the first sample after a hold, so that a cost that jumped in the
@@ -22,6 +26,8 @@ from typing import NamedTuple
 from numba import njit
 
 from koop_node.arrival import Arrival
+from relay_esc.elementary import exp, log
+from relay_esc.swing import OPEN, Swing, follow, forget_leg, turn, widen
 
 
 class RelayParams(NamedTuple):
@@ -32,27 +38,46 @@ class RelayParams(NamedTuple):
     alpha : float
         Filter coefficient exp(-dt / tau_f) [-].
     step_size : float
-        Change of theta per sample, k > 0 [theta].
+        Change of u per sample, k > 0 [u].
     dwell_samples : int
         Samples that must lie between two flips, dwell time / dt.
-    theta_min, theta_max : float
-        Saturation limits [theta].
+    u_min, u_max : float
+        Saturation limits [u].
     sense : float
         +1 minimises r, -1 maximises it.
     largest_change : float
-        Largest change of what is given out, per sample [theta]; infinite without a limit.
+        Largest change of what is given out, per sample [u]; infinite without a limit.
     settling : int
         Samples for which theta is held after joining a run.
+    adaptive : bool
+        Whether the law is ``adaptive``.
+    alpha_level : float
+        Filter coefficient of the level of log r [-].
+    step_ratio : float
+        Smallest step in units of ``step_size``.
+    lost : float
+        Noise above the reference at which the optimum is lost.
+    logarithmic : bool
+        Whether theta = exp(u).
+    theta_min, theta_max : float
+        Saturation limits [theta].
     """
 
     alpha: float
     step_size: float
     dwell_samples: int
-    theta_min: float
-    theta_max: float
+    u_min: float
+    u_max: float
     sense: float
     largest_change: float
     settling: int
+    adaptive: bool
+    alpha_level: float
+    step_ratio: float
+    lost: float
+    logarithmic: bool
+    theta_min: float
+    theta_max: float
 
 
 class RelayState(NamedTuple):
@@ -60,31 +85,37 @@ class RelayState(NamedTuple):
 
     Attributes
     ----------
-    theta : float
-        Last control input that the relay asks for [theta].
+    u : float
+        What the relay asks for [u]: theta, or its logarithm.
     epsilon : int
         Relay sign; +1 moves theta down, -1 up.
     cost_rise_filtered : float
-        Filtered cost change, in units of r; positive means that the cost gets worse.
-    r_previous : float
-        Last cost.
+        Filtered change of x; positive means that the cost gets worse.
+    x_previous : float
+        Last cost, or its logarithm.
     since_flip : int
         Samples since the last flip; below 0: minus the samples until the controller, which has
         joined a run, begins to seek.
     primed : bool
-        False until ``r_previous`` holds a cost to take the next difference from.
+        False until ``x_previous`` holds a cost to take the next difference from.
+    given : float
+        What was given out last [u]; lags behind ``u`` where that jumps, as after a reset, and the
+        rate is limited.
     output : float
-        Last control input that was given out [theta]; lags behind ``theta`` where that jumps, as
-        after a reset, and the rate is limited.
+        Control input that was given out last [theta].
+    swing : Swing
+        Of the adaptive law.
     """
 
-    theta: float
+    u: float
     epsilon: int
     cost_rise_filtered: float
-    r_previous: float
+    x_previous: float
     since_flip: int
     primed: bool
+    given: float
     output: float
+    swing: Swing
 
 
 def dwell_samples(dwell: float, dt: float) -> int:
@@ -95,39 +126,71 @@ def dwell_samples(dwell: float, dt: float) -> int:
     return math.ceil(dwell / dt - 1e-9)
 
 
-def initial(theta: float, epsilon: int) -> RelayState:
+def initial(u: float, epsilon: int, theta: float) -> RelayState:
     """Return the state before the first sample; the first flip waits for the dwell time too."""
-    return RelayState(float(theta), epsilon, 0.0, 0.0, 0, False, float(theta))
+    return RelayState(float(u), epsilon, 0.0, 0.0, 0, False, float(u), float(theta), OPEN)
 
 
-def reset(state: RelayState, theta: float, epsilon: int) -> RelayState:
-    """Return to ``theta`` and ``epsilon``; what is given out gets there at its limited rate."""
-    return initial(theta, epsilon)._replace(
-        since_flip=min(state.since_flip, 0), output=state.output
+def reset(state: RelayState, begin: RelayState) -> RelayState:
+    """Return to the state ``begin``; what is given out gets there at its limited rate."""
+    return begin._replace(
+        since_flip=min(state.since_flip, 0), given=state.given, output=state.output
     )
+
+
+def gradient(p: RelayParams, state: RelayState) -> float:
+    """Return the slope of the cost over u, of log r with the adaptive law; filtered as the rise is.
+
+    It is that of the cost's change by the step that theta makes, whatever causes the change.
+    """
+    step_size = p.step_size * state.swing.factor
+    if step_size == 0.0:
+        return 0.0
+    return -p.sense * state.epsilon * state.cost_rise_filtered / step_size
 
 
 @njit(cache=True)
 def hold(state: RelayState) -> RelayState:
     """Keep theta and the filter; the next cost is not a jump."""
     return RelayState(
-        state.theta,
+        state.u,
         state.epsilon,
         state.cost_rise_filtered,
-        state.r_previous,
+        state.x_previous,
         state.since_flip,
         False,
+        state.given,
         state.output,
+        state.swing,
     )
 
 
 @njit(cache=True)
-def restart(state: RelayState, since_flip: int) -> RelayState:
+def restart(state: RelayState, since_flip: int, swing: Swing) -> RelayState:
     """Keep theta and its direction; the filter is reset, the dwell time begins."""
-    return RelayState(state.theta, state.epsilon, 0.0, 0.0, since_flip, False, state.output)
+    return RelayState(
+        state.u, state.epsilon, 0.0, 0.0, since_flip, False, state.given, state.output, swing
+    )
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
+def take(p: RelayParams, state: RelayState, r: float) -> RelayState:
+    """Take a usable cost into the filters; theta and the time since the flip stay."""
+    swing = state.swing
+    if p.adaptive:
+        x = log(r)
+        swing = follow(swing, p.alpha_level, p.sense * x)
+    else:
+        x = r
+    rise = state.cost_rise_filtered
+    if state.primed:
+        rise = p.alpha * rise + (1.0 - p.alpha) * (p.sense * (x - state.x_previous))
+    return RelayState(
+        state.u, state.epsilon, rise, x, state.since_flip, True, state.given, state.output, swing
+    )
+
+
+@njit(cache=True, inline="always")
 def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
     """Process one cost sample.
 
@@ -138,47 +201,62 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
     state : RelayState
         State after the previous sample.
     r : float
-        Cost r_k; must be finite (the caller holds on anything else).
+        Cost r_k; must be usable (the caller holds on anything else).
 
     Returns
     -------
     RelayState
-        State after this sample; ``theta`` is the control input to apply.
+        State after this sample; ``u`` is the control input to apply.
     """
+    after = take(p, state, r)
     if not state.primed:
-        return RelayState(
-            state.theta,
-            state.epsilon,
-            state.cost_rise_filtered,
-            r,
-            state.since_flip,
-            True,
-            state.output,
-        )
-    rise = p.alpha * state.cost_rise_filtered + (1.0 - p.alpha) * (p.sense * (r - state.r_previous))
+        return after
     epsilon = state.epsilon
     since_flip = state.since_flip + 1
-    if rise > 0.0 and since_flip >= p.dwell_samples:
+    swing = after.swing
+    if after.cost_rise_filtered > 0.0 and since_flip >= p.dwell_samples * swing.stretch:
         epsilon = -epsilon
+        if p.adaptive:
+            length = since_flip / max(p.dwell_samples, 1)
+            swing = turn(swing, length, p.step_ratio, p.lost)
         since_flip = 0
-    theta = state.theta - p.step_size * epsilon
-    theta = min(max(theta, p.theta_min), p.theta_max)
-    return RelayState(theta, epsilon, rise, r, since_flip, True, state.output)
+    elif p.adaptive and since_flip >= 2 * p.dwell_samples > 0 and since_flip % p.dwell_samples == 0:
+        swing = widen(swing)
+    u = state.u - p.step_size * swing.factor * epsilon
+    u = min(max(u, p.u_min), p.u_max)
+    return RelayState(
+        u,
+        epsilon,
+        after.cost_rise_filtered,
+        after.x_previous,
+        since_flip,
+        True,
+        state.given,
+        state.output,
+        swing,
+    )
+
+
+@njit(cache=True)
+def usable(p: RelayParams, r: float) -> bool:
+    """Say whether a cost tells anything; 0 has no logarithm."""
+    return math.isfinite(r) and (r > 0.0 or not p.adaptive)
 
 
 @njit(cache=True)
 def wait(p: RelayParams, state: RelayState, r: float) -> RelayState:
     """Feed the filter with one cost, which may be unusable, while theta is still held."""
-    since_flip = state.since_flip + 1
-    after = step(p, state, r) if math.isfinite(r) else hold(state)
+    after = take(p, state, r) if usable(p, r) else hold(state)
     return RelayState(
-        state.theta,
+        state.u,
         state.epsilon,
         after.cost_rise_filtered,
-        after.r_previous,
-        since_flip,
+        after.x_previous,
+        state.since_flip + 1,
         after.primed,
+        state.given,
         state.output,
+        after.swing,
     )
 
 
@@ -194,26 +272,28 @@ def respond(
 ) -> tuple[RelayState, bool]:
     """Say what the relay asks for in answer to one cost; see :func:`answer`."""
     if arrival == Arrival.RESTART:
-        state = restart(state, 0)
+        state = restart(state, 0, OPEN)
     elif arrival == Arrival.JOIN:
-        state = restart(state, -p.settling)
+        state = restart(state, -p.settling, OPEN)
     elif switched:
-        state = restart(state, min(state.since_flip, 0))
+        state = restart(state, min(state.since_flip, 0), OPEN)
     elif settling:  # the filter still knows how the cost went before it was lost
         state = RelayState(
-            state.theta,
+            state.u,
             state.epsilon,
             state.cost_rise_filtered,
-            state.r_previous,
+            state.x_previous,
             min(state.since_flip, 0),
             False,
+            state.given,
             state.output,
+            state.swing,
         )
     elif arrival == Arrival.RESUME:
-        state = restart(state, min(state.since_flip, 0))
+        state = restart(state, min(state.since_flip, 0), forget_leg(state.swing))
     if state.since_flip < 0:
         return wait(p, state, r), True
-    if hold_asked or not math.isfinite(r):
+    if hold_asked or not usable(p, r):
         return hold(state), True
     return step(p, state, r), False
 
@@ -263,27 +343,42 @@ def answer(
     usual = (  # nothing to decide and no limit of the rate: apart, the loop is 5 % faster for it
         arrival == Arrival.NEXT
         and not (switched or settling or hold_asked)
-        and math.isfinite(r)
+        and usable(p, r)
         and state.since_flip >= 0
-        and state.output == state.theta
-        and p.theta_min <= state.theta <= p.theta_max
+        and state.given == state.u
+        and p.u_min <= state.u <= p.u_max
     )
     if usual:
         state, holding = step(p, state, r), False
-        output = state.theta
+        given = state.u
     else:
         state, holding = respond(p, state, arrival, switched, settling, r, hold_asked)
-        output = slew(state.output, state.theta, p.largest_change)
+        given = slew(state.given, state.u, p.largest_change)
     state = RelayState(
-        state.theta,
+        state.u,
         state.epsilon,
         state.cost_rise_filtered,
-        state.r_previous,
+        state.x_previous,
         state.since_flip,
         state.primed,
-        output,
+        given,
+        theta_of(p, given) if p.logarithmic else given,
+        state.swing,
     )
-    return state, holding, output <= p.theta_min or output >= p.theta_max
+    return state, holding, given <= p.u_min or given >= p.u_max
+
+
+@njit(cache=True)
+def theta_of(p: RelayParams, u: float) -> float:
+    """Return theta = exp(u); at a limit that limit itself, and never beyond one by rounding."""
+    if u == p.u_min:
+        return p.theta_min
+    if u == p.u_max:
+        return p.theta_max
+    theta = exp(u)
+    if p.u_min < u < p.u_max:
+        theta = min(max(theta, p.theta_min), p.theta_max)
+    return theta
 
 
 @njit(cache=True)

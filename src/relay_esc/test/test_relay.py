@@ -38,7 +38,7 @@ def test_a_hand_computed_sequence():
         dt=1.0, tau_f=1.0 / math.log(2.0), step_size=1.0, dwell=2.0, theta_initial=0.0
     )
     states = run(config, [4, 6, 6, 4, 4, 8, 8, 8])
-    assert [s.theta for s in states] == [0, -1, 0, 1, 2, 1, 0, 1]
+    assert [s.u for s in states] == [0, -1, 0, 1, 2, 1, 0, 1]
     assert [s.epsilon for s in states] == [1, 1, -1, -1, -1, 1, 1, -1]
     np.testing.assert_allclose(
         [s.cost_rise_filtered for s in states],
@@ -60,7 +60,7 @@ def test_the_filter_is_scipy_s():
 def test_the_paper_s_ramp_crosses_five_units_in_75_seconds_when_the_cost_falls():
     config = EscConfig()
     states = run(config, np.linspace(1.0, 0.0, 15_001))
-    assert states[-1].theta == pytest.approx(2.0 - 5.0, abs=1e-9)
+    assert states[-1].u == pytest.approx(2.0 - 5.0, abs=1e-9)
     assert all(s.epsilon == 1 for s in states)
 
 
@@ -75,7 +75,7 @@ def test_the_relay_keeps_its_direction_until_the_dwell_time_has_passed():
 def test_theta_stops_at_its_limits():
     config = EscConfig(theta_initial=-4.999)
     states = run(config, np.linspace(1.0, 0.0, 100))
-    assert states[-1].theta == -5.0
+    assert states[-1].u == -5.0
     assert answer(config, states[-1], 0.0)[2]
     assert not answer(config, states[0], 1.0)[2]
 
@@ -84,7 +84,7 @@ def test_maximising_is_minimising_the_negated_cost():
     costs = np.random.default_rng(2).normal(size=9000).cumsum()
     low = run(EscConfig(objective="minimise"), costs)
     high = run(EscConfig(objective="maximise"), -costs)
-    assert [s.theta for s in low] == [s.theta for s in high]
+    assert [s.u for s in low] == [s.u for s in high]
     assert len({s.epsilon for s in low}) == 2
 
 
@@ -93,7 +93,7 @@ def test_a_jump_of_the_cost_during_a_hold_causes_no_flip():
     held = relay.hold(run(config, np.linspace(1.0, 0.9, 50))[-1])
     after = run(config, [1e6, 1e6 - 1.0, 1e6 - 2.0], held)
     assert [s.epsilon for s in after] == [1, 1, 1]
-    assert after[0].theta == held.theta
+    assert after[0].u == held.u
 
 
 def test_the_compiled_kernel_is_the_python_function():
@@ -124,7 +124,8 @@ def answer(config, state, r, arrival=Arrival.NEXT, *, switched=False, settling=F
 
 
 def same(state, **changes):
-    return state._replace(output=changes.get("theta", state.theta), **changes)
+    u = changes.get("u", state.u)
+    return state._replace(given=u, output=u, **changes)
 
 
 def test_an_answer_is_held_or_the_next_step_or_the_first():
@@ -137,7 +138,7 @@ def test_an_answer_is_held_or_the_next_step_or_the_first():
     assert answer(config, state, 9.0)[:2] == (same(moved), False)
     assert answer(config, state, 9.0, hold=True)[:2] == (relay.hold(state), True)
     assert answer(config, state, math.nan)[:2] == (relay.hold(state), True)
-    first = same(state, cost_rise_filtered=0.0, r_previous=9.0, since_flip=0)
+    first = same(state, cost_rise_filtered=0.0, x_previous=9.0, since_flip=0)
     for how in ({"arrival": Arrival.RESUME}, {"arrival": Arrival.RESTART}, {"switched": True}):
         assert answer(config, state, 9.0, **how)[:2] == (first, False)
 
@@ -147,10 +148,10 @@ def test_after_a_reset_filter_the_dwell_time_guards_what_has_not_settled():
     state = run(config, np.linspace(1.0, 0.5, 50))[-1]  # falling, the dwell time is long past
     state, _, _ = answer(config, same(state), 7.0, Arrival.RESUME)
     for _ in range(9):  # a rise that would turn the relay at once
-        state, holding, _ = answer(config, state, state.r_previous + 1e-6)
+        state, holding, _ = answer(config, state, state.x_previous + 1e-6)
         assert not holding
         assert state.epsilon == 1
-    state, _, _ = answer(config, state, state.r_previous + 1e-6)
+    state, _, _ = answer(config, state, state.x_previous + 1e-6)
     assert state.epsilon == -1
 
 
@@ -184,10 +185,10 @@ def test_while_the_cost_settles_the_filter_waits_and_then_the_dwell_time_begins(
         state, holding, _ = answer(config, state, math.nan, settling=True)
         assert holding
     assert state.cost_rise_filtered == before.cost_rise_filtered < 0.0
-    assert (state.theta, state.since_flip) == (before.theta, 0)
+    assert (state.u, state.since_flip) == (before.u, 0)
     state, holding, _ = answer(config, state, 1e9)  # no rise: nobody knows the cost before it
     assert not holding
-    assert (state.cost_rise_filtered, state.theta) == (before.cost_rise_filtered, before.theta)
+    assert (state.cost_rise_filtered, state.u) == (before.cost_rise_filtered, before.u)
 
 
 def test_a_held_filter_goes_on_from_where_it_was():
@@ -205,7 +206,7 @@ def test_a_held_filter_goes_on_from_where_it_was():
 def test_what_is_given_out_gets_to_a_jump_at_its_limited_rate():
     config = EscConfig(rate_limit=0.02)  # 1e-4 a sample
     away = same(run(config, np.linspace(1.0, 0.0, 201))[-1])
-    state = relay.reset(away, 2.0, 1)
+    state = relay.reset(away, config.initial())
     for k in range(1, 4):
         state, _, _ = answer(config, state, 1.0, hold=True)
         assert state.output == pytest.approx(away.output + k * 1e-4)
@@ -223,7 +224,7 @@ def test_theta_changes_no_faster_than_its_rate_limit():
     assert relay.slew(1.0, 0.9, math.inf) == 0.9
     config = EscConfig(rate_limit=0.02)  # the relay alone would move by 0.0667 a second
     states = run(config, np.linspace(1.0, 0.0, 201))
-    assert states[-1].theta == pytest.approx(2.0 - 0.02)
+    assert states[-1].u == pytest.approx(2.0 - 0.02)
 
 
 def test_a_dwell_time_of_n_samples_is_n_samples():

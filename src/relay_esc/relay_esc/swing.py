@@ -1,0 +1,188 @@
+"""The swing of the adaptive law: how large the relay's steps are, from what the cost shows.
+
+The adaptive law is the relay of :mod:`relay_esc.relay` on x = log r, with its step times a factor
+in [step_ratio, 1]. Differences of x do not know the unit of r, and neither does anything here. A
+leg is the way from one flip to the next. Of every leg the least level m of the cost is kept, the
+level being x behind a low-pass filter; m does not depend on how wide the swing is, as long as the
+leg passes the optimum. Its usual change from leg to leg is the noise s, what m was where the
+controller was at home the reference.
+
+    home:  m <= reference + 3 s      the optimum is where it was: the reference follows m, and after
+                                     three legs that ended as soon as they could the step shrinks
+    lost:  m > reference + lost s    the step doubles with every leg
+    a leg of two dwell times         the same: the optimum is elsewhere
+
+Away from home the reference and the noise follow slowly, leg by leg: a cost that stays higher, or
+noisier, is at home in the end. No clock shrinks the step; a swing that has become too small to see
+the optimum loses it, which the level shows.
+
+Far from the optimum the cost of an oscillating rig has a ripple of its own, and a relay of one
+dwell time locks in with it: every leg ends at the same phase of the ripple, wherever the optimum
+is. So the dwell time of wide legs is stretched by 0 to 50 %, as the golden ratio has it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+
+SHRINK = 0.8
+GROW = 2.0
+SHORT = 1.15  # a leg up to this many dwell times ended as soon as it could
+ARRIVED = 3  # short legs in a row before the step shrinks
+HOME = 3.0  # [noise]
+STRETCH = 0.5  # largest share that a dwell time is longer
+GOLDEN = 0.6180339887498949
+WIDE = 0.7  # factor from which the dwell time is stretched
+LEARNED = 3  # legs from which on the noise is a mean
+NOISE_AT_FIRST = 0.1  # 10 % of r
+NOISE_RATE, NOISE_RATE_AWAY = 0.2, 0.02  # share of the news, by leg
+REFERENCE_RATE, REFERENCE_RATE_AWAY = 0.5, 0.05
+LEVEL_TIME = 0.15  # time constant of the level [dwell]
+
+
+class Swing(NamedTuple):
+    """What the adaptive law remembers besides the relay's state; levels are of log r.
+
+    Attributes
+    ----------
+    factor : float
+        Step in units of the configured one.
+    stretch : float
+        Dwell time of this leg in units of the configured one.
+    level : float
+        Low-pass filtered log r, its sign changed if r is maximised.
+    lowest, lowest_before : float
+        Least level of this leg, infinite before its first cost, and of the one before.
+    reference : float
+        Level where the optimum is.
+    noise : float
+        Mean change of ``lowest`` from leg to leg.
+    legs : int
+        Legs that the level is known of.
+    short : int
+        Legs in a row that ended as soon as they could, at home.
+    """
+
+    factor: float
+    stretch: float
+    level: float
+    lowest: float
+    lowest_before: float
+    reference: float
+    noise: float
+    legs: int
+    short: int
+
+
+OPEN = Swing(1.0, 1.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0, 0)
+"""Full step, nothing known; the relay of the paper never leaves it."""
+
+
+@njit(cache=True)
+def follow(swing: Swing, alpha: float, x: float) -> Swing:
+    """Take one cost x = log r into the level."""
+    level = x if swing.lowest == math.inf else alpha * swing.level + (1.0 - alpha) * x
+    return Swing(
+        swing.factor,
+        swing.stretch,
+        level,
+        min(swing.lowest, level),
+        swing.lowest_before,
+        swing.reference,
+        swing.noise,
+        swing.legs,
+        swing.short,
+    )
+
+
+@njit(cache=True)
+def forget_leg(swing: Swing) -> Swing:
+    """Leave out what the cost did before a silence; the level begins with the next cost."""
+    return Swing(
+        swing.factor,
+        swing.stretch,
+        0.0,
+        math.inf,
+        swing.lowest_before,
+        swing.reference,
+        swing.noise,
+        swing.legs,
+        0,
+    )
+
+
+@njit(cache=True)
+def widen(swing: Swing) -> Swing:
+    """Double the step: the leg is long."""
+    return Swing(
+        min(1.0, swing.factor * GROW),
+        swing.stretch,
+        swing.level,
+        swing.lowest,
+        swing.lowest_before,
+        swing.reference,
+        swing.noise,
+        swing.legs,
+        0,
+    )
+
+
+@njit(cache=True)
+def turn(swing: Swing, length: float, least: float, lost: float) -> Swing:
+    """End a leg: judge what it showed and set the step of the next one.
+
+    Parameters
+    ----------
+    swing : Swing
+        At the flip.
+    length : float
+        Of the leg, in dwell times.
+    least : float
+        Smallest factor.
+    lost : float
+        Noise above the reference at which the optimum is lost.
+    """
+    factor, reference, noise, short = swing.factor, swing.reference, swing.noise, swing.short
+    lowest = swing.lowest
+    if swing.legs == 0:
+        reference, noise = lowest, NOISE_AT_FIRST
+    else:
+        change = abs(lowest - swing.lowest_before)
+        above = lowest - reference
+        home = above <= HOME * noise
+        away = above > lost * noise
+        if swing.legs < LEARNED:
+            noise = max(noise, change)
+        else:  # a jump of the level is no noise
+            rate = NOISE_RATE if home else NOISE_RATE_AWAY
+            noise += rate * (min(change, 3.0 * noise) - noise)
+        if home:
+            short = short + 1 if length <= SHORT * swing.stretch else 0
+            if short >= ARRIVED:
+                factor = max(least, factor * SHRINK)
+            reference = reference + REFERENCE_RATE * above if above > 0.0 else lowest
+        else:
+            short = 0
+            reference += REFERENCE_RATE_AWAY * above
+            if away:
+                factor = min(1.0, factor * GROW)
+    stretch = 1.0
+    if factor >= WIDE:
+        stretch += STRETCH * (swing.legs * GOLDEN % 1.0)
+    return Swing(
+        factor, stretch, swing.level, swing.level, lowest, reference, noise, swing.legs + 1, short
+    )
+
+
+@njit(cache=True)
+def confidence(swing: Swing, lost: float) -> float:
+    """Return how sure it is that the optimum is within the swing: 1 at the reference, 0 if lost."""
+    if swing.legs < 2:
+        return 0.0
+    above = swing.lowest_before - swing.reference
+    if above <= 0.0:
+        return 1.0
+    return max(0.0, 1.0 - above / (lost * swing.noise)) if swing.noise > 0.0 else 0.0
