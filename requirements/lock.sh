@@ -20,6 +20,8 @@ compile() {  # compile OUTPUT uv-arguments...
 compile "$all" ros.in python.in hil.in
 compile ros.txt --constraints "$all" ros.in
 compile hil.txt --constraints "$all" hil.in
+# The rivals of `koop study laws`, in an environment of their own: resolved alone, installed by nobody else.
+compile rivals.txt rivals.in
 # An installed ROS 2 brings these three, and its binaries want the versions they were built with. On the wheels they
 # come with ros.txt.
 compile python.txt --constraints "$all" \

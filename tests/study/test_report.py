@@ -80,6 +80,11 @@ def write_small(folder: Path) -> None:
         for ablation in content.get("ablations", ()):
             if ablation["name"] in ("trajectories", "training_duration"):
                 ablation["values"] = [4, 8]
+        if content["experiment"] == "laws":
+            quick = content["quick"]
+            quick.update(trials=2, fresh={"first": 7000, "count": 2}, laws=["relay", "golden"])
+            quick["plants"][1]["plant"]["duration"] = 10
+            quick["plants"][0]["scenarios"]["jumps"]["scenario.jump_every"] = 100.0
         (folder / path.name).write_text(yaml.safe_dump(content))
 
 

@@ -15,6 +15,10 @@ def register(commands: Any) -> None:
         description="Runs every experiment file of a folder offline and writes report.html, "
         "tables/*.csv. A study that was stopped goes on where it was.",
     )
+    parser.add_argument(
+        "kinds", nargs="*", metavar="KIND",
+        help="some kinds of experiments only, such as modes, robustness, laws (default all)",
+    )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="a small version, within minutes")
     parser.add_argument(
         "--out", type=Path, metavar="DIR",
@@ -26,8 +30,9 @@ def register(commands: Any) -> None:
         help="folder of experiment files (default experiments)",
     )  # fmt: skip
     parser.add_argument(
-        "--only", nargs="+", metavar="KIND",
-        help="some kinds of experiments only, such as modes, robustness, sensitivity",
+        "--rivals", type=Path, metavar="PYTHON",
+        help="Python of an environment with requirements/rivals.txt: the experiment 'laws' then "
+        "has the laws of other packages too",
     )  # fmt: skip
     parser.add_argument(
         "--processes", type=int, default=os.cpu_count() or 1, metavar="N",

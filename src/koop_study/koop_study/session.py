@@ -7,10 +7,12 @@ import os
 import shlex
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from koop_node.config import ConfigError
-from koop_study.experiments.kinds import KINDS, read_folder
+from koop_study.experiments.kinds import KINDS, Experiment, read_folder
+from koop_study.experiments.laws import LawsConfig
 from koop_study.over_dds import repeat as over_dds
 from koop_study.report import publish, summary
 from koop_study.workers.pool import WorkerLost
@@ -31,16 +33,16 @@ def run(args: argparse.Namespace) -> int:
     begin = time.monotonic()
     if args.processes < 1:
         raise ConfigError(f"--processes {args.processes}: must be at least 1")
-    for kind in args.only or ():
+    for kind in args.kinds:
         if kind not in KINDS:
-            raise ConfigError(f"--only {kind}: known are {', '.join(KINDS)}")
+            raise ConfigError(f"unknown kind of experiment '{kind}': known are {', '.join(KINDS)}")
     readme = args.readme.read_text() if args.readme else ""
     if args.readme:
         publish.rewrite_block(readme, "")  # complain before the work, not after it
     experiments = [
-        experiment
+        with_rivals(experiment, args.rivals)
         for experiment in read_folder(args.experiments, args.quick)
-        if not args.only or experiment.kind in args.only
+        if not args.kinds or experiment.kind in args.kinds
     ]
     if not experiments:
         raise ConfigError(f"{args.experiments}: has no experiment of the kinds asked for")
@@ -68,13 +70,25 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def with_rivals(experiment: Experiment, python: Path | None) -> Experiment:
+    """Return the experiment with the Python of other packages' laws, which it checks."""
+    if not isinstance(experiment.config, LawsConfig):
+        return experiment
+    if python is not None:
+        experiment = replace(experiment, config=replace(experiment.config, rivals=str(python)))
+    experiment.config.needs()
+    if experiment.config.left_out:
+        print(f"without --rivals: no {', '.join(experiment.config.left_out)}", file=sys.stderr)
+    return experiment
+
+
 def remake(args: argparse.Namespace) -> str:
     """Return the command line that makes the same report again."""
-    words = ["koop", "study"]
+    words = ["koop", "study", *args.kinds]
     if args.quick:
         words.append("--quick")
     if args.experiments != Path("experiments"):
         words += ["--experiments", str(args.experiments)]
-    if args.only:
-        words += ["--only", *args.only]
+    if args.rivals:
+        words += ["--rivals", str(args.rivals)]
     return shlex.join(words)

@@ -168,7 +168,7 @@ def test_comments_docstrings_and_line_breaks_do_not_change_what_code_means() -> 
 def test_what_decides_results_imports_nothing_that_the_fingerprint_leaves_out() -> None:
     # what a fresh interpreter has loaded after the work's import is what can decide results
     script = (
-        "import sys, koop_study.simulation.work\n"
+        "import sys, koop_study.simulation.work, koop_study.laws.run\n"
         "for name, module in sys.modules.items():\n"
         "    if name.startswith(('koop', 'vdp_plant', 'relay_esc')) and module.__file__:\n"
         "        print(module.__file__)\n"

@@ -12,6 +12,7 @@ from koop_study.experiments import (
     ablations,
     beyond,
     closed_loop,
+    laws,
     modes,
     robustness,
     sensitivity,
@@ -19,7 +20,7 @@ from koop_study.experiments import (
 )
 from koop_study.experiments.spec import parse, quickened, read_file
 from koop_study.report.document import Section
-from koop_study.simulation.work import check
+from koop_study.workers.registry import check
 from koop_study.workers.units import Unit
 
 Steps = Generator[list[Unit], list[Any], Section]
@@ -46,6 +47,7 @@ KINDS: dict[str, tuple[type[Any], Callable[[Any], Steps]]] = {  # in the order o
     "ablations": (ablations.AblationsConfig, _once(ablations)),
     "identification": (ablations.AblationsConfig, _once(ablations)),
     "beyond": (beyond.BeyondConfig, beyond.steps),
+    "laws": (laws.LawsConfig, laws.steps),
 }
 
 

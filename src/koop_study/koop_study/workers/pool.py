@@ -14,7 +14,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from koop_study.simulation.work import WORK, runs
+from koop_study.simulation.work import runs
+from koop_study.workers.registry import WORK
 from koop_study.workers.units import Store, Unit
 
 # One thread a process: the cores are taken by processes, and a sum whose order does not depend on

@@ -23,17 +23,17 @@ import koop_node
 import koopman_lifter
 import relay_esc
 import vdp_plant
-from koop_study import controllers, simulation
+from koop_study import controllers, family, laws, simulation
 
 # All code of these decides results, but for the modules that know ROS.
-PACKAGES = (vdp_plant, relay_esc, koopman_lifter, koop_loop, simulation, controllers)
+PACKAGES = (vdp_plant, relay_esc, koopman_lifter, koop_loop, simulation, controllers, family, laws)
 ROS = {"node.py", "executable.py"}
 LIBRARIES = ("numpy", "scipy", "numba")  # another version may round in another way
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A function of :mod:`koop_study.simulation.work` by name, with its arguments in JSON terms."""
+    """A function of :mod:`koop_study.workers.registry`, with its arguments in JSON terms."""
 
     work: str
     arguments: dict[str, Any]

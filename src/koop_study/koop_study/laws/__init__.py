@@ -1,0 +1,1 @@
+"""Extremum-seeking laws beside the relay: what the field would compare it with."""
