@@ -82,7 +82,9 @@ def write_small(folder: Path) -> None:
                 ablation["values"] = [4, 8]
         if content["experiment"] == "laws":
             quick = content["quick"]
-            quick.update(trials=2, fresh={"first": 7000, "count": 2}, laws=["relay", "golden"])
+            quick.update(
+                trials=2, fresh={"first": 7000, "count": 2}, laws=["relay", "adaptive", "golden"]
+            )
             quick["plants"][1]["plant"]["duration"] = 10
             quick["plants"][0]["scenarios"]["jumps"]["scenario.jump_every"] = 100.0
         (folder / path.name).write_text(yaml.safe_dump(content))

@@ -102,10 +102,12 @@ def _nothing(c: Constants, time: float) -> list[float]:
     return []
 
 
+SEEKING: dict[str, Range] = {"speed": (0.005, 0.2), "dwell": (0.5, 8.0), "tau_f": (0.3, 5.0)}
 LAWS: dict[str, LawSpec] = {
-    "relay": LawSpec(
-        "relay (Salsbury 2023)",
-        {"speed": (0.005, 0.2), "dwell": (0.5, 8.0), "tau_f": (0.3, 5.0)},
+    "relay": LawSpec("relay (Salsbury 2023)", SEEKING, loop.RELAY, _nothing),
+    "adaptive": LawSpec(
+        "adaptive (the law of this project)",
+        {**SEEKING, "step_ratio": (0.03, 0.3), "lost": (4.0, 16.0)},
         loop.RELAY,
         _nothing,
     ),

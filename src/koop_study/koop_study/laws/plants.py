@@ -29,14 +29,15 @@ from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import build
 from koopman_lifter.observables import Monomials
-from relay_esc.relay import RelayParams, RelayState, dwell_samples
-from relay_esc.relay import initial as relay_initial
+from relay_esc.config import EscConfig
+from relay_esc.relay import RelayState
 from vdp_plant.dynamics import PlantParams
 
 TIMEOUT = 0.5  # silence after which a stream resumes [s]
 LEVELS, REST = 16, 8.0  # of the recording that a rig's contrast is learned from; rest in its time
 DELAYS = {1: 6, 2: 4}  # samples of each channel that a contrast sees, by channels; else 3
 SPACING = 12.0  # of them in a period
+ESC = ("dwell", "tau_f", "step_ratio", "lost")  # constants of the node's laws as they are
 GRAIN = 1e-3  # resolution of a sensor over its signal, rms
 
 
@@ -176,24 +177,26 @@ class Setting:
             self.dt,
         )
         work = cost.workspace(self.lifting)
-        return Sensing(self.source, self.lifting, detector, TIMEOUT, self.sense, work)
+        # a slow rig's samples may be further apart than any timeout; none of them are lost
+        timeout = 0.0 if self.is_rig else TIMEOUT
+        return Sensing(self.source, self.lifting, detector, timeout, self.sense, work)
 
     def law(self, name: str, constants: Constants) -> tuple[Law, RelayState]:
         """Return a law with its constants, and the relay's first state."""
         spec = LAWS[name]
         p = np.array([*spec.pack({**constants, "seed": float(self.seed)}, self.time), 0.0])
-        return Law(spec.kind, self.relay(constants), p), relay_initial(self.u, 1)
+        esc = self.esc(name, constants)
+        return Law(spec.kind, esc.params(), p), esc.initial()
 
-    def relay(self, constants: Constants) -> RelayParams:
-        """Return the relay's parameters, theta in units of u."""
-        speed, dwell, tau_f = (
-            constants.get(name, 1.0) * scale
-            for name, scale in (("speed", 1.0 / self.time), ("dwell", self.time),
-                                ("tau_f", self.time))
-        )  # fmt: skip
-        return RelayParams(
-            math.exp(-self.dt / tau_f), speed * self.dt, dwell_samples(dwell, self.dt), 0.0, 1.0,
-            self.sense, math.inf, dwell_samples(max(dwell, tau_f), self.dt),
+    def esc(self, name: str, constants: Constants) -> EscConfig:
+        """Return the node's controller with theta in units of u and times in the plant's own."""
+        dt = self.dt / self.time
+        step = constants.get("speed", 0.0) * dt
+        own: dict[str, Any] = {key: constants[key] for key in ESC if key in constants}
+        return EscConfig(
+            law="adaptive" if name == "adaptive" else "relay",
+            theta_min=0.0, theta_max=1.0, theta_initial=self.u, step_size=step, dt=dt,
+            objective="minimise" if self.sense > 0.0 else "maximise", **own,
         )  # fmt: skip
 
     def initial(self, relay_state: RelayState) -> LoopState:
