@@ -62,17 +62,20 @@ class Lockstep:
     run: RecordedRun
 
 
-@pytest.fixture(scope="module", params=[(10_000, {}), (2000, CHANGED)], ids=["default", "changed"])
-def lockstep(request, module_domain, tmp_path_factory):
-    steps, changes = request.param
+def record(steps, changes, folder):
+    """Run over DDS for a number of steps."""
     values = {"vdp_plant": {"pace": "lockstep", "duration": steps * 0.005, "seed": 5}}
     for node, given in changes.items():
         values[node] = values.get(node, {}) | given
     parameters = make(values)
-    folder = tmp_path_factory.mktemp("lockstep")
     with LiveLoop(folder, parameters) as loop:
         loop.run(lambda progress: None)
     return Lockstep(folder, parameters, steps, read_run(folder / "bag"))
+
+
+@pytest.fixture(scope="module", params=[(10_000, {}), (2000, CHANGED)], ids=["default", "changed"])
+def lockstep(request, module_domain, tmp_path_factory):
+    return record(*request.param, tmp_path_factory.mktemp("lockstep"))
 
 
 def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
@@ -85,10 +88,11 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
     assert np.ptp(run.theta) > 0.1  # the controller did act
 
 
-@pytest.mark.parametrize(
-    "lockstep", [(2000, LIMITED), (2000, ADAPTIVE)], ids=["relay", "adaptive"], indirect=True
-)
-def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_bit(lockstep):
+@pytest.mark.parametrize("limits", [LIMITED, ADAPTIVE], ids=["relay", "adaptive"])
+def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_bit(
+    limits, module_domain, tmp_path
+):
+    lockstep = record(2000, limits, tmp_path)
     given, run = lockstep.parameters, lockstep.run
     offline = simulate(given.plant, given.lifter, given.esc, None, lockstep.steps)
     recording = read_recording(lockstep.folder)

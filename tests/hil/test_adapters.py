@@ -87,17 +87,10 @@ def test_the_controller_also_speaks_a_plain_number(start, probe):
     assert [n.data for n in numbers] == pytest.approx([2.0, 2.0 - 1 / 3000, 2.0 - 2 / 3000])
 
 
-@pytest.mark.parametrize(
-    ("parameters", "code", "message"),
-    [
-        ({"input_fields": "/joint_states"}, 2, "'/joint_states'"),
-        ({"input_fields": "/js:torque[0]"}, 1, "JointState has no field 'torque'"),
-    ],
-)
-def test_a_source_that_cannot_be_ends_the_lifter_with_one_line(start, parameters, code, message):
-    process = start("koopman_lifter", **parameters)
-    assert process.process.wait(20.0) == code
-    assert message in process.log.read_text()
+def test_a_source_that_cannot_be_ends_the_lifter_with_one_line(start):
+    process = start("koopman_lifter", input_fields="/js:torque[0]")
+    assert process.process.wait(60.0) == 1
+    assert "JointState has no field 'torque'" in process.log.read_text()
 
 
 def test_what_is_wrong_with_a_source_is_said():
