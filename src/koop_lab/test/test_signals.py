@@ -243,7 +243,7 @@ def test_a_replay_of_any_states_says_what_the_nodes_would(pressure, model, tmp_p
     assert "identical" not in printed
     found = np.genfromtxt(out, delimiter=",", names=True)
     source = Source(StateSpec.parse(PRESSURE), dt=DT)
-    states = read_signals(pressure, source).x
+    states = np.ascontiguousarray(read_signals(pressure, source).x)
     lifter, relay = LifterConfig(dt=DT), EscConfig(dt=DT)
     lifting = load(model).lifting()
     detector, state, work = cost.initial(), relay.initial(), cost.workspace(lifting)
