@@ -52,6 +52,12 @@ class Messages:
         elif topic == "/theta":
             fields |= {"theta": -k / 7, "epsilon": 1 - 2 * (k % 2), "cost_rise_filtered": k / 3}
             fields |= {"saturated": k % 3 == 0, "holding": k % 5 == 0}
+            fields |= {
+                "swing": k / 13,
+                "gradient": -k * 0.5,
+                "noise": k + 0.5,
+                "confidence": k / 17,
+            }
         else:
             fields |= {"x": np.array([k, k * 2.0]), "epsilon0": k / 11}
             fields |= {"theta_applied": k / 9, "theta_step": k - 1}

@@ -84,6 +84,7 @@ def test_the_loops_messages_with_frame_ids_and_model_ids_of_any_length(
             "epsilon",
             "cost_rise_filtered",
             "theta",
+            "confidence",
             "header.stamp.sec",
         ],
         "/ground_truth": ["epsilon0", "theta_applied", "x", "step"],

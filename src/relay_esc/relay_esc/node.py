@@ -76,6 +76,10 @@ class EscRun(Run):
             "epsilon": answer.epsilon,
             "saturated": answer.saturated,
             "holding": answer.holding,
+            "swing": answer.swing,
+            "gradient": answer.gradient,
+            "noise": answer.noise,
+            "confidence": answer.confidence,
             "model_id": self._origin[1] if self._origin else "",
         }
         if self._state.since_flip < 0:
@@ -109,6 +113,9 @@ class EscRun(Run):
         answer.theta = state.output
         answer.epsilon = state.epsilon
         answer.cost_rise_filtered = state.cost_rise_filtered
+        answer.swing = state.swing.factor
+        answer.gradient = relay.gradient(self._params, state)
+        answer.noise, answer.confidence = relay.insight(self._params, state)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]

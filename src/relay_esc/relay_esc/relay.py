@@ -27,7 +27,7 @@ from numba import njit
 
 from koop_node.arrival import Arrival
 from relay_esc.elementary import exp, log
-from relay_esc.swing import OPEN, Swing, follow, forget_leg, turn, widen
+from relay_esc.swing import OPEN, Swing, confidence, follow, forget_leg, turn, widen
 
 
 class RelayParams(NamedTuple):
@@ -147,6 +147,13 @@ def gradient(p: RelayParams, state: RelayState) -> float:
     if step_size == 0.0:
         return 0.0
     return -p.sense * state.epsilon * state.cost_rise_filtered / step_size
+
+
+def insight(p: RelayParams, state: RelayState) -> tuple[float, float]:
+    """Return noise of the cost's level and confidence of the adaptive law; the relay has none."""
+    if not p.adaptive:
+        return math.nan, math.nan
+    return state.swing.noise, confidence(state.swing, p.lost)
 
 
 @njit(cache=True)

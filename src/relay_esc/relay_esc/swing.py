@@ -8,9 +8,13 @@ leg passes the optimum. Its usual change from leg to leg is the noise s, what m 
 controller was at home the reference.
 
     home:  m <= reference + 3 s      the optimum is where it was: the reference follows m, and after
-                                     three legs that ended as soon as they could the step shrinks
+                                     four legs that ended as soon as they could the step shrinks,
+                                     as long as their dip is to be seen: 0.3 s at least
     lost:  m > reference + lost s    the step doubles with every leg
     a leg of two dwell times         the same: the optimum is elsewhere
+
+The dip of a leg is how far m is below the level at both of its ends, of the two the lesser: a leg
+on one side of the optimum has none.
 
 Away from home the reference and the noise follow slowly, leg by leg: a cost that stays higher, or
 noisier, is at home in the end. No clock shrinks the step; a swing that has become too small to see
@@ -28,11 +32,13 @@ from typing import NamedTuple
 
 from numba import njit
 
-SHRINK = 0.8
+SHRINK = 0.7
 GROW = 2.0
 SHORT = 1.15  # a leg up to this many dwell times ended as soon as it could
-ARRIVED = 3  # short legs in a row before the step shrinks
+ARRIVED = 4  # short legs in a row before the step shrinks
 HOME = 3.0  # [noise]
+VISIBLE = 0.3  # [noise]
+DIP_RATE = 0.3  # share of the news, by leg
 STRETCH = 0.5  # largest share that a dwell time is longer
 GOLDEN = 0.6180339887498949
 WIDE = 0.7  # factor from which the dwell time is stretched
@@ -54,12 +60,16 @@ class Swing(NamedTuple):
         Dwell time of this leg in units of the configured one.
     level : float
         Low-pass filtered log r, its sign changed if r is maximised.
+    begin : float
+        Level where this leg begins.
     lowest, lowest_before : float
         Least level of this leg, infinite before its first cost, and of the one before.
     reference : float
         Level where the optimum is.
     noise : float
         Mean change of ``lowest`` from leg to leg.
+    dip : float
+        Mean dip of the legs, the latest counting most.
     legs : int
         Legs that the level is known of.
     short : int
@@ -69,30 +79,35 @@ class Swing(NamedTuple):
     factor: float
     stretch: float
     level: float
+    begin: float
     lowest: float
     lowest_before: float
     reference: float
     noise: float
+    dip: float
     legs: int
     short: int
 
 
-OPEN = Swing(1.0, 1.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0, 0)
+OPEN = Swing(1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0)
 """Full step, nothing known; the relay of the paper never leaves it."""
 
 
 @njit(cache=True)
 def follow(swing: Swing, alpha: float, x: float) -> Swing:
     """Take one cost x = log r into the level."""
-    level = x if swing.lowest == math.inf else alpha * swing.level + (1.0 - alpha) * x
+    first = swing.lowest == math.inf
+    level = x if first else alpha * swing.level + (1.0 - alpha) * x
     return Swing(
         swing.factor,
         swing.stretch,
         level,
+        level if first else swing.begin,
         min(swing.lowest, level),
         swing.lowest_before,
         swing.reference,
         swing.noise,
+        swing.dip,
         swing.legs,
         swing.short,
     )
@@ -105,10 +120,12 @@ def forget_leg(swing: Swing) -> Swing:
         swing.factor,
         swing.stretch,
         0.0,
+        0.0,
         math.inf,
         swing.lowest_before,
         swing.reference,
         swing.noise,
+        swing.dip,
         swing.legs,
         0,
     )
@@ -121,10 +138,12 @@ def widen(swing: Swing) -> Swing:
         min(1.0, swing.factor * GROW),
         swing.stretch,
         swing.level,
+        swing.begin,
         swing.lowest,
         swing.lowest_before,
         swing.reference,
         swing.noise,
+        swing.dip,
         swing.legs,
         0,
     )
@@ -146,7 +165,7 @@ def turn(swing: Swing, length: float, least: float, lost: float) -> Swing:
         Noise above the reference at which the optimum is lost.
     """
     factor, reference, noise, short = swing.factor, swing.reference, swing.noise, swing.short
-    lowest = swing.lowest
+    lowest, dip = swing.lowest, swing.dip
     if swing.legs == 0:
         reference, noise = lowest, NOISE_AT_FIRST
     else:
@@ -159,8 +178,10 @@ def turn(swing: Swing, length: float, least: float, lost: float) -> Swing:
         else:  # a jump of the level is no noise
             rate = NOISE_RATE if home else NOISE_RATE_AWAY
             noise += rate * (min(change, 3.0 * noise) - noise)
+        dip += DIP_RATE * (min(swing.begin, swing.level) - lowest - dip)
         if home:
-            short = short + 1 if length <= SHORT * swing.stretch else 0
+            visible = dip >= VISIBLE * noise
+            short = short + 1 if visible and length <= SHORT * swing.stretch else 0
             if short >= ARRIVED:
                 factor = max(least, factor * SHRINK)
             reference = reference + REFERENCE_RATE * above if above > 0.0 else lowest
@@ -172,12 +193,12 @@ def turn(swing: Swing, length: float, least: float, lost: float) -> Swing:
     stretch = 1.0
     if factor >= WIDE:
         stretch += STRETCH * (swing.legs * GOLDEN % 1.0)
+    level = swing.level
     return Swing(
-        factor, stretch, swing.level, swing.level, lowest, reference, noise, swing.legs + 1, short
+        factor, stretch, level, level, level, lowest, reference, noise, dip, swing.legs + 1, short
     )
 
 
-@njit(cache=True)
 def confidence(swing: Swing, lost: float) -> float:
     """Return how sure it is that the optimum is within the swing: 1 at the reference, 0 if lost."""
     if swing.legs < 2:

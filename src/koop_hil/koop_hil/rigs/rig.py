@@ -74,6 +74,10 @@ class ControlInput(IdlStruct, typename="koop_msgs.msg.dds_.ControlInput_"):
     cost_rise_filtered: float64
     saturated: bool
     holding: bool
+    swing: float64
+    gradient: float64
+    noise: float64
+    confidence: float64
 
 
 @dataclass

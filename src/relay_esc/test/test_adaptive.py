@@ -1,0 +1,235 @@
+"""The adaptive law on static maps whose optimum is known, and what it makes of other input."""
+
+import math
+
+import numpy as np
+import pytest
+
+from koop_node.arrival import Arrival
+from koop_node.config import ConfigError
+from relay_esc import elementary, relay, swing
+from relay_esc.config import EscConfig
+
+DT = 0.1
+LAG = 3.0  # time constant of the detector behind the map [s]
+
+
+def config(**values):
+    given = {"law": "adaptive", "dt": DT, "step_size": DT / 15.0, "dwell": 10.0, "tau_f": 3.0}
+    return EscConfig(**{**given, **values})
+
+
+def answer(esc, state, r, arrival=Arrival.NEXT, *, switched=False, settling=False, hold=False):
+    return relay.answer(esc.params(), state, int(arrival), switched, settling, r, hold)
+
+
+def seek(esc, seconds, optimum, noise=0.1, scale=1.0, sign=1.0, ripple=0.0, seed=1):
+    """Let the law seek on ln r = sign ln(1 + 4 (theta - optimum(t))^2) with noise, behind a lag.
+
+    Returns
+    -------
+    theta, factor : ndarray, shape (M,)
+    """
+    steps = round(seconds / DT)
+    disturbance = np.random.default_rng(seed).normal(0.0, noise, steps)
+    p, state, level = esc.params(), esc.initial(), 1.0
+    theta, factor = np.empty(steps), np.empty(steps)
+    for k in range(steps):
+        error = theta[k - 1] - optimum(k * DT) if k else 0.0
+        waves = ripple * math.sin(2.0 * math.pi * k * DT / 20.0)
+        seen = (1.0 + 4.0 * error**2) * math.exp(disturbance[k] + waves)
+        level += DT / LAG * (seen - level)
+        r = scale * level**sign
+        arrival = int(Arrival.NEXT if k else Arrival.RESTART)
+        state, _, _ = relay.answer(p, state, arrival, False, False, r, False)
+        theta[k], factor[k] = state.output, state.swing.factor
+    return theta, factor
+
+
+def still(t):
+    return -3.0
+
+
+def jumping(t):
+    return -3.0 + 2.0 * (t // 500.0 % 2.0)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.2, 0.7])
+def test_it_arrives_and_swings_less_than_a_third_of_the_relay(noise):
+    theta, factor = seek(config(), 1500.0, still, noise)
+    fixed, _ = seek(config(step_ratio=1.0), 1500.0, still, noise)
+    tail = slice(10_000, None)
+    assert abs(theta[tail].mean() + 3.0) < 0.15
+    assert np.ptp(theta[tail]) < np.ptp(fixed[tail]) / 3.0
+    assert factor[-1] < 0.5
+    assert (factor[:600] == 1.0).all()  # on the way, a minute and more, at full step
+
+
+def test_the_swing_stays_as_wide_as_it_must_be_to_see_the_optimum_through_the_noise():
+    narrow, wide = (
+        np.median(seek(config(step_ratio=0.001), 3000.0, still, noise)[1][15_000:])
+        for noise in (0.2, 1.5)
+    )
+    assert narrow < 0.05 < 0.2 < wide
+
+
+@pytest.mark.parametrize("noise", [0.05, 0.5])
+def test_it_opens_its_swing_again_when_the_optimum_has_moved(noise):
+    theta, factor = seek(config(), 2500.0, jumping, noise)
+    for begin in (500.0, 1000.0, 1500.0, 2000.0):
+        before, after = round(begin / DT), round((begin + 150.0) / DT)
+        near = np.abs(theta[before + 50 : after] - jumping(begin)) < 0.3
+        assert near.any(), begin
+        assert factor[before - 1] < 0.5
+        assert factor[before:after].max() == 1.0
+
+
+def test_a_ripple_of_the_cost_as_long_as_two_legs_does_not_stop_it():
+    theta, _ = seek(config(), 1500.0, still, ripple=1.0)
+    assert np.abs(theta[10_000:] + 3.0).mean() < 0.5
+
+
+@pytest.mark.parametrize("scale", [1e-20, 0.37, 1e20])
+def test_theta_does_not_know_the_unit_of_the_cost(scale):
+    one, factor = seek(config(), 800.0, jumping)
+    other, other_factor = seek(config(), 800.0, jumping, scale=scale)
+    # the logarithm of another scale rounds otherwise; no flip comes at another sample for that
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-12)
+    np.testing.assert_array_equal(other_factor, factor)
+    assert factor.min() < 0.5
+
+
+def test_maximising_is_minimising_the_inverse():
+    low, _ = seek(config(), 800.0, jumping)
+    high, _ = seek(config(objective="maximise"), 800.0, jumping, sign=-1.0)
+    np.testing.assert_allclose(high, low, rtol=0.0, atol=1e-12)
+
+
+def arrived(esc=None):
+    """Return a state that has arrived, with a narrow swing."""
+    esc = esc or config()
+    p, state, rng = esc.params(), esc.initial(), np.random.default_rng(3)
+    for k in range(9000):
+        r = (1.0 + 4.0 * (state.output + 3.0) ** 2) * math.exp(0.05 * rng.normal())
+        arrival = int(Arrival.NEXT if k else Arrival.RESTART)
+        state, _, _ = relay.answer(p, state, arrival, False, False, r, False)
+    assert state.swing.factor < 0.3
+    return state
+
+
+def test_an_unusable_cost_or_a_hold_keeps_theta_and_all_that_was_learned():
+    esc, state = config(), arrived()
+    for r, asked in ((math.nan, False), (math.inf, False), (0.0, False), (1.0, True)):
+        held, holding, _ = answer(esc, state, r, hold=asked)
+        assert holding
+        assert held == state._replace(primed=False)
+    after, holding, _ = answer(esc, held, 1e9)  # a jump while blind is no rise
+    assert not holding
+    assert after.cost_rise_filtered == state.cost_rise_filtered
+    assert after.output == state.output
+
+
+def test_after_a_silence_the_leg_begins_again_and_the_level_is_still_known():
+    esc, state = config(), arrived()
+    after, holding, _ = answer(esc, state, 5.0, Arrival.RESUME)
+    assert not holding
+    assert (after.since_flip, after.cost_rise_filtered) == (0, 0.0)
+    kept = ("factor", "reference", "noise", "dip", "legs")
+    assert [getattr(after.swing, n) for n in kept] == [getattr(state.swing, n) for n in kept]
+    assert after.swing.level == after.swing.lowest == pytest.approx(math.log(5.0))
+
+
+@pytest.mark.parametrize("how", [{"arrival": Arrival.RESTART}, {"switched": True}])
+def test_another_run_or_another_cost_opens_the_swing_and_forgets_the_level(how):
+    after, _, _ = answer(config(), arrived(), 5.0, **how)
+    assert after.swing.factor == 1.0
+    assert after.swing.legs == 0
+    assert after.output == arrived().output
+
+
+def test_a_controller_that_joins_holds_theta_and_learns_the_level_meanwhile():
+    esc, state = config(), arrived()
+    state, holding, _ = answer(esc, state, 5.0, Arrival.JOIN)
+    held = state.output
+    for _ in range(99):  # 10 s: the longer of dwell time and tau_f
+        assert holding
+        assert (state.output, state.swing.legs) == (held, 0)
+        state, holding, _ = answer(esc, state, 5.0)
+    state, holding, _ = answer(esc, state, 5.0)
+    assert not holding
+    assert state.output != held
+    assert state.swing.lowest == pytest.approx(math.log(5.0))
+
+
+def test_a_reset_opens_the_swing_at_the_initial_theta():
+    esc, state = config(rate_limit=0.05), arrived()
+    begun = relay.reset(state, esc.initial())
+    assert (begun.u, begun.output, begun.swing) == (2.0, state.output, swing.OPEN)
+    after, _, _ = answer(esc, begun, 1.0)
+    assert after.output == pytest.approx(state.output + 0.05 * DT)
+
+
+def test_confidence_is_lost_with_the_level():
+    esc, state = config(), arrived()
+    noise, before = relay.insight(esc.params(), state)
+    assert 0.0 < noise < 0.5
+    assert before > 0.5
+    p = esc.params()
+    for _ in range(1000):
+        state, _, _ = answer(esc, state, 1e6 * (1.1 + math.sin(state.since_flip)))
+    assert relay.insight(p, state)[1] == 0.0
+    assert all(math.isnan(v) for v in relay.insight(EscConfig().params(), EscConfig().initial()))
+
+
+def test_the_gradient_is_that_of_the_map():
+    esc = config(step_ratio=1.0)
+    p, state = esc.params(), esc.initial()
+    for k in range(300):  # far from the optimum, without a lag: ln r = 0.7 theta
+        arrival = int(Arrival.NEXT if k else Arrival.RESTART)
+        state, _, _ = relay.answer(p, state, arrival, False, False, math.exp(0.7 * state.u), False)
+    assert relay.gradient(p, state) == pytest.approx(0.7, rel=1e-3)
+
+
+def test_logarithm_and_exponential_are_the_usual_ones():
+    x = np.exp(np.random.default_rng(4).uniform(-700.0, 700.0, 5000))
+    ours = np.array([elementary.log(value) for value in x])
+    np.testing.assert_allclose(ours, np.log(x), rtol=1e-15, atol=5e-16)
+    y = np.random.default_rng(5).uniform(-40.0, 40.0, 5000)
+    ours = np.array([elementary.exp(value) for value in y])
+    np.testing.assert_allclose(ours, np.exp(y), rtol=1e-15)
+    assert elementary.log(1.0) == 0.0
+    assert elementary.exp(0.0) == 1.0
+
+
+# -- theta_scale: log ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", ["relay", "adaptive"])
+def test_on_a_log_scale_the_law_seeks_in_the_logarithm_of_theta(law):
+    scale = {"theta_min": 1e-3, "theta_max": 1e4, "theta_initial": 0.5, "rate_limit": 0.05}
+    linear = {
+        "theta_min": math.log(1e-3), "theta_max": math.log(1e4), "theta_initial": math.log(0.5),
+        "rate_limit": 0.05,
+    }  # fmt: skip
+    one, other = config(law=law, theta_scale="log", **scale), config(law=law, **linear)
+    states = [one.initial(), other.initial()]
+    assert states[0].output == 0.5
+    for r in np.exp(np.random.default_rng(6).normal(0.0, 0.1, 3000).cumsum() * 0.2):
+        states = [answer(esc, s, r)[0] for esc, s in zip((one, other), states, strict=True)]
+        assert math.log(states[0].output) == pytest.approx(states[1].output, abs=1e-12)
+
+
+def test_on_a_log_scale_the_limits_are_met_exactly():
+    given = {"theta_min": 0.1, "theta_max": 0.3, "theta_initial": 0.11}
+    for epsilon, limit in ((1, 0.1), (-1, 0.3)):
+        esc = config(law="relay", theta_scale="log", epsilon_initial=epsilon, **given)
+        state = esc.initial()
+        for k in range(200):
+            state, _, saturated = answer(esc, state, 1.0 - 1e-3 * k)
+            assert 0.1 <= state.output <= 0.3
+        assert (state.output, saturated) == (limit, True)
+
+
+def test_a_log_scale_needs_limits_above_0():
+    with pytest.raises(ConfigError, match=r"theta_min = -5: must be above 0 with theta_scale log"):
+        EscConfig(theta_scale="log")
