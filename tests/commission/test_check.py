@@ -8,7 +8,7 @@ import pytest
 from commission_rig import RIG
 from std_msgs.msg import Float64
 
-from koop_lab.commission import check, ears
+from koop_lab.commission import check
 from koop_lab.commission.check import BAD, live
 
 pytestmark = pytest.mark.ros
@@ -17,7 +17,6 @@ pytestmark = pytest.mark.ros
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch):
     monkeypatch.setattr(check, "LISTEN", 1.0)
-    monkeypatch.setattr(ears, "DISCOVERY", 1.0)
 
 
 def rows_of(rig, moves=True, seed=0):
@@ -52,7 +51,8 @@ def test_a_command_that_is_never_applied_and_a_dead_sensor_are_a_line_each(fast_
     assert rows["channel"].text == "data[1] is always 0.5: dead sensor"
 
 
-def test_what_a_user_does_wrong_is_a_line(fast_rig, probe):
+def test_what_a_user_does_wrong_is_a_line(fast_rig, probe, monkeypatch):
+    monkeypatch.setattr(check, "LISTEN", 3.5)  # in which any publisher is found
     rows, bad = rows_of(replace(RIG, measured="/slow:data[0]", channel_max=()), moves=False)
     assert bad == ["graph"]
     assert "nobody publishes /slow: is the rig started" in rows["graph"].text

@@ -1,4 +1,4 @@
-"""Recording to identify a model: what the command says is what happened."""
+"""A scenario's rig is excited as any rig is; what the command says is what happened."""
 
 from dataclasses import replace
 
@@ -9,52 +9,53 @@ from koop_msgs.msg import MeasuredState
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_hil import report
-from koop_hil.excite import count_answers, excite
+from koop_hil.excite import record_excitation, rig_of
 from koop_hil.run import run_here
 from koop_hil.scenario import find, parse, read
 from koop_hil.supervisor import Supervisor
+from koop_lab.commission.excite import count_answers
+from koop_lab.commission.rig_file import read as read_rig
 from koop_node.errors import LiveError
 
 pytestmark = pytest.mark.ros
-HOLD = 20.0  # [s] that theta stays; a rig would not settle, but nothing here looks at that
+TIME = 20.0  # [s] in which theta goes to the end of its range
 
 
 def scenario(tmp_path):
     return parse("rig", {"time_scale": 10, "plant": "paper"}, tmp_path)
 
 
-@pytest.mark.parametrize(("name", "pace"), [("rig-paper", "scaled"), ("state-nan", "lockstep")])
-def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, name, pace, monkeypatch):
-    monkeypatch.setattr("koop_hil.excite.HOLD", HOLD)
-    given, duration = read(find(name)), 1.2 * HOLD
-    faster = replace(given, setting=replace(given.setting, pace=pace, time_scale=8.0))
-    recorded = excite(faster, tmp_path, -4.0, 3.0, duration)
+def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, monkeypatch):
+    monkeypatch.setattr("koop_lab.commission.excite.LISTEN", 8.0)
+    given = read(find("rig-galloping"))
+    faster = replace(given, setting=replace(given.setting, time_scale=5.0))
+    said = record_excitation(faster, tmp_path, TIME)
+    assert "the 20 s of the rig file are over; theta is back at -2" in said
+    rig = rig_of(faster, TIME)
+    assert read_rig(tmp_path / "rig.yaml") == rig
+    recorded = tmp_path / "part-1" / "bag"
     with BagReader(recorded) as bag:
         theta, state = (read_columns(bag, topic) for topic in ("/theta", "/state"))
+        cost = read_columns(bag, "/cost")
         applied = read_columns(bag, "/ground_truth", ["theta_applied"])["theta_applied"]
-    assert count_answers(recorded) == (state["step"].size, theta["step"].size)
-    for topic in (state, theta):
-        assert (np.diff(topic["step"].astype(int)) == 1).all()  # a command without gaps, too
-        assert topic["step"][-1] * 0.005 >= duration - 0.1
-    changes = np.flatnonzero(np.diff(theta["theta"])) + 1
-    assert (theta["step"][changes] * 0.005).tolist() == [HOLD]
-    assert theta["theta"].min() >= -4.0
-    assert theta["theta"].max() <= 3.0
-    assert np.isin(theta["theta"][changes - 1], applied).all()
-
-
-def test_a_rig_that_cannot_start_is_an_error_though_another_loop_runs(tmp_path, probe):
-    probe.node.create_publisher(MeasuredState, "state", 10)
-    given = scenario(tmp_path)
-    broken = replace(given, setting=replace(given.setting, plant="papier"))
-    with pytest.raises(LiveError, match="another loop runs on ROS domain"):
-        excite(broken, tmp_path, -4.0, 3.0, duration=10.0)
+    states, answered = count_answers(recorded)
+    assert f"recorded {states} states, theta of {answered} of them" in said
+    known = np.isin(state["step"], theta["step"])[state["step"] >= theta["step"][0]]
+    assert known[: int(0.7 * known.size)].all()  # the last ones were under way at the end
+    assert state["step"][-1] * 0.005 >= TIME - 1.0
+    between = (theta["step"] >= cost["step"][0]) & (theta["step"] <= cost["step"][-1])
+    assert np.isin(theta["step"][between], cost["step"]).mean() > 0.9  # of 1000 a second
+    assert between.mean() > 0.3  # the lifter ends before the recorder
+    assert np.abs(np.diff(theta["theta"])).max() <= 2.0 * rig.theta_rate * rig.dt + 1e-12
+    assert theta["theta"].min() < -3.0
+    assert applied.min() < -3.0
+    assert theta["theta"][-1] == applied[-1] == rig.theta_safe
 
 
 def test_a_rig_that_ends_at_its_arguments_is_an_error_with_its_last_lines(tmp_path, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS><Nonsense/></CycloneDDS>")
     with pytest.raises(LiveError, match=r"plant ended with exit code 1:(.*\n)*.*DDSException"):
-        excite(scenario(tmp_path), tmp_path, -4.0, 3.0, duration=10.0)
+        record_excitation(scenario(tmp_path), tmp_path, 10.0)
 
 
 @pytest.mark.parametrize("topic", ["theta", "ground_truth"])
@@ -79,13 +80,9 @@ def test_a_publisher_that_comes_later_fails_the_scenario(tmp_path, probe):
         Supervisor(long, tmp_path, come).run()
 
 
-def test_a_recording_with_theta_for_a_part_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr("koop_hil.excite.count_answers", lambda bag: (2000, 1100))
-    with pytest.raises(LiveError, match="2000 states and a theta for 1100 of them were recorded"):
-        excite(scenario(tmp_path), tmp_path, -4.0, 3.0, duration=10.0)
-
-
-def test_another_loop_on_the_domain_is_an_error(tmp_path, probe):
+def test_another_loop_on_the_domain_is_an_error_before_anything_starts(tmp_path, probe):
     probe.node.create_publisher(MeasuredState, "state", 10)
+    given = scenario(tmp_path)
+    broken = replace(given, setting=replace(given.setting, plant="papier"))
     with pytest.raises(LiveError, match="another loop runs on ROS domain"):
-        excite(scenario(tmp_path), tmp_path, -4.0, 3.0, duration=1000.0)
+        record_excitation(broken, tmp_path, 1000.0)

@@ -8,11 +8,10 @@ from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_hil import report
-from koop_hil.excite import count_answers, excite
+from koop_hil.excite import record_excitation
 from koop_hil.run import run
-from koop_hil.scenario import Scenario, find, read, shipped
+from koop_hil.scenario import find, read, shipped
 from koop_node.config import ConfigError
-from relay_esc.config import EscConfig
 
 SOAK = 600.0  # [s] from which on the growth of memory and latency means something
 
@@ -32,7 +31,8 @@ def register(commands: Any) -> None:
         "--excite",
         type=float,
         metavar="S",
-        help="no controller: move theta at random for this time, to record training data",
+        help="no controller: move theta over its range and record, for this simulated time at "
+        "most, as 'koop excite' does",
     )
     parser.set_defaults(func=main)
 
@@ -53,12 +53,7 @@ def main(args: argparse.Namespace) -> int:
     out = args.out or default_folder("hil")
     if args.excite is not None:
         for scenario in scenarios:
-            bag = record_excitation(scenario, out / scenario.name, args.excite)
-            states, answered = count_answers(bag)
-            print(
-                f"recorded {states} states in {bag}, theta of {answered} of them; now "
-                f"'koop train {bag} --dt 0.005 --out model.npz'"
-            )
+            print(record_excitation(scenario, out / scenario.name, args.excite))
         return 0
     verdicts = []
     for number in range(args.repeat):
@@ -77,9 +72,3 @@ def main(args: argparse.Namespace) -> int:
     passed = f"{len(verdicts) - failed - skipped} passed, {failed} failed, {skipped} skipped"
     print(f"\n{passed}; recordings in {out}/")
     return 1 if failed else 0
-
-
-def record_excitation(scenario: Scenario, folder: Path, duration: float) -> Path:
-    """Record a scenario's plant over the controller's range of theta."""
-    limits = EscConfig(theta_initial=scenario.setting.theta_initial)
-    return excite(scenario, folder, limits.theta_min, limits.theta_max, duration)

@@ -1,123 +1,63 @@
-"""Moves the knob of a rig while a recorder listens: the data to identify a model from."""
+"""The rig of a scenario, excited as any rig is: the data to identify a model from."""
 
 from __future__ import annotations
 
-import random
-import time
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from tqdm import tqdm
-
-from koop_bag.bag.columns import read_tables
-from koop_bag.bag.reader import BagReader
 from koop_hil.processes import Processes
-from koop_hil.report import WHOLE
-from koop_hil.run import BAR
 from koop_hil.scenario import Scenario
-from koop_hil.supervisor import refuse_dead, refuse_others, wait_until
-from koop_lab.live.monitor import Monitor
+from koop_hil.supervisor import refuse_dead
+from koop_lab.commission import excite, rig_file
+from koop_lab.commission.rig_file import RigFile
 from koop_lab.live.process import START_TIMEOUT
 from koop_node.alone import alone
-from koop_node.errors import LiveError
+from relay_esc.config import EscConfig
 from vdp_plant.config import PlantConfig
 
-HOLD = 60.0  # [s] that theta stays: rig and detector settle, and some periods are left
-LISTENERS = 2  # to theta: the plant and the recorder
-LOOK_PERIOD = 0.2  # [s] between looks at the processes
-PUBLISHERS = {"state": 1, "cost": 0, "theta": 1, "ground_truth": 1}
+RATE = 1.0  # [1/s] of theta: what the actuators of the rigs follow
 
 
-def excite(scenario: Scenario, folder: Path, low: float, high: float, duration: float) -> Path:
-    """Run the scenario's plant without a controller, theta uniform in [low, high] for each hold.
+def rig_of(scenario: Scenario, time: float) -> RigFile:
+    """Return the rig of a scenario, for an excitation of some time [s]."""
+    limits = EscConfig(theta_initial=scenario.setting.theta_initial)
+    return RigFile(
+        measured="/state:x[0],x[1]",
+        measured_type="koop_msgs/msg/MeasuredState",
+        command="/theta:theta",
+        command_type="koop_msgs/msg/ControlInput",
+        dt=PlantConfig().dt,
+        theta_min=limits.theta_min,
+        theta_max=limits.theta_max,
+        theta_rate=RATE,
+        theta_start=limits.theta_initial,
+        theta_safe=limits.theta_initial,
+        time=time,
+    )
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Its plant, pace and seed are used; its events and limits are not.
-    folder : Path
-        Of the recording.
-    low, high : float
-        Range of theta.
-    duration : float
-        Simulated time [s].
 
-    Returns
-    -------
-    Path
-        The bag.
+def record_excitation(scenario: Scenario, folder: Path, time: float) -> str:
+    """Run the scenario's plant, excite it, and return what that came to, in words.
+
+    Its plant, time scale and seed are used; its events and limits are not. The rig file lies
+    beside the recordings.
 
     Raises
     ------
-    LiveError
-        If a process ends, another loop runs on the domain, no more states come, or theta is known
-        for a part only of what was recorded.
+    koop_node.errors.LiveError
+        If the plant or a node ends, or another loop runs on the domain.
     """
-    from koop_msgs.msg import ControlInput, MeasuredState
-
-    from koop_node.qos import RELIABLE
-
-    dt = PlantConfig().dt
-    rng = random.Random(scenario.setting.seed)
-    chosen = [rng.uniform(low, high) for _ in range(int(duration // HOLD) + 2)]
-    reached = 0  # step
-
-    def theta(step: int) -> float:
-        nonlocal reached
-        reached = step
-        return chosen[min(int(step * dt // HOLD), len(chosen) - 1)]
-
-    with alone(topics=PUBLISHERS), Monitor() as monitor:
-        publisher = monitor.node.create_publisher(ControlInput, "theta", RELIABLE)
-
-        def answer(state: MeasuredState) -> None:
-            publisher.publish(
-                ControlInput(header=state.header, step=state.step, theta=theta(state.step))
-            )
-
-        with (
-            Processes(folder, scenario, controlled=False) as processes,
-            tqdm(
-                total=duration, desc=scenario.name, bar_format=BAR, leave=False, disable=None
-            ) as bar,
-        ):
-            # as in the nodes: who listens to the state tells the plant that all downstream is ready
-            wait_until(lambda: publisher.get_subscription_count() >= LISTENERS, monitor, processes)
-            monitor.node.create_subscription(MeasuredState, "state", answer, RELIABLE)
-            wait_until(lambda: reached > 0, monitor, processes)
-            looked, heard, last = 0.0, time.monotonic(), 0
-            while (t := reached * dt) < duration:
-                monitor.spin(LOOK_PERIOD)
-                if (now := time.monotonic()) < looked + LOOK_PERIOD:
-                    continue
-                looked = now
-                refuse_dead(processes)
-                refuse_others(monitor, PUBLISHERS)
-                if reached != last:
-                    heard, last = now, reached
-                elif now > heard + START_TIMEOUT:
-                    raise LiveError(f"no state for {START_TIMEOUT:g} s: see {processes.logs}")
-                bar.n = t
-                bar.set_postfix_str(f"theta {theta(reached):+.2f}")
-    if processes.failures:
-        raise LiveError(processes.failures[0])
-    bag = folder / "bag"
-    states, answered = count_answers(bag)
-    if answered < WHOLE * duration / dt:
-        raise LiveError(
-            f"{bag}: {states} states and a theta for {answered} of them were recorded, which is "
-            f"{answered * dt:.0f} of {duration:.0f} s: something slows the recorder, or the domain "
-            f"is shared; see {processes.logs}"
-        )
-    return bag
-
-
-def count_answers(bag: Path) -> tuple[int, int]:
-    """Return how many states a bag holds, and for how many of them a theta."""
-    with BagReader(bag) as reader:
-        recorded = {topic.name for topic in reader.topics if topic.count}
-        if not recorded >= {"/state", "/theta"}:
-            return 0, 0
-        tables = read_tables(reader, {"/state": ["step"], "/theta": ["step"]})
-    states, thetas = (np.unique(tables[topic]["step"]) for topic in ("/state", "/theta"))
-    return states.size, np.intersect1d(states, thetas).size
+    rig = rig_of(scenario, time)
+    # a rig waits for nobody, as a plant in lockstep would
+    scenario = replace(scenario, setting=replace(scenario.setting, pace="scaled"))
+    with alone(topics=["state", "ground_truth"]):
+        pass  # nobody speaks for the plant that is started now
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / "rig.yaml").exists():
+        rig_file.write(rig, folder / "rig.yaml")
+    with Processes(folder, scenario, controlled=False) as processes:
+        result = excite.excite(
+            rig, folder, scenario.setting.time_scale, scenario.setting.seed,
+            check=lambda: refuse_dead(processes), patience=START_TIMEOUT,
+        )  # fmt: skip
+    return excite.ending(rig, folder, result)

@@ -38,7 +38,7 @@ class Processes:
     scenario : Scenario
         What to run.
     controlled : bool
-        Whether lifter and controller are started too.
+        Whether lifter, controller and recorder are started too.
     other_host : OtherHost, optional
         Where the scenario's remote process runs.
     """
@@ -79,7 +79,7 @@ class Processes:
         self.close()
 
     def _wanted(self, name: str) -> bool:
-        if name in ("recorder", "plant"):
+        if name == "plant":
             return True
         optional = {
             "fault_injector": self._scenario.injects,

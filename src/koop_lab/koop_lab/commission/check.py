@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from koop_lab.commission.arrivals import NEAR, Rhythm, rhythm
 from koop_lab.commission.channels import Channel, Line, channel, lines, listens, strongest_period
-from koop_lab.commission.ears import Ears, Samples, refuse_wrong_names, who
+from koop_lab.commission.ears import Ears, Samples, refuse_wrong_names, who, who_else_commands
 from koop_lab.commission.features import bands, bridged, features
 from koop_lab.commission.hand import Hand, left_at, note_of
 from koop_lab.commission.leash import way_home
@@ -111,8 +111,10 @@ def live(
         yield Row(OK, "graph", f"{rig.state.topic} is there; {listened}")
         spin = _spinner(client, ears)
         spin(lambda: False, LISTEN)
-        if others := who(client, rig.knob.topic)[0]:
-            yield Row(BAD, "command", f"{rig.knob.topic} is commanded by {_told(others)}: end that")
+        if others := who_else_commands(client, rig.knob.topic, own=False):
+            yield Row(
+                BAD, "command", f"{rig.knob.topic} is commanded by {', '.join(others)}: end that"
+            )
         else:
             yield Row(OK, "command", f"nobody else commands {rig.knob.topic}")
         if not ears.count:
@@ -281,9 +283,8 @@ def _moved(
         if (way := way_home(rig, hand.theta) / scale) > 5.0:
             print(f"      taking theta back to {rig.theta_safe:g}: {way:.0f} s", flush=True)
     yield row
-    others = who(client, rig.knob.topic)[0]
-    if named := [name for name in others if name != "/koop_commander"]:
-        yield Row(BAD, "command", f"{rig.knob.topic} was also commanded by {_told(named)}")
+    if others := who_else_commands(client, rig.knob.topic, own=True):
+        yield Row(BAD, "command", f"{rig.knob.topic} was also commanded by {', '.join(others)}")
 
 
 def _block(
@@ -315,10 +316,6 @@ def _spinner(client: Any, ears: Ears) -> Callable[..., None]:
 def _period(rig: RigFile, heard: Samples) -> float:
     """Return the period of the strongest oscillation [s]."""
     return strongest_period(heard.x, rig.dt) or 64.0 * rig.dt
-
-
-def _told(names: Sequence[str]) -> str:
-    return ", ".join(sorted(set(names)))
 
 
 # -- recordings -----------------------------------------------------------------------------------

@@ -36,11 +36,12 @@ from koop_node.fields import Source, parse_source, write_field
 from koop_node.managed import message_type
 from koop_node.qos import BEST_EFFORT, NEWEST, RELIABLE
 
-HANG = 10.0  # [s] without a line, after which whoever started it counts as hanging
-TELL = 0.2  # [s] between two lines to it
+HANG = 30.0  # [s] without a line, after which whoever started it counts as hanging
+TELL = 0.5  # [s] between two lines to it
+TELL_MOVING = 0.05  # [s]: if this process is killed, another goes on from the theta told last
 TICK = 0.02  # [s] between two commands where no state asks for one
 HELD = 0.5  # [s] that the safe value is said again before the end
-LISTENERS = 15.0  # [s] for a rig to be found
+LISTENERS = 15.0  # [s] for a rig to be found, and for its first message
 THETA = "/theta"
 
 
@@ -84,6 +85,7 @@ class Commander:
         if self._command is not None:
             self._needed.append((self._command, 1))
         self._heard = self._usable = self._sent = self._moved = time.monotonic()
+        self._begun = False
         self.step = -1
 
     def matched(self) -> bool:
@@ -98,6 +100,7 @@ class Commander:
 
     def _on_state(self, message: Any) -> None:
         now = self._heard = time.monotonic()
+        self._begun = True
         step, x = self._adapter.convert(message)
         if self._own:
             step = message.step
@@ -133,7 +136,7 @@ class Commander:
     def tick(self) -> None:
         """Find silence, and go on where no state asks for a command."""
         now = time.monotonic()
-        if now - self._usable > self._silence:
+        if now - self._usable > (self._silence if self._begun else LISTENERS):
             what = "message" if now - self._heard > self._silence else "finite number"
             self.leash = self.leash.called_home(
                 f"no {what} on {self._source.topic} for {now - self._usable:.1f} s"
@@ -229,7 +232,7 @@ def _run(client: Client, commander: Commander, lines: Lines, asked: list[int]) -
             if commander.matched():
                 commander.listen()
                 listening = True
-            elif closed and not commander.rescue:
+            elif commander.leash.home and not commander.rescue:
                 return 0  # theta was never commanded
             elif now - begin > LISTENERS:
                 tell(error=f"nobody listens to {commander.rig.knob.topic}")
@@ -238,7 +241,7 @@ def _run(client: Client, commander: Commander, lines: Lines, asked: list[int]) -
             commander.tick()
         leash = commander.leash
         news = (leash.there, leash.target, leash.home)
-        if news != told or now - when > TELL:
+        if news != told or now - when > (TELL if leash.there else TELL_MOVING):
             told, when = news, now
             tell(theta=leash.theta, there=leash.there, target=leash.target, home=leash.home,
                  step=commander.step)  # fmt: skip

@@ -130,7 +130,9 @@ class Ears:
         self._rows.append((now, seconds, step if isinstance(step, int) else -1, x))
 
 
-def look(client: Client, until: Callable[[], object] = lambda: False) -> list[Topic]:
+def look(
+    client: Client, until: Callable[[], object] = lambda: False, patience: float = DISCOVERY
+) -> list[Topic]:
     """Return the topics that others speak or listen on, after the time that discovery takes.
 
     Parameters
@@ -139,8 +141,10 @@ def look(client: Client, until: Callable[[], object] = lambda: False) -> list[To
         Guest in the ROS domain.
     until : callable, optional
         Looks no longer once this is true.
+    patience : float
+        Time to look [s].
     """
-    deadline = time.monotonic() + DISCOVERY
+    deadline = time.monotonic() + patience
     while time.monotonic() < deadline and not until():
         client.spin(0.05)
     found = []
@@ -163,7 +167,7 @@ def who(client: Client, topic: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
             for info in infos
             if info.node_name != own
         )
-        return tuple("another program" if "_NODE_NAME_UNKNOWN_" in n else n for n in known)
+        return tuple(UNKNOWN if "_NODE_NAME_UNKNOWN_" in n else n for n in known)
 
     return (
         names(client.node.get_publishers_info_by_topic(topic)),
@@ -171,8 +175,35 @@ def who(client: Client, topic: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     )
 
 
-def refuse_wrong_names(client: Client, rig: RigFile) -> None:
-    """Refuse a rig file that names what the live graph does not have.
+UNKNOWN = "another program"
+COMMANDER = "/koop_commander"
+
+
+def who_else_commands(client: Client, topic: str, own: bool) -> list[str]:
+    """Return the nodes of others that publish a topic.
+
+    Parameters
+    ----------
+    own : bool
+        Whether the commander of this process does, too; its name comes a little later than itself.
+    """
+    names = list(who(client, topic)[0])
+    for name in (COMMANDER, UNKNOWN) if own else ():
+        if name in names:
+            names.remove(name)
+            break
+    return sorted(set(names))
+
+
+def refuse_wrong_names(
+    client: Client,
+    rig: RigFile,
+    patience: float = DISCOVERY,
+    check: Callable[[], object] = lambda: None,
+) -> None:
+    """Refuse a rig file that names what the live graph does not have, after some time [s].
+
+    ``check`` is called meanwhile; it may raise LiveError.
 
     Raises
     ------
@@ -200,7 +231,11 @@ def refuse_wrong_names(client: Client, rig: RigFile) -> None:
     def there(topic: str, side: int) -> bool:
         return bool(who(client, topic)[side])
 
-    topics = look(client, lambda: all(there(s.topic, side) for s, _, side in sides.values()))
+    def found() -> bool:
+        check()
+        return all(there(source.topic, side) for source, _, side in sides.values())
+
+    topics = look(client, found, patience)
     for key, (source, kind, side) in sides.items():
         does, nobody = (("speaks", "publishes"), ("listens", "subscribes to"))[side]
         known = [topic for topic in topics if (topic.publishers, topic.subscribers)[side]]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import functools
 import math
+import re
 import shutil
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,12 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from koop_bag.bag.columns import read_tables
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.recover import recover
+from koop_bag.errors import BagError
 from koop_bag.recorder.run_folder import default_folder
 from koop_lab.cli.table import table
 from koop_lab.commission import progress as progress_file
 from koop_lab.commission import rig_file, staircase
-from koop_lab.commission.channels import listens, strongest_period
-from koop_lab.commission.ears import Ears, refuse_wrong_names, who
+from koop_lab.commission.channels import lines, listens
+from koop_lab.commission.ears import DISCOVERY, Ears, refuse_wrong_names, who_else_commands
 from koop_lab.commission.features import Bands, bands, bridged, features, window_length
 from koop_lab.commission.hand import Hand, note_of
 from koop_lab.commission.leash import way_home
@@ -34,14 +39,19 @@ from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 
 WINDOW = 4.0  # periods of the strongest oscillation
+SLOWEST = 2.0  # periods of the slowest one, where that is longer
 LISTEN = 40.0  # windows' worth of periods is not known before: periods that are listened to first
 SHORTEST, LONGEST = 3.0, 120.0  # [s] of that
 GUESS = 12  # windows that theta stays at a value, before any was seen
 MOST_SHARE = 0.15  # of the time, that theta stays at one value at most
 BYTES = 250.0  # of a bag for one state, with its cost and theta
-COMMANDER = "/koop_commander"
 BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"
-STATE, STATE_TYPE = "/state", "koop_msgs/msg/MeasuredState"
+STATE, COST, THETA = "/state", "/cost", "/theta"
+STATE_TYPE = "koop_msgs/msg/MeasuredState"
+
+
+class Ended(LiveError):
+    """An excitation ended after theta was moved, and before it was done."""
 
 
 class Result(NamedTuple):
@@ -91,22 +101,47 @@ def main(args: argparse.Namespace) -> int:
     again = f"koop excite {args.rig} --out {folder}"
     try:
         result = excite(rig, folder, args.time_scale, args.seed, note_of(args.rig))
-    except LiveError as error:
+    except Ended as error:
         raise LiveError(
             f"{error}. theta is back at {rig.theta_safe:g}; to go on: {again}"
         ) from None
     except KeyboardInterrupt:
         print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; to go on: {again}")
         return 130
-    print("\n" + shown(rig, result.progress))
-    print(f"\n{result.reason}; theta is back at {rig.theta_safe:g}")
-    bags = " ".join(str(folder / part / "bag") for part in result.progress.parts)
-    print(f"recorded in {folder}; now: ./koop train {bags} --dt {rig.dt:g} --compare")
+    print("\n" + ending(rig, folder, result))
     return 1 if staircase.unknown_twice(result.progress.visits) else 0
 
 
+def ending(rig: RigFile, folder: Path, result: Result) -> str:
+    """Return what an excitation came to, in words."""
+    bags = [folder / part / "bag" for part in result.progress.parts]
+    states, answered = np.sum([count_answers(bag) for bag in bags], axis=0)
+    return (
+        f"{shown(rig, result.progress)}\n\n{result.reason}; theta is back at {rig.theta_safe:g}\n"
+        f"recorded {states} states, theta of {answered} of them; now:\n"
+        f"./koop train {' '.join(map(str, bags))} --dt {rig.dt:g} --compare"
+    )
+
+
+def count_answers(bag: Path) -> tuple[int, int]:
+    """Return how many states a bag holds, and for how many of them a theta."""
+    with BagReader(bag) as reader:
+        recorded = {topic.name for topic in reader.topics if topic.count}
+        if not recorded >= {STATE, THETA}:
+            return 0, 0
+        tables = read_tables(reader, {STATE: ["step"], THETA: ["step"]})
+    states, thetas = (np.unique(tables[topic]["step"]) for topic in (STATE, THETA))
+    return states.size, np.intersect1d(states, thetas).size
+
+
 def excite(
-    rig: RigFile, folder: Path, scale: float = 1.0, seed: int = 0, note: Path | None = None
+    rig: RigFile,
+    folder: Path,
+    scale: float = 1.0,
+    seed: int = 0,
+    note: Path | None = None,
+    check: Callable[[], object] = lambda: None,
+    patience: float = DISCOVERY,
 ) -> Result:
     """Move theta over its range and record, until the static map is known or the time is over.
 
@@ -122,6 +157,10 @@ def excite(
         Of the random order.
     note : Path, optional
         File that says where theta was left.
+    check : callable
+        Called once a second; it may raise LiveError.
+    patience : float
+        Time that the rig may take to be found [s].
 
     Raises
     ------
@@ -140,9 +179,12 @@ def excite(
     middle = 0.5 * (rig.theta_min + rig.theta_max)
     state = known or progress_file.begin(seed, staircase.passes(rig.theta_start <= middle))
     refuse_small_disk(rig, folder, state)
-    with ExitStack() as stack:
+    for part in state.parts:
+        mend(folder / part / "bag")
+    # the commander ends after the recorder: what is recorded has a theta to the last state
+    with ExitStack() as last, ExitStack() as stack:
         client = stack.enter_context(Client("koop_excite"))
-        refuse_wrong_names(client, rig)
+        refuse_wrong_names(client, rig, patience, check)
         part = f"part-{len(state.parts) + 1}"
         while (folder / part).exists():  # of one that was killed before it was noted
             part = f"part-{int(part[5:]) + 1}"
@@ -154,16 +196,20 @@ def excite(
         names = ",".join(f"x[{i}]" for i in range(len(rig.names)))
         source = rig.measured if _own(rig) else f"{STATE}:{names}"
         kind = rig.measured_type if _own(rig) else STATE_TYPE
-        run = Excitation(rig, folder, scale, state, client, nodes, source, kind)
+        run = Excitation(rig, folder, scale, state, client, nodes, source, kind, check)
         client.wait_for(
-            lambda: client.node.count_subscribers("/theta") and run.ears.count,
-            START_TIMEOUT, f"the first state (see {folder / part}/logs)", run.check_nodes,
+            lambda: client.node.count_subscribers(THETA) and client.node.count_publishers(COST),
+            START_TIMEOUT, f"lifter and recorder (see {folder / part}/logs)", run.check_nodes,
         )  # fmt: skip
-        if others := who(client, rig.knob.topic)[0]:
+        if others := who_else_commands(client, rig.knob.topic, own=False):
             raise LiveError(f"{rig.knob.topic} is commanded by {', '.join(others)}: end that first")
         log = folder / part / "logs" / "commander.log"
-        run.hand = stack.enter_context(Hand(rig, log, source, kind, scale, 1, note))
-        return run.run()
+        try:
+            run.hand = last.enter_context(Hand(rig, log, source, kind, scale, 1, note))
+            stack.callback(run.hand.come_home)
+            return run.run()
+        except LiveError as error:
+            raise Ended(str(error)) from error
 
 
 def refuse_incomplete_state(rig: RigFile) -> None:
@@ -187,6 +233,19 @@ def refuse_small_disk(rig: RigFile, folder: Path, state: Progress) -> None:
             f"{there}: {free / 1e6:.0f} MB are free, up to {needed / 1e6:.0f} MB are needed: make "
             "room, or set a shorter time in the rig file"
         )
+
+
+def mend(bag: Path) -> None:
+    """Make a whole bag of one that a full disk or a kill has torn; the torn one stays beside."""
+    with suppress(BagError):  # of one that never got a message
+        with BagReader(bag) as reader:
+            complete = reader.complete
+        if not complete:
+            whole, torn = bag.with_name("bag-whole"), bag.with_name("bag-torn")
+            recover(bag, whole)
+            bag.rename(torn)
+            whole.rename(bag)
+            print(f"{bag} was torn: made whole, the torn one is {torn.name}")
 
 
 def nodes_of(rig: RigFile, folder: Path) -> dict[str, dict[str, Any]]:
@@ -231,11 +290,13 @@ class Excitation:
         Lifter and recorder.
     source, kind : str
         Where the states come from.
+    check : callable
+        Called once a second; it may raise LiveError.
     """
 
     def __init__(
         self, rig: RigFile, folder: Path, scale: float, state: Progress, client: Any,
-        nodes: LiveNodes, source: str, kind: str,
+        nodes: LiveNodes, source: str, kind: str, check: Callable[[], object],
     ) -> None:  # fmt: skip
         from koop_node.fields import parse_source
 
@@ -245,6 +306,7 @@ class Excitation:
         self._state = state
         self._client = client
         self._nodes = nodes
+        self._ask = check
         parsed = parse_source(source)
         self.ears = Ears(client, parsed.topic, kind, parsed.fields, reliable=True)
         self.hand: Hand | None = None
@@ -257,10 +319,10 @@ class Excitation:
 
     def check_nodes(self) -> None:
         """Raise LiveError if the recording has ended, or the lifter."""
-        self._nodes.done()
-        if self._nodes.lost:
-            logs = f"{self._folder / self._state.parts[-1]}/logs/recorder.log"
-            raise LiveError(f"the recording has ended: see {logs}; is the disk full?")
+        for process in self._nodes.ended():
+            *_, last = ["", *process.last_lines(1).splitlines()]
+            words = re.sub(r"^(\[[^]]*\] )*(\[[^]]*\]: )?", "", last)
+            raise LiveError(f"{process.node} has ended: {words or 'see'} ({process.log})")
 
     def _check(self) -> None:
         now = time.monotonic()
@@ -273,8 +335,8 @@ class Excitation:
             return
         self._looked = now
         self.check_nodes()
-        others = [name for name in who(self._client, self._rig.knob.topic)[0] if name != COMMANDER]
-        if others:
+        self._ask()
+        if others := who_else_commands(self._client, self._rig.knob.topic, own=True):
             raise LiveError(f"{self._rig.knob.topic} is also commanded by {', '.join(others)}")
         self._show()
 
@@ -284,6 +346,11 @@ class Excitation:
         if getattr(self.ears.last, "lockstep", False):
             return self._before + (self.ears.count - self._begin) * self._rig.dt
         return self._before + (time.monotonic() - self._began) * self._scale
+
+    @property
+    def _time_left(self) -> float:
+        """Time of the rig file that is left [s]."""
+        return max(self._rig.time - self._elapsed, 0.0)
 
     def _until(self, condition: Callable[[], object]) -> None:
         while not condition():
@@ -332,13 +399,19 @@ class Excitation:
         while listens(x := self.ears.samples(self._begin).x, dt, SHORTEST, LISTEN, LONGEST):
             heard = self.ears.count
             self._until(more)
-        period = strongest_period(x, dt)
-        if period is None:
+        x = bridged(x)
+        found = [line for column in x.T for line in lines(column, dt)]
+        if not found:
             raise LiveError("no channel moves: dead sensors, or other fields")
-        x = bridged(self.ears.samples(self._begin).x)
-        length = min(window_length(period, WINDOW, dt), x.shape[0])
-        print(f"the strongest oscillation has a period of {period:.3g} s: amplitudes are taken in "
-              f"windows of {length * dt:.3g} s", flush=True)  # fmt: skip
+        strongest = 1.0 / max(found, key=lambda line: line.share).frequency
+        slowest = 1.0 / min(line.frequency for line in found)
+        window = max(WINDOW * strongest, SLOWEST * slowest)
+        length = min(window_length(window, 1.0, dt), x.shape[0])
+        print(
+            f"periods from {min(strongest, slowest):.3g} to {slowest:.3g} s: amplitudes are taken "
+            f"in windows of {length * dt:.3g} s",
+            flush=True,
+        )
         return bands(x, length, dt)
 
     def _stay(self, level: int) -> Visit | None:
@@ -354,7 +427,8 @@ class Excitation:
         length = how.length * rig.dt
         points = staircase.static_map(state.visits, guide[0])
         target = staircase.target_error(points)
-        most = max(2 * staircase.FEWEST, int(MOST_SHARE * rig.time / length))
+        fair = 2.0 * self._time_left / self._visits_left
+        most = max(staircase.FEWEST, int(min(MOST_SHARE * rig.time, fair) / length))
         series: list[NDArray[np.float64]] = []
         while True:
             end = begin + (len(series) + 1) * how.length
@@ -406,6 +480,13 @@ class Excitation:
         every = len(self._state.how.edges) * len(self._rig.names)
         return staircase.clearest(self._state.visits, range(every))
 
+    @property
+    def _visits_left(self) -> int:
+        """Return how many stays are to come, with the first round at random."""
+        queue = len(self._state.queue)
+        first = len(self._state.visits) + queue <= len(staircase.passes(True))
+        return queue + staircase.LEVELS * first
+
     # -- telling ------------------------------------------------------------------------------
 
     def _left(self) -> float:
@@ -415,11 +496,9 @@ class Excitation:
         length = state.how.length * rig.dt
         stays = [visit.stay for visit in state.visits]
         stay = float(np.mean(stays)) if stays else GUESS * length
-        first = len(staircase.passes(True))
-        random_round = staircase.LEVELS if len(state.visits) + len(state.queue) <= first else 0
-        visits = len(state.queue) + random_round
+        visits = self._visits_left
         travel = visits * rig.span / rig.theta_rate / (staircase.LEVELS - 1) * 1.5
-        return min(visits * stay + travel, max(rig.time - self._elapsed, 0.0))
+        return min(visits * stay + travel, self._time_left)
 
     def _forecast(self) -> None:
         rig, home = self._rig, way_home(self._rig, self._rig.theta_max)
@@ -428,7 +507,7 @@ class Excitation:
         print(
             f"{staircase.LEVELS} values of theta from {rig.theta_min:g} to {rig.theta_max:g}, up "
             f"and down, then at random{again}: about {_time(self._left() / self._scale)}, at most "
-            f"{_time((rig.time - self._elapsed) / self._scale)}, and up to "
+            f"{_time(self._time_left / self._scale)}, and up to "
             f"{_time(home / self._scale)} back to {rig.theta_safe:g}; Ctrl-C ends it there",
             flush=True,
         )

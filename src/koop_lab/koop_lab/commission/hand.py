@@ -80,34 +80,45 @@ class Hand:
         self._said: dict[str, Any] = {}
         self._error = ""
         self._beat = -math.inf
-        self._lock = threading.Lock()
 
     def __enter__(self) -> Hand:
         self._start()
         return self
 
-    @uninterrupted()
     def __exit__(
         self,
         kind: type[BaseException] | None,
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        with suppress(OSError):
-            assert self._process.stdin is not None
-            self._process.stdin.close()
-        if not self._ended_safe():
-            # killed: another one takes theta home, from where it was last known to be
-            self._first |= {"theta": self.theta, "recorders": 0, "rescue": True}
-            self._start()
-            with suppress(OSError):
-                assert self._process.stdin is not None
-                self._process.stdin.close()
-            if not self._ended_safe():
-                raise LiveError(
-                    f"theta may be at {self.theta:g}, not at its safe value "
-                    f"{self._rig.theta_safe:g}: see {self._log}"
-                ) from error
+        with uninterrupted():
+            try:
+                self.come_home()
+            finally:
+                self._close()
+
+    @uninterrupted()
+    def come_home(self) -> None:
+        """Take theta to its safe value and keep it there.
+
+        Raises
+        ------
+        LiveError
+            If it may not be there.
+        """
+        self._tell(home="the command ends")
+        if self._comes_home():
+            return
+        # killed: another one takes theta home, from where it was last known to be
+        self._close()
+        self._first |= {"theta": self.theta, "recorders": 0, "rescue": True}
+        self._start()
+        self._tell(home="the commander was killed")
+        if not self._comes_home():
+            raise LiveError(
+                f"theta may be at {self.theta:g}, not at its safe value "
+                f"{self._rig.theta_safe:g}: see {self._log}"
+            )
 
     @property
     def step(self) -> int:
@@ -142,13 +153,13 @@ class Hand:
 
     def _tell(self, **values: Any) -> None:
         self._beat = time.monotonic()
-        with suppress(OSError):  # that it has ended is found by the next look
+        with suppress(OSError, ValueError):  # that it has ended is found by the next look
             assert self._process.stdin is not None
             self._process.stdin.write(json.dumps(values).encode() + b"\n")
             self._process.stdin.flush()
 
     def _start(self) -> None:
-        self._said, self._error = {}, ""
+        self._said, self._error, self.home = {}, "", ""
         with open(self._log, "ab") as output:
             self._process = subprocess.Popen(
                 WORDS,
@@ -170,17 +181,30 @@ class Hand:
                 if "theta" in said:
                     self._said, self.theta, self.home = said, said["theta"], said["home"]
 
-    def _ended_safe(self) -> bool:
-        """Wait for the commander's end; return whether theta was at its safe value then."""
+    def _comes_home(self) -> bool:
+        """Wait until theta is at its safe value, or was never commanded; return whether it is."""
         way = way_home(self._rig, self.theta) / self._scale
+        deadline = time.monotonic() + way + PATIENCE
+        while time.monotonic() < deadline:
+            if self.home and self._said.get("there"):
+                return True
+            if (code := self._process.poll()) is not None:
+                never = self._said.get("step", -1) < 0 and not self._first["rescue"]
+                return never and code in (0, 2)
+            self._tell()
+            time.sleep(0.05)
+        return False
+
+    def _close(self) -> None:
+        """End the commander."""
+        with suppress(OSError):
+            assert self._process.stdin is not None
+            self._process.stdin.close()
         try:
-            code = self._process.wait(way + PATIENCE)
+            self._process.wait(PATIENCE)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-            return False
-        never = self._said.get("step", -1) < 0 and self.theta == self._begin
-        return code == 0 or (code == 2 and never)  # it has not begun: theta is as it was
 
 
 def note_of(rig_file: str | Path) -> Path:

@@ -112,7 +112,7 @@ class LiveNodes:
         started = time.monotonic()
         state, alone_on_it = f"{self._namespace}/state", True
         with Monitor(self._namespace) as monitor:
-            while not self.done():
+            while not self._done():
                 monitor.spin(0.2)
                 on_progress(monitor.progress)
                 if alone_on_it and monitor.count_publishers(state) > 1:
@@ -141,7 +141,11 @@ class LiveNodes:
             if process.poll() != 0 and node not in self.lost:
                 raise process.failure()
 
-    def done(self) -> bool:
+    def ended(self) -> list[NodeProcess]:
+        """Return the nodes that have ended on their own."""
+        return [process for process in self._nodes.values() if process.poll() is not None]
+
+    def _done(self) -> bool:
         """Return whether the run has come to its end; raise if it is the wrong one."""
         for node, process in self._nodes.items():
             code = process.poll()

@@ -1,0 +1,147 @@
+"""``koop excite``: whatever ends it, theta goes home, the recording is whole, and it resumes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from commission_rig import RIG
+
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
+from koop_lab.commission import rig_file
+from koop_lab.commission.excite import refuse_incomplete_state, refuse_small_disk
+from koop_lab.commission.hand import Hand, note_of
+from koop_lab.commission.progress import begin
+from koop_node.config import ConfigError
+from koop_node.errors import LiveError
+
+pytestmark = pytest.mark.ros
+TIMEOUT = 40.0
+LATE = 0.4  # [s] that a command may come; a jump home would be twice as far as this allows
+SLOW = replace(RIG, theta_rate=2.0)
+
+
+def wait(condition, what, process=None):
+    deadline = time.monotonic() + TIMEOUT
+    while not (found := condition()):
+        assert time.monotonic() < deadline, what
+        assert process is None or process.poll() is None, process.communicate()
+        time.sleep(0.02)
+    return found
+
+
+def assert_walked(moved, rig):
+    """The commands kept limits and rate, whatever became of who gave them."""
+    times, theta = np.array(moved).T
+    assert rig.theta_min <= theta.min()
+    assert theta.max() <= rig.theta_max
+    for i in range(0, theta.size, 10):  # the times are those of arrival on a busy machine
+        ahead = slice(i, i + 200)
+        allowed = rig.theta_rate * (times[ahead] - times[i] + LATE)
+        assert (np.abs(theta[ahead] - theta[i]) <= allowed).all()
+    assert theta[-1] == rig.theta_safe
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("spike", r"data\[0\] = 99 is beyond its limit 8"),
+        ("silent", "no message on /fast for 1"),
+    ],
+)
+def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, reason):
+    with Hand(SLOW, tmp_path / "log") as hand:
+        hand.go(-1.0)
+        wait(lambda: fast_rig.theta < 0.5, "theta to move")
+        setattr(fast_rig, fault, True)
+        with pytest.raises(LiveError, match=reason):
+            wait(hand.beat, "the fault")
+    assert_walked(fast_rig.moved, SLOW)
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from koop_lab.commission.hand import Hand
+from koop_lab.commission.rig_file import read
+with Hand(read(sys.argv[1]), Path("log"), note=Path("note")) as hand:
+    hand.go(-1.0)
+    while True:
+        hand.beat()
+        time.sleep(0.1)
+"""
+
+
+def test_theta_goes_home_if_the_commander_itself_is_killed(fast_rig, tmp_path):
+    rig_file.write(SLOW, tmp_path / "rig.yaml")
+    words = [sys.executable, "-c", HOLD, "rig.yaml"]
+    with subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        wait(lambda: fast_rig.theta < 0.0, "theta to move", process)
+        commander = int(
+            subprocess.run(
+                ["pgrep", "-P", str(process.pid), "-f", "commission.commander"],
+                capture_output=True, text=True, check=True,
+            ).stdout
+        )  # fmt: skip
+        os.kill(commander, signal.SIGKILL)
+        wait(lambda: fast_rig.theta == SLOW.theta_safe, "theta to come home")
+        said = process.communicate(timeout=TIMEOUT)[1]
+    assert "the commander was killed by signal 9" in said
+    assert (tmp_path / "note").read_text() == "1.0\n"
+    assert_walked(fast_rig.moved, SLOW)
+
+
+def whole(bag):
+    with BagReader(bag) as reader:
+        assert reader.complete
+        return read_columns(reader, "/theta", ["step", "theta"]), {t.name for t in reader.topics}
+
+
+def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml, koop, tmp_path):
+    done = tmp_path / "run" / "excite.json"
+
+    def visits():
+        return len(json.loads(done.read_text())["visits"]) if done.exists() else 0
+
+    first = koop("excite", rig_yaml, "--out", "run")
+    wait(lambda: visits() >= 1, "a stay", first)
+    first.send_signal(signal.SIGINT)
+    out, error = first.communicate(timeout=TIMEOUT)
+    assert first.returncode == 130, error
+    assert "9 values of theta from -1 to 2, up and down, then at random: about" in out
+    assert f"theta is back at 1; to go on: koop excite {rig_yaml} --out run" in out
+    assert fast_rig.theta == RIG.theta_safe
+    theta, topics = whole(tmp_path / "run/part-1/bag")
+    assert {"/fast", "/fast/knob", "/state", "/cost", "/theta"} <= topics
+    assert (np.diff(theta["step"].astype(int)) >= 0).all()  # said again while the nodes end
+    assert theta["theta"][-1] == RIG.theta_safe  # the way home is on record
+    before = visits()
+    second = koop("excite", rig_yaml, "--out", "run")
+    wait(lambda: visits() > before, "another stay", second)
+    wait(lambda: fast_rig.theta < 0.9, "theta to be elsewhere", second)
+    second.kill()
+    out = second.communicate(timeout=TIMEOUT)[0]
+    assert f"{before} stays were done before" in out
+    wait(lambda: fast_rig.theta == RIG.theta_safe, "theta to come home")
+    bag = tmp_path / "run/part-2/bag"
+    wait(lambda: (bag / "metadata.yaml").exists(), "the bag to be closed")
+    whole(bag)
+    assert_walked(fast_rig.moved, RIG)
+    assert note_of(rig_yaml).read_text() == "1.0\n"
+
+
+def test_what_cannot_be_recorded_is_refused_before_theta_moves(tmp_path, monkeypatch):
+    state = begin(0, [1])
+    with pytest.raises(LiveError, match=r"MB are free, up to \d+ MB are needed: make room"):
+        refuse_small_disk(replace(RIG, time=1e12), tmp_path / "there", state)
+    own = replace(RIG, measured="state:x[0]", measured_type="koop_msgs/msg/MeasuredState",
+                  channel_max=())  # fmt: skip
+    refuse_incomplete_state(own)
+    with pytest.raises(ConfigError, match="the lifter takes all of"):
+        refuse_incomplete_state(replace(own, measured="state:x[1]"))
