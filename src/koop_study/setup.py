@@ -19,6 +19,7 @@ setup(
         "koopman_lifter",
         "relay_esc",
         "vdp_plant",
+        "matplotlib",
         "numba",
         "numpy",
         "PyYAML",

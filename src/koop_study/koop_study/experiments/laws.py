@@ -26,7 +26,7 @@ from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Secti
 from koop_study.simulation.case import Case, override
 from koop_study.workers.units import Unit
 
-TUNED_AT_ONCE, JUDGED_AT_ONCE = 2, 16  # seeds of a unit of work
+AT_ONCE = 4  # seeds of a unit of work; a worker keeps as many plants for the next law's unit
 Chosen = dict[tuple[str, str], Constants]  # by plant and law
 Rows = list[dict[str, Any]]
 
@@ -167,9 +167,9 @@ def steps(config: LawsConfig) -> Generator[list[Unit], list[Any], Section]:
     asked = [
         (judged.plant.name, law, seeds, config.described(judged.plant))
         for judged in config.plants
+        for seeds in _parts(config.tuning.list(), AT_ONCE)
         for law in config.running
         if LAWS[law].ranges
-        for seeds in _parts(config.tuning.list(), TUNED_AT_ONCE)
     ]
     found = yield [
         Unit("law_trials",
@@ -187,12 +187,12 @@ def steps(config: LawsConfig) -> Generator[list[Unit], list[Any], Section]:
     for judged in config.plants:
         chosen.update({(judged.plant.name, one.name): one.constants for one in config.fixed})
     cells = [
-        (judged, scenario, name, law)
+        (judged, scenario, seeds, name, law)
         for judged in config.plants
         for scenario in judged.scenarios
+        for seeds in _parts(config.fresh.list(), AT_ONCE)
         for name, law in config.rows(judged.plant)
     ]
-    parts = _parts(config.fresh.list(), JUDGED_AT_ONCE)
 
     def constants(plant: PlantConfig, name: str, law: str) -> Constants:
         return chosen.get((plant.name, name), chosen.get((plant.name, law), {}))
@@ -202,8 +202,7 @@ def steps(config: LawsConfig) -> Generator[list[Unit], list[Any], Section]:
              {"plant": config.described(judged.under(scenario)), "law": law,
               "constants": constants(judged.plant, name, law), "seeds": seeds,
               **(more if law in outside.NEEDED else {})})
-        for judged, scenario, name, law in cells
-        for seeds in parts
+        for judged, scenario, seeds, name, law in cells
     ]  # fmt: skip
     shown = next(judged for judged in config.plants if judged.plant.name == config.drawn.plant)
     traced = [
@@ -214,9 +213,9 @@ def steps(config: LawsConfig) -> Generator[list[Unit], list[Any], Section]:
     ]  # fmt: skip
     results = yield [*units, *traced]
     outcome: dict[tuple[str, str], dict[str, Rows]] = {}
-    for i, (judged, scenario, name, _) in enumerate(cells):
-        rows = [row for part in results[i * len(parts) : (i + 1) * len(parts)] for row in part]
-        outcome.setdefault((judged.plant.name, scenario), {})[name] = rows
+    for (judged, scenario, _, name, _), found in zip(cells, results, strict=False):
+        rows = outcome.setdefault((judged.plant.name, scenario), {})
+        rows.setdefault(name, []).extend(found)
     return _section(config, chosen, outcome, results[len(units) :])
 
 
@@ -338,6 +337,7 @@ def _drawn(config: LawsConfig, traces: list[dict[str, Any]]) -> Figure:
         "laws_theta",
         f"θ over time on {config.drawn.plant}, {config.drawn.scenario}, seed {config.drawn.seed}.",
         (Panel("t [s]", "θ", (*series, best)),),
+        picture="theta.png",
     )
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -158,9 +160,15 @@ def law_runs(
 def _of_seed(
     plant: dict[str, Any], law: str, tried: list[Constants], seed: int, rivals: str
 ) -> list[dict[str, Any]]:
-    drawn = setting(PlantConfig(**plant), seed)
-    oracle = run(drawn, "oracle", {}) if drawn.is_rig else None
+    drawn, oracle = _drawn(json.dumps(plant, sort_keys=True), seed)
     return [measure(drawn, run(drawn, law, one, rivals), oracle) for one in tried]
+
+
+@lru_cache(maxsize=4)  # as many as a unit of work has: the next law's unit has the same ones
+def _drawn(plant: str, seed: int) -> tuple[Setting, Path | None]:
+    """Return a plant, and on a rig what the oracle does there."""
+    drawn = setting(PlantConfig(**json.loads(plant)), seed)
+    return drawn, run(drawn, "oracle", {}) if drawn.is_rig else None
 
 
 def law_trace(plant: dict[str, Any], law: str, constants: Constants, seed: int) -> dict[str, Any]:

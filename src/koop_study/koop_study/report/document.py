@@ -144,12 +144,16 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels that are read together; ``columns`` of them stand side by side if there is room."""
+    """Panels that are read together; ``columns`` of them stand side by side if there is room.
+
+    ``picture`` is the name of a PNG that shows them too, beside the page; empty: none.
+    """
 
     name: str
     caption: str
     panels: tuple[Panel, ...]
     columns: int = 1
+    picture: str = ""
 
 
 @dataclass(frozen=True)

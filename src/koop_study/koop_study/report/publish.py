@@ -1,4 +1,4 @@
-"""Write a finished study: page and tables; and the README's results from the tables."""
+"""Write a finished study: page, tables and pictures; and the README's results from the tables."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from koop_study.experiments.kinds import Experiment
-from koop_study.report import page, summary
+from koop_study.report import page, picture, summary
 from koop_study.report.document import Section, Table
 from koop_study.workers.units import write_atomically
 
@@ -17,11 +17,14 @@ BEGIN, END = "<!-- results -->", "<!-- /results -->"
 def write(
     folder: Path, sections: Sequence[Section], experiments: Sequence[Experiment], command: str
 ) -> Path:
-    """Write report.html and tables/*.csv; return the page's path."""
+    """Write report.html, tables/*.csv and pictures; return the page's path."""
     (folder / "tables").mkdir(parents=True, exist_ok=True)
     for section in sections:
         for table in section.tables:
             write_atomically(folder / "tables" / f"{table.name}.csv", table.csv())
+        for figure in section.figures:
+            if figure.picture:
+                picture.draw(figure, folder / figure.picture)
     path = folder / "report.html"
     write_atomically(path, page.render(sections, experiments, command))
     return path
