@@ -122,6 +122,11 @@ def test_every_table_is_a_csv(quick: Quick) -> None:
 
 
 @pytest.mark.slow
+def test_theta_of_the_laws_is_drawn_for_the_readme(quick: Quick) -> None:
+    assert (quick.out / "theta.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
 def test_the_summary_opens_the_page_and_is_what_the_command_prints(quick: Quick) -> None:
     said = summary.sentences(summary.by_name(quick.sections))
     assert len(said) == 5
