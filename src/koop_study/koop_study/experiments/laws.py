@@ -241,7 +241,7 @@ def _table(judged: Judged, scenario: str, rows: dict[str, Rows]) -> Table:
             Column("worst", f"{score} worst", form),
             Column("failed", "failed [%]", ".0f"),
             Column("swing", "swing [% of range]", ".1f"),
-            Column("converged", f"converged after [{unit}], median", ".0f"),
+            Column("converged", f"first within bounds after [{unit}], median", ".0f"),
             Column("reacquired", f"reacquired after [{unit}], median", ".0f"),
             Column("in_time", f"reacquired within {judged.within:g} {unit} [%]", ".1f"),
         ),
