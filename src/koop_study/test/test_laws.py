@@ -289,6 +289,7 @@ plants:
         ("calm: {}}", "calm: {depht: [2, 3]}}", "did you mean 'depth'"),
         ("family: true", "family: false", None),
         ("calm: {}}", "windy: {}}", "the plant has no scenario 'calm'"),
+        ("within: 3,", "within: 3, brief: [storm],", "brief: unknown scenario 'storm'"),
         ("trials: 2", "trials: 0", "trials = 0: must be 1 to 4096"),
         ("drawn:", "fixed: [{name: x, law: golden, constants: {hold: 2}}]\ndrawn:",
          "'x' lacks omega_h, omega_l, resolution"),

@@ -60,6 +60,8 @@ class Judged:
         What the laws are tuned on.
     scenarios : dict of str to dict
         Settings of the plant that each adds.
+    brief : tuple of str
+        Scenarios that are judged on the first ``few`` fresh seeds only.
     within : float
         Time in which an optimum that jumped is to be reached again: seconds, or the rig's times.
     """
@@ -67,10 +69,14 @@ class Judged:
     plant: PlantConfig
     scenarios: dict[str, dict[str, Any]]
     within: float
+    brief: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.scenarios:
             raise ConfigError("scenarios: needs one at least")
+        for name in self.brief:
+            if name not in self.scenarios:
+                raise ConfigError(f"brief: unknown scenario '{name}'")
         for name in ("", *self.scenarios):
             plant = self.under(name)
             if plant.family:
@@ -100,6 +106,8 @@ class LawsConfig:
 
     Attributes
     ----------
+    few : int
+        Fresh seeds of the scenarios that are looked at briefly.
     rivals : str
         Python of the laws that are other programs; they are left out without it.
     """
@@ -110,6 +118,7 @@ class LawsConfig:
     tuning: Seeds
     fresh: Seeds
     drawn: Drawn
+    few: int = 16
     fixed: tuple[Fixed, ...] = ()
     rivals: str = ""
     settings: dict[str, Any] = field(default_factory=dict)  # of every plant that is no family
@@ -120,6 +129,8 @@ class LawsConfig:
         for law in (*self.laws, *self.drawn.laws):
             if law not in LAWS:
                 raise ConfigError(f"unknown law '{law}': {nearest(law, LAWS)}")
+        if self.few < 1:
+            raise ConfigError(f"few = {self.few}: must be at least 1")
         if not 1 <= self.trials <= 4096:
             raise ConfigError(f"trials = {self.trials}: must be 1 to 4096")
         plants = {judged.plant.name: judged for judged in self.plants}
@@ -134,6 +145,11 @@ class LawsConfig:
     def running(self) -> tuple[str, ...]:
         """Laws that run, in order."""
         return tuple(law for law in self.laws if self.rivals or law not in outside.NEEDED)
+
+    def seeds(self, judged: Judged, scenario: str) -> list[int]:
+        """Return the seeds that a scenario is judged on."""
+        seeds = self.fresh.list()
+        return seeds[: self.few] if scenario in judged.brief else seeds
 
     def needs(self) -> None:
         """Raise ConfigError if what the laws need is not there."""
@@ -190,7 +206,7 @@ def steps(config: LawsConfig) -> Generator[list[Unit], list[Any], Section]:
         (judged, scenario, seeds, name, law)
         for judged in config.plants
         for scenario in judged.scenarios
-        for seeds in _parts(config.fresh.list(), AT_ONCE)
+        for seeds in _parts(config.seeds(judged, scenario), AT_ONCE)
         for name, law in config.rows(judged.plant)
     ]
 
