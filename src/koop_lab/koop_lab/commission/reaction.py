@@ -135,7 +135,7 @@ def percent(change: float) -> str:
     >>> percent(math.log(0.5))
     'falls by 50 %'
     """
-    if abs(change) > math.log(10.0):
+    if abs(change) > math.log(3.0):
         return f"{'rises' if change > 0 else 'falls'} {math.exp(abs(change)):.3g} times"
     share = 100.0 * (math.exp(change) - 1.0)
     return f"{'rises' if share > 0 else 'falls'} by {abs(share):.2g} %"
