@@ -24,7 +24,6 @@ setup(
         "mcap-ros2-support",
         "numba",
         "numpy",
-        "PyYAML",
         "scipy",
         "tqdm",
     ],

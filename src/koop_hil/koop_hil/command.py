@@ -10,9 +10,12 @@ from koop_bag.recorder.run_folder import default_folder
 from koop_hil import report
 from koop_hil.excite import record_excitation
 from koop_hil.run import run
-from koop_hil.scenario import find, read, shipped
+from koop_hil.scenario import find, read, shipped, with_parameter
+from koop_loop.parameters import build
 from koop_node.config import ConfigError
+from koop_node.yaml_file import one_setting
 
+CONTROLLER = ("koopman_lifter", "relay_esc")
 SOAK = 600.0  # [s] from which on the growth of memory and latency means something
 
 
@@ -25,6 +28,10 @@ def register(commands: Any) -> None:
     parser.add_argument("--all", action="store_true", help="every scenario of the workspace")
     parser.add_argument("--list", action="store_true", help="only name the scenarios")
     parser.add_argument("--repeat", type=int, default=1, metavar="N", help="times in a row")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
+        help="in every scenario, such as relay_esc.law=adaptive; may be repeated",
+    )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: recordings/TIME-hil")
     parser.add_argument("--table", type=Path, metavar="FILE", help="also write a Markdown table")
     parser.add_argument(
@@ -50,6 +57,10 @@ def main(args: argparse.Namespace) -> int:
     if not paths:
         raise ConfigError("name a scenario, or --all; --list shows them")
     scenarios = [read(path) for path in paths]  # a bad file is reported before an hour has passed
+    for text in args.settings:
+        node, parameter, value = one_setting(text, CONTROLLER)
+        build({node: {parameter: value}})  # names what is wrong
+        scenarios = [with_parameter(item, node, parameter, value) for item in scenarios]
     out = args.out or default_folder("hil")
     if args.excite is not None:
         for scenario in scenarios:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 from runpy import run_path
@@ -234,6 +234,12 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     if scenario.sensor_topic and scenario.injects:
         raise ConfigError("inject: between the plant's 'state' and the lifter, not input_fields")
     return scenario
+
+
+def with_parameter(scenario: Scenario, node: str, name: str, value: Any) -> Scenario:
+    """Return a scenario in which a node has another parameter."""
+    own = {**scenario.parameters.get(node, {}), name: value}
+    return replace(scenario, parameters={**scenario.parameters, node: own})
 
 
 def write(scenario: Scenario, path: Path) -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from koop_lab.replay.recording import Recording
@@ -16,6 +15,7 @@ from koop_lab.replay.unheard import joined_at, unheard_costs
 from koop_loop import parameters
 from koop_loop.parameters import LoopParameters
 from koop_node.config import ConfigError
+from koop_node.yaml_file import one_setting
 from koopman_lifter.model import KoopmanModel
 
 Values = dict[str, dict[str, Any]]
@@ -151,17 +151,8 @@ def given_values(params: str | None, model: str | None, settings: Iterable[str])
     """
     given = parameters.read(params) if params else {}
     for text in settings:
-        name, equals, value = text.partition("=")
-        node, dot, parameter = name.strip().partition(".")
-        if not (equals and dot) or node not in CONTROLLER:
-            raise ConfigError(
-                f"--set {text}: write {CONTROLLER[0]}.PARAMETER=VALUE or "
-                f"{CONTROLLER[1]}.PARAMETER=VALUE"
-            )
-        try:
-            given.setdefault(node, {})[parameter] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise ConfigError(f"--set {text}: '{value}' is not a value in YAML") from None
+        node, parameter, value = one_setting(text, CONTROLLER)
+        given.setdefault(node, {})[parameter] = value
     if model is not None:
         given.setdefault("koopman_lifter", {})["model"] = model
     parameters.make({node: given.get(node, {}) for node in CONTROLLER})  # names what is wrong
