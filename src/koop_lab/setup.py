@@ -27,7 +27,7 @@ setup(
         "scipy",
         "tqdm",
     ],
-    extras_require={"test": ["hypothesis", "pytest", "rosbags"]},
+    extras_require={"test": ["PyYAML", "hypothesis", "pytest", "rosbags"]},
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

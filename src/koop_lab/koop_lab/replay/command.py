@@ -177,7 +177,9 @@ def restarted(recording: Recording, plan: Plan) -> list[str]:
             )
     largest = max(stretch.parameters.esc.step_size for stretch in plan.stretches)
     rows = np.flatnonzero(recording.has_theta)
-    jumps = np.abs(np.diff(recording.theta[rows])) > largest * (1.0 + 1e-6)  # beyond any rounding
+    logarithmic = plan.stretches[0].parameters.esc.theta_scale == "log"
+    u = np.log(recording.theta[rows]) if logarithmic else recording.theta[rows]
+    jumps = np.abs(np.diff(u)) > largest * (1.0 + 1e-6)  # beyond any rounding
     for i in np.flatnonzero(jumps & ~np.append(False, jumps[:-1])):  # a ramp is one jump
         before, k = rows[i], rows[i + 1]
         if k not in changed:

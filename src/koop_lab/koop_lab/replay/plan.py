@@ -129,7 +129,8 @@ def make_plan(
         recorded_loop.esc.step_size, *(item.parameters.esc.step_size for item in stretches)
     )
     has_r, has_theta = recording.has_r, recording.has_theta
-    unheard = unheard_costs(has_r, has_theta, recording.theta, step_size)
+    u = recording.theta if recorded_loop.esc.theta_scale == "linear" else np.log(recording.theta)
+    unheard = unheard_costs(has_r, has_theta, u, step_size)
     held = recording.hold | ~np.isfinite(recording.r)
     settling = recorded_loop.esc.params().settling
     joined = joined_at(has_r, has_theta, held, recording.theta, settling)

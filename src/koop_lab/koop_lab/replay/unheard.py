@@ -24,7 +24,7 @@ def unheard_costs(
     has_r, has_theta : ndarray of bool, shape (M,)
         Whether the answers were recorded.
     theta : ndarray, shape (M,)
-        Recorded theta.
+        Recorded theta; its logarithm if the controller seeks on that scale.
     step_size : float
         Largest change of theta in a step.
     """
