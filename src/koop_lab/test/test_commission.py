@@ -7,8 +7,9 @@ import random
 import numpy as np
 import pytest
 
-from koop_lab.commission import progress, staircase
+from koop_lab.commission import check, progress, staircase
 from koop_lab.commission.channels import channel, lines, strongest_period
+from koop_lab.commission.ears import Samples
 from koop_lab.commission.features import Bands, bands, features
 from koop_lab.commission.leash import Leash, beyond
 from koop_lab.commission.reaction import order, reaction, reaction_of_rests
@@ -88,6 +89,35 @@ def test_a_map_that_is_the_same_on_both_sides_is_found_in_a_recording():
     found[:, 2] += theta**2
     assert reaction_of_rests(found, theta).p <= 0.01
     assert reaction_of_rests(found, theta).feature == 2
+
+
+def heard(x, y):
+    arrival = np.arange(x.size) * DT
+    return Samples(arrival, 0.0 * arrival, np.full(x.size, -1), np.column_stack([x, y]))
+
+
+def test_a_dead_sensor_and_a_command_that_is_never_applied_are_a_line_each():
+    noise = np.random.default_rng(5).normal(0.0, 0.1, (8, 3000))
+    rows = list(check.passive(RIG, heard(noise[0], np.full(3000, 0.5))))
+    assert [(row.name, row.text) for row in rows if row.level == check.BAD] == [
+        ("channel", "y is always 0.5: dead sensor")
+    ]
+    how = bands(noise[0][:, None], 300, DT)
+    found = np.array([check.block_features(x[:300, None], how) for x in noise])
+    row = check.of_reaction(reaction(found, order(8, random.Random(5))), ["x"], "theta from 0 to 1")
+    assert row.level == check.BAD
+    assert row.text.endswith("the command is not applied, or theta has no effect there")
+    assert "nothing reacts (p = 0." in row.text
+
+
+def test_an_unstamped_source_that_loses_messages_is_not_fit():
+    x = np.random.default_rng(6).normal(size=4000)
+    kept = np.sort(np.random.default_rng(7).choice(4000, 2300, replace=False))
+    sent = heard(x, x)
+    rows = list(check.passive(RIG, Samples(*(column[kept] for column in sent))))
+    assert rows[0].level == check.BAD
+    assert "lost 16" in rows[0].text  # of 1700, but for those before the first and after the last
+    assert "no stamps: counted by arrival" in rows[0].text
 
 
 def test_theta_keeps_its_limits_and_rate_whoever_asks():
