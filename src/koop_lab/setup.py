@@ -47,6 +47,7 @@ setup(
             "replay = koop_lab.replay.command:register",
             "simulate = koop_lab.cli.simulate:register",
             "train = koop_lab.identify.command:register",
+            "tune = koop_lab.tune.command:register",
             "up = koop_lab.live.up:register",
         ],
     },

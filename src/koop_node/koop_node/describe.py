@@ -60,28 +60,44 @@ def help_text(program: str, purpose: str, classes: Iterable[type]) -> str:
     return "\n".join(lines)
 
 
-def parameter_file(nodes: Mapping[str, Iterable[type]]) -> str:
-    """Return a ROS 2 parameter file with all defaults, each explained in a comment above it.
+def parameter_file(
+    nodes: Mapping[str, Iterable[type]],
+    values: Mapping[str, Mapping[str, Any]] | None = None,
+    reasons: Mapping[str, Mapping[str, str]] | None = None,
+) -> str:
+    """Return a ROS 2 parameter file, each value explained in a comment above it.
 
     Parameters
     ----------
     nodes : mapping of str to iterable of type
         Configuration classes by node.
+    values : mapping of str to mapping, optional
+        What is not the default, by node.
+    reasons : mapping of str to mapping, optional
+        Why such a value is what it is, by node.
     """
+    given, why = values or {}, reasons or {}
     return "".join(
-        f"{line}\n" for node, classes in nodes.items() for line in _section(node, classes)
+        f"{line}\n"
+        for node, classes in nodes.items()
+        for line in _section(node, classes, given.get(node, {}), why.get(node, {}))
     )
 
 
-def _section(node: str, classes: Iterable[type]) -> Iterator[str]:
+def _section(
+    node: str, classes: Iterable[type], values: Mapping[str, Any], reasons: Mapping[str, str]
+) -> Iterator[str]:
     yield ""
     yield f"/**/{node}:"
     yield "  ros__parameters:"
     for item in parameters_of(classes):
+        value = values.get(item.name, item.default)
         yield from _wrapped(spec_of(item).description, "    # ")
         yield from _wrapped(f"({allowed(item)})", "    # ")
-        empty = item.default == ()  # of which ROS cannot tell the type
-        yield f"    {'# ' if empty else ''}{item.name}: {as_yaml(item.default)}"
+        if item.name in values and item.name in reasons:
+            yield from _wrapped(f"Here: {reasons[item.name]}.", "    # ")
+        empty = value == ()  # of which ROS cannot tell the type
+        yield f"    {'# ' if empty else ''}{item.name}: {as_yaml(value)}"
 
 
 def _wrapped(text: str, first: str = "", then: str | None = None) -> list[str]:

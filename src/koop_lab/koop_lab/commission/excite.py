@@ -194,8 +194,8 @@ def excite(
         state.parts.append(part)
         _save(state, rig, folder)
         names = ",".join(f"x[{i}]" for i in range(len(rig.names)))
-        source = rig.measured if _own(rig) else f"{STATE}:{names}"
-        kind = rig.measured_type if _own(rig) else STATE_TYPE
+        source = rig.measured if is_own(rig) else f"{STATE}:{names}"
+        kind = rig.measured_type if is_own(rig) else STATE_TYPE
         run = Excitation(rig, folder, scale, state, client, nodes, source, kind, check)
         client.wait_for(
             lambda: client.node.count_subscribers(THETA) and client.node.count_publishers(COST),
@@ -214,7 +214,7 @@ def excite(
 
 def refuse_incomplete_state(rig: RigFile) -> None:
     """Refuse a rig that speaks on the loop's own topic, of which not all channels are named."""
-    if rig.state.topic == STATE and not _own(rig):
+    if rig.state.topic == STATE and not is_own(rig):
         raise ConfigError(
             f"measured = {rig.measured!r}: on {STATE} the lifter takes all of {STATE_TYPE}: name "
             "x[0], x[1] and so on in order, or let the rig publish on another topic"
@@ -251,12 +251,12 @@ def mend(bag: Path) -> None:
 def nodes_of(rig: RigFile, folder: Path) -> dict[str, dict[str, Any]]:
     """Return the nodes that run beside, with their parameters."""
     lifter: dict[str, Any] = {"cost": "raw", "dt": rig.dt, "recorders": 0}
-    if not _own(rig):
+    if not is_own(rig):
         lifter |= {"input_fields": rig.measured, "input_type": rig.measured_type}
     return {"recorder": {"output": str(folder)}, "koopman_lifter": lifter}
 
 
-def _own(rig: RigFile) -> bool:
+def is_own(rig: RigFile) -> bool:
     """Return whether the rig itself publishes what the lifter listens to."""
     n = len(rig.names)
     return (rig.state.topic, rig.measured_type) == (STATE, STATE_TYPE) and rig.names == tuple(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -37,6 +37,7 @@ from relay_esc.config import EscConfig
 matplotlib.use("Agg")  # a file is written: no display is needed or looked for
 from matplotlib import pyplot as plt
 
+BAND_LIMITED = "band-limited energy"  # for comparison: the lifter has no such cost
 DELAYS = 8  # samples of the candidates with delays, unless told otherwise
 REST = 0.6  # of the time in which theta rests, that may pass before a window
 
@@ -132,11 +133,13 @@ def compare(paths: Sequence[Path], training: BagTraining) -> Comparison:
     if loaded.theta is not None:
         middle = cut_windows(loaded.theta, starts, length).mean(axis=1)
     judged = []
-    for name, options, made in _costs(loaded, training, period):
-        if isinstance(made, str):
-            judged.append(Candidate(name, options, np.empty((0, length)), None, made))
+    for cost in costs(loaded, training, period):
+        name, options = cost.name, cost.options
+        if cost.y_out is None:
+            empty = np.empty((0, length))
+            judged.append(Candidate(name, options, empty, None, cost.problem))
             continue
-        r = detected(made, loaded.begins, lifter.detector_params())
+        r = detected(cost.y_out, loaded.begins, lifter.detector_params())
         windows = cut_windows(r, starts, length)
         figures = merit(windows, amplitude, middle, dt, esc.dwell)
         judged.append(Candidate(name, options, windows, figures))
@@ -149,37 +152,78 @@ def _own(kind: Any, given: dict[str, Any]) -> dict[str, Any]:
     return {item.name: given[item.name] for item in fields(kind) if item.name in given}
 
 
-def _costs(
-    loaded: Loaded, training: BagTraining, period: float
-) -> Iterator[tuple[str, str, NDArray[np.float64] | str]]:
-    """Yield name, options of ``koop train`` and y_out of every candidate, or what prevents it."""
+class Cost(NamedTuple):
+    """A candidate cost on a recording.
+
+    Attributes
+    ----------
+    name : str
+        In words.
+    training : BagTraining or None
+        With which its model is learned; None where the cost needs none.
+    model : KoopmanModel or None
+        Learned from the training part.
+    y_out : ndarray, shape (M,), or None
+        Energies; None if the cost cannot be made.
+    problem : str
+        Why it cannot be made.
+    """
+
+    name: str
+    training: BagTraining | None
+    model: KoopmanModel | None
+    y_out: NDArray[np.float64] | None
+    problem: str = ""
+
+    @property
+    def options(self) -> str:
+        """With which ``koop train`` makes its model; empty where none is needed."""
+        if self.training is None:
+            return ""
+        own, words = self.training, ""
+        if own.delays > 1:
+            words = f" --delays {own.delays} --spacing {own.spacing:g}"
+        return words + (" --contrast" if own.contrast else "")
+
+
+def costs(loaded: Loaded, training: BagTraining, period: float) -> Iterator[Cost]:
+    """Yield every candidate, learned from the training part of a recording.
+
+    ``period`` is that of the oscillation [s].
+    """
     x, begins, dt = loaded.x, loaded.begins, training.dt
     assert dt is not None
-    yield "raw", "", energies(None, x, begins)
-    yield "band-limited energy", "", band_energy(x, begins, dt, period)
+    yield Cost("raw", None, None, energies(None, x, begins))
+    yield Cost(BAND_LIMITED, None, None, band_energy(x, begins, dt, period))
     n = x.shape[0]
     count = training.delays if training.delays > 1 else DELAYS
     spacing = spacing_for(period, count) if training.spacing is None else training.spacing
     for delays in (Delays(n), Delays.spaced(n, count, spacing, dt)):
-        past = words = ""
+        words, own = "", replace(training, delays=1, spacing=None, contrast=False)
         if delays.count > 1:
-            past = f" --delays {count} --spacing {delays.every * dt:g}"
+            own = replace(own, delays=count, spacing=delays.every * dt)
             words = f", {count} samples {delays.every * dt:g} s apart"
-        model: KoopmanModel | str
+        model: KoopmanModel | None = None
+        problem = ""
         try:
             model = _learned(loaded, training, delays)
         except ValueError as error:
-            model = str(error)
-        yield f"lifted{words}", past, _of(model, loaded)
+            problem = str(error)
+        yield _of(f"lifted{words}", own, model, loaded, problem)
+        told: KoopmanModel | None = None
         try:
-            told = model if isinstance(model, str) else contrasted(model, loaded, period)
+            told = None if model is None else contrasted(model, loaded, period)
         except ValueError as error:
-            told = str(error)
-        yield f"contrast{words}", f"{past} --contrast", _of(told, loaded)
+            problem = str(error)
+        yield _of(f"contrast{words}", replace(own, contrast=True), told, loaded, problem)
 
 
-def _of(model: KoopmanModel | str, loaded: Loaded) -> NDArray[np.float64] | str:
-    return model if isinstance(model, str) else energies(model, loaded.x, loaded.begins)
+def _of(
+    name: str, training: BagTraining, model: KoopmanModel | None, loaded: Loaded, problem: str
+) -> Cost:
+    if model is None:
+        return Cost(name, training, None, None, problem)
+    return Cost(name, training, model, energies(model, loaded.x, loaded.begins))
 
 
 def _learned(loaded: Loaded, training: BagTraining, delays: Delays) -> KoopmanModel:
@@ -242,7 +286,7 @@ def described(found: Comparison) -> str:
 
 NO_MODEL = {
     "raw": "the lifter's parameter cost: raw needs no model",
-    "band-limited energy": "for comparison: the lifter has no such cost",
+    BAND_LIMITED: "for comparison: the lifter has no such cost",
 }
 
 

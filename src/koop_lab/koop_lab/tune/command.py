@@ -1,0 +1,142 @@
+"""``koop tune``: from what ``koop excite`` recorded to a controller."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from koop_bag.bag.reader import BagReader
+from koop_lab.commission import progress, rig_file
+from koop_lab.commission.features import Bands
+from koop_lab.commission.rig_file import RigFile
+from koop_lab.identify.from_bags import BagTraining, find_segmentation, train_from_bags
+from koop_lab.identify.loaded import Loaded, load_states, theta_of
+from koop_lab.identify.samples import StateSpec
+from koop_node.config import ConfigError
+
+PARAMETERS, MODEL, FIGURES, PICTURE = "controller.yaml", "model.npz", "tune.json", "tune.png"
+
+
+def register(commands: Any) -> None:
+    """Add the command to the subparsers of ``koop``."""
+    parser = commands.add_parser(
+        "tune",
+        description="Chooses the cost and every constant of the controller from a recording of "
+        "'koop excite', and says why and what to expect: the closed loop is simulated, with the "
+        "nodes' own kernels, on rigs that the recording may be of. Where the recording shows no "
+        "optimum it says what to record next, and returns 1.",
+    )
+    parser.add_argument("rig", metavar="RIG.YAML", help="of 'koop commission --new'")
+    parser.add_argument(
+        "folders", nargs="+", type=Path, metavar="FOLDER",
+        help="of 'koop excite', or a bag in which theta rested at some values",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the results (default: FOLDER/tuned)"
+    )
+    parser.add_argument("--state", default="/state:x", metavar="/TOPIC:FIELDS")
+    parser.add_argument("--theta", metavar="/TOPIC:FIELD", help="default: /theta:theta")
+    parser.add_argument("--seed", type=int, default=0, help="of all random numbers")
+    parser.add_argument(
+        "--effort", type=float, default=1.0, metavar="X",
+        help="of the search, in units of the usual one (about a minute on two cores)",
+    )  # fmt: skip
+    parser.set_defaults(func=main)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Entry point; returns the exit code: 1 if there is no optimum to be found."""
+    from koop_lab.tune import written  # slow to import
+    from koop_lab.tune.picture import draw
+    from koop_lab.tune.tuning import STEPS, NoOptimum, tune
+
+    began = time.monotonic()
+    rig = rig_file.read(args.rig)
+    if not 0.0 < args.effort < 1e3:
+        raise ConfigError("--effort: above 0, below 1000")
+    bags, how = bags_of(args.folders, rig)
+    out = args.out or args.folders[0] / "tuned"
+    if (out / PARAMETERS).exists():
+        raise ConfigError(f"{out / PARAMETERS} is there already: choose another --out")
+    training = BagTraining(StateSpec.parse(args.state), dt=rig.dt, held_out=0.0, theta=args.theta)
+    loaded = load(bags, training)
+    if loaded.x.shape[0] != len(rig.names):
+        raise ConfigError(
+            f"{args.state} has {loaded.x.shape[0]} channels, the rig file {len(rig.names)}"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    with tqdm(total=100, bar_format="{desc:<40.40} |{bar}| {n:.0f} %", leave=False,
+              disable=None) as bar:  # fmt: skip
+
+        def said(what: str, share: float) -> None:
+            bar.set_description_str(what, refresh=False)
+            bar.update(100.0 * share)
+
+        try:
+            found = tune(loaded, rig, training, how, args.seed, args.effort * STEPS, said)
+        except NoOptimum as no:
+            bar.close()
+            draw(no.seen, None, out / PICTURE, f"{args.rig}: {no.kind}")
+            figures = {"verdict": no.kind, "why": str(no)}
+            (out / FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+            print(written.as_table(no.seen))
+            print(f"\nno optimum ({no.kind}): {no}\npicture {out / PICTURE}")
+            return 1
+    model = None
+    if found.chosen.cost.training is not None:
+        model = out / MODEL
+        train_from_bags(bags, found.chosen.cost.training).save(model)
+    (out / PARAMETERS).write_text(written.as_parameters(found, rig, model), encoding="utf-8")
+    figures = written.as_figures(found, rig)
+    (out / FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    draw(found.seen, found, out / PICTURE, f"{args.rig}: {found.chosen.cost.name}")
+    print(written.as_table(found.seen))
+    print("\n" + written.as_words(found))
+    print(f"\nfound in {time.monotonic() - began:.0f} s; written to {out}; "
+          f"now: ./koop up {out / PARAMETERS}")  # fmt: skip
+    return 0
+
+
+def bags_of(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands | None]:
+    """Return the bags of folders, and how the excitation looked at its windows.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If there is nothing.
+    """
+    bags: list[Path] = []
+    how = None
+    for folder in folders:
+        if not folder.exists():
+            raise ConfigError(f"{folder}: is not there")
+        known = progress.load(rig, folder) if folder.is_dir() else None
+        if known is None:
+            bags.append(folder / "bag" if (folder / "bag").is_dir() else folder)
+            continue
+        how = known.how
+        bags += [folder / part / "bag" for part in known.parts if (folder / part / "bag").is_dir()]
+        if not known.done:
+            print(f"note: {folder}: the excitation has not come to its end")
+    if not bags:
+        raise ConfigError(f"{folders[0]}: nothing is recorded: koop excite first")
+    return bags, how
+
+
+def load(bags: Sequence[Path], training: BagTraining) -> Loaded:
+    """Read recordings, theta included."""
+    parts = []
+    for path in bags:
+        with BagReader(path) as bag:
+            segmentation, _ = find_segmentation(bag, path, training)
+            theta = theta_of(bag, training.theta)
+            parts.append(load_states(bag, training.state, segmentation, theta))
+            training = replace(training, dt=segmentation.dt)
+    return Loaded.joined(parts)

@@ -1,0 +1,150 @@
+"""A static map with its errors: has it an optimum inside, and what is it between its points?
+
+The test: of all curves that fall and then rise, and of all that only fall or only rise, those are
+fitted that are nearest to the points (isotonic regression). By how much chi-squared of the second
+is larger tells whether the ends are worse than the inside.
+
+    gain = min(chi2_rising, chi2_falling) - chi2_valley
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import isotonic_regression
+
+from koop_lab.commission.staircase import standard_error
+from koop_lab.tune.stays import Stays
+
+SURE = 12.0  # gain from which on there is an optimum: 3 sigma, and the choice of the feature
+FLAT = 25.0  # chi-squared about a constant, below which 9 values show nothing
+LEAST_ERROR = 0.003  # of an amplitude: nothing is known better
+GRID = 257  # points of a map between 0 and 1
+
+
+@dataclass(frozen=True)
+class StaticMap:
+    """Logarithm of a level at each value of theta.
+
+    Attributes
+    ----------
+    u : ndarray, shape (N,)
+        Positions of theta.
+    mean, error : ndarray, shape (N,)
+        Its standard error counts that visits differ.
+    sense : float
+        +1 if little is wanted.
+    visits : list of ndarray
+        Means of the visits of each value.
+    """
+
+    u: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    error: NDArray[np.float64]
+    sense: float
+    visits: list[NDArray[np.float64]]
+
+    @property
+    def gain(self) -> float:
+        """By how much a valley fits better than a slope, in chi-squared."""
+        y, w = self.sense * self.mean, 1.0 / self.error**2
+        rising, falling = _misfit(y, w, True)[-1], _misfit(y, w, False)[-1]
+        left = _misfit(y, w, False)  # the first k points fall
+        right = _misfit(y[::-1], w[::-1], False)[::-1]  # the last ones rise
+        valley = min(left[k] + right[k] for k in range(y.size + 1))
+        return float(min(rising, falling) - valley)
+
+    @property
+    def interior(self) -> bool:
+        """Whether there is an optimum inside."""
+        return self.gain > SURE and 0.0 < self.best() < 1.0
+
+    @property
+    def flat(self) -> bool:
+        """Whether the points show nothing at all."""
+        w = 1.0 / self.error**2
+        centre = float(np.average(self.mean, weights=w))
+        n = self.u.size
+        return float((w * (self.mean - centre) ** 2).sum()) < FLAT * max(1.0, (n - 1) / 8.0)
+
+    def best(self) -> float:
+        """Return the position of the optimum."""
+        curve = self.curve(self.mean)
+        grid = np.linspace(0.0, 1.0, GRID)
+        return float(grid[int(np.argmin(self.sense * curve))])
+
+    def curve(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the map through points, shape (GRID,); as smooth as their errors allow.
+
+        The smoothest (Whittaker 1923) of chi-squared up to the number of points; between them
+        PCHIP, which does not overshoot.
+        """
+        n, w = self.u.size, 1.0 / self.error**2
+        h = np.diff(self.u)
+        bend = np.zeros((n - 2, n))
+        for i in range(n - 2):
+            bend[i, i : i + 3] = [1 / h[i], -1 / h[i] - 1 / h[i + 1], 1 / h[i + 1]]
+        smooth = mean
+        for strength in np.geomspace(1e4, 1e-4, 33):
+            smooth = np.linalg.solve(
+                np.diag(w) + strength * np.median(w) * bend.T @ bend * float(h.mean()) ** 2,
+                w * mean,
+            )
+            if float((w * (smooth - mean) ** 2).sum()) <= 0.5 * n:
+                break
+        else:
+            smooth = mean
+        grid = np.clip(np.linspace(0.0, 1.0, GRID), self.u[0], self.u[-1])
+        return np.asarray(PchipInterpolator(self.u, smooth)(grid))
+
+    def drawn(self, weights: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return the points as other visits might have given them.
+
+        ``weights``, of each value's visits, sum to 1; see :func:`weights_of`.
+        """
+        found = self.mean.copy()
+        for i, (own, weight) in enumerate(zip(self.visits, weights, strict=True)):
+            spread = float(own.std()) / math.sqrt(own.size)
+            shift = float(weight @ own - own.mean())
+            # visits that happen to agree know no more than their errors say
+            found[i] += shift * self.error[i] / spread if spread > 1e-12 else 0.0
+        return found
+
+
+def static_map(stays: Stays, windows: list[NDArray[np.float64]], sense: float) -> StaticMap:
+    """Return the map of a quantity from its logarithm in the windows of each stay."""
+    settled = stays.settled(windows)
+    own: list[list[float]] = [[] for _ in stays.u]
+    inner: list[list[float]] = [[] for _ in stays.u]
+    for stay, values in zip(stays.stays, settled, strict=True):
+        error = float(standard_error(values[:, None])[0])
+        own[stay.level].append(float(values.mean()))
+        inner[stay.level].append(error if math.isfinite(error) else float(np.ptp(values)))
+    visits = [np.array(group) for group in own]
+    spare = sum(v.size - 1 for v in visits)
+    pooled = sum(float(((v - v.mean()) ** 2).sum()) for v in visits) / max(spare, 1)
+    errors = []
+    for v, e in zip(visits, inner, strict=True):
+        within = float(np.sqrt((np.array(e) ** 2).sum())) / v.size
+        alone = float(v.var(ddof=1)) if v.size > 1 else pooled
+        errors.append(max(within, math.sqrt(0.5 * (pooled + alone) / v.size), LEAST_ERROR))
+    means = np.array([v.mean() for v in visits])
+    return StaticMap(stays.u, means, np.array(errors), sense, visits)
+
+
+def weights_of(maps: StaticMap, rng: np.random.Generator) -> list[NDArray[np.float64]]:
+    """Return random weights of each value's visits (the Bayesian bootstrap; Rubin 1981)."""
+    return [rng.dirichlet(np.ones(v.size)) for v in maps.visits]
+
+
+def _misfit(y: NDArray[np.float64], w: NDArray[np.float64], rising: bool) -> list[float]:
+    """Return chi-squared of the first 0, 1 .. n points about the nearest monotone curve."""
+    found = [0.0]
+    for k in range(1, y.size + 1):
+        fit = isotonic_regression(y[:k], weights=w[:k], increasing=rising).x
+        found.append(float((w[:k] * (y[:k] - fit) ** 2).sum()))
+    return found

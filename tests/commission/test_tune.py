@@ -1,0 +1,132 @@
+"""`koop tune`: what it chooses is tried on the rig itself, whose truths are known."""
+
+import json
+
+import numpy as np
+import pytest
+from recorded_rig import (
+    damped,
+    excited,
+    file_of,
+    loaded_of,
+    rig_of,
+    training_of,
+    write_bag,
+)
+
+from koop_lab.cli.main import main
+from koop_lab.commission import rig_file
+from koop_lab.tune.static_map import StaticMap
+from koop_lab.tune.surrogate import fit_times
+from koop_lab.tune.tuning import NoOptimum, look, tune
+from koop_loop import parameters
+from koopman_lifter.model import load
+
+QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05),
+         "optimum": (0.3, 0.7), "channels": (2, 2)}  # fmt: skip
+
+
+def recorded(rig, **excitation):
+    return loaded_of(*excited(rig, **excitation)), file_of(rig), training_of(rig)
+
+
+@pytest.mark.parametrize(
+    ("seed", "family", "cost"),
+    [
+        (3, {"clean": 1.0}, "raw"),
+        (5, {"clean": 0.0, "interference": (6.0, 6.0), "common": 1.0}, "contrast"),
+    ],
+)
+def test_the_tuned_loop_damps_the_rig_as_predicted(seed, family, cost):
+    rig = rig_of(seed, **QUICK, **family, noise_driven=0.0, maps={"symmetric": 1.0})
+    found = tune(*recorded(rig), steps=2e6)
+    assert found.chosen.cost.name.startswith(cost)
+    best = found.seen.scale.theta_at(found.seen.amplitude.best())
+    assert abs(best - rig.best()[0]) < 0.1 * (rig.params.theta_max - rig.params.theta_min)
+    predicted = found.prediction.excess
+    assert predicted.low <= predicted.middle <= predicted.high < 1.5
+    for end in (0, 1):
+        got = damped(rig, found, seed=100 + end, end=end)
+        assert got < 1.5
+        # the amplitude of the recording holds noise, and its map has nine points
+        assert predicted.low - 0.1 < got < predicted.high + 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("monotone", "monotone"), ("flat", "flat"), ("drowned", "flat")]
+)
+def test_a_rig_without_an_optimum_is_refused(name, kind):
+    rig = rig_of(2, **QUICK, maps={name: 1.0}, clean=1.0, noise_driven=0.0)
+    with pytest.raises(NoOptimum, match=r"record|leave theta there") as no:
+        look(*recorded(rig, windows=12))
+    assert no.value.kind == kind
+    if name == "monotone":
+        worst = rig.best()[0] > 0.5 * (rig.params.theta_min + rig.params.theta_max)
+        assert f"theta_{'max' if worst else 'min'}" in str(no.value)
+
+
+def test_a_valley_is_told_from_a_slope_by_its_errors():
+    u, rng = np.linspace(0.0, 1.0, 9), np.random.default_rng(0)
+
+    def gains(curve, error):
+        drawn = [curve + rng.normal(0.0, error, 9) for _ in range(200)]
+        maps = [StaticMap(u, y, np.full(9, error), 1.0, [y[i : i + 1] for i in range(9)])
+                for y in drawn]  # fmt: skip
+        return np.mean([m.interior for m in maps])
+
+    assert gains((u - 0.6) ** 2, 0.02) > 0.99
+    for nothing in (u, -u, 0.0 * u, np.maximum(u, 0.5)):
+        assert gains(nothing, 0.02) <= 0.02
+
+
+def test_the_time_constant_is_that_of_the_rig():
+    rig = rig_of(4, **{**QUICK, "amplitude_time": (20.0, 20.0)}, clean=1.0, noise_driven=0.0)
+    loaded, file, training = recorded(rig, stay=5.0)
+    seen = look(loaded, file, training)
+    times = fit_times(loaded, seen.stays, seen.amplitude, seen.scale, file.dt)
+    tau = [times.tau(float(a), up) for a in seen.amplitude.mean for up in (True, False)]
+    # d a^2/dt = a^2 (1 - a^2 / L^2) / tau: near L the amplitude's own time is tau
+    assert 0.4 * rig.slowest < np.median(tau) < 2.0 * rig.slowest
+
+
+@pytest.fixture(scope="module")
+def bagged(tmp_path_factory):
+    """Record a rig that needs a model, and its rig file."""
+    folder = tmp_path_factory.mktemp("bagged")
+    rig = rig_of(5, **QUICK, clean=0.0, interference=(6.0, 6.0), common=1.0, noise_driven=0.0,
+                 maps={"symmetric": 1.0})  # fmt: skip
+    write_bag(folder / "bag", rig, *excited(rig))
+    rig_file.write(file_of(rig), folder / "rig.yaml")
+    return folder, rig
+
+
+def test_a_bag_becomes_a_controller_with_its_reasons(bagged, capsys):
+    folder, rig = bagged
+    words = ["tune", str(folder / "rig.yaml"), str(folder / "bag"), "--theta", "/knob:data",
+             "--out", str(folder / "out"), "--effort", "0.001"]  # fmt: skip
+    assert main(words) == 0
+    said = capsys.readouterr().out
+    assert "predicted" in said
+    assert "koop up" in said
+    loop = parameters.make(parameters.read(folder / "out/controller.yaml"))
+    assert loop.lifter.cost == "lifted"
+    assert loop.load_model().model_id == load(folder / "out/model.npz").model_id
+    assert loop.esc.command_topic == "/knob"
+    assert (loop.esc.theta_min, loop.esc.theta_max) == (rig.params.theta_min, rig.params.theta_max)
+    assert loop.esc.step_size <= file_of(rig).theta_rate * rig.params.dt
+    text = (folder / "out/controller.yaml").read_text()
+    assert text.count("# Here: ") > 15
+    figures = json.loads((folder / "out/tune.json").read_text())
+    assert figures["predicted"]["excess"]["high"] >= 1.0
+    assert (folder / "out/tune.png").stat().st_size > 10_000
+    assert main(words) == 2
+    assert "choose another --out" in capsys.readouterr().err
+
+
+def test_a_recording_without_theta_is_refused_in_one_line(bagged, capsys):
+    folder, _ = bagged
+    assert main(["tune", str(folder / "rig.yaml"), str(folder / "bag"), "--out",
+                 str(folder / "no")]) == 2  # fmt: skip
+    error = capsys.readouterr().err
+    assert "--theta" in error
+    assert len(error.splitlines()) == 1
