@@ -1,5 +1,6 @@
 """The pure parts of the harness: scenario files, faults, reports."""
 
+import argparse
 import json
 import math
 import os
@@ -10,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from koop_hil import faults, installed, report
+from koop_hil.command import main, register
 from koop_hil.faults import Channel
-from koop_hil.scenario import parse, read, shipped, write
+from koop_hil.scenario import find, parse, read, shipped, with_parameter, write
 from koop_hil.verdict import Verdict
 from koop_node.config import ConfigError
 
@@ -164,3 +166,27 @@ def test_a_rig_without_its_middleware_says_how_to_get_it(tmp_path):
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (1, "rig: none here: pip install cyclonedds\n")
+
+
+def test_a_scenario_runs_with_another_parameter_and_keeps_the_rest():
+    scenario = read(find("rig-paper"))
+    other = with_parameter(scenario, "relay_esc", "law", "adaptive")
+    assert other.parameters["relay_esc"] == {**scenario.parameters["relay_esc"], "law": "adaptive"}
+    assert other.parameters["koopman_lifter"] == scenario.parameters["koopman_lifter"]
+    assert (other.setting, other.limits) == (scenario.setting, scenario.limits)
+    assert "law" not in scenario.parameters["relay_esc"]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("relay_esc.law=wide", "relay_esc: law = 'wide': must be one of relay, adaptive"),
+        ("recorder.output=x", "write koopman_lifter.PARAMETER=VALUE or relay_esc.PARAMETER=VALUE"),
+    ],
+)
+def test_a_setting_for_every_scenario_that_cannot_be_used_is_named(given, message, tmp_path):
+    parser = argparse.ArgumentParser()
+    register(parser.add_subparsers())
+    args = parser.parse_args(["hil", "rig-paper", "--set", given, "--out", str(tmp_path)])
+    with pytest.raises(ConfigError, match=message):
+        main(args)
