@@ -78,6 +78,8 @@ def plot_report(
     draw_costs(cost, t, after, costs)
     if run.has_theta:
         envelope(theta, t, run.theta, "theta")
+        if (run.swing < 1.0).any():  # the adaptive law
+            draw_swing(theta.twinx(), t, run.swing)
     else:
         theta.text(0.5, 0.5, "theta is not known", ha="center", transform=theta.transAxes)
     if theta_star is not None:
@@ -101,6 +103,13 @@ def plot_report(
     draw_amplitude_by_theta(figure.add_subplot(grid[6:, 4:]), windows, run.names)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def draw_swing(axis: Axes, t: NDArray[np.float64], swing: NDArray[np.float64]) -> None:
+    """Draw the adaptive law's step, of 0 to 1, on an axis of its own."""
+    envelope(axis, t, swing, "swing", "C2")
+    axis.set_ylim(0.0, 1.05)
+    axis.set_ylabel("swing", color="C2")
 
 
 def draw_costs(

@@ -23,6 +23,7 @@ FIELDS = {
     "theta": ["step", "theta", "saturated"],
     "ground_truth": ["step", "x"],
 }
+SWING = "float64 swing"  # of a ControlInput; older bags lack it
 
 
 @dataclass(frozen=True)
@@ -136,11 +137,11 @@ class LoopColumns:
         return bool(self.counts.get(name))
 
     def at(self, name: str, field: str) -> NDArray[np.float64]:
-        """Return a field, one row a state; NaN where the topic lacks the step.
+        """Return a field, one row a state; NaN where the topic lacks step or field.
 
         The first message of a step counts: a repeated one is the same answer again.
         """
-        if not self.has(name):
+        if not self.has(name) or field not in self._columns[name]:
             return np.full(self._rows.size, np.nan)
         values = self._columns[name][field].astype(np.float64)
         unique, first = np.unique(self._keys[name], return_index=True)
@@ -187,8 +188,11 @@ def read_loop(bag: Path, namespace: str = "/") -> LoopColumns:
             )
         columns: dict[str, dict[str, Any]] = {}
         for name, wanted in FIELDS.items():
-            if f"{base}/{name}" in present:
-                columns[name] = _columns(reader, f"{base}/{name}", [*wanted, "log_time"])
+            topic = f"{base}/{name}"
+            if topic in present:
+                if name == "theta" and SWING in reader.topic(topic).definition:
+                    wanted = [*wanted, "swing"]
+                columns[name] = _columns(reader, topic, [*wanted, "log_time"])
     return LoopColumns(columns)
 
 

@@ -70,6 +70,8 @@ class Signals:
         Recorded cost and control input; NaN where there is none.
     limited : ndarray of bool, shape (M,), or None
         Whether theta was at a limit; None if the bag does not say.
+    swing : ndarray, shape (M,)
+        Step of the controller in units of its largest; NaN where it was not recorded.
     recorded : float
         Time from the first to the last state, of all runs in the bag [s].
     """
@@ -85,6 +87,7 @@ class Signals:
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
     limited: NDArray[np.bool_] | None
+    swing: NDArray[np.float64]
     recorded: float
 
     @property
@@ -125,6 +128,7 @@ def of_loop(columns: LoopColumns, dt: float, names: tuple[str, ...] | None = Non
         columns.at("cost", "r"),
         theta,
         limited if columns.has("theta") else None,
+        columns.at("theta", "swing"),
         columns.recorded_steps * dt,
     )
 
@@ -177,6 +181,7 @@ def read_signals(path: Path, source: Source, dt: float | None = None) -> Signals
         np.full(size, np.nan),
         np.full(size, np.nan) if loaded.theta is None else loaded.theta,
         None,
+        np.full(size, np.nan),
         recorded,
     )
 
