@@ -10,6 +10,7 @@ import numpy as np
 
 from koop_lab.commission.features import Bands, bands, window_length
 from koop_lab.commission.rig_file import RigFile
+from koop_lab.commission.staircase import standard_error
 from koop_lab.identify.compare import BAND_LIMITED, Cost, costs
 from koop_lab.identify.from_bags import BagTraining
 from koop_lab.identify.loaded import Loaded
@@ -366,7 +367,15 @@ def tune(
     assert best.cost.y_out is not None
     largest = float(np.nanmax(best.cost.y_out))
     return Tuning(
-        seen, best, top, task, times, time, BELIEVED * largest, predict(task, top, seed + 1), why
+        seen,
+        best,
+        top,
+        task,
+        times,
+        time,
+        BELIEVED * largest,
+        predict(task, top, seen, seed + 1),
+        why,
     )
 
 
@@ -383,14 +392,32 @@ def choose(searched: list[Judged]) -> tuple[Judged, str]:
     return best, f"raw does not show the optimum (score, 1 is perfect: {told})"
 
 
-def predict(task: Task, tried: Tried, seed: int) -> Prediction:
-    """Run what was chosen with fresh random numbers."""
+def wander(stays: Stays, samples: float) -> float:
+    """Return by how much the logarithm of an amplitude over so many samples differs by itself."""
+    found = []
+    for values in stays.settled(stays.amplitude):
+        error = float(standard_error(values[:, None])[0])
+        if math.isfinite(error):
+            found.append(error * math.sqrt(values.size * stays.how.length / samples))
+    return float(np.median(found)) if found else 0.0
+
+
+def predict(task: Task, tried: Tried, seen: Seen, seed: int) -> Prediction:
+    """Run what was chosen with fresh random numbers.
+
+    What the amplitude of a time as long as half a run differs by itself, and the error of the best
+    one, widen the bands.
+    """
     runs = [try_out(task, tried.constants, n, seed) for n in range(RUNS)]
+    own = wander(seen.stays, 0.5 * task.steps)
+    known = float(seen.amplitude.error[int(np.argmin(task.sense * seen.amplitude.mean))])
+    rng = np.random.default_rng(seed)
+    noise = np.exp(math.hypot(own, known) * rng.standard_normal(RUNS)).tolist()
     return Prediction(
         Band.of([o.converged for o in runs]),
         Band.of([o.distance for o in runs]),
-        Band.of([o.excess for o in runs]),
-        Band.of([o.reduction for o in runs]),
+        Band.of([o.excess * e for o, e in zip(runs, noise, strict=True)]),
+        Band.of([o.reduction / e for o, e in zip(runs, noise, strict=True)]),
         task.steps * task.dt,
         runs,
     )
