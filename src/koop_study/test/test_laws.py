@@ -237,6 +237,15 @@ def test_what_the_paper_calls_converged_reached_and_reacquired_is_measured_so() 
     assert row["swing"] == pytest.approx(0.2)
 
 
+def test_an_optimum_that_swings_does_not_jump() -> None:
+    swinging = replace(PAPER, duration=120.0, settings={"scenario.optimum_swing": 1.0})
+    drawn = setting(swinging, 0)
+    theta = -3.0 + drawn.exposure.displaced
+    row = run.measure(drawn, run.Path(np.ones(theta.size), theta, np.ones(theta.size)), None)
+    assert row["score"] == pytest.approx(0.0, abs=1e-9)
+    assert row["reacquired"] == []
+
+
 def test_a_law_that_is_asked_rests_between_and_is_told_the_settled_cost() -> None:
     drawn = setting(RIGS, 2)
     told: list[float] = []

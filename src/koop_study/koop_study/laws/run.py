@@ -22,6 +22,7 @@ from koop_study.laws.plants import PlantConfig, Setting, setting
 
 BAND = 0.6  # |theta - theta*| within which the paper's plant counts as converged, as everywhere
 GOOD = 1.5  # amplitude over that at the best theta, within which a rig does
+JUMP = 0.1  # change of theta* from one step to the next that is no drift
 TAIL = 0.3  # share of a run at its end whose swing is looked at
 WINDOW = 0.02  # of a run, that the way to the optimum is averaged over
 POINTS = 900
@@ -95,7 +96,7 @@ def measure(plant: Setting, path: Path, oracle: Path | None) -> dict[str, Any]:
         away, bound, unit = np.abs(aligned - plant.plant.theta_star), BAND, 1.0
         low, high = plant.plant.theta_min, plant.plant.theta_max
         tail = (tail - low) / (high - low)
-        jumps = np.flatnonzero(np.diff(displaced)) + 1 if displaced.size else np.empty(0, int)
+        jumps = np.flatnonzero(np.abs(np.diff(displaced)) > JUMP) + 1
         score, failed = found.iae_theta, not found.converged
     else:
         assert oracle is not None
