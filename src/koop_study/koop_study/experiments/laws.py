@@ -92,7 +92,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Drawn:
-    """What the figure of theta over time shows: laws on one plant, one seed."""
+    """What the figure of theta over time shows: laws, or fixed ones by name, on one plant."""
 
     plant: str
     scenario: str
@@ -126,7 +126,8 @@ class LawsConfig:
     def __post_init__(self) -> None:
         if set(self.tuning.list()) & set(self.fresh.list()):
             raise ConfigError("tuning and fresh seeds overlap")
-        for law in (*self.laws, *self.drawn.laws):
+        named = {one.name for one in self.fixed}
+        for law in (*self.laws, *(law for law in self.drawn.laws if law not in named)):
             if law not in LAWS:
                 raise ConfigError(f"unknown law '{law}': {nearest(law, LAWS)}")
         if self.few < 1:
@@ -150,6 +151,10 @@ class LawsConfig:
         """Return the seeds that a scenario is judged on."""
         seeds = self.fresh.list()
         return seeds[: self.few] if scenario in judged.brief else seeds
+
+    def law_of(self, name: str) -> str:
+        """Return the law of a fixed row, or the law that is named."""
+        return {one.name: one.law for one in self.fixed}.get(name, name)
 
     def needs(self) -> None:
         """Raise ConfigError if what the laws need is not there."""
@@ -223,9 +228,10 @@ def steps(config: LawsConfig) -> Generator[list[Unit], list[Any], Section]:
     shown = next(judged for judged in config.plants if judged.plant.name == config.drawn.plant)
     traced = [
         Unit("law_trace",
-             {"plant": config.described(shown.under(config.drawn.scenario)), "law": law,
-              "constants": constants(shown.plant, law, law), "seed": config.drawn.seed})
-        for law in config.drawn.laws
+             {"plant": config.described(shown.under(config.drawn.scenario)),
+              "law": config.law_of(name), "constants": constants(shown.plant, name, name),
+              "seed": config.drawn.seed})
+        for name in config.drawn.laws
     ]  # fmt: skip
     results = yield [*units, *traced]
     outcome: dict[tuple[str, str], dict[str, Rows]] = {}
@@ -345,8 +351,8 @@ def _section(
 
 def _drawn(config: LawsConfig, traces: list[dict[str, Any]]) -> Figure:
     series = [
-        Series(LAWS[law].title, trace["t"], trace["theta"], color=i)
-        for i, (law, trace) in enumerate(zip(config.drawn.laws, traces, strict=True))
+        Series(LAWS[name].title if name in LAWS else name, trace["t"], trace["theta"], color=i)
+        for i, (name, trace) in enumerate(zip(config.drawn.laws, traces, strict=True))
     ]
     best = Series("θ*", traces[0]["t"], traces[0]["best"], "level")
     return Figure(
