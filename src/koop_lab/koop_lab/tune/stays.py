@@ -186,8 +186,8 @@ def find_stays(loaded: Loaded, scale: Scale, how: Bands, period: float) -> Stays
     ]
     each = seen[0].shape[1] // loaded.x.shape[0]
     guide = [i * each for i in range(loaded.x.shape[0])]
-    line = length * how.dt / period  # bin of the oscillation
-    inside = [b for b, (low, high) in enumerate(pairwise(how.edges)) if low - 0.5 <= line < high]
+    line = round(length * how.dt / period)  # bin of the oscillation
+    inside = [b for b, (low, high) in enumerate(pairwise(how.edges)) if low <= line < high]
     candidates = [i + 1 + b for i in guide for b in inside[:1]] + guide
     for _ in range(2):  # with all channels first, then with what theta shows most in
         visits, skips = [], []
