@@ -47,7 +47,8 @@ def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
     assert found.measured_type == "std_msgs/msg/Float64MultiArray"
     assert (found.theta_safe, found.channel_min, found.channel_max) == (1.0, (), (3.0, 3.0))
     proposed = re.search(r"time between two messages \[s\] \[([\d.]+)\]", done.stdout)
-    assert proposed and 0.005 < float(proposed[1]) < 0.1  # of a timer, on a busy machine
+    assert proposed
+    assert 0.005 < float(proposed[1]) < 0.1  # of a timer, on a busy machine
     assert "seen: data[0] 0.5 to 0.5, data[1] -1 to -1" in done.stdout
     assert f"now: ./koop check {path}" in done.stdout
 
