@@ -19,7 +19,8 @@ TOOLS = (
     "true", "uname", "xargs",
 )  # fmt: skip
 COMMANDS = "src/koop_lab/koop_lab/cli/commands.txt"  # shown by --help
-WHOLE = "--numprocesses auto --dist loadfile"  # arguments for pytest if the user gives none
+# arguments for pytest if the user gives none
+WHOLE = "--numprocesses auto --dist loadfile --no-loadscope-reorder"
 ROS_VARIABLES = ("AMENT_PREFIX_PATH", "ROS_DISTRO", "PYTHONPATH", "LD_LIBRARY_PATH")
 
 
