@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import Any
+
+from koop_node.resend import Due, Resend
 
 ASK_AGAIN = 1.0  # [s] without an answer
 
@@ -26,14 +29,15 @@ class Question:
         self._client = client
         self._request = request
         self._futures: list[Any] = []
-        self._ask()
+        self._due = Resend(ASK_AGAIN, sys.maxsize)
+        self._due.ask(time.monotonic())
+        self._call()
 
     def answer(self) -> Any:
         """Return the answer; None until it has come. To be called again and again."""
-        if time.monotonic() - self._asked > ASK_AGAIN:
-            self._ask()
+        if self._due.check(time.monotonic()) is Due.AGAIN:
+            self._call()
         return next((future.result() for future in self._futures if future.done()), None)
 
-    def _ask(self) -> None:
-        self._asked = time.monotonic()
+    def _call(self) -> None:
         self._futures.append(self._client.call_async(self._request))
