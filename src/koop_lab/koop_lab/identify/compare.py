@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from koop_bag.bag.reader import BagReader
 from koop_lab.cli.table import table
 from koop_lab.identify.energies import band_energy, energies
-from koop_lab.identify.from_bags import BagTraining, built, contrasted, find_segmentation
-from koop_lab.identify.loaded import Loaded, load_states, pieces, theta_of
+from koop_lab.identify.from_bags import BagTraining, built, contrasted, load_bags
+from koop_lab.identify.loaded import Loaded, pieces
 from koop_lab.identify.merit import (
     Merit,
     cut_windows,
@@ -104,18 +104,12 @@ def compare(paths: Sequence[Path], training: BagTraining) -> Comparison:
     ValueError
         If the bags do not fit together or hold no window to judge by.
     """
-    parts = []
-    for path in paths:
-        with BagReader(path) as bag:
-            segmentation, _ = find_segmentation(bag, path, training)
-            training = replace(training, dt=segmentation.dt)  # of all bags
-            theta = theta_of(bag, training.theta)
-            parts.append(load_states(bag, training.state, segmentation, theta))
-            namespace = training.state.topic.rpartition("/")[0] or "/"
-            recorded = recorded_values(bag, path, namespace)
-    if len({part.x.shape[0] for part in parts}) > 1:
-        raise ValueError("the bags hold different numbers of channels")
-    loaded, dt = Loaded.joined(parts), segmentation.dt
+    loaded, training = load_bags(paths, training)
+    dt = training.dt
+    assert dt is not None
+    namespace = training.state.topic.rpartition("/")[0] or "/"
+    with BagReader(paths[-1]) as bag:
+        recorded = recorded_values(bag, paths[-1], namespace)
     lifter = replace(LifterConfig(**_own(LifterConfig, recorded.get("koopman_lifter", {}))), dt=dt)
     esc = replace(EscConfig(**_own(EscConfig, recorded.get("relay_esc", {}))), dt=dt)
     period = period_of(loaded, dt)

@@ -182,6 +182,28 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     return replace(model, provenance={**model.provenance, "forecast": forecast.result()})
 
 
+def load_bags(paths: Sequence[Path], training: BagTraining) -> tuple[Loaded, BagTraining]:
+    """Hold recordings in memory, theta included; the training is returned with the dt of all.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If a bag cannot be read or lacks the topic or a field.
+    ValueError
+        If the bags do not fit together.
+    """
+    parts = []
+    for path in paths:
+        with BagReader(path) as bag:
+            segmentation, _ = find_segmentation(bag, path, training)
+            training = replace(training, dt=segmentation.dt)  # of all bags
+            theta = theta_of(bag, training.theta)
+            parts.append(load_states(bag, training.state, segmentation, theta))
+    if len({part.x.shape[0] for part in parts}) > 1:
+        raise ValueError("the bags hold different numbers of channels")
+    return Loaded.joined(parts), training
+
+
 def built(
     gram: Gram,
     training: BagTraining,

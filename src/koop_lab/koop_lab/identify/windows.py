@@ -29,9 +29,8 @@ def jumps(theta: NDArray[np.float64]) -> NDArray[np.bool_]:
     known = theta[np.isfinite(theta)]
     if not known.size:
         return np.zeros(theta.size, np.bool_)
-    moved = np.abs(
-        np.diff(theta, prepend=theta[:1])
-    )  # NaN, where theta is not known, compares false
+    moved = np.abs(np.diff(theta, prepend=theta[:1]))
+    # NaN, where theta is not known, compares false
     return np.asarray(moved > 0.05 * np.ptp(known))
 
 

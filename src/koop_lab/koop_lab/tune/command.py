@@ -6,18 +6,15 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from koop_bag.bag.reader import BagReader
 from koop_lab.commission import progress, rig_file
 from koop_lab.commission.features import Bands
 from koop_lab.commission.rig_file import RigFile
-from koop_lab.identify.from_bags import BagTraining, find_segmentation, train_from_bags
-from koop_lab.identify.loaded import Loaded, load_states, theta_of
+from koop_lab.identify.from_bags import BagTraining, load_bags, train_from_bags
 from koop_lab.identify.samples import StateSpec
 from koop_node.config import ConfigError
 
@@ -66,7 +63,7 @@ def main(args: argparse.Namespace) -> int:
     if (out / PARAMETERS).exists():
         raise ConfigError(f"{out / PARAMETERS} is there already: choose another --out")
     training = BagTraining(StateSpec.parse(args.state), dt=rig.dt, held_out=0.0, theta=args.theta)
-    loaded = load(bags, training)
+    loaded, training = load_bags(bags, training)
     if loaded.x.shape[0] != len(rig.names):
         raise ConfigError(
             f"{args.state} has {loaded.x.shape[0]} channels, the rig file {len(rig.names)}"
@@ -128,15 +125,3 @@ def bags_of(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands | 
     if not bags:
         raise ConfigError(f"{folders[0]}: nothing is recorded: koop excite first")
     return bags, how
-
-
-def load(bags: Sequence[Path], training: BagTraining) -> Loaded:
-    """Read recordings, theta included."""
-    parts = []
-    for path in bags:
-        with BagReader(path) as bag:
-            segmentation, _ = find_segmentation(bag, path, training)
-            theta = theta_of(bag, training.theta)
-            parts.append(load_states(bag, training.state, segmentation, theta))
-            training = replace(training, dt=segmentation.dt)
-    return Loaded.joined(parts)
