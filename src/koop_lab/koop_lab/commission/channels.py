@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_lab.commission.features import bridged
+
 LEVELS = 0.25  # of the samples: with more values than that a channel is not quantised
 FLAT = 0.01  # share of the samples at an extreme, from which on it may be a stop
 FLATTER = 3.0  # than a sine of the same swing is at its extremes
@@ -111,8 +113,7 @@ def lines(x: NDArray[np.float64], dt: float) -> list[Line]:
     known = np.isfinite(x)
     if known.sum() < 64 or np.ptp(x[known]) == 0.0:
         return []
-    places = np.arange(x.size)
-    x = np.interp(places, places[known], x[known])
+    x = bridged(x[:, None])[:, 0]
     length = max(64, int(SEGMENT * x.size))
     frequency, power = welch(x, 1.0 / dt, "hann", length, detrend="linear", scaling="spectrum")
     # bins of the window overlap by 1.5: their sum is the power of what lies in them

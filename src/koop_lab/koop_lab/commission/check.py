@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_lab.commission import time_scale
 from koop_lab.commission.arrivals import NEAR, Rhythm, rhythm
 from koop_lab.commission.channels import Channel, Line, channel, lines, listens
 from koop_lab.commission.ears import Ears, Samples, refuse_wrong_names, who, who_else_commands
-from koop_lab.commission.features import bands, bridged, features
+from koop_lab.commission.features import Bands, bands, bridged, features
 from koop_lab.commission.hand import Hand, left_at, note_of
 from koop_lab.commission.leash import way_home
 from koop_lab.commission.reaction import (
@@ -31,7 +32,6 @@ from koop_lab.commission.reaction import (
     reaction_of_rests,
 )
 from koop_lab.commission.rig_file import RigFile, read
-from koop_node.config import ConfigError
 from koop_node.domain import current_domain
 from koop_node.errors import LiveError
 
@@ -68,10 +68,7 @@ def register(commands: Any) -> None:
     parser.add_argument("rig", metavar="RIG.YAML", help="of 'koop commission --new'")
     parser.add_argument("bag", metavar="BAG", nargs="?", help="a recording in place of the rig")
     parser.add_argument("--still", action="store_true", help="do not move theta")
-    parser.add_argument(
-        "--time-scale", type=float, default=1.0, metavar="K",
-        help="of a simulated rig: its seconds in one second",
-    )  # fmt: skip
+    time_scale.add_to(parser)
     parser.add_argument("--seed", type=int, help="of the order in which theta is moved")
     parser.set_defaults(func=main)
 
@@ -79,14 +76,13 @@ def register(commands: Any) -> None:
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 only if the rig is fit to go on, 1 if it is not."""
     rig = read(args.rig)
-    if not 0.0 < args.time_scale < 1e3:
-        raise ConfigError("--time-scale: above 0, below 1000")
+    scale = time_scale.of(args)
     bad = 0
     if args.bag:
         rows = of_bag(rig, Path(args.bag))
     else:
         rng = random.Random(args.seed)
-        rows = live(rig, args.time_scale, not args.still, rng, note_of(args.rig))
+        rows = live(rig, scale, not args.still, rng, note_of(args.rig))
     for row in rows:
         print(row, flush=True)
         bad += row.level == BAD
@@ -234,9 +230,14 @@ def of_reaction(found: Reaction, names: Sequence[str], between: str) -> Row:
     return Row(OK, "theta", f"{sure}; {between}: {name} {how}")
 
 
-def block_features(x: NDArray[np.float64], how: Any) -> NDArray[np.float64]:
+def block_features(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
     """Return the features of a block: the oscillation's, and the mean of each channel."""
     return np.r_[features(x, how), bridged(x).mean(axis=0)]
+
+
+def block_names(how: Bands, channels: Sequence[str]) -> list[str]:
+    """Return what each feature of a block is, in words."""
+    return [*how.names(channels), *(f"mean {name}" for name in channels)]
 
 
 def _moved(
@@ -266,7 +267,7 @@ def _moved(
         f"{rig.theta_safe:g}",
         flush=True,
     )
-    names = [*how.names(rig.names), *(f"mean {name}" for name in rig.names)]
+    names = block_names(how, rig.names)
     found: list[NDArray[np.float64]] = []
     moved: list[bool] = []
     row = None
@@ -409,7 +410,7 @@ def _of_rests(rig: RigFile, heard: Samples, theta: NDArray[np.float64]) -> Row:
         ]
     )
     values = np.array([theta[begin] for begin, _ in rests])
-    names = [*how.names(rig.names), *(f"mean {name}" for name in rig.names)]
+    names = block_names(how, rig.names)
     test = reaction_of_rests(found, values)
     low, high = float(values.min()), float(values.max())
     between = f"theta from {low:.4g} to {high:.4g}, {len(rests)} rests"

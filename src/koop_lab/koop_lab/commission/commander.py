@@ -29,7 +29,7 @@ from typing import Any
 from koop_msgs.msg import ControlInput, MeasuredState
 
 from koop_lab.commission.leash import Leash, beyond, silence
-from koop_lab.commission.rig_file import RigFile
+from koop_lab.commission.rig_file import THETA, RigFile
 from koop_node.adapter import StateAdapter
 from koop_node.client import Client
 from koop_node.fields import Source, parse_source, write_field
@@ -42,7 +42,6 @@ TELL_MOVING = 0.05  # [s]: if this process is killed, another goes on from the t
 TICK = 0.02  # [s] between two commands where no state asks for one
 HELD = 0.5  # [s] that the safe value is said again before the end
 LISTENERS = 15.0  # [s] for a rig to be found, and for its first message
-THETA = "/theta"
 
 
 class Commander:
@@ -74,7 +73,7 @@ class Commander:
         knob = rig.knob
         self._command: Any = None
         self._path = knob.fields[0]
-        if (knob.topic, rig.command_type) != (THETA, "koop_msgs/msg/ControlInput"):
+        if not rig.takes_answers:
             kind = message_type(rig.command_type)
             self._message = kind()
             self._answers = kind is ControlInput

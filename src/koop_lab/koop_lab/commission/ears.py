@@ -215,18 +215,15 @@ def refuse_wrong_names(
     """
     from koop_node.managed import message_type
 
-    for key, source, kind in (
-        ("measured", rig.state, rig.measured_type),
-        ("command", rig.knob, rig.command_type),
-    ):
-        try:
-            check_fields(source.fields, message_type(kind)())
-        except ValueError as error:
-            raise ConfigError(f"{key}: {error}") from None
     sides = {
         "measured": (rig.state, rig.measured_type, 0),
         "command": (rig.knob, rig.command_type, 1),
     }
+    for key, (source, kind, _) in sides.items():
+        try:
+            check_fields(source.fields, message_type(kind)())
+        except ValueError as error:
+            raise ConfigError(f"{key}: {error}") from None
 
     def there(topic: str, side: int) -> bool:
         return bool(who(client, topic)[side])

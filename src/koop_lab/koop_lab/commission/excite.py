@@ -24,14 +24,14 @@ from koop_bag.errors import BagError
 from koop_bag.recorder.run_folder import default_folder
 from koop_lab.cli.table import table
 from koop_lab.commission import progress as progress_file
-from koop_lab.commission import rig_file, staircase
+from koop_lab.commission import rig_file, staircase, time_scale
 from koop_lab.commission.channels import lines, listens
 from koop_lab.commission.ears import DISCOVERY, Ears, refuse_wrong_names, who_else_commands
 from koop_lab.commission.features import Bands, bands, bridged, features, window_length
 from koop_lab.commission.hand import Hand, note_of
 from koop_lab.commission.leash import way_home
 from koop_lab.commission.progress import Progress
-from koop_lab.commission.rig_file import RigFile
+from koop_lab.commission.rig_file import STATE, STATE_TYPE, THETA, RigFile
 from koop_lab.commission.staircase import Visit
 from koop_lab.live.loop import LiveNodes
 from koop_lab.live.process import START_TIMEOUT
@@ -46,8 +46,7 @@ GUESS = 12  # windows that theta stays at a value, before any was seen
 MOST_SHARE = 0.15  # of the time, that theta stays at one value at most
 BYTES = 250.0  # of a bag for one state, with its cost and theta
 BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"
-STATE, COST, THETA = "/state", "/cost", "/theta"
-STATE_TYPE = "koop_msgs/msg/MeasuredState"
+COST = "/cost"
 
 
 class Ended(LiveError):
@@ -84,10 +83,7 @@ def register(commands: Any) -> None:
         "--out", type=Path, metavar="DIR",
         help="folder of the recordings (default: recordings/TIME-NAME)",
     )  # fmt: skip
-    parser.add_argument(
-        "--time-scale", type=float, default=1.0, metavar="K",
-        help="of a simulated rig: its seconds in one second",
-    )  # fmt: skip
+    time_scale.add_to(parser)
     parser.add_argument("--seed", type=int, default=0, help="of the random order")
     parser.set_defaults(func=main)
 
@@ -95,12 +91,11 @@ def register(commands: Any) -> None:
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 if theta was at every value at least twice."""
     rig = rig_file.read(args.rig)
-    if not 0.0 < args.time_scale < 1e3:
-        raise ConfigError("--time-scale: above 0, below 1000")
+    scale = time_scale.of(args)
     folder = args.out or default_folder(Path(args.rig).stem)
     again = f"koop excite {args.rig} --out {folder}"
     try:
-        result = excite(rig, folder, args.time_scale, args.seed, note_of(args.rig))
+        result = excite(rig, folder, scale, args.seed, note_of(args.rig))
     except Ended as error:
         raise LiveError(
             f"{error}. theta is back at {rig.theta_safe:g}; to go on: {again}"
@@ -194,8 +189,8 @@ def excite(
         state.parts.append(part)
         _save(state, rig, folder)
         names = ",".join(f"x[{i}]" for i in range(len(rig.names)))
-        source = rig.measured if is_own(rig) else f"{STATE}:{names}"
-        kind = rig.measured_type if is_own(rig) else STATE_TYPE
+        source = rig.measured if rig.speaks_state else f"{STATE}:{names}"
+        kind = rig.measured_type if rig.speaks_state else STATE_TYPE
         run = Excitation(rig, folder, scale, state, client, nodes, source, kind, check)
         client.wait_for(
             lambda: client.node.count_subscribers(THETA) and client.node.count_publishers(COST),
@@ -214,7 +209,7 @@ def excite(
 
 def refuse_incomplete_state(rig: RigFile) -> None:
     """Refuse a rig that speaks on the loop's own topic, of which not all channels are named."""
-    if rig.state.topic == STATE and not is_own(rig):
+    if rig.state.topic == STATE and not rig.speaks_state:
         raise ConfigError(
             f"measured = {rig.measured!r}: on {STATE} the lifter takes all of {STATE_TYPE}: name "
             "x[0], x[1] and so on in order, or let the rig publish on another topic"
@@ -250,18 +245,8 @@ def mend(bag: Path) -> None:
 
 def nodes_of(rig: RigFile, folder: Path) -> dict[str, dict[str, Any]]:
     """Return the nodes that run beside, with their parameters."""
-    lifter: dict[str, Any] = {"cost": "raw", "dt": rig.dt, "recorders": 0}
-    if not is_own(rig):
-        lifter |= {"input_fields": rig.measured, "input_type": rig.measured_type}
+    lifter = {"cost": "raw", "dt": rig.dt, "recorders": 0, **rig.lifter_input}
     return {"recorder": {"output": str(folder)}, "koopman_lifter": lifter}
-
-
-def is_own(rig: RigFile) -> bool:
-    """Return whether the rig itself publishes what the lifter listens to."""
-    n = len(rig.names)
-    return (rig.state.topic, rig.measured_type) == (STATE, STATE_TYPE) and rig.names == tuple(
-        f"x[{i}]" for i in range(n)
-    )
 
 
 def _save(state: Progress, rig: RigFile, folder: Path) -> None:

@@ -15,6 +15,8 @@ from koop_node.fields import Source, check_type, format_field, parse_source
 from koop_node.parameter_file import as_yaml
 from koop_node.yaml_file import LinedLoader, read_yaml
 
+STATE, STATE_TYPE = "/state", "koop_msgs/msg/MeasuredState"
+THETA, THETA_TYPE = "/theta", "koop_msgs/msg/ControlInput"
 HEAD = """\
 # A rig, for 'koop check' and 'koop excite': what its messages cannot tell. Times are seconds of the
 # rig's own time; theta is the one knob that is turned, in the rig's own unit.
@@ -110,6 +112,24 @@ class RigFile:
     def knob(self) -> Source:
         """Topic, by its full name, and field of the command."""
         return _full(parse_source(self.command))
+
+    @property
+    def speaks_state(self) -> bool:
+        """Whether the rig itself publishes what the lifter listens to."""
+        own = (self.state.topic, self.measured_type) == (STATE, STATE_TYPE)
+        return own and self.names == tuple(f"x[{i}]" for i in range(len(self.names)))
+
+    @property
+    def takes_answers(self) -> bool:
+        """Whether the rig listens to the controller's own answers."""
+        return (self.knob.topic, self.command_type) == (THETA, THETA_TYPE)
+
+    @property
+    def lifter_input(self) -> dict[str, str]:
+        """The lifter's parameters that name the measured channels; none where it needs none."""
+        if self.speaks_state:
+            return {}
+        return {"input_fields": self.measured, "input_type": self.measured_type}
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from koop_lab.tune import surrogate
+from koop_lab.tune.stays import Scale
 from koop_lab.tune.surrogate import BLOCKS, Surrogate
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
@@ -186,8 +187,7 @@ def try_out(
     s = options[(number // 2) % len(options)]
     rng = np.random.default_rng([seed, number])
     end = float(number % 2) if start is None else start
-    theta = s.low * (s.high / s.low) ** end if s.logarithmic else s.low + end * (s.high - s.low)
-    theta = min(max(theta, s.low), s.high)
+    theta = min(max(Scale(s.low, s.high).theta_at(end), s.low), s.high)
     steps = task.steps
     drift = 0.0 if number % 4 < 2 else float(rng.uniform(-DRIFT, DRIFT)) / steps
     esc = replace(esc_of(task, c, theta), epsilon_initial=1 if end > 0.5 else -1)
@@ -304,12 +304,9 @@ def search(
     runs = max(int(steps / per_run), 200)
     first = 2 ** int(math.log2(max(FEWEST, min(MOST, runs // 8))))  # an eighth, with two runs each
     rng = np.random.default_rng([seed, 7])
-    done = 0.0
-
     with ThreadPoolExecutor(WORKERS) as pool:
 
         def more(tried: list[Tried], upto: int) -> list[Tried]:
-            nonlocal done
             jobs = [
                 [pool.submit(try_out, task, t.constants, n, seed)
                  for n in range(len(t.outcomes), upto)]
@@ -318,7 +315,6 @@ def search(
             found = []
             for t, own in zip(tried, jobs, strict=True):
                 results = [job.result() for job in own]
-                done += len(results)
                 said(len(results) / total)
                 found.append(Tried(t.constants, t.outcomes + results))
             return sorted(found, key=lambda t: t.score)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -356,13 +356,11 @@ def tune(
 
         tried = search(task, steps / len(chosen), seed, told)
         tasks[name] = task
-        searched.append(Judged(judged.cost, judged.maps, tried))
+        searched.append(replace(judged, tried=tried))
     searched.sort(key=lambda j: j.tried[0].score)
     best, why = choose(searched)
     left = [j for j in seen.costs if j.cost.name not in tasks]
-    seen = Seen(
-        seen.scale, seen.stays, seen.amplitude, seen.period, seen.feature, [*searched, *left]
-    )
+    seen = replace(seen, costs=[*searched, *left])
     task, top = tasks[best.cost.name], best.tried[0]
     assert best.cost.y_out is not None
     largest = float(np.nanmax(best.cost.y_out))

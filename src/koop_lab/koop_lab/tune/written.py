@@ -11,7 +11,6 @@ import numpy as np
 
 from koop_lab.cli.params import HEAD, KNOWN
 from koop_lab.cli.table import table
-from koop_lab.commission.excite import is_own
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.tune.search import esc_of, lifter_of
 from koop_lab.tune.tuning import Band, Seen, Tuning
@@ -91,15 +90,14 @@ def nodes_of(found: Tuning, rig: RigFile, model: Path | None) -> dict[str, dict[
     }
     if model is not None:
         lifter["model"] = str(model.resolve())
-    if not is_own(rig):
-        lifter |= {"input_fields": rig.measured, "input_type": rig.measured_type}
+    lifter |= rig.lifter_input
     start = found.seen.scale.u(np.array(rig.theta_start))
     names = ("law", "theta_scale", "step_size", "step_ratio", "dwell", "tau_f", "theta_min",
              "theta_max", "rate_limit", "objective", "theta_initial", "dt")  # fmt: skip
     own = {name: getattr(esc, name) for name in names}
     own["epsilon_initial"] = 1 if start > found.seen.amplitude.best() else -1
     own["cost_timeout"] = timeout
-    if (rig.knob.topic, rig.command_type) != ("/theta", "koop_msgs/msg/ControlInput"):
+    if not rig.takes_answers:
         own["command_topic"] = rig.knob.topic
     return {"koopman_lifter": lifter, "relay_esc": own}
 

@@ -1,0 +1,28 @@
+"""The option ``--time-scale`` of the commands that talk to a rig."""
+
+from __future__ import annotations
+
+import argparse
+
+from koop_node.config import ConfigError
+
+
+def add_to(parser: argparse.ArgumentParser) -> None:
+    """Add the option."""
+    parser.add_argument(
+        "--time-scale", type=float, default=1.0, metavar="K",
+        help="of a simulated rig: its seconds in one second",
+    )  # fmt: skip
+
+
+def of(args: argparse.Namespace) -> float:
+    """Return what was given.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If it cannot be.
+    """
+    if not 0.0 < args.time_scale < 1e3:
+        raise ConfigError("--time-scale: above 0, below 1000")
+    return float(args.time_scale)
