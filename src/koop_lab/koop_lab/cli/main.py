@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import io
 import os
 import re
 import signal
@@ -56,6 +57,8 @@ def parser(*names: str) -> argparse.ArgumentParser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run a command; bad input ends in one line on stderr and exit code 2."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # in a pipe, too, what is said comes at once
+        sys.stdout.reconfigure(line_buffering=True)
     words = sys.argv[1:] if argv is None else argv
     if not words or words[0] in ("-h", "--help"):
         print(
