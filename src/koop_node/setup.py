@@ -18,4 +18,5 @@ setup(
     maintainer_email="maintainers@koop.invalid",
     description="The little ROS glue that the nodes share: parameters, lifecycle, QoS, shutdown.",
     license="Apache-2.0",
+    entry_points={"console_scripts": ["container = koop_node.executable:main"]},
 )

@@ -62,20 +62,25 @@ class Lockstep:
     run: RecordedRun
 
 
-def record(steps, changes, folder):
-    """Run over DDS for a number of steps."""
+def record(steps, changes, folder, composed):
+    """Run over DDS for a number of steps; composed: the nodes in one process."""
     values = {"vdp_plant": {"pace": "lockstep", "duration": steps * 0.005, "seed": 5}}
     for node, given in changes.items():
         values[node] = values.get(node, {}) | given
     parameters = make(values)
-    with LiveLoop(folder, parameters) as loop:
+    with LiveLoop(folder, parameters, composed=composed) as loop:
         loop.run(lambda progress: None)
     return Lockstep(folder, parameters, steps, read_run(folder / "bag"))
 
 
-@pytest.fixture(scope="module", params=[(10_000, {}), (2000, CHANGED)], ids=["default", "changed"])
+@pytest.fixture(
+    scope="module",
+    params=[(10_000, {}, True), (2000, CHANGED, False)],
+    ids=["composed", "processes"],
+)
 def lockstep(request, module_domain, tmp_path_factory):
-    return record(*request.param, tmp_path_factory.mktemp("lockstep"))
+    steps, changes, composed = request.param
+    return record(steps, changes, tmp_path_factory.mktemp("lockstep"), composed)
 
 
 def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
@@ -88,11 +93,13 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
     assert np.ptp(run.theta) > 0.1  # the controller did act
 
 
-@pytest.mark.parametrize("limits", [LIMITED, ADAPTIVE], ids=["relay", "adaptive"])
+@pytest.mark.parametrize(
+    ("limits", "composed"), [(LIMITED, False), (ADAPTIVE, True)], ids=["relay", "adaptive"]
+)
 def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_bit(
-    limits, module_domain, tmp_path
+    limits, composed, module_domain, tmp_path
 ):
-    lockstep = record(2000, limits, tmp_path)
+    lockstep = record(2000, limits, tmp_path, composed)
     given, run = lockstep.parameters, lockstep.run
     offline = simulate(given.plant, given.lifter, given.esc, None, lockstep.steps)
     recording = read_recording(lockstep.folder)
@@ -152,7 +159,9 @@ def test_the_recorder_finds_out_what_the_nodes_were_given(lockstep):
     assert (lockstep.folder / "versions.yaml").is_file()
 
 
-SHORT = pytest.mark.parametrize("lockstep", [(2000, CHANGED)], ids=["changed"], indirect=True)
+SHORT = pytest.mark.parametrize(
+    "lockstep", [(2000, CHANGED, False)], ids=["processes"], indirect=True
+)
 
 
 @SHORT
@@ -204,13 +213,14 @@ def test_simulated_time_is_stamped_and_the_truth_says_which_theta_acted(lockstep
         assert message.epsilon0 == pytest.approx(1.0 + math.sin(0.005 * k * 0.005), rel=1e-14)
 
 
-def test_a_node_that_fails_ends_the_run_with_its_own_words(tmp_path):
+@pytest.mark.parametrize(("composed", "who"), [(False, "koopman_lifter"), (True, "container")])
+def test_a_node_that_fails_ends_the_run_with_its_own_words(tmp_path, composed, who):
     broken = tmp_path / "broken.npz"
     broken.write_bytes(b"PK")
     parameters = make({"vdp_plant": {"pace": "lockstep"}, "koopman_lifter": {"model": str(broken)}})
     with (
-        LiveLoop(tmp_path / "run", parameters) as loop,
-        pytest.raises(LiveError, match=r"koopman_lifter ended with exit code 1:(.|\n)*broken.npz"),
+        LiveLoop(tmp_path / "run", parameters, composed=composed) as loop,
+        pytest.raises(LiveError, match=rf"{who} ended with exit code 1:(.|\n)*broken.npz"),
     ):
         loop.run(lambda progress: None)
     assert all(process.poll() is not None for process in loop._nodes.values())

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koop_bag.recorder.config import RECORDER, RecorderConfig
-from koop_loop.parameters import EXECUTABLES, NODES, build, names_of
+from koop_loop.parameters import COMPONENTS, CONTAINER, EXECUTABLES, NODES, build, names_of
 from koop_node import parameter_file
 from koop_node.config import ConfigError, parameter, refuse_unknown, validate
 from koop_node.parameter_file import ParameterFile
@@ -87,6 +87,7 @@ ARGUMENTS = (
         "record", "true: record all topics; the simulated plant waits for the recorder (false)"
     ),
     Argument("output", "folder of the recording", "recorder"),
+    Argument("composed", "true: all nodes but the recorder share one process (false)"),
     Argument("recorders", "recorders of your own that the loop waits for before it begins (0)"),
 )
 # What launch itself takes beside the arguments that a file declares.
@@ -95,17 +96,22 @@ OF_LAUNCH = {"launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_ti
 
 
 class PlannedNode(NamedTuple):
-    """A node to start.
+    """A node to start, or several in a container.
 
     Attributes
     ----------
-    name, package, executable : str
+    name : str
+        Of the node; of a container, that of the node by whose end the run is judged.
+    package, executable : str
         Where to find it.
+    arguments : tuple of str
+        The components of a container.
     """
 
     name: str
     package: str
     executable: str
+    arguments: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -124,6 +130,8 @@ class Plan:
         Whether a rig is the plant.
     program : tuple of str
         The rig's own program with its arguments; empty: it is started by others.
+    composed : bool
+        Whether all nodes but the recorder share one process.
     notes : tuple of str
         What the user should know.
     """
@@ -133,7 +141,17 @@ class Plan:
     parameters: dict[str, dict[str, Any]]
     rig: bool
     program: tuple[str, ...]
+    composed: bool
     notes: tuple[str, ...]
+
+    def processes(self) -> tuple[PlannedNode, ...]:
+        """Return what is started: a process a node, or one for all nodes but the recorder."""
+        if not self.composed:
+            return self.nodes
+        apart = tuple(node for node in self.nodes if node.name not in COMPONENTS)
+        names = [node.name for node in self.nodes if node.name in COMPONENTS]
+        components = tuple(COMPONENTS[name] for name in names)
+        return (*apart, PlannedNode(names[-1], *CONTAINER, components))
 
 
 def plan(given: Mapping[str, str]) -> Plan:
@@ -184,7 +202,8 @@ def plan(given: Mapping[str, str]) -> Plan:
         values[name]["recorders"] = 0 if name == "recorder" else recorders
     _check(values, classes)
     nodes = tuple(PlannedNode(name, *EXECUTABLES[name]) for name in started)
-    return Plan(namespace, nodes, values, not simulated, program, tuple(notes))
+    composed = _flag("composed", told, False)
+    return Plan(namespace, nodes, values, not simulated, program, composed, tuple(notes))
 
 
 def refuse_other_arguments(words: list[str]) -> None:

@@ -69,6 +69,7 @@ def _start(context: LaunchContext) -> list:
             Node(
                 package=node.package,
                 executable=node.executable,
+                arguments=node.arguments,
                 namespace=planned.namespace or "/",
                 parameters=[file],
                 additional_env=TIED,  # launch holds a pipe to their stdin
@@ -76,7 +77,7 @@ def _start(context: LaunchContext) -> list:
                 output="screen",
                 sigterm_timeout=STOP_TIMEOUT,
             )
-            for node in planned.nodes
+            for node in planned.processes()
         ),
         *(
             ExecuteProcess(

@@ -30,6 +30,12 @@ EXECUTABLES = {  # package and name, in the order of starting: listeners come be
     "koopman_lifter": ("koopman_lifter", "lifter"),
     "vdp_plant": ("vdp_plant", "plant"),
 }
+CONTAINER = ("koop_node", "container")
+COMPONENTS = {  # of the nodes that a container may run, in the order of starting
+    "relay_esc": "relay_esc::EscNode",
+    "koopman_lifter": "koopman_lifter::LifterNode",
+    "vdp_plant": "vdp_plant::PlantNode",
+}
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import os
 import signal
 import sys
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 from types import FrameType
@@ -21,6 +23,7 @@ from koop_node.lifeline import end_with_parent
 from koop_node.managed import ManagedNode
 
 USAGE = f"a node takes {ARGUMENTS}; --help lists its parameters"
+QUEUED = 100  # callbacks that an executor may have to do before it knows of a change
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
 
 
@@ -37,9 +40,6 @@ def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> in
 
     The node's constructor needs no argument.
 
-    SIGINT and SIGTERM end the process cleanly. The handlers only set a flag, so that no callback
-    is interrupted and the context stays valid for the last publications.
-
     Returns
     -------
     int
@@ -48,6 +48,39 @@ def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> in
     if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
         print(help_of(node_class, sys.argv[0]))
         return 0
+
+    def make() -> list[ManagedNode[Any]]:
+        refuse_other_arguments(args)
+        return [node_class()]  # type: ignore[call-arg]
+
+    return run_nodes(make, args)
+
+
+def run_nodes(
+    make: Callable[[], list[ManagedNode[Any]]],
+    args: list[str] | None = None,
+    keep_going: bool = False,
+) -> int:
+    """Run nodes on one executor until they finish or the process is told to stop.
+
+    SIGINT and SIGTERM end the process cleanly. The handlers only set a flag, so that no callback
+    is interrupted and the context stays valid for the last publications.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the nodes, those that listen before those that speak; called with rclpy ready.
+    args : list of str, optional
+        ROS arguments; by default those of the process.
+    keep_going : bool
+        Whether the others go on when a node has ended. A node that somebody shut down through its
+        lifecycle leaves the others running anyway.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a clean end, 1 if a node failed, 2 if one could not start.
+    """
     stop: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -59,29 +92,61 @@ def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> in
     set_dds_profile()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        refuse_other_arguments(args)
-        node = node_class()  # type: ignore[call-arg]
+        nodes = make()
     except Exception as error:  # whatever the start-up raises, the user gets one line
         print(f"error: {_one_line(error)}", file=sys.stderr)
         rclpy.try_shutdown()
         return 2
     executor: Any = EventsExecutor()
-    executor.add_node(node)
+    for node in nodes:
+        executor.add_node(node)
+    code = 0
     try:
-        # EventsExecutor.spin() would hang in the Jazzy wheels and ignore the flag
-        while node.exit_code is None and not stop:
+        going = bool(nodes)
+        while going and not stop:
+            # EventsExecutor.spin() would hang in the Jazzy wheels and ignore the flag
             executor.spin_once(timeout_sec=POLL)
-        node.close()
+            ended = _ended(nodes)
+            if ended is not None:
+                code = code or nodes[ended].exit_code or 0
+                going = len(nodes) > 1 and (keep_going or nodes[ended].was_shut_down)
+                if going:
+                    _take_out(nodes, ended, executor)
+        for node in reversed(nodes):  # speakers end before those who listen to them
+            node.close()
     finally:
         # Under a launch file Ctrl-C comes twice, and the interpreter, when it ends, puts back the
         # default handler, which would kill the process; an ignored signal stays ignored.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        executor.remove_node(node)
-        node.destroy_node()
+        for node in nodes:
+            executor.remove_node(node)
+            node.destroy_node()
         executor.shutdown()
         rclpy.try_shutdown()
-    return node.exit_code or 0
+    return code
+
+
+def _ended(nodes: list[ManagedNode[Any]]) -> int | None:
+    """Return the index of a node that has ended."""
+    for index, node in enumerate(nodes):
+        if node.exit_code is not None:
+            return index
+    return None
+
+
+def _take_out(nodes: list[ManagedNode[Any]], index: int, executor: Any) -> None:
+    """End one of several nodes; the others go on."""
+    node = nodes.pop(index)
+    name, code = node.get_fully_qualified_name(), node.exit_code
+    print(f"{name} ended with exit code {code}; the others go on", flush=True)
+    node.close()
+    executor.remove_node(node)
+    for _ in range(QUEUED):  # what was queued for the node, and that it was removed
+        executor.spin_once(timeout_sec=0.0)
+    node.destroy_node()
+    del node
+    gc.collect()  # a node and what it made refer to each other; as long as it is there it is seen
 
 
 def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:

@@ -1,4 +1,4 @@
-"""``koop demo``: the experiment over DDS, three node processes and the recorder."""
+"""``koop demo``: the experiment over DDS, the three nodes and the recorder."""
 
 from __future__ import annotations
 
@@ -42,6 +42,12 @@ def register(commands: Any) -> None:
         "--time-scale", type=float, metavar="F", help="with --pace scaled: simulated per real time"
     )
     parser.add_argument(
+        "--processes",
+        action="store_true",
+        help="every node in a process of its own (default: plant, lifter and controller in one, "
+        "the recorder in another); the numbers are the same",
+    )
+    parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of the run (default: recordings/TIME-demo)"
     )
     parser.set_defaults(func=main)
@@ -52,11 +58,14 @@ def main(args: argparse.Namespace) -> int:
     parameters, recorder = chosen(args)
     parameters.load_model()  # one that cannot be used is said before anything is started
     folder = args.out or default_folder("demo")
+    nodes = "plant, lifter and controller in one process, and recorder"
+    if args.processes:
+        nodes = "plant, lifter, controller and recorder, a process each"
     print(
         f"{parameters.pace.duration:g} s of the {parameters.lifter.cost} cost at pace "
-        f"{parameters.pace.pace}: plant, lifter, controller and recorder"
+        f"{parameters.pace.pace}: {nodes}"
     )
-    wall, notes = run_with_progress(folder, parameters, recorder)
+    wall, notes = run_with_progress(folder, parameters, recorder, composed=not args.processes)
     dt = parameters.plant.dt
     columns, signals = loop_signals(folder / "bag", "/", dt)
     run = closed_loop(columns, folder)
@@ -110,8 +119,9 @@ def run_with_progress(
     folder: Path,
     parameters: LoopParameters,
     recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
+    composed: bool = False,
 ) -> tuple[float, list[str]]:
-    """Run the live loop with a progress bar.
+    """Run the live loop, its nodes in one process if composed, with a progress bar.
 
     Returns
     -------
@@ -127,7 +137,7 @@ def run_with_progress(
     started = time.monotonic()
     with (
         tqdm(total=steps * dt, unit="s", desc="connecting", bar_format=BAR, disable=None) as bar,
-        LiveLoop(folder, parameters, recorder) as loop,
+        LiveLoop(folder, parameters, recorder, composed) as loop,
     ):
 
         def show(progress: Progress) -> None:

@@ -15,7 +15,7 @@ from koop_bag.recorder.config import RecorderConfig
 from koop_lab.live.monitor import Monitor, Progress
 from koop_lab.live.process import START_TIMEOUT, NodeProcess, uninterrupted
 from koop_loop.ending import Ending, ending
-from koop_loop.parameters import EXECUTABLES, LoopParameters
+from koop_loop.parameters import COMPONENTS, EXECUTABLES, LoopParameters
 from koop_node import parameter_file
 from koop_node.alone import TOPICS, alone
 from koop_node.errors import LiveError
@@ -38,6 +38,8 @@ class LiveNodes:
         Whether a rig is the plant.
     program : sequence of str
         The rig's own program; empty: it is started by others.
+    composed : bool
+        Whether the nodes share one process, the container, besides the recorder.
 
     Attributes
     ----------
@@ -54,6 +56,7 @@ class LiveNodes:
         namespace: str = "",
         rig: bool = False,
         program: Sequence[str] = (),
+        composed: bool = False,
     ) -> None:
         self.folder = folder
         self.notes: list[str] = []
@@ -62,6 +65,7 @@ class LiveNodes:
         self._namespace = namespace
         self._rig = rig
         self._program = list(program)
+        self._composed = {n: c for n, c in COMPONENTS.items() if composed and n in values}
         self._nodes: dict[str, NodeProcess] = {}
         self._stack = ExitStack()
 
@@ -80,8 +84,11 @@ class LiveNodes:
                 arguments += ["-r", f"__ns:={self._namespace}"]
             stack.callback(self._stop_all)
             for node in EXECUTABLES:
-                if node in self._values:
+                if node in self._values and node not in self._composed:
                     self._nodes[node] = NodeProcess(node, arguments, logs / f"{node}.log")
+            if self._composed:
+                words = [*self._composed.values(), *arguments]
+                self._nodes["container"] = NodeProcess("container", words, logs / "container.log")
             if self._program:
                 companion = [sys.executable, "-m", "koop_node.companion"]
                 self._nodes["rig"] = NodeProcess("rig", self._program, logs / "rig.log", companion)
@@ -151,7 +158,8 @@ class LiveNodes:
             code = process.poll()
             if code is None or node in self.lost:
                 continue
-            found = ending(node, code, self._rig)
+            role = list(self._composed)[-1] if node == "container" else node
+            found = ending(role, code, self._rig)
             if found is Ending.DONE:
                 return True
             if found is Ending.FAILED:
@@ -176,6 +184,8 @@ class LiveLoop(LiveNodes):
         Of the three nodes.
     recorder : RecorderConfig
         Of the recorder; its output is the folder, whatever it says.
+    composed : bool
+        Whether the three nodes share one process.
     """
 
     def __init__(
@@ -183,8 +193,11 @@ class LiveLoop(LiveNodes):
         folder: Path,
         parameters: LoopParameters,
         recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
+        composed: bool = False,
     ) -> None:
         given = {node: {**own, "recorders": 1} for node, own in parameters.as_ros().items()}
         super().__init__(
-            folder, {**given, "recorder": asdict(replace(recorder, output=str(folder)))}
+            folder,
+            {**given, "recorder": asdict(replace(recorder, output=str(folder)))},
+            composed=composed,
         )

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_loop.ending import told
-from koop_loop.parameters import EXECUTABLES
+from koop_loop.parameters import CONTAINER, EXECUTABLES
 from koop_node.errors import LiveError
 from koop_node.lifeline import TIED
 
@@ -24,10 +24,10 @@ STOP_TIMEOUT = 10.0  # [s] after which a node that ignores SIGINT is killed
 
 
 def executable(node: str) -> str:
-    """Return the path of a node's executable, found through the ament index as ros2 run does."""
+    """Return the path of a node's executable, or of the container's, as ros2 run finds it."""
     from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
-    package, name = EXECUTABLES[node]
+    package, name = {**EXECUTABLES, "container": CONTAINER}[node]
     try:
         path = Path(get_package_prefix(package)) / "lib" / package / name
     except PackageNotFoundError:

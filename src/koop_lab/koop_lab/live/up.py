@@ -16,7 +16,12 @@ from koop_lab.recorded.report import run_figures
 from koop_node import parameter_file
 
 STATUS = 10.0  # [s] between two status lines when nothing new is to be said
-LEFT_OUT = ("params", "record", "output")  # arguments of the launch that are not options here
+LEFT_OUT = (
+    "params",
+    "record",
+    "output",
+    "composed",
+)  # arguments of the launch that are not options here
 
 
 def register(commands: Any) -> None:
@@ -33,6 +38,11 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--out", metavar="DIR", help="folder of the run (default: recordings/TIME-NAME)"
     )
+    parser.add_argument(
+        "--composed",
+        action="store_true",
+        help="all nodes but the recorder share one process: a quarter of the processor time",
+    )
     for argument in ARGUMENTS:
         if argument.name not in LEFT_OUT:
             option = f"--{argument.name.replace('_', '-')}"
@@ -48,7 +58,14 @@ def main(args: argparse.Namespace) -> int:
     started = ", ".join([node.name for node in planned.nodes] + ["rig"] * bool(planned.program))
     print(f"starting {started}; logs in {folder}/logs; Ctrl-C ends the run", flush=True)
     status = Status()
-    nodes = LiveNodes(folder, planned.parameters, planned.namespace, planned.rig, planned.program)
+    nodes = LiveNodes(
+        folder,
+        planned.parameters,
+        planned.namespace,
+        planned.rig,
+        planned.program,
+        args.composed,
+    )
     try:
         with nodes:
             try:

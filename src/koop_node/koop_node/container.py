@@ -1,0 +1,76 @@
+"""Several nodes in one process, on one executor: ``koop_node container``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from rclpy.utilities import remove_ros_args
+
+from koop_node.describe import ARGUMENTS
+from koop_node.main import run_nodes
+from koop_node.managed import ManagedNode
+
+GROUP = "rclpy_components"
+"""Entry points by which packages offer nodes; the names are ``package::Class``."""
+
+
+def components() -> dict[str, EntryPoint]:
+    """Return the nodes that installed packages offer, by name."""
+    return {entry.name: entry for entry in entry_points(group=GROUP)}
+
+
+def load(name: str, namespace: str = "") -> ManagedNode[Any]:
+    """Make a node.
+
+    Parameters
+    ----------
+    name : str
+        ``package::Class``.
+    namespace : str
+        Of the node; empty: that of the process.
+
+    Raises
+    ------
+    ValueError
+        If no package offers it.
+    """
+    offered = components()
+    if name not in offered:
+        raise ValueError(f"there is no component {name!r}; there are {', '.join(sorted(offered))}")
+    options = {"namespace": namespace} if namespace else {}
+    node: ManagedNode[Any] = offered[name].load()(**options)
+    return node
+
+
+def main() -> None:
+    """Run the nodes until they are told to stop or the first one has ended."""
+    parser = argparse.ArgumentParser(
+        prog="ros2 run koop_node container",
+        usage=f"%(prog)s [--keep-going] COMPONENT[@NAMESPACE]... {ARGUMENTS}",
+        description="Runs several nodes in one process, on one executor: messages between them do "
+        "not leave the process. Each keeps its name, lifecycle, parameters and diagnostics; "
+        "parameters come from a file with a section a node.",
+    )
+    parser.add_argument(
+        "components",
+        nargs="+",
+        metavar="COMPONENT",
+        help=f"those who listen first; one of {', '.join(sorted(components()))}; "
+        "@NAMESPACE: in that namespace, such as @/rig",
+    )
+    parser.add_argument(
+        "--keep-going",
+        action="store_true",
+        help="when a node ends, the others go on until none is left (default: the end of one ends "
+        "all, with its exit code)",
+    )
+    given = parser.parse_args(remove_ros_args()[1:])
+
+    def make() -> list[ManagedNode[Any]]:
+        pairs = (word.partition("@")[::2] for word in given.components)
+        return [load(name, namespace) for name, namespace in pairs]
+
+    sys.exit(run_nodes(make, keep_going=given.keep_going))

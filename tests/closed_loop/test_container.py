@@ -1,0 +1,72 @@
+"""Several nodes in one process: what becomes of the others when one ends, and what is refused."""
+
+import subprocess
+
+import pytest
+from koop_msgs.msg import Cost, MeasuredState
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+
+from koop_lab.live.process import executable
+
+pytestmark = pytest.mark.ros
+
+LOOP = ("relay_esc::EscNode", "koopman_lifter::LifterNode")
+
+
+def change(probe, node, transition):
+    request = ChangeState.Request(transition=Transition(id=transition))
+    return probe.call(ChangeState, f"{node}/change_state", request).success
+
+
+def test_nodes_of_a_container_keep_names_parameters_and_lifecycle_and_end_apart(start, probe):
+    """One fails at the start, one is shut down, the third goes on in a namespace of its own."""
+    file = start.folder / "loop.yaml"
+    file.write_text(
+        "/**/relay_esc: {ros__parameters: {theta_initial: 1.5}}\n"
+        "/koopman_lifter: {ros__parameters: {model: /nowhere.npz}}\n"
+        "/rig/koopman_lifter: {ros__parameters: {cost: raw}}\n"
+    )
+    components = [*LOOP, "koopman_lifter::LifterNode@/rig"]
+    container = start("container", "--params-file", str(file), "--", "--keep-going", *components)
+    failed = "/koopman_lifter ended with exit code 1; the others go on"
+    probe.spin_until(lambda: failed in container.log.read_text(), failed)
+    assert "/nowhere.npz" in container.log.read_text()
+    names = probe.node.get_node_names_and_namespaces
+    probe.spin_until(
+        lambda: ("koopman_lifter", "/rig") in names() and ("relay_esc", "/") in names()
+    )
+    assert change(probe, "/relay_esc", Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    probe.spin_until(lambda: ("relay_esc", "/") not in names(), "the end of relay_esc")
+    costs = probe.collect(Cost, "/rig/cost")
+    states = probe.publisher(MeasuredState, "/rig/state")
+    probe.spin_until(lambda: probe.node.count_publishers("/rig/cost"))
+    states.publish(MeasuredState(step=0, x=[3.0, 4.0]))
+    probe.spin_until(lambda: costs, "a cost")
+    assert costs[0].y_out == pytest.approx((25 / 2) ** 0.5)
+    assert container.poll() is None
+    assert container.stop() == 1  # one had failed
+
+
+def test_the_end_of_one_ends_all_with_its_exit_code(start):
+    container = start("container", "-p", "koopman_lifter:model:=/nowhere.npz", "--", LOOP[1], LOOP[0])
+    assert container.process.wait(60.0) == 1
+    assert "/nowhere.npz" in container.log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "text"),
+    [
+        (["--help"], 0, "vdp_plant::PlantNode"),
+        ([], 2, "COMPONENT"),
+        (["koop::Nothing"], 2, "there is no component 'koop::Nothing'; there are koop_bag::"),
+        ([LOOP[0], "--ros-args", "-p", "dwel:=1.0"], 2, "dwel"),
+    ],
+)
+def test_a_container_says_in_one_line_what_it_cannot_do(own_domain, words, code, text):
+    done = subprocess.run(
+        [executable("container"), *words], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == code
+    assert text in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
