@@ -39,7 +39,7 @@ setup(
             "bag = koop_lab.recorded.command:register",
             "bench = koop_lab.bench.command:register",
             "check = koop_lab.commission.check:register",
-            "commission = koop_lab.commission.new:register",
+            "commission = koop_lab.commission.command:register",
             "demo = koop_lab.live.demo:register",
             "excite = koop_lab.commission.excite:register",
             "inspect = koop_lab.identify.command:register",
@@ -49,6 +49,7 @@ setup(
             "train = koop_lab.identify.command:register",
             "tune = koop_lab.tune.command:register",
             "up = koop_lab.live.up:register",
+            "verify = koop_lab.commission.verify:register",
         ],
     },
 )

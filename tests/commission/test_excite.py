@@ -15,9 +15,9 @@ from commission_rig import RIG
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_lab.commission import rig_file
-from koop_lab.commission.excite import refuse_incomplete_state, refuse_small_disk
+from koop_lab.commission.excite import refuse_small_disk
 from koop_lab.commission.hand import Hand, note_of
-from koop_lab.commission.progress import begin
+from koop_lab.commission.session import refuse_incomplete_state
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 
@@ -137,9 +137,8 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
 
 
 def test_what_cannot_be_recorded_is_refused_before_theta_moves(tmp_path, monkeypatch):
-    state = begin(0, [1])
     with pytest.raises(LiveError, match=r"MB are free, up to \d+ MB are needed: make room"):
-        refuse_small_disk(replace(RIG, time=1e12), tmp_path / "there", state)
+        refuse_small_disk(RIG, tmp_path / "there", 1e12)
     own = replace(RIG, measured="state:x[0]", measured_type="koop_msgs/msg/MeasuredState",
                   channel_max=())  # fmt: skip
     refuse_incomplete_state(own)

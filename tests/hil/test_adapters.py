@@ -8,10 +8,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from koop_msgs.msg import Cost, MeasuredState
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray
+from std_msgs.msg import Float64MultiArray
 
 from koop_node.config import ConfigError
-from koop_node.fields import check_fields, parse_source
+from koop_node.fields import check_fields, parse_source, read_field
 from koop_node.managed import message_type
 from koopman_lifter.config import LifterConfig
 
@@ -77,14 +77,19 @@ def start_reference(start, probe, states):
     return answers
 
 
-def test_the_controller_also_speaks_a_plain_number(start, probe):
-    start("relay_esc", command_topic="/rig/theta")
-    numbers = probe.collect(Float64, "/rig/theta")  # nobody listens to 'theta'
+@pytest.mark.parametrize(("kind", "field"), [("Float64", "data"), ("Float64MultiArray", "data[1]")])
+def test_the_controller_also_speaks_a_plain_number(start, probe, kind, field):
+    start("relay_esc", command_topic="/rig/theta", command_type=f"std_msgs/msg/{kind}",
+          command_field=field)  # fmt: skip
+    message = message_type(f"std_msgs/msg/{kind}")
+    numbers = probe.collect(message, "/rig/theta")  # nobody listens to 'theta'
     cost = probe.publisher(Cost, "cost")
     for k in range(3):
         cost.publish(Cost(step=k, r=1.0 - 0.1 * k))
     probe.spin_until(lambda: len(numbers) == 3, "the numbers")
-    assert [n.data for n in numbers] == pytest.approx([2.0, 2.0 - 1 / 3000, 2.0 - 2 / 3000])
+    (path,) = parse_source(f"/a:{field}").fields
+    said = [read_field(path, number) for number in numbers]
+    assert said == pytest.approx([2.0, 2.0 - 1 / 3000, 2.0 - 2 / 3000])
 
 
 def test_a_source_that_cannot_be_ends_the_lifter_with_one_line(start):

@@ -15,7 +15,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koop_bag.recorder.config import RECORDER, RecorderConfig
-from koop_loop.parameters import COMPONENTS, CONTAINER, EXECUTABLES, NODES, build, names_of
+from koop_loop.parameters import (
+    COMPONENTS,
+    CONTAINER,
+    EXECUTABLES,
+    NODES,
+    build,
+    names_of,
+    with_model_beside,
+)
 from koop_node import parameter_file
 from koop_node.config import ConfigError, parameter, refuse_unknown, validate
 from koop_node.parameter_file import ParameterFile
@@ -240,7 +248,7 @@ def _from_file(
     a recorder that this launch does not start.
     """
     known = {name: names_of(own) for name, own in classes.items()}
-    values = file.values_of(known, namespace)
+    values = with_model_beside(file.path, file.values_of(known, namespace))
     ignored = [own.pop("recorders", 0) for own in values.values()]
     return values, any(ignored)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_hil import report
+from koop_hil.commission import commission_rig, publish, row
 from koop_hil.excite import record_excitation
 from koop_hil.run import run
 from koop_hil.scenario import find, read, shipped, with_parameter
@@ -41,6 +42,12 @@ def register(commands: Any) -> None:
         help="no controller: move theta over its range and record, for this simulated time at "
         "most, as 'koop excite' does",
     )
+    parser.add_argument(
+        "--commission", type=float, metavar="S",
+        help="no scenario: commission its rig as 'koop commission' does, of which this simulated "
+        "time at most to excite it; with --table, the rows between the marks of a Markdown file; "
+        "the same command with the same --out goes on",
+    )  # fmt: skip
     parser.set_defaults(func=main)
 
 
@@ -66,6 +73,14 @@ def main(args: argparse.Namespace) -> int:
         for scenario in scenarios:
             print(record_excitation(scenario, out / scenario.name, args.excite))
         return 0
+    if args.commission is not None:
+        codes = []
+        for scenario in scenarios:
+            print(f"\n=== {scenario.name}: {scenario.setting.description}", flush=True)
+            codes.append(commission_rig(scenario, out / scenario.name, args.commission))
+        if args.table:
+            publish([row(item, out / item.name) for item in scenarios], args.table)
+        return max(codes)
     verdicts = []
     for number in range(args.repeat):
         for scenario in scenarios:

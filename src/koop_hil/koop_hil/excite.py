@@ -21,8 +21,9 @@ RATE = 1.0  # [1/s] of theta: what the actuators of the rigs follow
 def rig_of(scenario: Scenario, time: float) -> RigFile:
     """Return the rig of a scenario, for an excitation of some time [s]."""
     limits = EscConfig(theta_initial=scenario.setting.theta_initial)
+    own = scenario.parameters.get("koopman_lifter", {}).get("input_fields", "")
     return RigFile(
-        measured="/state:x[0],x[1]",
+        measured=own or "/state:x[0],x[1]",
         measured_type="koop_msgs/msg/MeasuredState",
         command="/theta:theta",
         command_type="koop_msgs/msg/ControlInput",

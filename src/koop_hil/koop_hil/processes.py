@@ -161,7 +161,7 @@ class Processes:
     def _command(self, name: str) -> tuple[list[str], list[str] | None]:
         setting, injects = self._scenario.setting, self._controlled and self._scenario.injects
         topics = {"state": "rig/state", "theta": "rig/theta"} if injects else {}
-        if self._controlled and self._scenario.sensor_topic:
+        if self._scenario.sensor_topic:
             topics["state"] = self._scenario.sensor_topic
         if name == "recorder":
             return ["--ros-args", "-p", f"output:={self._folder}"], None
@@ -178,7 +178,7 @@ class Processes:
         options = {
             "scale": setting.time_scale,
             "theta-initial": setting.theta_initial,
-            "readers": 2,  # the recorder, and who answers
+            "readers": 1 + self._controlled,  # the recorder, and who answers
             "seed": setting.seed,
             **topics,
         }

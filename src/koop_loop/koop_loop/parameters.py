@@ -148,11 +148,27 @@ def read(
         If the file cannot be read, is not a parameter file or has no parameters for any node.
     """
     known = {node: names_of(classes) for node, classes in nodes.items()}
-    values = parameter_file.read(path).values_of(known, namespace)
+    values = with_model_beside(path, parameter_file.read(path).values_of(known, namespace))
     return {
         node: {name: value for name, value in given.items() if not name.startswith(ROS_OWN)}
         for node, given in values.items()
     }
+
+
+def with_model_beside(
+    path: str | Path, values: dict[str, dict[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    """Return the values of a file, a relative path of a model being that of one beside the file.
+
+    So a folder that holds both can be moved. Where none is beside it, the path is left as it is.
+    """
+    given = values.get("koopman_lifter", {}).get("model")
+    if not isinstance(given, str) or not given:
+        return values
+    beside = Path(path).parent / given
+    if not beside.is_file():
+        return values
+    return changed(values, ("koopman_lifter", "model", str(beside.resolve())))
 
 
 def changed(

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from koop_node.config import ConfigError, parameter, validate
-from koop_node.fields import check_topic
+from koop_node.fields import check_topic, check_type, parse_field
 from relay_esc.elementary import log
 from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
 from relay_esc.swing import LEVEL_TIME
@@ -85,9 +85,15 @@ class EscConfig:
     )
     command_topic: str = parameter(
         "",
-        "topic on which theta is also published as std_msgs/Float64, for a rig that takes no "
-        "ControlInput; empty: none",
+        "topic on which theta is also published, for a rig that does not listen to theta; "
+        "empty: none",
         read_only=True,
+    )
+    command_type: str = parameter(
+        "std_msgs/msg/Float64", "message type of command_topic", read_only=True
+    )
+    command_field: str = parameter(
+        "data", "field of command_topic that is theta, such as data[0]", read_only=True
     )
     dt: float = parameter(
         0.005, "sampling time of the cost", unit="s", low=1e-6, high=1.0, read_only=True
@@ -97,6 +103,8 @@ class EscConfig:
         validate(self)
         if self.command_topic:
             check_topic(self.command_topic)
+            check_type(self.command_type)
+            parse_field(self.command_field)
         if self.theta_min >= self.theta_max:
             raise ConfigError(
                 f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"

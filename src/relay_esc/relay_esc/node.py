@@ -9,13 +9,13 @@ from typing import Any
 
 from koop_msgs.msg import ControlInput, Cost
 from rclpy.publisher import Publisher
-from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 
 from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
+from koop_node.fields import check_fields, parse_field, write_field
 from koop_node.main import run
-from koop_node.managed import OK, WARN, Entities, ManagedNode, Run
+from koop_node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.qos import NEWEST, RELIABLE
 from koop_node.stamps import classify
 from koop_node.stream import StreamMonitor
@@ -38,6 +38,11 @@ class EscRun(Run):
         self._hold_asked = False
         self._publisher: Publisher | None = None
         self._command: Publisher | None = None
+        self._own: Any = None  # the message of command_topic
+        self._field = parse_field(config.command_field)
+        if config.command_topic:
+            self._own = message_type(config.command_type)()
+            check_fields((self._field,), self._own)
         _compile(config)
         entities.service(Trigger, "~/reset", self._on_reset)
         entities.service(SetBool, "~/hold", self._on_hold)
@@ -47,7 +52,7 @@ class EscRun(Run):
         topic = self._node.parameters[EscConfig].command_topic
         publisher = self._publisher = entities.publisher(ControlInput, "theta", RELIABLE)
         if topic:  # the rig listens there, and to nothing else
-            self._command = entities.publisher(Float64, topic, NEWEST)
+            self._command = entities.publisher(type(self._own), topic, NEWEST)
             needed = {self._command: 1, publisher: recorders}
         else:
             needed = {publisher: 1 + recorders}
@@ -94,8 +99,12 @@ class EscRun(Run):
         if arrival is not Arrival.REPEAT:  # else asked again: the same answer, no second update
             self._process(cost, arrival)
         self._publisher.publish(self._answer)
+        if isinstance(self._own, ControlInput):
+            self._own = self._answer
+        elif self._command is not None:
+            write_field(self._field, self._own, self._answer.theta)
         if self._command is not None:
-            self._command.publish(Float64(data=self._answer.theta))
+            self._command.publish(self._own)
 
     def _process(self, cost: Cost, arrival: Arrival) -> None:
         origin = (cost.source, cost.model_id)

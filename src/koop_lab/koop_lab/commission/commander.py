@@ -6,9 +6,12 @@ a controller does. It takes theta to the safe value, whatever it was told, when
 
 - its stdin closes or SIGTERM or SIGINT comes: whoever started it has ended, also by kill -9;
 - a line has not come for a while: that process hangs;
-- a channel is beyond its limit, or no usable message comes any more.
+- a channel is beyond its limit, or no usable message comes any more;
+- a controller that it follows says nothing any more.
 
-It ends when theta is there and nobody holds its stdin. Lines are JSON, both ways.
+It may be told to follow a controller: then every answer of that one goes to the rig as it is, as
+far as limits and rate allow. It ends when theta is there and nobody holds its stdin. Lines are
+JSON, both ways.
 """
 
 from __future__ import annotations
@@ -40,8 +43,9 @@ HANG = 30.0  # [s] without a line, after which whoever started it counts as hang
 TELL = 0.5  # [s] between two lines to it
 TELL_MOVING = 0.05  # [s]: if this process is killed, another goes on from the theta told last
 TICK = 0.02  # [s] between two commands where no state asks for one
-HELD = 0.5  # [s] that the safe value is said again before the end
+HELD = 0.5  # [s] that the safe value is said again at least before the end
 LISTENERS = 15.0  # [s] for a rig to be found, and for its first message
+HEARD = 2.0  # [s] after which a rig that is seen to listen hears; on a busy machine 1.4 s were seen
 
 
 class Commander:
@@ -54,7 +58,13 @@ class Commander:
     given : mapping
         The first line: ``rig``, ``theta`` it begins with, ``source`` and ``type`` of the states,
         ``scale`` (the rig's seconds in one second), ``recorders`` that must listen to theta,
-        ``rescue`` if another commander has moved theta before, ``note``: file for where it is left.
+        ``rescue`` if another commander has moved theta before, ``note``: file for where it is left,
+        ``follows``: topic of a controller, or empty.
+
+    Attributes
+    ----------
+    following : bool
+        Whether theta is that of the controller.
     """
 
     def __init__(self, client: Client, given: dict[str, Any]) -> None:
@@ -85,7 +95,14 @@ class Commander:
             self._needed.append((self._command, 1))
         self._heard = self._usable = self._sent = self._moved = time.monotonic()
         self._begun = False
+        self._wanted: float | None = None
+        self.since = math.inf
         self.step = -1
+        self._lacks: list[str] = []
+        self.following, self._answered, self._last = False, math.inf, -1
+        self._follows = str(given["follows"])
+        if self._follows:
+            node.create_subscription(ControlInput, self._follows, self._on_answer, RELIABLE)
 
     def matched(self) -> bool:
         """Return whether all that must listen do."""
@@ -93,7 +110,7 @@ class Commander:
 
     def listen(self) -> None:
         """Begin to answer states."""
-        self._heard = self._usable = time.monotonic()
+        self._heard = self._usable = self.since = time.monotonic()
         qos = RELIABLE if self._own else BEST_EFFORT
         self._client.node.create_subscription(self._kind, self._source.topic, self._on_state, qos)
 
@@ -103,7 +120,10 @@ class Commander:
         step, x = self._adapter.convert(message)
         if self._own:
             step = message.step
-        if all(map(math.isfinite, x)):
+        self._lacks = [
+            name for name, value in zip(self.rig.names, x, strict=False) if not math.isfinite(value)
+        ]
+        if not self._lacks:
             self._usable = now
             if problem := beyond(self.rig, x):
                 self.leash = self.leash.called_home(problem)
@@ -111,11 +131,32 @@ class Commander:
         if getattr(message, "lockstep", False):  # its time is that of its steps
             elapsed = (step - self.step) * self.rig.dt
         self.step, self._moved = step, now
-        self.leash = self.leash.moved(elapsed)
         if hasattr(message, "header"):
             with suppress(AssertionError, TypeError):  # a package may have a header of its own
                 self._answer.header = message.header
+        if self.following and self._last >= 0 and not self.leash.home:
+            return  # the controller answers
+        self.leash = self.leash.moved(elapsed)
         self._publish(now)
+
+    def _on_answer(self, answer: ControlInput) -> None:
+        """Let theta be what a controller says."""
+        if not self.following or self.leash.home or not math.isfinite(answer.theta):
+            return
+        ahead = answer.step - self._last if self._last >= 0 else 1
+        self._answered, self._last = time.monotonic(), answer.step
+        self.leash = self.leash.asked(answer.theta).moved(max(ahead, 0) * self.rig.dt)
+        answer.theta = self.leash.theta
+        self._send(answer)
+
+    def follow(self) -> None:
+        """Let the controller move theta, which is where that one begins."""
+        self.following, self._last = True, -1
+        self._answered = time.monotonic() + LISTENERS - self._silence
+
+    def go(self, target: float) -> None:
+        """Move theta to a target, once the rig hears."""
+        self.following, self._wanted = False, target
 
     def _publish(self, now: float) -> None:
         answer = self._answer
@@ -123,22 +164,33 @@ class Commander:
         answer.holding = self.leash.there
         rig = self.rig
         answer.saturated = not rig.theta_min < self.leash.theta < rig.theta_max
+        self._send(answer)
+        self._sent = now
+
+    def _send(self, answer: ControlInput) -> None:
         self._theta.publish(answer)
         if self._command is not None:
             if self._answers:
                 self._command.publish(answer)
             else:
-                write_field(self._path, self._message, self.leash.theta)
+                write_field(self._path, self._message, answer.theta)
                 self._command.publish(self._message)
-        self._sent = now
 
     def tick(self) -> None:
         """Find silence, and go on where no state asks for a command."""
         now = time.monotonic()
+        if self._wanted is not None and now - self.since > HEARD:
+            self.leash, self._wanted = self.leash.asked(self._wanted), None
         if now - self._usable > (self._silence if self._begun else LISTENERS):
-            what = "message" if now - self._heard > self._silence else "finite number"
+            topic, seconds = self._source.topic, now - self._usable
             self.leash = self.leash.called_home(
-                f"no {what} on {self._source.topic} for {now - self._usable:.1f} s"
+                f"no message on {topic} for {seconds:.1f} s"
+                if now - self._heard > self._silence or not self._lacks
+                else f"{', '.join(self._lacks)} on {topic} is not a number for {seconds:.1f} s"
+            )
+        if self.following and now - self._answered > self._silence:
+            self.leash = self.leash.called_home(
+                f"the controller has said nothing for {self._silence:.1f} s"
             )
         if self.leash.home and now - self._sent > max(TICK, 2.0 * self.rig.dt / self._scale):
             # of a time without a state, as much as passes until the next tick
@@ -219,7 +271,9 @@ def _run(client: Client, commander: Commander, lines: Lines, asked: list[int]) -
             if "home" in said:
                 commander.leash = commander.leash.called_home(said["home"])
             elif "target" in said:
-                commander.leash = commander.leash.asked(said["target"])
+                commander.go(said["target"])
+            elif "follow" in said:
+                commander.follow()
         if asked:
             closed = True
             commander.leash = commander.leash.called_home("the commander was told to stop")
@@ -239,14 +293,15 @@ def _run(client: Client, commander: Commander, lines: Lines, asked: list[int]) -
         else:
             commander.tick()
         leash = commander.leash
-        news = (leash.there, leash.target, leash.home)
-        if news != told or now - when > (TELL if leash.there else TELL_MOVING):
+        news = (leash.there, None if commander.following else leash.target, leash.home)
+        resting = leash.there and not commander.following
+        if news != told or now - when > (TELL if resting else TELL_MOVING):
             told, when = news, now
             tell(theta=leash.theta, there=leash.there, target=leash.target, home=leash.home,
                  step=commander.step)  # fmt: skip
         if not leash.safe:
             safe_since = now
-        elif closed and now - safe_since > HELD:
+        elif closed and min(now - safe_since - HELD, now - commander.since - HEARD) > 0.0:
             commander.leave()
             return 0
 

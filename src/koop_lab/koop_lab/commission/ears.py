@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -87,7 +88,8 @@ class Ears:
         made = message_type(kind)
         check_fields(paths, made())
         self._paths = paths
-        self._rows: list[tuple[float, float, int, tuple[float, ...]]] = []
+        self._arrival, self._stamp, self._x = array("d"), array("d"), array("d")
+        self._step = array("q")
         self._heard = math.nan
         self.last: Any = None
         self._client = client
@@ -98,7 +100,7 @@ class Ears:
     @property
     def count(self) -> int:
         """How many messages have come."""
-        return len(self._rows)
+        return len(self._arrival)
 
     @property
     def silent(self) -> float:
@@ -111,13 +113,13 @@ class Ears:
 
     def samples(self, begin: int = 0, end: int | None = None) -> Samples:
         """Return what was heard, from one message to before another."""
-        rows = self._rows[begin:end]
-        n = len(self._paths)
+        end = self.count if end is None else end
+        n, arrival = len(self._paths), np.array(self._arrival[begin:end])
         return Samples(
-            np.array([row[0] for row in rows], np.float64),
-            np.array([row[1] for row in rows], np.float64),
-            np.array([row[2] for row in rows], np.int64),
-            np.array([row[3] for row in rows], np.float64).reshape(-1, n),
+            arrival,
+            np.array(self._stamp[begin:end]),
+            np.array(self._step[begin:end]),
+            np.array(self._x[begin * n : end * n]).reshape(arrival.size, n),
         )
 
     def _on_message(self, message: Any) -> None:
@@ -126,8 +128,10 @@ class Ears:
         stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
         seconds = stamp.sec + 1e-9 * stamp.nanosec if hasattr(stamp, "nanosec") else 0.0
         step = getattr(message, "step", -1)
-        x = tuple(read_field(path, message) for path in self._paths)
-        self._rows.append((now, seconds, step if isinstance(step, int) else -1, x))
+        self._arrival.append(now)
+        self._stamp.append(seconds)
+        self._step.append(step if isinstance(step, int) else -1)
+        self._x.extend(read_field(path, message) for path in self._paths)
 
 
 def look(

@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import functools
 import math
-import re
 import shutil
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,15 +25,21 @@ from koop_lab.cli.table import table
 from koop_lab.commission import progress as progress_file
 from koop_lab.commission import rig_file, staircase, time_scale
 from koop_lab.commission.channels import lines, listens
-from koop_lab.commission.ears import DISCOVERY, Ears, refuse_wrong_names, who_else_commands
+from koop_lab.commission.ears import DISCOVERY
 from koop_lab.commission.features import Bands, bands, bridged, features, window_length
-from koop_lab.commission.hand import Hand, note_of
+from koop_lab.commission.hand import note_of
 from koop_lab.commission.leash import way_home
 from koop_lab.commission.progress import Progress
-from koop_lab.commission.rig_file import STATE, STATE_TYPE, THETA, RigFile
+from koop_lab.commission.rig_file import STATE, THETA, RigFile
+from koop_lab.commission.session import (
+    Ended,
+    Session,
+    Watch,
+    refuse_incomplete_state,
+    session,
+)
 from koop_lab.commission.staircase import Visit
 from koop_lab.live.loop import LiveNodes
-from koop_lab.live.process import START_TIMEOUT
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 
@@ -46,11 +51,6 @@ GUESS = 12  # windows that theta stays at a value, before any was seen
 MOST_SHARE = 0.15  # of the time, that theta stays at one value at most
 BYTES = 250.0  # of a bag for one state, with its cost and theta
 BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"
-COST = "/cost"
-
-
-class Ended(LiveError):
-    """An excitation ended after theta was moved, and before it was done."""
 
 
 class Result(NamedTuple):
@@ -104,6 +104,7 @@ def main(args: argparse.Namespace) -> int:
         print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; to go on: {again}")
         return 130
     print("\n" + ending(rig, folder, result))
+    print(f"now: ./koop tune {args.rig} {folder}")
     return 1 if staircase.unknown_twice(result.progress.visits) else 0
 
 
@@ -113,8 +114,7 @@ def ending(rig: RigFile, folder: Path, result: Result) -> str:
     states, answered = np.sum([count_answers(bag) for bag in bags], axis=0)
     return (
         f"{shown(rig, result.progress)}\n\n{result.reason}; theta is back at {rig.theta_safe:g}\n"
-        f"recorded {states} states, theta of {answered} of them; now:\n"
-        f"./koop train {' '.join(map(str, bags))} --dt {rig.dt:g} --compare"
+        f"recorded {states} states, theta of {answered} of them"
     )
 
 
@@ -165,64 +165,36 @@ def excite(
     koop_node.config.ConfigError
         If the folder holds what was recorded of another rig, or all that was wanted.
     """
-    from koop_node.client import Client
-
     refuse_incomplete_state(rig)
     known = progress_file.load(rig, folder)
     if known is not None and known.done:
         raise ConfigError(f"{folder}: the map is known already: choose another --out")
     middle = 0.5 * (rig.theta_min + rig.theta_max)
     state = known or progress_file.begin(seed, staircase.passes(rig.theta_start <= middle))
-    refuse_small_disk(rig, folder, state)
+    refuse_small_disk(rig, folder, rig.time - state.elapsed)
     for part in state.parts:
         mend(folder / part / "bag")
-    # the commander ends after the recorder: what is recorded has a theta to the last state
-    with ExitStack() as last, ExitStack() as stack:
-        client = stack.enter_context(Client("koop_excite"))
-        refuse_wrong_names(client, rig, patience, check)
-        part = f"part-{len(state.parts) + 1}"
-        while (folder / part).exists():  # of one that was killed before it was noted
-            part = f"part-{int(part[5:]) + 1}"
-        nodes = stack.enter_context(
-            LiveNodes(folder / part, nodes_of(rig, folder / part), rig=True)
-        )
+    part = f"part-{len(state.parts) + 1}"
+    while (folder / part).exists():  # of one that was killed before it was noted
+        part = f"part-{int(part[5:]) + 1}"
+
+    def began() -> None:
         state.parts.append(part)
-        _save(state, rig, folder)
-        names = ",".join(f"x[{i}]" for i in range(len(rig.names)))
-        source = rig.measured if rig.speaks_state else f"{STATE}:{names}"
-        kind = rig.measured_type if rig.speaks_state else STATE_TYPE
-        run = Excitation(rig, folder, scale, state, client, nodes, source, kind, check)
-        client.wait_for(
-            lambda: client.node.count_subscribers(THETA) and client.node.count_publishers(COST),
-            START_TIMEOUT, f"lifter and recorder (see {folder / part}/logs)", run.check_nodes,
-        )  # fmt: skip
-        if others := who_else_commands(client, rig.knob.topic, own=False):
-            raise LiveError(f"{rig.knob.topic} is commanded by {', '.join(others)}: end that first")
-        log = folder / part / "logs" / "commander.log"
-        try:
-            run.hand = last.enter_context(Hand(rig, log, source, kind, scale, 1, note))
-            stack.callback(run.hand.come_home)
-            return run.run()
-        except LiveError as error:
-            raise Ended(str(error)) from error
+        progress_file.save(state, rig, folder)
+
+    watch = Watch(scale, note, check, patience)
+    nodes = LiveNodes(folder / part, nodes_of(rig, folder / part), rig=True)
+    with session("koop_excite", rig, watch, nodes, began) as own:
+        return Excitation(rig, folder, scale, state, own).run()
 
 
-def refuse_incomplete_state(rig: RigFile) -> None:
-    """Refuse a rig that speaks on the loop's own topic, of which not all channels are named."""
-    if rig.state.topic == STATE and not rig.speaks_state:
-        raise ConfigError(
-            f"measured = {rig.measured!r}: on {STATE} the lifter takes all of {STATE_TYPE}: name "
-            "x[0], x[1] and so on in order, or let the rig publish on another topic"
-        )
-
-
-def refuse_small_disk(rig: RigFile, folder: Path, state: Progress) -> None:
-    """Refuse to begin where the disk has no room for the recording."""
+def refuse_small_disk(rig: RigFile, folder: Path, seconds: float) -> None:
+    """Refuse to begin where the disk has no room for a recording of some time."""
     there = folder
     while not there.exists():
         there = there.parent
     free = shutil.disk_usage(there).free
-    needed = BYTES * max(rig.time - state.elapsed, 0.0) / rig.dt
+    needed = BYTES * max(seconds, 0.0) / rig.dt
     if free < needed:
         raise LiveError(
             f"{there}: {free / 1e6:.0f} MB are free, up to {needed / 1e6:.0f} MB are needed: make "
@@ -249,13 +221,6 @@ def nodes_of(rig: RigFile, folder: Path) -> dict[str, dict[str, Any]]:
     return {"recorder": {"output": str(folder)}, "koopman_lifter": lifter}
 
 
-def _save(state: Progress, rig: RigFile, folder: Path) -> None:
-    try:
-        progress_file.save(state, rig, folder)
-    except OSError as error:
-        raise LiveError(f"{folder}/{progress_file.NAME}: {error.strerror}") from None
-
-
 class Excitation:
     """One part of an excitation, from its first state to its end.
 
@@ -269,67 +234,29 @@ class Excitation:
         The rig's seconds in one second.
     state : Progress
         What was done; it grows.
-    client : Client
-        Guest in the ROS domain.
-    nodes : LiveNodes
-        Lifter and recorder.
-    source, kind : str
-        Where the states come from.
-    check : callable
-        Called once a second; it may raise LiveError.
+    own : Session
+        With the rig.
     """
 
     def __init__(
-        self, rig: RigFile, folder: Path, scale: float, state: Progress, client: Any,
-        nodes: LiveNodes, source: str, kind: str, check: Callable[[], object],
-    ) -> None:  # fmt: skip
-        from koop_node.fields import parse_source
-
+        self, rig: RigFile, folder: Path, scale: float, state: Progress, own: Session
+    ) -> None:
         self._rig = rig
         self._folder = folder
         self._scale = scale
         self._state = state
-        self._client = client
-        self._nodes = nodes
-        self._ask = check
-        parsed = parse_source(source)
-        self.ears = Ears(client, parsed.topic, kind, parsed.fields, reliable=True)
-        self.hand: Hand | None = None
+        self._own = own
+        self._ears = own.ears
         self._values = staircase.values(rig.theta_min, rig.theta_max)
         self._begin, self._before, self._began = 0, state.elapsed, time.monotonic()
-        self._looked = self._beat = 0.0
         self._bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
-
-    # -- watching -----------------------------------------------------------------------------
-
-    def check_nodes(self) -> None:
-        """Raise LiveError if the recording has ended, or the lifter."""
-        for process in self._nodes.ended():
-            *_, last = ["", *process.last_lines(1).splitlines()]
-            words = re.sub(r"^(\[[^]]*\] )*(\[[^]]*\]: )?", "", last)
-            raise LiveError(f"{process.node} has ended: {words or 'see'} ({process.log})")
-
-    def _check(self) -> None:
-        now = time.monotonic()
-        if now < self._beat + 0.1:
-            return
-        self._beat = now
-        assert self.hand is not None
-        self.hand.beat()
-        if now < self._looked + 1.0:
-            return
-        self._looked = now
-        self.check_nodes()
-        self._ask()
-        if others := who_else_commands(self._client, self._rig.knob.topic, own=True):
-            raise LiveError(f"{self._rig.knob.topic} is also commanded by {', '.join(others)}")
-        self._show()
+        own.shown = self._show
 
     @property
     def _elapsed(self) -> float:
         """Time of all parts [s]; of the rig's own."""
-        if getattr(self.ears.last, "lockstep", False):
-            return self._before + (self.ears.count - self._begin) * self._rig.dt
+        if getattr(self._ears.last, "lockstep", False):
+            return self._before + (self._ears.count - self._begin) * self._rig.dt
         return self._before + (time.monotonic() - self._began) * self._scale
 
     @property
@@ -337,19 +264,15 @@ class Excitation:
         """Time of the rig file that is left [s]."""
         return max(self._rig.time - self._elapsed, 0.0)
 
-    def _until(self, condition: Callable[[], object]) -> None:
-        while not condition():
-            self._client.spin(0.05)
-            self._check()
-
     # -- moving -------------------------------------------------------------------------------
 
     def run(self) -> Result:
         """Move theta until the map is known or the time is over."""
         state, rig = self._state, self._rig
-        self._begin, self._began = self.ears.count, time.monotonic()
+        self._begin, self._began = self._ears.count, time.monotonic()
         if state.how is None:
             state.how = self._listen()
+        self._own.still = state.how.length
         self._forecast()
         reason = "the static map is known well enough"
         while True:
@@ -366,9 +289,9 @@ class Excitation:
             state.queue.pop(0)
             state.visits.append(visit)
             state.elapsed = self._elapsed
-            _save(state, rig, self._folder)
+            progress_file.save(state, rig, self._folder)
         state.elapsed = self._elapsed
-        _save(state, rig, self._folder)
+        progress_file.save(state, rig, self._folder)
         self._bar.close()
         return Result(state, reason)
 
@@ -379,11 +302,11 @@ class Excitation:
         heard = 0
 
         def more() -> bool:
-            return self.ears.count >= heard + 0.2 * SHORTEST / dt
+            return self._ears.count >= heard + 0.2 * SHORTEST / dt
 
-        while listens(x := self.ears.samples(self._begin).x, dt, SHORTEST, LISTEN, LONGEST):
-            heard = self.ears.count
-            self._until(more)
+        while listens(x := self._ears.samples(self._begin).x, dt, SHORTEST, LISTEN, LONGEST):
+            heard = self._ears.count
+            self._own.until(more)
         x = bridged(x)
         found = [line for column in x.T for line in lines(column, dt)]
         if not found:
@@ -403,11 +326,10 @@ class Excitation:
         """Go to a value and stay as long as it needs; None if the time is over."""
         state, rig, how = self._state, self._rig, self._state.how
         assert how is not None
-        assert self.hand is not None
-        value, hand = self._values[level], self.hand
+        value, hand = self._values[level], self._own.hand
         hand.go(value)
-        self._until(lambda: hand.there)
-        begin = self.ears.count
+        self._own.until(lambda: hand.there)
+        begin = self._ears.count
         guide, seen = self._guide(), [visit.settled for visit in state.visits]
         length = how.length * rig.dt
         points = staircase.static_map(state.visits, guide[0])
@@ -417,12 +339,11 @@ class Excitation:
         series: list[NDArray[np.float64]] = []
         while True:
             end = begin + (len(series) + 1) * how.length
-            self._until(functools.partial(self._heard_or_over, end))
+            self._own.until(functools.partial(self._heard_or_over, end))
+            self._own.refuse_dead()
             if self._elapsed > rig.time:
                 return None
-            x = self.ears.samples(end - how.length, end).x
-            self._refuse_dead(x)
-            series.append(features(x, how))
+            series.append(features(self._ears.samples(end - how.length, end).x, how))
             if len(series) < staircase.FEWEST:
                 continue
             judged = staircase.judge(np.array(series), guide)
@@ -437,15 +358,7 @@ class Excitation:
         )
 
     def _heard_or_over(self, count: int) -> bool:
-        return self.ears.count >= count or self._elapsed > self._rig.time
-
-    def _refuse_dead(self, x: NDArray[np.float64]) -> None:
-        for name, column in zip(self._rig.names, x.T, strict=True):
-            known = column[np.isfinite(column)]
-            if not known.size:
-                raise LiveError(f"{name} is not a number any more: dead sensor")
-            if np.ptp(known) == 0.0:
-                raise LiveError(f"{name} is {known[0]:g} and does not change: dead sensor")
+        return self._ears.count >= count or self._elapsed > self._rig.time
 
     def _guide(self) -> list[int]:
         """Return the features that tell how long theta stays."""
@@ -498,9 +411,9 @@ class Excitation:
         )
 
     def _show(self) -> None:
-        if self._state.how is None or self.hand is None:
+        if self._state.how is None:
             return
-        self._bar.set_description_str(f"theta {self.hand.theta:+.4g}", refresh=False)
+        self._bar.set_description_str(f"theta {self._own.hand.theta:+.4g}", refresh=False)
         self._bar.total = self._elapsed + self._left()
         self._bar.n = self._elapsed
         left = f", {_time(self._left() / self._scale)} left" if self._state.visits else ""

@@ -43,6 +43,8 @@ class Hand:
         Recorders that must listen to theta before it moves.
     note : Path, optional
         File that says where theta was left: it goes on from there.
+    follows : str
+        Topic of a controller, as koop_msgs/ControlInput.
 
     Attributes
     ----------
@@ -61,6 +63,7 @@ class Hand:
         scale: float = 1.0,
         recorders: int = 0,
         note: Path | None = None,
+        follows: str = "",
     ) -> None:
         self.theta = self._target = self._begin = left_at(note, rig)
         self._rig = rig
@@ -75,6 +78,7 @@ class Hand:
             "recorders": recorders,
             "rescue": False,
             "note": str(note.resolve()) if note is not None else "",
+            "follows": follows,
         }
         self.home = ""
         self._said: dict[str, Any] = {}
@@ -111,7 +115,7 @@ class Hand:
             return
         # killed: another one takes theta home, from where it was last known to be
         self._close()
-        self._first |= {"theta": self.theta, "recorders": 0, "rescue": True}
+        self._first |= {"theta": self.theta, "recorders": 0, "rescue": True, "follows": ""}
         self._start()
         self._tell(home="the commander was killed")
         if not self._comes_home():
@@ -134,6 +138,11 @@ class Hand:
         """Let theta move to a value, within limits and rate."""
         self._target = min(max(theta, self._rig.theta_min), self._rig.theta_max)
         self._tell(target=theta)
+
+    def follow(self) -> None:
+        """Let a controller, which begins where theta is, move it from now on, until :meth:`go`."""
+        self._target = math.nan
+        self._tell(follow=True)
 
     def beat(self) -> None:
         """Give a sign of life.

@@ -11,6 +11,7 @@ from koop_lab.commission.rig_file import RigFile
 HURRY = 2.0  # periods of which the rate counts at once, however late a message is
 PERIODS = 20.0  # without a message, or a usable one, after which a rig counts as silent
 LEAST_SILENCE = 1.0  # [s]
+ROUNDED = 1e-9  # share of a step by which a controller that keeps the rate is beyond it
 
 
 def silence(dt: float, scale: float = 1.0) -> float:
@@ -64,7 +65,8 @@ class Leash:
         """Return it after a time [s]; a late call moves theta by no more than two periods do."""
         most = self.rig.theta_rate * min(max(elapsed, 0.0), HURRY * self.rig.dt)
         change = self.target - self.theta
-        theta = self.target if abs(change) <= most else self.theta + math.copysign(most, change)
+        near = abs(change) <= most * (1.0 + ROUNDED)
+        theta = self.target if near else self.theta + math.copysign(most, change)
         return Leash(self.rig, theta, self.target, self.home)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
@@ -38,31 +37,24 @@ Answer = TypeVar("Answer")
 SPECS = {item.name: spec_of(item) for item in RigFile.__dataclass_fields__.values()}
 
 
-def register(commands: Any) -> None:
-    """Add the command to the subparsers of ``koop``."""
-    parser = commands.add_parser(
-        "commission",
-        description="Asks for what a rig file holds, looks at the live ROS graph and proposes "
-        "topics and fields; Enter takes what stands in brackets. Then 'koop check FILE' and "
-        "'koop excite FILE'.",
-    )
-    parser.add_argument(
-        "--new", type=Path, metavar="FILE", required=True, help="write this rig file"
-    )
-    parser.set_defaults(func=main)
+def ask(path: Path) -> None:
+    """Ask for a rig, and write its file.
 
-
-def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code."""
-    path: Path = args.new
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If there is a file already, or no more answers.
+    """
     if path.exists():
         raise ConfigError(f"{path} is there already: name another file")
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: there is no folder {path.parent}")
     rig = asked(Dialogue())
     rig_file.write(rig, path)
-    print(f"\nwritten to {path}; now: ./koop check {path}")
-    return 0
+    print(
+        f"\nwritten to {path}; now: ./koop check {path}, or all that is to be done: "
+        f"./koop commission {path}"
+    )
 
 
 class Dialogue:

@@ -7,11 +7,13 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from koop_lab.commission.features import Bands
 from koop_lab.commission.rig_file import RigFile, as_values
 from koop_lab.commission.staircase import Visit
 from koop_node.config import ConfigError
+from koop_node.errors import LiveError
 
 NAME = "excite.json"
 
@@ -53,14 +55,27 @@ def begin(seed: int, queue: Sequence[int]) -> Progress:
 
 
 def save(progress: Progress, rig: RigFile, folder: Path) -> None:
-    """Write the file; it is whole at any time."""
-    text = json.dumps({"rig": as_values(rig), **asdict(progress)}, indent=1)
-    path, new = folder / NAME, folder / f"{NAME}.new"
-    with open(new, "w", encoding="utf-8") as file:
-        file.write(text + "\n")
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(new, path)
+    """Write the file; as :func:`write_whole`."""
+    write_whole(folder / NAME, {"rig": as_values(rig), **asdict(progress)})
+
+
+def write_whole(path: Path, values: Any) -> None:
+    """Write a JSON file that is whole at any time.
+
+    Raises
+    ------
+    koop_node.errors.LiveError
+        If it cannot be written, as on a full disk; the old one stays.
+    """
+    new = path.with_name(f"{path.name}.new")
+    try:
+        with open(new, "w", encoding="utf-8") as file:
+            file.write(json.dumps(values, indent=1) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(new, path)
+    except OSError as error:
+        raise LiveError(f"{path}: {error.strerror}") from None
 
 
 def load(rig: RigFile, folder: Path) -> Progress | None:
@@ -86,10 +101,37 @@ def load(rig: RigFile, folder: Path) -> Progress | None:
         found = Progress(how=bands, visits=visits, **known)
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None
+    refuse_other_rig(path, own, rig)
+    return found
+
+
+def refuse_other_rig(path: Path, own: RigFile, rig: RigFile) -> None:
+    """Refuse a rig file that is not that of what was begun.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If it says something else that counts.
+    """
     for name, value in as_values(own).items():
         if value != as_values(rig)[name] and name not in ("time", "theta_start"):
             raise ConfigError(
                 f"{path}: was begun with {name} = {value}, the rig file says "
                 f"{as_values(rig)[name]}: choose another --out"
             )
-    return found
+
+
+def noted(path: Path) -> dict[str, Any]:
+    """Return what a JSON file holds; nothing if there is none.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If it cannot be read.
+    """
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, TypeVar
 
 from koop_bag.recorder.config import RecorderConfig
@@ -40,6 +40,8 @@ class LiveNodes:
         The rig's own program; empty: it is started by others.
     composed : bool
         Whether the nodes share one process, the container, besides the recorder.
+    remaps : mapping of str to str
+        By node, a topic and its other name as ``FROM:=TO``.
 
     Attributes
     ----------
@@ -57,6 +59,7 @@ class LiveNodes:
         rig: bool = False,
         program: Sequence[str] = (),
         composed: bool = False,
+        remaps: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.folder = folder
         self.notes: list[str] = []
@@ -66,6 +69,7 @@ class LiveNodes:
         self._rig = rig
         self._program = list(program)
         self._composed = {n: c for n, c in COMPONENTS.items() if composed and n in values}
+        self._remaps = remaps
         self._nodes: dict[str, NodeProcess] = {}
         self._stack = ExitStack()
 
@@ -85,7 +89,8 @@ class LiveNodes:
             stack.callback(self._stop_all)
             for node in EXECUTABLES:
                 if node in self._values and node not in self._composed:
-                    self._nodes[node] = NodeProcess(node, arguments, logs / f"{node}.log")
+                    own = ["-r", self._remaps[node]] if node in self._remaps else []
+                    self._nodes[node] = NodeProcess(node, arguments + own, logs / f"{node}.log")
             if self._composed:
                 words = [*self._composed.values(), *arguments]
                 self._nodes["container"] = NodeProcess("container", words, logs / "container.log")

@@ -14,8 +14,10 @@ from koop_lab.live.loop import LiveNodes
 from koop_lab.live.monitor import Progress
 from koop_lab.recorded.report import run_figures
 from koop_node import parameter_file
+from koop_node.config import ConfigError
 
 STATUS = 10.0  # [s] between two status lines when nothing new is to be said
+CONTROLLER, TUNED = "controller.yaml", "tuned"  # of koop tune, and where it is
 LEFT_OUT = (
     "params",
     "record",
@@ -34,7 +36,10 @@ def register(commands: Any) -> None:
         "of 'ros2 launch koop_bringup closed_loop.launch.py params:=FILE record:=true', which "
         "starts the same; 'koop params' writes one.",
     )
-    parser.add_argument("file", metavar="FILE", help="ROS 2 parameter file")
+    parser.add_argument(
+        "file", metavar="FILE", type=Path,
+        help="ROS 2 parameter file, or folder of 'koop tune' or 'koop commission'",
+    )  # fmt: skip
     parser.add_argument(
         "--out", metavar="DIR", help="folder of the run (default: recordings/TIME-NAME)"
     )
@@ -88,15 +93,32 @@ def chosen(args: argparse.Namespace) -> tuple[Plan, Path]:
     ValueError
         If the file or an option cannot be used.
     """
+    file, label = file_of(args.file)
     given = {name: value for name, value in vars(args).items() if isinstance(value, str)}
     known = {argument.name for argument in ARGUMENTS}
     told = {name: value for name, value in given.items() if name in known}
-    told.setdefault("namespace", parameter_file.read(args.file).namespace_of(ALL_NODES))
-    planned = plan({**told, "params": args.file, "record": "true", "output": args.out or ""})
+    told.setdefault("namespace", parameter_file.read(file).namespace_of(ALL_NODES))
+    planned = plan({**told, "params": str(file), "record": "true", "output": args.out or ""})
     recorder = planned.parameters["recorder"]
-    folder = Path(recorder.get("output") or default_folder(Path(args.file).stem)).expanduser()
+    folder = Path(recorder.get("output") or default_folder(label)).expanduser()
     recorder["output"] = str(folder)
     return planned, folder
+
+
+def file_of(given: Path) -> tuple[Path, str]:
+    """Return the parameter file that is meant by itself or its folder, and a name for its runs.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the folder holds none.
+    """
+    if not given.is_dir():
+        return given, given.stem
+    for file in (given / CONTROLLER, given / TUNED / CONTROLLER):
+        if file.is_file():
+            return file, given.resolve().name
+    raise ConfigError(f"{given}: has no {CONTROLLER} and no {TUNED}/{CONTROLLER}: koop tune first")
 
 
 class Status:

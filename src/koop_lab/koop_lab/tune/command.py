@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,9 +15,10 @@ from koop_lab.commission.features import Bands
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.identify.from_bags import BagTraining, load_bags, train_from_bags
 from koop_lab.identify.samples import StateSpec
+from koop_lab.live.up import CONTROLLER, TUNED
 from koop_node.config import ConfigError
 
-PARAMETERS, MODEL, FIGURES, PICTURE = "controller.yaml", "model.npz", "tune.json", "tune.png"
+PARAMETERS, MODEL, FIGURES, PICTURE = CONTROLLER, "model.npz", "tune.json", "tune.png"
 
 
 def register(commands: Any) -> None:
@@ -50,23 +50,63 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 1 if there is no optimum to be found."""
+    if not 0.0 < args.effort < 1e3:
+        raise ConfigError("--effort: above 0, below 1000")
+    folder = args.folders[0]
+    out = args.out or folder / TUNED
+    done = tune_folders(
+        rig_file.read(args.rig), args.folders, out, args.state, args.theta, args.seed, args.effort
+    )
+    if done:
+        print(f"now: ./koop verify {args.rig} {folder}" if args.out is None else
+              f"now: ./koop up {out}")  # fmt: skip
+    return 0 if done else 1
+
+
+def tune_folders(
+    rig: RigFile,
+    folders: Sequence[Path],
+    out: Path,
+    state: str = "/state:x",
+    theta: str | None = None,
+    seed: int = 0,
+    effort: float = 1.0,
+) -> bool:
+    """Tune from recordings, write the results and print them; return whether there is an optimum.
+
+    Parameters
+    ----------
+    rig : RigFile
+        The rig.
+    folders : sequence of Path
+        Of ``koop excite``, or bags.
+    out : Path
+        Folder of the results; the parameter file is written last.
+    state, theta : str
+        What they are called in the recordings.
+    seed : int
+        Of all random numbers.
+    effort : float
+        Of the search, in units of the usual one.
+
+    Raises
+    ------
+    ValueError
+        If there are results already, or the recordings cannot be used.
+    """
     from koop_lab.tune import written  # slow to import
     from koop_lab.tune.picture import draw
     from koop_lab.tune.tuning import STEPS, NoOptimum, tune
 
     began = time.monotonic()
-    rig = rig_file.read(args.rig)
-    if not 0.0 < args.effort < 1e3:
-        raise ConfigError("--effort: above 0, below 1000")
-    bags, how = bags_of(args.folders, rig)
-    out = args.out or args.folders[0] / "tuned"
+    bags, how = bags_of(folders, rig)
     if (out / PARAMETERS).exists():
         raise ConfigError(f"{out / PARAMETERS} is there already: choose another --out")
-    training = BagTraining(StateSpec.parse(args.state), dt=rig.dt, held_out=0.0, theta=args.theta)
+    training = BagTraining(StateSpec.parse(state), dt=rig.dt, held_out=0.0, theta=theta)
     loaded, training = load_bags(bags, training)
     if loaded.x.shape[0] != len(rig.names):
         raise ConfigError(
-            f"{args.state} has {loaded.x.shape[0]} channels, the rig file {len(rig.names)}"
+            f"{state} has {loaded.x.shape[0]} channels, the rig file {len(rig.names)}"
         )
     out.mkdir(parents=True, exist_ok=True)
     with tqdm(total=100, bar_format="{desc:<40.40} |{bar}| {n:.0f} %", leave=False,
@@ -77,28 +117,25 @@ def main(args: argparse.Namespace) -> int:
             bar.update(100.0 * share)
 
         try:
-            found = tune(loaded, rig, training, how, args.seed, args.effort * STEPS, said)
+            found = tune(loaded, rig, training, how, seed, effort * STEPS, said)
         except NoOptimum as no:
             bar.close()
-            draw(no.seen, None, out / PICTURE, f"{args.rig}: {no.kind}")
-            figures = {"verdict": no.kind, "why": str(no)}
-            (out / FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+            draw(no.seen, None, out / PICTURE, f"{folders[0]}: {no.kind}")
+            progress.write_whole(out / FIGURES, {"verdict": no.kind, "why": str(no)})
             print(written.as_table(no.seen))
             print(f"\nno optimum ({no.kind}): {no}\npicture {out / PICTURE}")
-            return 1
+            return False
     model = None
     if found.chosen.cost.training is not None:
         model = out / MODEL
         train_from_bags(bags, found.chosen.cost.training).save(model)
+    progress.write_whole(out / FIGURES, written.as_figures(found, rig))
+    draw(found.seen, found, out / PICTURE, f"{folders[0]}: {found.chosen.cost.name}")
     (out / PARAMETERS).write_text(written.as_parameters(found, rig, model), encoding="utf-8")
-    figures = written.as_figures(found, rig)
-    (out / FIGURES).write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    draw(found.seen, found, out / PICTURE, f"{args.rig}: {found.chosen.cost.name}")
     print(written.as_table(found.seen))
     print("\n" + written.as_words(found))
-    print(f"\nfound in {time.monotonic() - began:.0f} s; written to {out}; "
-          f"now: ./koop up {out / PARAMETERS}")  # fmt: skip
-    return 0
+    print(f"\nfound in {time.monotonic() - began:.0f} s; written to {out}")
+    return True
 
 
 def bags_of(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands | None]:

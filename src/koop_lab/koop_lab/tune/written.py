@@ -15,6 +15,7 @@ from koop_lab.commission.rig_file import RigFile
 from koop_lab.tune.search import esc_of, lifter_of
 from koop_lab.tune.tuning import Band, Seen, Tuning
 from koop_node.describe import parameter_file
+from koop_node.fields import format_field
 
 LEAST_TIMEOUT, TIMEOUT = 0.5, 20.0  # [s]; samples
 
@@ -89,7 +90,7 @@ def nodes_of(found: Tuning, rig: RigFile, model: Path | None) -> dict[str, dict[
         "state_timeout": timeout,
     }
     if model is not None:
-        lifter["model"] = str(model.resolve())
+        lifter["model"] = model.name  # beside the file: the folder may be moved
     lifter |= rig.lifter_input
     start = found.seen.scale.u(np.array(rig.theta_start))
     names = ("law", "theta_scale", "step_size", "step_ratio", "dwell", "tau_f", "theta_min",
@@ -98,7 +99,11 @@ def nodes_of(found: Tuning, rig: RigFile, model: Path | None) -> dict[str, dict[
     own["epsilon_initial"] = 1 if start > found.seen.amplitude.best() else -1
     own["cost_timeout"] = timeout
     if not rig.takes_answers:
-        own["command_topic"] = rig.knob.topic
+        own |= {
+            "command_topic": rig.knob.topic,
+            "command_type": rig.command_type,
+            "command_field": format_field(rig.knob.fields[0]),
+        }
     return {"koopman_lifter": lifter, "relay_esc": own}
 
 
@@ -146,6 +151,8 @@ def reasons_of(found: Tuning, rig: RigFile) -> dict[str, dict[str, str]]:
             "dt": of_rig,
             "cost_timeout": timeout,
             "command_topic": of_rig,
+            "command_type": of_rig,
+            "command_field": of_rig,
         },
     }  # fmt: skip
 
@@ -174,6 +181,7 @@ def as_figures(found: Tuning, rig: RigFile) -> dict[str, Any]:
         "score": math.exp(found.best.score),
         "theta_best": seen.scale.theta_at(seen.amplitude.best()),
         "feature": seen.feature,
+        "windows": {**seen.stays.how._asdict(), "feature": seen.stays.feature},
         "period": seen.period,
         "time": found.time,
         "static_map": {

@@ -95,6 +95,8 @@ NODES_ONLY = {  # settings of the nodes that a study has no use for, and why
     "lifter.input_fields": "a study has no topics",
     "lifter.input_type": "a study has no topics",
     "esc.command_topic": "a study has no topics",
+    "esc.command_type": "a study has no topics",
+    "esc.command_field": "a study has no topics",
     "fit.resamples": "a study has seeds",
 }
 DRAWN = (  # what `seeded` draws

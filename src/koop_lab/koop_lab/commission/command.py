@@ -1,0 +1,168 @@
+"""``koop commission``: from an unknown rig to a damped one; all stages, each where it stopped."""
+
+from __future__ import annotations
+
+import argparse
+import random
+import shutil
+from pathlib import Path
+from typing import Any
+
+from koop_lab.commission import check, new, progress, rig_file, time_scale, verify
+from koop_lab.commission.excite import ending, excite
+from koop_lab.commission.hand import note_of
+from koop_lab.commission.rig_file import RigFile
+from koop_lab.commission.session import Ended, Watch
+from koop_lab.commission.staircase import unknown_twice
+from koop_lab.live.up import CONTROLLER, TUNED
+from koop_lab.tune.command import tune_folders
+from koop_node.config import ConfigError
+from koop_node.errors import LiveError
+
+ROUNDS = 3  # of tuning and verifying
+NAME, RIG = "commission.json", "rig.yaml"
+RECORDINGS = Path("recordings")
+
+
+def register(commands: Any) -> None:
+    """Add the command to the subparsers of ``koop``."""
+    parser = commands.add_parser(
+        "commission",
+        description="Checks a rig, moves theta over its range and records, tunes a controller, "
+        "closes the loop and compares it with the prediction; where they disagree it tunes again "
+        "with the new recordings, at most three rounds. Whatever ends it, theta goes back to "
+        "theta_safe, and the same command goes on where it was. Exit code 0 only if the rig was "
+        "damped as predicted. With --new it asks for what a rig file holds, looks at the live "
+        "graph and proposes topics and fields; Enter takes what stands in brackets.",
+    )
+    parser.add_argument("rig", metavar="RIG.YAML", nargs="?", help="of --new")
+    parser.add_argument("--new", type=Path, metavar="FILE", help="ask, and write this rig file")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER",
+        help="for all that is recorded and found (default: recordings/NAME of the rig file)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--effort", type=float, default=1.0, metavar="X",
+        help="of the search for constants, in units of the usual one",
+    )  # fmt: skip
+    time_scale.add_to(parser)
+    parser.set_defaults(func=main)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Entry point; returns the exit code: 0 only if the rig was damped as predicted."""
+    if (args.rig is None) == (args.new is None):
+        raise ConfigError("name a rig file, or --new FILE to write one")
+    if args.new is not None:
+        new.ask(args.new)
+        return 0
+    rig = rig_file.read(args.rig)
+    folder = args.out or RECORDINGS / Path(args.rig).stem
+    watch = Watch(time_scale.of(args), note_of(args.rig))
+    again = f"to go on: koop commission {args.rig} --out {folder}"
+    try:
+        return Commissioning(rig, Path(args.rig), folder, watch, args.effort).run()
+    except Ended as error:
+        raise LiveError(f"{error}. theta is back at {rig.theta_safe:g}; {again}") from None
+    except KeyboardInterrupt:
+        print(f"\ninterrupted: theta is at {rig.theta_safe:g} or was not moved; {again}")
+        return 130
+
+
+class Commissioning:
+    """All stages on one rig; what is done is in the folder.
+
+    Parameters
+    ----------
+    rig, file : RigFile, Path
+        The rig and its file.
+    folder : Path
+        Of all that is recorded and found.
+    watch : Watch
+        How the rig is watched.
+    effort : float
+        Of the search for constants.
+    """
+
+    def __init__(
+        self, rig: RigFile, file: Path, folder: Path, watch: Watch, effort: float = 1.0
+    ) -> None:
+        self._rig, self._folder, self._watch, self._effort = rig, folder, watch, effort
+        folder.mkdir(parents=True, exist_ok=True)
+        own = folder / RIG
+        if not own.exists():
+            shutil.copyfile(file, own)
+        progress.refuse_other_rig(own, rig_file.read(own), rig)
+
+    def run(self) -> int:
+        """Do what is left to be done; return the exit code."""
+        for stage in (self._check, self._excite):
+            if not stage():
+                return 1
+        while True:
+            found = verify.load(self._folder)
+            rounds = [item for item in found["rounds"] if item["agrees"] is not None]
+            passed = bool(rounds) and rounds[-1]["agrees"] and found["damped"]
+            if passed or len(rounds) >= ROUNDS:
+                break
+            if rounds:
+                self._set_aside(len(rounds))
+            if not self._tune(found, len(rounds)):
+                return 1
+            _head(f"verify, round {len(rounds) + 1}")
+            print(verify.shown(verify.verify(self._rig, self._folder, self._watch)))
+        print("\n" + found["verdict"])
+        return 0 if passed else 1
+
+    def _check(self) -> bool:
+        _head("check")
+        if progress.noted(self._folder / NAME).get("fit"):
+            print("done before")
+            return True
+        rows = check.live(self._rig, self._watch.scale, True, random.Random(), self._watch.note)
+        if bad := check.told(rows):
+            print(f"\nnot fit: {bad} BAD; once that is mended, the same command goes on")
+            return False
+        progress.write_whole(self._folder / NAME, {"fit": True})
+        return True
+
+    def _excite(self) -> bool:
+        _head("excite")
+        known = progress.load(self._rig, self._folder)
+        if known is None or not (known.done or known.elapsed >= self._rig.time):
+            watch = self._watch
+            found = excite(self._rig, self._folder, watch.scale, 0, watch.note, watch.check)
+            print(ending(self._rig, self._folder, found))
+            known = found.progress
+        else:
+            print("done before")
+        if unknown_twice(known.visits):
+            print(
+                f"\ntheta was not at each value twice in {self._rig.time:g} s: set a longer "
+                "'time' in the rig file; then the same command goes on"
+            )
+            return False
+        return True
+
+    def _tune(self, found: dict[str, Any], rounds: int) -> bool:
+        _head(f"tune, round {rounds + 1}")
+        out = self._folder / TUNED
+        if (out / CONTROLLER).exists():
+            print("done before")
+            return True
+        closed = [
+            (self._folder / run["bag"]).parent for item in found["rounds"] for run in item["runs"]
+        ]
+        return tune_folders(
+            self._rig, [self._folder, *closed], out, seed=rounds, effort=self._effort
+        )
+
+    def _set_aside(self, number: int) -> None:
+        """Keep what was tuned before under the number of its round."""
+        old = self._folder / f"{TUNED}-{number}"
+        if not old.exists():
+            (self._folder / TUNED).rename(old)
+
+
+def _head(what: str) -> None:
+    print(f"\n== {what}", flush=True)
