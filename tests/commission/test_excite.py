@@ -27,8 +27,8 @@ LATE = 0.4  # [s] that a command may come; a jump home would be twice as far as 
 SLOW = replace(RIG, theta_rate=2.0)
 
 
-def wait(condition, what, process=None):
-    deadline = time.monotonic() + TIMEOUT
+def wait(condition, what, process=None, seconds=TIMEOUT):
+    deadline = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < deadline, what
         assert process is None or process.poll() is None, process.communicate()

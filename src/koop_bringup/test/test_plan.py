@@ -1,11 +1,14 @@
 """What a launch decides before it starts a node: which values count, what is refused."""
 
+import shutil
 import sys
 
 import pytest
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
+from koop_loop.parameters import read
 from koop_node.config import ConfigError
+from koopman_lifter.config import shipped_model
 
 MINE = """
 /**: {ros__parameters: {robot_description: x, dt: 0.005, use_sim_time: false}}
@@ -184,6 +187,17 @@ def test_only_the_lifted_cost_needs_a_model_that_fits(mine):
         plan(given)
     with pytest.raises(ValueError, match=r"trained at dt = 0.005 s, this node runs at dt = 0.01"):
         plan(mine("/**: {ros__parameters: {dt: 0.01}}"))
+
+
+def test_a_model_beside_the_file_is_found_wherever_the_folder_is(mine, tmp_path, monkeypatch):
+    given = mine("koopman_lifter: {ros__parameters: {model: own.npz}}")
+    shutil.copyfile(shipped_model(), tmp_path / "own.npz")
+    monkeypatch.chdir("/")
+    assert plan(given).parameters["koopman_lifter"]["model"] == str(tmp_path / "own.npz")
+    assert read(given["params"])["koopman_lifter"]["model"] == str(tmp_path / "own.npz")
+    (tmp_path / "own.npz").unlink()
+    with pytest.raises(ValueError, match=r"own.npz: cannot be read"):
+        plan(given)
 
 
 def test_an_argument_that_the_launch_does_not_have_is_refused():

@@ -19,11 +19,19 @@ from numpy.typing import NDArray
 from koop_lab.commission import time_scale
 from koop_lab.commission.arrivals import NEAR, Rhythm, rhythm
 from koop_lab.commission.channels import Channel, Line, channel, lines, listens
-from koop_lab.commission.ears import Ears, Samples, refuse_wrong_names, who, who_else_commands
+from koop_lab.commission.ears import (
+    Ears,
+    Samples,
+    refuse_dead,
+    refuse_wrong_names,
+    who,
+    who_else_commands,
+)
 from koop_lab.commission.features import Bands, bands, bridged, features
 from koop_lab.commission.hand import Hand, left_at, note_of
 from koop_lab.commission.leash import way_home
 from koop_lab.commission.reaction import (
+    SERIES,
     STAGES,
     Reaction,
     order,
@@ -261,54 +269,64 @@ def _moved(
     a = left_at(note, rig)
     up = rig.theta_max - a >= a - rig.theta_min
     b = a + QUARTER * rig.span * (1 if up else -1)
-    observe = max(64, math.ceil(OBSERVE * period / rig.dt))
-    settle = math.ceil(max(SETTLE * period, LATE * scale) / rig.dt)
-    how = bands(bridged(ears.samples().x), observe if observe < ears.count else ears.count, rig.dt)
-    how = how._replace(length=observe)
-    travel = abs(b - a) / rig.theta_rate
-    each = travel + (settle + observe) * rig.dt
-    blocks = [count for count, _ in STAGES]
-    print(
-        f"      moving theta between {a:.4g} and {b:.4g}: {blocks[0] * each / scale:.0f} s, at "
-        f"most {sum(blocks) * each / scale:.0f} s; Ctrl-C ends it, theta ends at "
-        f"{rig.theta_safe:g}",
-        flush=True,
-    )
-    names = block_names(how, rig.names)
-    found: list[NDArray[np.float64]] = []
-    moved: list[bool] = []
     row = None
     with TemporaryDirectory() as folder, ExitStack() as stack:
         log = Path(folder) / "commander.log"
         hand = stack.enter_context(Hand(rig, log, scale=scale, note=note))
         try:
-            for (count, alpha), done in zip(STAGES, itertools.count(1), strict=False):
-                for up in order(count, rng):
-                    found.append(_block(hand, ears, spin, b if up else a, settle, observe, how))
-                    moved.append(up)
-                test = reaction(np.array(found), moved, blocks[:done])
-                if test.p <= alpha:
+            for longer, stages in SERIES:
+                observe = max(64, math.ceil(longer * OBSERVE * period / rig.dt))
+                settle = math.ceil(max(longer * SETTLE * period, LATE * scale) / rig.dt)
+                each = abs(b - a) / rig.theta_rate + (settle + observe) * rig.dt
+                blocks = [count for count, _ in stages]
+                if row is not None and sum(blocks) * each > rig.time:
+                    break  # the rig file does not allow it
+                least, most = (n * each / scale for n in (blocks[0], sum(blocks)))
+                print(
+                    f"      moving theta between {a:.4g} and {b:.4g}: {least:.0f} s, "
+                    f"at most {most:.0f} s; "
+                    f"Ctrl-C ends it, theta ends at {rig.theta_safe:g}",
+                    flush=True,
+                )
+                x = bridged(ears.samples().x)
+                how = bands(x, min(observe, x.shape[0]), rig.dt)._replace(length=observe)
+                names = block_names(how, rig.names)
+                found: list[NDArray[np.float64]] = []
+                moved: list[bool] = []
+                for (count, alpha), done in zip(stages, itertools.count(1), strict=False):
+                    for up in order(count, rng):
+                        theta = b if up else a
+                        found.append(_block(rig, hand, ears, spin, theta, settle, observe, how))
+                        moved.append(up)
+                    test = reaction(np.array(found), moved, blocks[:done])
+                    if test.p <= alpha:
+                        break
+                between = f"theta from {a:.4g} to {b:.4g}, {len(moved)} blocks of {each:.3g} s"
+                row = of_reaction(test, names, between)
+                if row.level != BAD:
                     break
-            between = f"theta from {a:.4g} to {b:.4g}, {len(moved)} blocks"
-            row = of_reaction(test, names, between)
         except LiveError as error:
             row = Row(BAD, "theta", f"{error}: theta goes back to {rig.theta_safe:g}")
         if (way := way_home(rig, hand.theta) / scale) > 5.0:
             print(f"      taking theta back to {rig.theta_safe:g}: {way:.0f} s", flush=True)
+    assert row is not None
     yield row
     if others := who_else_commands(client, rig.knob.topic, own=True):
         yield Row(BAD, "command", f"{rig.knob.topic} was also commanded by {', '.join(others)}")
 
 
 def _block(
-    hand: Hand, ears: Ears, spin: Any, theta: float, settle: int, observe: int, how: Any
-) -> NDArray[np.float64]:
+    rig: RigFile, hand: Hand, ears: Ears, spin: Any, theta: float, settle: int, observe: int,
+    how: Bands,
+) -> NDArray[np.float64]:  # fmt: skip
     """Move theta, let the rig settle, and return what is measured then."""
     hand.go(theta)
     spin(lambda: hand.there, math.inf, hand.beat)
     begin = ears.count + settle
     spin(lambda: ears.count >= begin + observe, math.inf, hand.beat)
-    return block_features(ears.samples(begin, begin + observe).x, how)
+    x = ears.samples(begin, begin + observe).x
+    refuse_dead(rig.names, x)
+    return block_features(x, how)
 
 
 def _spinner(client: Any, ears: Ears) -> Callable[..., None]:

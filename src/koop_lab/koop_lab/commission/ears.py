@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -132,6 +132,16 @@ class Ears:
         self._stamp.append(seconds)
         self._step.append(step if isinstance(step, int) else -1)
         self._x.extend(read_field(path, message) for path in self._paths)
+
+
+def refuse_dead(names: Sequence[str], x: NDArray[np.float64]) -> None:
+    """Raise LiveError if one of the channels of samples, shape (M, n), says nothing."""
+    for name, column in zip(names, x.T, strict=True):
+        known = column[np.isfinite(column)]
+        if not known.size:
+            raise LiveError(f"{name} is not a number any more: dead sensor")
+        if np.ptp(known) == 0.0:
+            raise LiveError(f"{name} is {known[0]:g} and does not change: dead sensor")
 
 
 def look(

@@ -18,7 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-STAGES = ((8, 0.03), (6, 0.02))  # blocks of each stage, and the probability at which it decides
+# Of each series how much longer its blocks are than some periods of what is strongest, which may be
+# an interference, and of its stages the blocks and the probability at which each decides.
+STAGES = ((8, 0.03), (6, 0.02))
+SERIES = ((1.0, STAGES), (4.0, ((10, 0.02),)), (12.0, ((10, 0.02),)))
 RANDOM = 999  # orders that a recording is compared with
 SMALL = 1e-9  # of a feature's size, below which a difference is rounding
 

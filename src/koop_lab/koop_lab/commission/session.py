@@ -9,9 +9,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from koop_lab.commission.ears import DISCOVERY, Ears, refuse_wrong_names, who_else_commands
+from koop_lab.commission.ears import (
+    DISCOVERY,
+    Ears,
+    refuse_dead,
+    refuse_wrong_names,
+    who_else_commands,
+)
 from koop_lab.commission.hand import Hand
 from koop_lab.commission.rig_file import STATE, STATE_TYPE, THETA, RigFile
 from koop_lab.live.loop import LiveNodes
@@ -119,13 +123,7 @@ class Session:
         """Raise LiveError if a channel has not changed for ``still`` samples."""
         if not 0 < self.still <= self.ears.count:
             return
-        x = self.ears.samples(self.ears.count - self.still).x
-        for name, column in zip(self._rig.names, x.T, strict=True):
-            known = column[np.isfinite(column)]
-            if not known.size:
-                raise LiveError(f"{name} is not a number any more: dead sensor")
-            if np.ptp(known) == 0.0:
-                raise LiveError(f"{name} is {known[0]:g} and does not change: dead sensor")
+        refuse_dead(self._rig.names, self.ears.samples(self.ears.count - self.still).x)
 
 
 @contextmanager
