@@ -155,6 +155,23 @@ install_browser() {
   install_packages chromium
 }
 
+# The plants of others that tests run. Without them those are skipped, which continuous integration doesn't accept.
+install_plants() {
+  local code
+  mkdir -p "$WS/log"
+  set +e
+  (step "Installing the plants of the tests" \
+    "$VENV/bin/python" -m pip install --disable-pip-version-check --no-deps -r "$ROOT/requirements/plants.txt")
+  code=$?
+  set -e
+  if ((code)); then
+    [[ -z ${CI:-} ]] || exit "$code"
+    say "the tests that fly an aircraft or run an FMU are skipped"
+  else
+    plants_key >"$VENV/koop.plants"
+  fi
+}
+
 # --- .venv ------------------------------------------------------------------------------------------------------------
 
 # An environment of the same place, ROS 2 and interpreter is kept: pip then installs only what differs, be it after a

@@ -22,7 +22,11 @@ setup(
         "PyYAML",
         "tqdm",
     ],
-    extras_require={"rigs": ["cyclonedds"], "test": ["pytest"]},
+    extras_require={
+        "rigs": ["cyclonedds"],
+        "plants": ["jsbsim", "fmpy"],
+        "test": ["pytest"],
+    },
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

@@ -34,7 +34,7 @@ MODULES = {
 }
 # rosdistro has no key for these. What needs them says `pip install` where they are missing; the
 # extra of setup.py that has them.
-OPTIONAL = {"cyclonedds": "rigs", "pyarrow": "export"}
+OPTIONAL = {"cyclonedds": "rigs", "jsbsim": "plants", "fmpy": "plants", "pyarrow": "export"}
 
 
 def sources(package):

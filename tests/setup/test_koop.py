@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -94,6 +95,8 @@ def ready(clone: Clone) -> Clone:
     code, _, err = clone.koop("setup")
     assert code == 0, err
     clone.calls()
+    plants = (clone.root / "requirements/plants.txt").read_bytes()
+    (clone.root / ".venv/koop.plants").write_text(f"{sha256(plants).hexdigest()}  -")
     return clone
 
 
@@ -232,6 +235,26 @@ def test_tests_get_their_arguments_and_the_browser_that_is_there(ready: Clone) -
     ready.add_tool("google-chrome", "")
     code, out, err = ready.koop("test", "-k", "x", CI="true")
     assert (code, out, err) == (0, f"{ready.tools}/chromium -m pytest -k x\n", "")
+
+
+def test_tests_install_the_plants_that_they_need_once_and_fail_only_where_they_must(
+    ready: Clone,
+) -> None:
+    ready.add_tool("chromium", "")
+    (ready.root / ".venv/koop.plants").unlink()
+    fails = {"FAIL_PIP": str(ready.root)}  # which is there
+    code, out, err = ready.koop("test", **fails)
+    assert (code, out) == (0, f"python -m pytest {WHOLE}\n")
+    assert err.endswith("the tests that fly an aircraft or run an FMU are skipped\n")
+    code, out, err = ready.koop("test", CI="true", **fails)
+    assert (code, out) == (1, "")
+    assert "pip's last words" in err
+    ready.calls()
+    assert ready.koop("test")[:2] == (0, f"python -m pytest {WHOLE}\n")
+    (call,) = ready.calls()
+    assert call.endswith("--no-deps -r " + str(ready.root / "requirements/plants.txt"))
+    assert ready.koop("test")[::2] == (0, "")
+    assert ready.calls() == []
 
 
 INSTALLS_A_BROWSER = """

@@ -1,0 +1,189 @@
+"""What a rig says and hears, on Eclipse Cyclone DDS; shares no code with the nodes.
+
+Nothing of ROS is here but the names and types on the wire.
+"""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+# On loopback, with peers found by unicast: nothing leaves the machine.
+os.environ.setdefault(
+    "CYCLONEDDS_URI",
+    "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo'/></Interfaces>"
+    "<AllowMulticast>spdp</AllowMulticast></General><Discovery><ParticipantIndex>auto"
+    "</ParticipantIndex><MaxAutoParticipantIndex>60</MaxAutoParticipantIndex>"
+    "<Peers><Peer Address='localhost'/></Peers></Discovery></Domain></CycloneDDS>",
+)
+
+try:
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.idl import IdlStruct
+    from cyclonedds.idl.types import array, float64, int8, int32, int64, sequence, uint32, uint64
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+    from cyclonedds.util import duration
+except ImportError as error:
+    raise SystemExit(f"rig: {error}: pip install cyclonedds") from None
+
+UNKNOWN = [-1.0] + [0.0] * 8  # covariance of what a sensor does not measure
+
+
+@dataclass
+class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+class MeasuredState(IdlStruct, typename="koop_msgs.msg.dds_.MeasuredState_"):
+    header: Header
+    step: uint64
+    lockstep: bool  # a rig waits for nobody: False
+    x: sequence[float64]
+
+
+@dataclass
+class ControlInput(IdlStruct, typename="koop_msgs.msg.dds_.ControlInput_"):
+    header: Header
+    step: uint64
+    theta: float64
+    epsilon: int8
+    cost_rise_filtered: float64
+    saturated: bool
+    holding: bool
+    swing: float64
+    gradient: float64
+    noise: float64
+    confidence: float64
+
+
+@dataclass
+class PlantTruth(IdlStruct, typename="koop_msgs.msg.dds_.PlantTruth_"):
+    header: Header
+    step: uint64
+    x: sequence[float64]
+    theta_applied: float64
+    theta_step: int64
+    epsilon0: float64
+
+
+@dataclass
+class Float64(IdlStruct, typename="std_msgs.msg.dds_.Float64_"):
+    data: float64
+
+
+@dataclass
+class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
+    x: float64
+    y: float64
+    z: float64
+
+
+@dataclass
+class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
+    x: float64
+    y: float64
+    z: float64
+    w: float64
+
+
+@dataclass
+class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
+    header: Header
+    orientation: Quaternion
+    orientation_covariance: array[float64, 9]
+    angular_velocity: Vector3
+    angular_velocity_covariance: array[float64, 9]
+    linear_acceleration: Vector3
+    linear_acceleration_covariance: array[float64, 9]
+
+
+@dataclass
+class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
+    header: Header
+    name: sequence[str]
+    position: sequence[float64]
+    velocity: sequence[float64]
+    effort: sequence[float64]
+
+
+def measured_state(header: Header, step: int, x: Sequence[float]) -> MeasuredState:
+    """Return a sample in the loop's own type."""
+    return MeasuredState(header, step, False, list(x))
+
+
+def imu(header: Header, step: int, x: Sequence[float]) -> Imu:
+    """Return rates [rad/s] and accelerations [m/s2] of a body, three each."""
+    rates, accelerations = Vector3(*x[:3]), Vector3(*x[3:])
+    level = Quaternion(0.0, 0.0, 0.0, 1.0)
+    return Imu(header, level, UNKNOWN, rates, [0.0] * 9, accelerations, [0.0] * 9)
+
+
+def joint_state(names: Sequence[str]) -> Callable[[Header, int, Sequence[float]], JointState]:
+    """Return what makes messages of values that have names."""
+    return lambda header, step, x: JointState(header, list(names), list(x), [], [])
+
+
+class Wire:
+    """Topics of one rig.
+
+    Parameters
+    ----------
+    state, theta : str
+        Topic of the measurements, and of the command.
+    kind : type
+        Of the measurements.
+    made : callable
+        Makes a message of header, step and values.
+    numbered : bool
+        Whether the command is a ControlInput, which says what step it answers; else a Float64.
+    """
+
+    def __init__(
+        self, state: str, theta: str, kind: type, made: Callable[..., Any], numbered: bool
+    ) -> None:
+        participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+        reliable = Policy.Reliability.Reliable(duration(seconds=1))
+        kept = Qos(reliable, Policy.History.KeepLast(1000))
+        newest = Qos(reliable, Policy.History.KeepLast(1))
+        self._states = DataWriter(participant, Topic(participant, "rt/" + state, kind), kept)
+        truth = Topic(participant, "rt/ground_truth", PlantTruth)
+        self._truths = DataWriter(participant, truth, kept)
+        command = Topic(participant, "rt/" + theta, ControlInput if numbered else Float64)
+        self._commands = DataReader(participant, command, newest)
+        self._made = made
+
+    @property
+    def readers(self) -> int:
+        """How many listen to the measurements."""
+        return len(self._states.get_matched_subscriptions())
+
+    def say(
+        self, stamp: int, step: int, x: Sequence[float], truth: Sequence[float], theta: float,
+        answered: int,
+    ) -> None:  # fmt: skip
+        """Publish one sample with its stamp [ns], and what is true of it."""
+        header = Header(Time(stamp // 10**9, stamp % 10**9), "rig")
+        self._states.write(self._made(header, step, x))
+        self._truths.write(PlantTruth(header, step, list(truth), theta, answered, math.nan))
+
+    def heard(self) -> list[tuple[float, int | None]]:
+        """Return the commands that came, each with the step that it answers if it says that."""
+        found: list[tuple[float, int | None]] = []
+        for sample in self._commands.take(N=100):
+            if isinstance(sample, ControlInput) and math.isfinite(sample.theta):
+                found.append((sample.theta, sample.step))
+            elif isinstance(sample, Float64) and math.isfinite(sample.data):
+                found.append((sample.data, None))
+        return found
