@@ -22,7 +22,6 @@ setup(
         "matplotlib",
         "mcap",
         "mcap-ros2-support",
-        "numba",
         "numpy",
         "scipy",
         "tqdm",

@@ -15,7 +15,6 @@ setup(
         "koopman_lifter",
         "relay_esc",
         "vdp_plant",
-        "numba",
         "numpy",
     ],
     extras_require={"test": ["pytest"]},

@@ -11,7 +11,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["PyYAML"],
+    install_requires=["PyYAML", "numba"],
     extras_require={"test": ["numpy", "pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",

@@ -20,7 +20,6 @@ setup(
         "relay_esc",
         "vdp_plant",
         "matplotlib",
-        "numba",
         "numpy",
         "PyYAML",
         "scipy",

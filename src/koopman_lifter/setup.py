@@ -11,7 +11,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["koop_node", "numba", "numpy", "scipy"],
+    install_requires=["koop_node", "numpy", "scipy"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",

@@ -49,7 +49,9 @@ def test_nodes_of_a_container_keep_names_parameters_and_lifecycle_and_end_apart(
 
 
 def test_the_end_of_one_ends_all_with_its_exit_code(start):
-    container = start("container", "-p", "koopman_lifter:model:=/nowhere.npz", "--", LOOP[1], LOOP[0])
+    container = start(
+        "container", "-p", "koopman_lifter:model:=/nowhere.npz", "--", LOOP[1], LOOP[0]
+    )
     assert container.process.wait(60.0) == 1
     assert "/nowhere.npz" in container.log.read_text()
 

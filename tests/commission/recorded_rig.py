@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
@@ -15,6 +14,7 @@ from koop_lab.identify.loaded import Loaded
 from koop_lab.identify.samples import StateSpec
 from koop_lab.tune import search
 from koop_node.arrival import Arrival
+from koop_node.kernels import njit
 from koop_study.family import oscillator
 from koop_study.family.config import FamilyConfig
 from koop_study.family.rig import draw
@@ -123,7 +123,7 @@ def damped(rig, found, seed, end):
     return ratio if p.sense > 0.0 else 1.0 / ratio
 
 
-@njit(cache=True)
+@njit()
 def _closed(p, source, lifting, work, detector, limits, command, state, noise):
     """Return the mean square of the amplitude over the second half."""
     x, square, seen, half = np.empty(p.offset.size), 0.0, cost.initial(), noise.shape[0] // 2

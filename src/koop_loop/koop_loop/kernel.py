@@ -12,17 +12,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_node import arrival
 from koop_node.arrival import Heard
+from koop_node.kernels import njit
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 
-classify = njit(cache=True)(arrival.classify)
+classify = njit()(arrival.classify)
 
 
 class Controller(NamedTuple):
@@ -53,7 +53,7 @@ class Memory(NamedTuple):
     relay: RelayState
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def control(
     source: int,
     lifting: Lifting,
@@ -109,7 +109,7 @@ def control(
     return r, detector, relay_state
 
 
-@njit(cache=True)
+@njit()
 def listen(
     steps: NDArray[np.int64], timeout: float, dt: float, heard: Heard, arrivals: NDArray[np.int8]
 ) -> Heard:

@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_loop.kernel import Controller, Memory, control
 from koop_node.arrival import Arrival
+from koop_node.kernels import njit
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
@@ -65,7 +65,7 @@ class LoopResult:
         return np.asarray(self.step * self.dt, dtype=np.float64)
 
 
-@njit(cache=True)
+@njit()
 def run_kernel(
     plant: PlantParams,
     controller: Controller,

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_node.config import parameter, validate
+from koop_node.kernels import njit
 from koopman_lifter.contrast import TrajectoryMoments, with_contrast
 from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram
@@ -42,7 +42,7 @@ class TrainingConfig:
         validate(self)
 
 
-@njit(cache=True)
+@njit()
 def trajectory_kernel(
     plant: PlantParams, x: float, y: float, theta: float, states: NDArray[np.float64]
 ) -> bool:

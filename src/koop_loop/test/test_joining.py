@@ -5,11 +5,11 @@ The figures of docs/theory.md: `./koop test src/koop_loop/test/test_joining.py -
 
 import numpy as np
 import pytest
-from numba import njit
 
 from koop_loop.kernel import Memory, control
 from koop_loop.loop import controller
 from koop_node.arrival import Arrival
+from koop_node.kernels import njit
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, shipped_model
 from koopman_lifter.model import load
@@ -25,7 +25,7 @@ SEEDS = 200
 WATCHED = 9000  # steps, 45 s, once theta moves again
 
 
-@njit
+@njit()
 def run(plant, p, memory, work, x, y, who, at, joins, theta):
     """Restart a node at a step; it joins the run, or behaves as if the run began with it."""
     source, lifting, detector_params, relay_params = p

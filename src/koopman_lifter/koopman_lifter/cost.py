@@ -33,10 +33,10 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_node.arrival import Arrival
+from koop_node.kernels import njit
 from koopman_lifter.observables import Monomials, lift_into
 
 RAW = 0
@@ -161,13 +161,13 @@ def detector_params(
     return DetectorParams(math.exp(-omega_h * dt), alpha_lp, y_max, settling, settled)
 
 
-@njit(cache=True)
+@njit()
 def initial() -> DetectorState:
     """Return the state before the first sample of a run."""
     return DetectorState(0.0, 0.0, 0.0, False, 0)
 
 
-@njit(cache=True)
+@njit()
 def joining(p: DetectorParams) -> DetectorState:
     """Return the state before the first sample of a run that is under way.
 
@@ -176,13 +176,13 @@ def joining(p: DetectorParams) -> DetectorState:
     return DetectorState(0.0, 0.0, 0.0, False, p.settling)
 
 
-@njit(cache=True)
+@njit()
 def resume(state: DetectorState) -> DetectorState:
     """Keep the filters over a silence, so that the next sample is not a jump."""
     return DetectorState(state.y_previous, state.y_hp, state.y_lp, False, state.settling)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def raw_energy(x: NDArray[np.float64]) -> float:
     """Return ||x||_2 / sqrt(n) of a state, shape (n,)."""
     total = 0.0
@@ -191,7 +191,7 @@ def raw_energy(x: NDArray[np.float64]) -> float:
     return math.sqrt(total / x.shape[0])
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def lifted_energy(lifting: Lifting, x: NDArray[np.float64], z: NDArray[np.float64]) -> float:
     """Return ||V_dom^+ g(X)||_2^2 of a state, shape (n,); ``z``, shape (p,), receives g(X)."""
     lift_into(lifting.parent, lifting.factor, x, z)
@@ -204,7 +204,7 @@ def lifted_energy(lifting: Lifting, x: NDArray[np.float64], z: NDArray[np.float6
     return total
 
 
-@njit(cache=True)
+@njit()
 def push(every: int, arrival: int, step: int, x: NDArray[np.float64], work: Workspace) -> bool:
     """Take a sample into the delay line; fill ``work.embedded`` and say whether it is complete."""
     ring, cursor = work.ring, work.cursor
@@ -238,7 +238,7 @@ def push(every: int, arrival: int, step: int, x: NDArray[np.float64], work: Work
     return True
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def energy(
     source: int,
     lifting: Lifting,
@@ -260,7 +260,7 @@ def energy(
     return math.nan, True
 
 
-@njit(cache=True)
+@njit()
 def detect(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float, DetectorState]:
     """Process one sample of the amplitude detector.
 
@@ -289,7 +289,7 @@ def detect(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float
     return max(y_lp, 0.0), DetectorState(y_out, y_hp, y_lp, True, state.settling)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def take(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float, DetectorState]:
     """Process an energy that may be unusable: above y_max, or r is not finite.
 
@@ -303,7 +303,7 @@ def take(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float, 
     return math.nan, resume(state)  # an infinite low-pass filter would stay so for ever
 
 
-@njit(cache=True)
+@njit()
 def settle(p: DetectorParams, before: DetectorState, after: DetectorState) -> DetectorState:
     """Count a sample of a detector that settles; with the last one, y_lp becomes a mean."""
     if not (before.primed and after.primed):  # no sample of the filters
@@ -313,7 +313,7 @@ def settle(p: DetectorParams, before: DetectorState, after: DetectorState) -> De
     return DetectorState(after.y_previous, after.y_hp, y_lp, True, settling)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def follow(
     p: DetectorParams, state: DetectorState, arrival: int, y_out: float
 ) -> tuple[float, DetectorState]:
@@ -352,7 +352,7 @@ def follow(
     return r, after
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def answer(
     source: int,
     lifting: Lifting,

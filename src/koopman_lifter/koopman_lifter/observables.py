@@ -11,8 +11,9 @@ from functools import cached_property
 from itertools import combinations_with_replacement
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from koop_node.kernels import njit
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class Monomials:
         return lifted
 
 
-@njit(cache=True, inline="always")  # see koopman_lifter.cost
+@njit(inline="always")  # see koopman_lifter.cost
 def lift_into(
     parent: NDArray[np.int64],
     factor: NDArray[np.int64],

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from koop_node.kernels import njit
 
 LN2_HIGH = 0.693147180369123816490  # the leading 32 bits of ln 2: times an exponent, exact
 LN2_LOW = 1.90821492927058770002e-10
@@ -16,7 +16,7 @@ INVERSE_LN2 = 1.4426950408889634
 LARGEST = 709.0  # exp of more is not a number of 64 bits
 
 
-@njit(cache=True)
+@njit()
 def log(x: float) -> float:
     """Return ln x of a finite x > 0, to a few units in the last place.
 
@@ -33,7 +33,7 @@ def log(x: float) -> float:
     return e * LN2_HIGH + (2.0 * (s + s * series) + e * LN2_LOW)
 
 
-@njit(cache=True)
+@njit()
 def exp(x: float) -> float:
     """Return e^x to a few units in the last place; x is kept within +-709.
 

@@ -23,9 +23,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
-
 from koop_node.arrival import Arrival
+from koop_node.kernels import njit
 from relay_esc.elementary import exp, log
 from relay_esc.swing import OPEN, Swing, confidence, follow, forget_leg, turn, widen
 
@@ -156,7 +155,7 @@ def insight(p: RelayParams, state: RelayState) -> tuple[float, float]:
     return state.swing.noise, confidence(state.swing, p.lost)
 
 
-@njit(cache=True)
+@njit()
 def hold(state: RelayState) -> RelayState:
     """Keep theta and the filter; the next cost is not a jump."""
     return RelayState(
@@ -172,7 +171,7 @@ def hold(state: RelayState) -> RelayState:
     )
 
 
-@njit(cache=True)
+@njit()
 def restart(state: RelayState, since_flip: int, swing: Swing) -> RelayState:
     """Keep theta and its direction; the filter is reset, the dwell time begins."""
     return RelayState(
@@ -180,7 +179,7 @@ def restart(state: RelayState, since_flip: int, swing: Swing) -> RelayState:
     )
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def take(p: RelayParams, state: RelayState, r: float) -> RelayState:
     """Take a usable cost into the filters; theta and the time since the flip stay."""
     swing = state.swing
@@ -197,7 +196,7 @@ def take(p: RelayParams, state: RelayState, r: float) -> RelayState:
     )
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
     """Process one cost sample.
 
@@ -244,13 +243,13 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
     )
 
 
-@njit(cache=True)
+@njit()
 def usable(p: RelayParams, r: float) -> bool:
     """Say whether a cost tells anything; 0 has no logarithm."""
     return math.isfinite(r) and (r > 0.0 or not p.adaptive)
 
 
-@njit(cache=True)
+@njit()
 def wait(p: RelayParams, state: RelayState, r: float) -> RelayState:
     """Feed the filter with one cost, which may be unusable, while theta is still held."""
     after = take(p, state, r) if usable(p, r) else hold(state)
@@ -267,7 +266,7 @@ def wait(p: RelayParams, state: RelayState, r: float) -> RelayState:
     )
 
 
-@njit(cache=True)
+@njit()
 def respond(
     p: RelayParams,
     state: RelayState,
@@ -305,7 +304,7 @@ def respond(
     return step(p, state, r), False
 
 
-@njit(cache=True, inline="always")  # the whole loop is 8 % faster for it
+@njit(inline="always")  # the whole loop is 8 % faster for it
 def answer(
     p: RelayParams,
     state: RelayState,
@@ -375,7 +374,7 @@ def answer(
     return state, holding, given <= p.u_min or given >= p.u_max
 
 
-@njit(cache=True)
+@njit()
 def theta_of(p: RelayParams, u: float) -> float:
     """Return theta = exp(u); at a limit that limit itself, and never beyond one by rounding."""
     if u == p.u_min:
@@ -388,7 +387,7 @@ def theta_of(p: RelayParams, u: float) -> float:
     return theta
 
 
-@njit(cache=True)
+@njit()
 def slew(theta: float, wanted: float, most: float) -> float:
     """Return ``wanted``, or as far from ``theta`` towards it as a change of ``most`` allows."""
     return min(max(wanted, theta - most), theta + most)

@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from numba import njit
+from koop_node.kernels import njit
 
 SHRINK = 0.7
 GROW = 2.0
@@ -93,7 +93,7 @@ OPEN = Swing(1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0)
 """Full step, nothing known; the relay of the paper never leaves it."""
 
 
-@njit(cache=True)
+@njit()
 def follow(swing: Swing, alpha: float, x: float) -> Swing:
     """Take one cost x = log r into the level."""
     first = swing.lowest == math.inf
@@ -113,7 +113,7 @@ def follow(swing: Swing, alpha: float, x: float) -> Swing:
     )
 
 
-@njit(cache=True)
+@njit()
 def forget_leg(swing: Swing) -> Swing:
     """Leave out what the cost did before a silence; the level begins with the next cost."""
     return Swing(
@@ -131,7 +131,7 @@ def forget_leg(swing: Swing) -> Swing:
     )
 
 
-@njit(cache=True)
+@njit()
 def widen(swing: Swing) -> Swing:
     """Double the step: the leg is long."""
     return Swing(
@@ -149,7 +149,7 @@ def widen(swing: Swing) -> Swing:
     )
 
 
-@njit(cache=True)
+@njit()
 def turn(swing: Swing, length: float, least: float, lost: float) -> Swing:
     """End a leg: judge what it showed and set the step of the next one.
 

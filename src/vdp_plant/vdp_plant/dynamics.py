@@ -17,8 +17,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from koop_node.kernels import njit
 
 RK4 = 0
 EULER = 1
@@ -48,19 +49,19 @@ class PlantParams(NamedTuple):
     theta_rate: float
 
 
-@njit(cache=True)
+@njit()
 def damping(p: PlantParams, t: float) -> float:
     """Return epsilon0(t) [-] at time ``t`` [s]."""
     return p.epsilon0 + p.epsilon0_drift * math.sin(p.drift_frequency * t)
 
 
-@njit(cache=True)
+@njit()
 def forcing(p: PlantParams, t: float) -> float:
     """Return f(t) [1/s^2] at time ``t`` [s]."""
     return p.forcing_amplitude * math.sin(p.forcing_frequency * t)
 
 
-@njit(cache=True)
+@njit()
 def acceleration(
     p: PlantParams, eps: float, force: float, x: float, y: float, theta: float
 ) -> float:
@@ -70,7 +71,7 @@ def acceleration(
     return -eps * (offset * offset - 1.0 - detuning * detuning) * y - p.mu * p.mu * offset + force
 
 
-@njit(cache=True)
+@njit()
 def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[float, float]:
     """Integrate the true state over one step, theta held: x(t_{k+1}) = Phi(x(t_k), theta).
 
@@ -118,7 +119,7 @@ def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[floa
     )
 
 
-@njit(cache=True)
+@njit()
 def actuate(p: PlantParams, applied: float, theta: float) -> float:
     """Return the theta that acts in the next step: within the actuator's bounds and rate.
 
@@ -138,7 +139,7 @@ def actuate(p: PlantParams, applied: float, theta: float) -> float:
     return min(max(theta, applied - most), applied + most)
 
 
-@njit(cache=True)
+@njit()
 def advance(
     p: PlantParams, k: int, x: float, y: float, applied: float, theta: float, displaced: float
 ) -> tuple[float, float, float]:
@@ -172,7 +173,7 @@ def advance(
     return x, y, applied
 
 
-@njit(cache=True)
+@njit()
 def interference(p: PlantParams, k: int) -> float:
     """Return i(t_k), which the sensor adds to every component of the state."""
     t = k * p.dt
@@ -183,7 +184,7 @@ def interference(p: PlantParams, k: int) -> float:
     )
 
 
-@njit(cache=True)
+@njit()
 def measure(p: PlantParams, k: int, x: float, y: float) -> tuple[float, float]:
     """Return the measured state x'(t_k) = x(t_k) + i(t_k), both components corrupted."""
     disturbance = interference(p, k)

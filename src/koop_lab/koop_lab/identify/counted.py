@@ -17,10 +17,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_lab.identify.samples import Batch
+from koop_node.kernels import njit
 
 LOOK = 50  # [samples] at least looked at before and after a long wait
 MOST = 10_000  # and at most: twice what a topic of the loop keeps for a link that was cut
@@ -99,7 +99,7 @@ class Count:
         return numbers[begin:]
 
 
-@njit(cache=True)
+@njit()
 def _number(
     times: NDArray[np.int64],
     numbers: NDArray[np.int64],

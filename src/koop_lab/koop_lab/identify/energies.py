@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_lab.identify.loaded import pieces
 from koop_node.arrival import Arrival
+from koop_node.kernels import njit
 from koopman_lifter import cost
 from koopman_lifter.cost import Lifting, Workspace
 from koopman_lifter.model import KoopmanModel
@@ -39,7 +39,7 @@ def energies(
     return y_out
 
 
-@njit(cache=True)
+@njit()
 def _energies(
     source: int,
     lifting: Lifting,

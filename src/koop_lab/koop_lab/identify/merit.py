@@ -18,12 +18,12 @@ import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.stats import norm, rankdata, spearmanr
 
 from koop_loop.oscillation import amplitude
 from koop_node.arrival import Arrival
+from koop_node.kernels import njit
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams
 
@@ -82,7 +82,7 @@ class Merit:
         return {**asdict(self), "theta_offset": self.theta_offset}
 
 
-@njit(cache=True)
+@njit()
 def _detected(
     p: DetectorParams, y_out: NDArray[np.float64], begins: NDArray[np.bool_], r: NDArray[np.float64]
 ) -> None:

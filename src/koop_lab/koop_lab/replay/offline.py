@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_lab.replay.plan import Plan
@@ -11,11 +10,12 @@ from koop_lab.replay.recording import Recording
 from koop_loop.kernel import Controller, Memory, control, listen
 from koop_loop.loop import controller
 from koop_node.arrival import NOTHING, Arrival
+from koop_node.kernels import njit
 from koopman_lifter import cost
 from koopman_lifter.cost import Workspace
 
 
-@njit(cache=True)
+@njit()
 def replay_kernel(
     p: Controller,
     memory: Memory,

@@ -18,7 +18,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.signal import lfilter
@@ -27,6 +26,7 @@ from koop_lab.identify.loaded import Loaded, pieces
 from koop_lab.tune.static_map import GRID, StaticMap
 from koop_lab.tune.stays import Scale, Stays
 from koop_node.arrival import Arrival
+from koop_node.kernels import njit
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams
 from relay_esc import relay
@@ -143,7 +143,7 @@ def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, 
     return Times(float(c[0]), float(np.clip(c[1], -2, 2)), float(np.clip(c[2], -1, 1)), middle)
 
 
-@njit(cache=True)
+@njit()
 def _rate(times: Times, dt: float, target: float, now: float) -> float:
     side = times.up if target > now else -times.up
     return 1.0 - math.exp(
@@ -151,7 +151,7 @@ def _rate(times: Times, dt: float, target: float, now: float) -> float:
     )
 
 
-@njit(cache=True)
+@njit()
 def _follow(
     target: NDArray[np.float64], begins: NDArray[np.bool_], dt: float, times: Times,
     found: NDArray[np.float64],
@@ -164,21 +164,21 @@ def _follow(
         found[k] = now
 
 
-@njit(cache=True)
+@njit()
 def _at(values: NDArray[np.float64], u: float) -> float:
     place = min(max(u, 0.0), 1.0) * (values.size - 1)
     i = min(int(place), values.size - 2)
     return values[i] + (place - i) * (values[i + 1] - values[i])
 
 
-@njit(cache=True)
+@njit()
 def _position(s: Surrogate, theta: float) -> float:
     if s.logarithmic:
         return math.log(theta / s.low) / math.log(s.high / s.low)
     return (theta - s.low) / (s.high - s.low)
 
 
-@njit(cache=True)
+@njit()
 def _nearest(u: NDArray[np.float64], x: float) -> int:
     best = 0
     for i in range(1, u.size):
@@ -187,7 +187,7 @@ def _nearest(u: NDArray[np.float64], x: float) -> int:
     return best
 
 
-@njit(cache=True)
+@njit()
 def _next_place(
     s: Surrogate, level: int, value: float, draws: NDArray[np.float64], number: int
 ) -> tuple[int, int]:
@@ -205,7 +205,7 @@ def _next_place(
     return piece, place
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def run(
     s: Surrogate,
     detector: DetectorParams,

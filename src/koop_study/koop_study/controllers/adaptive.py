@@ -15,10 +15,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from numba import njit
-
 from koop_node.arrival import Arrival
 from koop_node.config import parameter, validate
+from koop_node.kernels import njit
 from relay_esc.config import EscConfig
 from relay_esc.relay import dwell_samples
 
@@ -97,7 +96,7 @@ def _step(esc: EscConfig) -> float:
     return min(esc.step_size, esc.largest_change)
 
 
-@njit(cache=True)
+@njit()
 def step(p: AdaptiveParams, state: AdaptiveState, r: float) -> AdaptiveState:
     """Process one cost sample; ``theta`` of the returned state is the control input."""
     if not state.primed:
@@ -117,7 +116,7 @@ def step(p: AdaptiveParams, state: AdaptiveState, r: float) -> AdaptiveState:
     return AdaptiveState(theta, epsilon, size, rise, r, since_flip, True)
 
 
-@njit(cache=True)
+@njit()
 def answer(p: AdaptiveParams, state: AdaptiveState, arrival: int, r: float) -> AdaptiveState:
     """Answer one cost, whatever it is; hold where there is none, as the paper's relay does.
 

@@ -16,9 +16,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from numba import njit
-
 from koop_node.config import parameter, validate
+from koop_node.kernels import njit
 from relay_esc.config import EscConfig
 
 FLOOR = 1e-300  # keeps the logarithm of a cost of 0 finite; costs are far larger
@@ -84,7 +83,7 @@ def initial(esc: EscConfig) -> PerturbationState:
     return PerturbationState(esc.theta_initial, esc.theta_initial, 0.0, 0.0, 0)
 
 
-@njit(cache=True)
+@njit()
 def step(p: PerturbationParams, state: PerturbationState, r: float) -> PerturbationState:
     """Process one cost sample; ``theta`` of the returned state is the control input.
 

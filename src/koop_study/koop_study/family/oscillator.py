@@ -25,8 +25,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from koop_node.kernels import njit
 
 LIMIT_CYCLE = 0
 NOISE_DRIVEN = 1
@@ -114,7 +115,7 @@ class RigState(NamedTuple):
     im: float
 
 
-@njit(cache=True)
+@njit()
 def position(p: RigParams, theta: float) -> float:
     """Return u, the position of theta in its range, 0 to 1."""
     theta = min(max(theta, p.theta_min), p.theta_max)
@@ -123,7 +124,7 @@ def position(p: RigParams, theta: float) -> float:
     return (theta - p.theta_min) / (p.theta_max - p.theta_min)
 
 
-@njit(cache=True)
+@njit()
 def theta_at(p: RigParams, u: float) -> float:
     """Return theta at a position; the inverse of :func:`position`."""
     u = min(max(u, 0.0), 1.0)
@@ -134,7 +135,7 @@ def theta_at(p: RigParams, u: float) -> float:
     return min(max(theta, p.theta_min), p.theta_max)
 
 
-@njit(cache=True)
+@njit()
 def best_position(p: RigParams, t: float) -> float:
     """Return u* at a time [s]."""
     if p.drift == 0.0 and p.jump == 0.0:
@@ -145,7 +146,7 @@ def best_position(p: RigParams, t: float) -> float:
     return MARGIN + (way if way <= inside else 2.0 * inside - way) + jumped
 
 
-@njit(cache=True)
+@njit()
 def level(p: RigParams, u: float, t: float) -> float:
     """Return L, the root mean square of \\|z\\| that position u leads to at a time [s]."""
     if p.shape == FLAT:
@@ -159,7 +160,7 @@ def level(p: RigParams, u: float, t: float) -> float:
     return p.level * gain if p.sense > 0.0 else p.level / gain
 
 
-@njit(cache=True)
+@njit()
 def levels(p: RigParams, u: NDArray[np.float64], t: float) -> NDArray[np.float64]:
     """Return :func:`level` of positions, shape (M,)."""
     found = np.empty(u.shape[0])
@@ -168,13 +169,13 @@ def levels(p: RigParams, u: NDArray[np.float64], t: float) -> NDArray[np.float64
     return found
 
 
-@njit(cache=True)
+@njit()
 def relaxation(p: RigParams, settled: float) -> float:
     """Return tau [s] at the level ``settled``."""
     return min(max(p.tau * (settled / p.level) ** p.exponent, p.tau_low), p.tau_high)
 
 
-@njit(cache=True)
+@njit()
 def step(
     p: RigParams, state: RigState, k: int, theta: float, noise_1: float, noise_2: float
 ) -> RigState:
@@ -210,7 +211,7 @@ def step(
     return RigState(c * state.re - s * state.im, s * state.re + c * state.im)
 
 
-@njit(cache=True)
+@njit()
 def measure(
     p: RigParams,
     state: RigState,
@@ -231,7 +232,7 @@ def measure(
         x[i] = value + p.offset[i] + p.noise[i] * noise[i]
 
 
-@njit(cache=True)
+@njit()
 def run(
     p: RigParams,
     state: RigState,

@@ -12,14 +12,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from koop_node.kernels import njit
 
 ALPHA, OMEGA, K = range(3)
 POSITION, TIME = range(2)
 
 
-@njit(cache=True)
+@njit()
 def step(p: NDArray[np.float64], m: NDArray[np.float64], dt: float, cost: float) -> float:
     """Process one cost; ``p`` and ``m`` in the order of the module's names."""
     m[TIME] += dt

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from koop_node.kernels import njit
 
 HOLD, RESOLUTION = range(2)
 LOW, HIGH, LEFT, RIGHT, COST_LEFT, COST_RIGHT, STAGE, SINCE, TOTAL, COUNT = range(10)
@@ -20,7 +21,7 @@ RATIO = (math.sqrt(5.0) - 1.0) / 2.0
 FIRST, SECOND, NEW_LEFT, NEW_RIGHT, REST = 0.0, 1.0, 2.0, 3.0, 4.0  # what is being looked at
 
 
-@njit(cache=True)
+@njit()
 def step(p: NDArray[np.float64], m: NDArray[np.float64], dt: float, cost: float) -> float:
     """Process one cost; ``p`` and ``m`` in the order of the module's names."""
     if m[HIGH] == 0.0:

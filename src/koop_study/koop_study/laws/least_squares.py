@@ -16,14 +16,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from koop_node.kernels import njit
 
 A, OMEGA, GAIN, FORGETTING = range(4)
 CENTRE, TIME, U, N, S_U, S_UU, S_J, S_UJ = range(8)
 
 
-@njit(cache=True)
+@njit()
 def step(p: NDArray[np.float64], m: NDArray[np.float64], dt: float, cost: float) -> float:
     """Process one cost; ``p`` and ``m`` in the order of the module's names.
 

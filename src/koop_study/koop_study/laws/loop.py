@@ -16,11 +16,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_loop.kernel import classify
 from koop_node.arrival import NOTHING, Heard
+from koop_node.kernels import njit
 from koop_study.controllers import perturbation
 from koop_study.controllers.perturbation import PerturbationParams, PerturbationState
 from koop_study.family import oscillator
@@ -87,7 +87,7 @@ def memory(u: float) -> NDArray[np.float64]:
     return found
 
 
-@njit(cache=True)
+@njit()
 def answer(
     kind: int, p: NDArray[np.float64], m: NDArray[np.float64], dt: float, u: float, j: float
 ) -> float:
@@ -115,7 +115,7 @@ def answer(
     return u
 
 
-@njit(cache=True)
+@njit()
 def drive(
     is_rig: bool,
     plant: PlantParams,

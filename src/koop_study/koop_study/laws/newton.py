@@ -17,15 +17,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from koop_node.kernels import njit
 
 A, OMEGA, GAIN, OMEGA_W, OMEGA_G, OMEGA_R = range(6)
 CENTRE, SLOW, GRADIENT, HESSIAN, GAMMA, TIME = range(6)
 MOST = 1e3  # of gamma; where the map is flat it would grow for ever
 
 
-@njit(cache=True)
+@njit()
 def step(p: NDArray[np.float64], m: NDArray[np.float64], dt: float, cost: float) -> float:
     """Process one cost; ``p`` and ``m`` in the order of the module's names."""
     if m[TIME] == 0.0:

@@ -10,10 +10,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_loop.metrics import evaluate
+from koop_node.kernels import njit
 from koop_study.family import oscillator
 from koop_study.family.oscillator import RigParams
 from koop_study.laws import loop, outside
@@ -62,7 +62,7 @@ def run(plant: Setting, name: str, constants: Constants, rivals: str = "") -> Pa
     return path
 
 
-@njit(cache=True)
+@njit()
 def _beside(
     p: RigParams, theta: NDArray[np.float64], gain: NDArray[np.float64], u: NDArray[np.float64]
 ) -> None:

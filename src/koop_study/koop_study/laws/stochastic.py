@@ -14,15 +14,16 @@ ours. With one input nothing has to be told apart; what is left is that no cycle
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from koop_node.kernels import njit
 
 STEP, INTERVAL, SEED = range(3)
 POSITION, SINCE, EPSILON, LAST, TOTAL, COUNT, RANDOM = range(7)
 MODULUS, FACTOR = 2147483647.0, 48271.0  # Park and Miller 1988; exact in float64
 
 
-@njit(cache=True)
+@njit()
 def step(p: NDArray[np.float64], m: NDArray[np.float64], dt: float, cost: float) -> float:
     """Process one cost; ``p`` and ``m`` in the order of the module's names."""
     if m[RANDOM] == 0.0:

@@ -13,11 +13,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from koop_loop.kernel import classify
 from koop_node.arrival import NOTHING
+from koop_node.kernels import njit
 from koop_study.controllers import adaptive, perturbation
 from koop_study.controllers.adaptive import AdaptiveParams, AdaptiveState
 from koop_study.controllers.perturbation import PerturbationParams, PerturbationState
@@ -68,7 +68,7 @@ class Control(NamedTuple):
     perturbation_state: PerturbationState
 
 
-@njit(cache=True)
+@njit()
 def run_kernel(
     plant: PlantParams,
     sensing: Sensing,
