@@ -30,6 +30,7 @@ from types import FrameType
 from typing import Any
 
 from koop_msgs.msg import ControlInput, MeasuredState
+from rclpy.qos import QoSProfile
 
 from koop_lab.commission.leash import Leash, beyond, silence
 from koop_lab.commission.rig_file import THETA, RigFile
@@ -111,7 +112,8 @@ class Commander:
     def listen(self) -> None:
         """Begin to answer states."""
         self._heard = self._usable = self.since = time.monotonic()
-        qos = RELIABLE if self._own else BEST_EFFORT
+        # on a busy machine it answers the newest state, and leaves out what it cannot answer in time
+        qos = NEWEST if self._own else QoSProfile(depth=1, reliability=BEST_EFFORT.reliability)
         self._client.node.create_subscription(self._kind, self._source.topic, self._on_state, qos)
 
     def _on_state(self, message: Any) -> None:

@@ -326,9 +326,7 @@ class Excitation:
         """Go to a value and stay as long as it needs; None if the time is over."""
         state, rig, how = self._state, self._rig, self._state.how
         assert how is not None
-        value, hand = self._values[level], self._own.hand
-        hand.go(value)
-        self._own.until(lambda: hand.there)
+        self._own.go(self._values[level])
         begin = self._ears.count
         guide, seen = self._guide(), [visit.settled for visit in state.visits]
         length = how.length * rig.dt

@@ -103,6 +103,13 @@ class Session:
             self.client.spin(0.05)
             self._check()
 
+    def go(self, theta: float) -> None:
+        """Move theta, and wait until what is heard is of the time when it had arrived."""
+        self.hand.go(theta)
+        self.until(lambda: self.hand.there)
+        step = self.hand.step
+        self.until(lambda: self.ears.last is not None and self.ears.last.step >= step)
+
     def _check(self) -> None:
         now = time.monotonic()
         if now < self._beat + 0.1:

@@ -222,10 +222,8 @@ class Run:
         return bool(count and self._theta.samples(count - 1).x[0, 1] != 0.0)
 
     def _go(self, theta: float) -> None:
-        hand = self._own.hand
         self._what = f"to {theta:.4g}"
-        hand.go(theta)
-        self._own.until(lambda: hand.there)
+        self._own.go(theta)
 
     def _wait(self, count: int, what: str) -> None:
         """Wait for some states."""
