@@ -112,7 +112,7 @@ class Commander:
     def listen(self) -> None:
         """Begin to answer states."""
         self._heard = self._usable = self.since = time.monotonic()
-        # on a busy machine it answers the newest state, and leaves out what it cannot answer in time
+        # on a busy machine it answers the newest state, and leaves out what it has no time for
         qos = NEWEST if self._own else QoSProfile(depth=1, reliability=BEST_EFFORT.reliability)
         self._client.node.create_subscription(self._kind, self._source.topic, self._on_state, qos)
 

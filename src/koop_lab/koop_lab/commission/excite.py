@@ -8,7 +8,6 @@ import math
 import shutil
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +18,7 @@ from tqdm import tqdm
 from koop_bag.bag.columns import read_tables
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
-from koop_bag.errors import BagError
+from koop_bag.errors import BagError, DiskFullError
 from koop_bag.recorder.run_folder import default_folder
 from koop_lab.cli.table import table
 from koop_lab.commission import progress as progress_file
@@ -203,16 +202,37 @@ def refuse_small_disk(rig: RigFile, folder: Path, seconds: float) -> None:
 
 
 def mend(bag: Path) -> None:
-    """Make a whole bag of one that a full disk or a kill has torn; the torn one stays beside."""
-    with suppress(BagError):  # of one that never got a message
+    """Make a whole bag of one that a full disk or a kill has torn.
+
+    The torn one stays beside it if some of it could not be read.
+
+    Raises
+    ------
+    koop_node.errors.LiveError
+        If there is no room for that.
+    """
+    whole, torn = bag.with_name("bag-whole"), bag.with_name("bag-torn")
+    shutil.rmtree(whole, ignore_errors=True)  # of a mending that was stopped itself
+    if torn.exists() and not bag.exists():
+        torn.rename(bag)
+    try:
         with BagReader(bag) as reader:
-            complete = reader.complete
-        if not complete:
-            whole, torn = bag.with_name("bag-whole"), bag.with_name("bag-torn")
-            recover(bag, whole)
-            bag.rename(torn)
-            whole.rename(bag)
-            print(f"{bag} was torn: made whole, the torn one is {torn.name}")
+            if reader.complete:
+                return
+        found = recover(bag, whole)
+    except DiskFullError:
+        shutil.rmtree(whole, ignore_errors=True)
+        raise LiveError(
+            f"{bag} is torn, and there is no room to make it whole: make room"
+        ) from None
+    except BagError:
+        return  # of one that never got a message
+    bag.rename(torn)
+    whole.rename(bag)
+    kept = f"; what could not be read is in {torn.name}" if found.damaged_records else ""
+    if not kept:
+        shutil.rmtree(torn)
+    print(f"{bag} was torn: made whole, {found.messages} messages{kept}")
 
 
 def nodes_of(rig: RigFile, folder: Path) -> dict[str, dict[str, Any]]:
