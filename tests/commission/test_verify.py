@@ -1,0 +1,117 @@
+"""``koop verify`` and ``koop commission``: the loop is closed on a leash, whoever fails."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from commission_rig import BEST, DT, RIG
+from test_excite import TIMEOUT, assert_walked, wait, whole
+
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
+from koop_lab.cli.main import main
+from koop_lab.commission import progress, rig_file, staircase
+from koop_lab.commission.features import Bands
+from koop_lab.commission.staircase import Visit
+from koop_lab.commission.verify import CONTROLLER
+from koop_lab.live.up import file_of
+from koop_node import parameter_file
+from koop_node.config import ConfigError
+
+pytestmark = pytest.mark.ros
+LONG = 3.0 * TIMEOUT  # [s] for a command that starts four nodes on a busy machine
+ONE = replace(RIG, measured="/fast:data[0]", channel_max=(8.0,), theta_rate=4.0)
+VALUES = staircase.values(RIG.theta_min, RIG.theta_max)
+TUNED = {
+    "verdict": "tuned", "feature": "data[0]", "theta_best": BEST, "time": 0.2,
+    "windows": {"length": 50, "edges": [1, 3, 6, 10], "dt": DT, "feature": 0},
+    "static_map": {"theta": VALUES, "amplitude": [0.31 + (v - BEST) ** 2 for v in VALUES],
+                   "error": [0.01] * 9},
+    "predicted": {
+        "duration": 4.0, "runs": 64,
+        "converges": {"low": 0.5, "middle": 1.0, "high": 2.0},
+        "distance": {"low": 0.01, "middle": 0.05, "high": 0.1},
+        "excess": {"low": 1.0, "middle": 1.1, "high": 1.4},
+        "reduction": {"low": 2.5, "middle": 5.0, "high": 12.0},
+    },
+}  # fmt: skip
+CONSTANTS = {
+    "koopman_lifter": {
+        "cost": "raw", "dt": DT, "omega_h": 100.0, "omega_l": 20.0, "input_fields": ONE.measured,
+        "input_type": ONE.measured_type,
+    },
+    "relay_esc": {
+        "law": "adaptive", "dt": DT, "step_size": 0.008, "step_ratio": 0.1, "dwell": 0.2,
+        "tau_f": 0.2, "theta_min": -1.0, "theta_max": 2.0, "rate_limit": 4.0,
+        "theta_initial": 1.5, "command_topic": "/fast/knob",
+    },
+}  # fmt: skip
+
+
+@pytest.fixture
+def tuned(tmp_path):
+    """A folder in which all is done but the verification."""
+    folder = tmp_path / "run"
+    (folder / "tuned").mkdir(parents=True)
+    rig_file.write(ONE, tmp_path / "rig.yaml")
+    how = Bands(50, (1, 3, 6, 10), DT)
+    visits = [Visit(level, (0.0,) * 4, (0.1,) * 4, 0.2, 1.0) for level in [*range(9), *range(9)]]
+    progress.save(progress.Progress(0, how, visits, [], 9.0, [], True), ONE, folder)
+    progress.write_whole(folder / "commission.json", {"fit": True})
+    progress.write_whole(folder / "tuned/tune.json", TUNED)
+    parameter_file.write(CONSTANTS, folder / "tuned/controller.yaml")
+    return folder
+
+
+def test_the_loop_is_closed_on_a_leash_and_goes_on_where_it_was_stopped(
+    fast_rig, tuned, koop, tmp_path, capfd
+):
+    first = koop("verify", "rig.yaml", tuned)
+    wait(lambda: fast_rig.theta == -1.0, "theta at its start", first, LONG)
+    wait(lambda: fast_rig.theta > 0.0, "the closed loop", first)
+    first.kill()
+    wait(lambda: fast_rig.theta == ONE.theta_safe, "theta to come home")
+    first.communicate(timeout=TIMEOUT)
+    bag = tuned / "verify-1/start-1/bag"
+    wait(lambda: (bag / "metadata.yaml").exists(), "the bag to be closed")
+    whole(bag)
+
+    words = ["commission", str(tmp_path / "rig.yaml"), "--out", str(tuned)]
+    assert main(words) == 0
+    out = capfd.readouterr().out
+    assert "The rig is damped as predicted: ./koop up" in out
+    assert fast_rig.theta == ONE.theta_safe
+    assert_walked(fast_rig.moved, ONE)
+    found = json.loads((tuned / "verify.json").read_text())
+    (only,) = found["rounds"]
+    assert only["agrees"] is True
+    assert only["prediction"] == TUNED["predicted"]
+    assert [run["start"] for run in only["runs"]] == [-1.0, 2.0]
+    for run in only["runs"]:
+        assert abs(run["theta"] - BEST) < 0.3
+        # truth: the amplitude is 0.3 + (theta - 0.8)^2
+        truth = 0.3 + (run["start"] - BEST) ** 2
+        assert run["amplitude_before"] == pytest.approx(truth, rel=0.1)
+        theta, topics = whole(tuned / run["bag"])
+        assert {"/fast", "/fast/knob", "/state", "/cost", "/theta", CONTROLLER} <= topics
+        with BagReader(tuned / run["bag"]) as reader:
+            said = read_columns(reader, CONTROLLER, ["step", "theta"])
+        begin, end = run["closed"]["steps"]
+        both = np.intersect1d(theta["step"], said["step"])
+        both = both[(both > begin) & (both < end)]
+        assert both.size > 500
+        given, asked = (
+            {int(s): float(v) for s, v in zip(rows["step"], rows["theta"], strict=True)}
+            for rows in (theta, said)
+        )
+        assert all(given[int(s)] == asked[int(s)] for s in both)  # what it says, the rig gets
+    assert main(words) == 0  # all is done
+    assert found["verdict"] in capfd.readouterr().out
+
+
+def test_a_folder_is_run_by_its_name_and_may_be_moved(tuned, tmp_path):
+    for folder in (tuned, tuned / "tuned"):
+        assert file_of(folder)[0] == tuned / "tuned/controller.yaml"
+    with pytest.raises(ConfigError, match="koop tune first"):
+        file_of(tmp_path)
