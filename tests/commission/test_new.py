@@ -1,5 +1,6 @@
 """``koop commission --new``: answers piped in, on a graph with a rig and without one."""
 
+import itertools
 import re
 import subprocess
 import sys
@@ -21,10 +22,16 @@ def answered(path, answers):
 
 @pytest.fixture
 def rig(probe):
-    """A rig that says two numbers a message, without a stamp, and listens to a Float64."""
+    """A rig that says three numbers a message, without a stamp, and listens to a Float64.
+
+    The third one does not change.
+    """
     tower = probe.node.create_publisher(Float64MultiArray, "/tower", 10)
     probe.node.create_subscription(Float64, "/tower/stiffness", lambda message: None, 10)
-    probe.node.create_timer(0.01, lambda: tower.publish(Float64MultiArray(data=[0.5, -1.0])))
+    swing = itertools.cycle((0.5, -0.5))
+    probe.node.create_timer(
+        0.01, lambda: tower.publish(Float64MultiArray(data=[x := next(swing), -2.0 * x, 7.0]))
+    )
     over = threading.Event()
 
     def spin():
@@ -49,7 +56,8 @@ def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
     proposed = re.search(r"time between two messages \[s\] \[([\d.]+)\]", done.stdout)
     assert proposed
     assert 0.005 < float(proposed[1]) < 0.1  # of a timer, on a busy machine
-    assert "seen: data[0] 0.5 to 0.5, data[1] -1 to -1" in done.stdout
+    assert "numbers of a message that change: data[0],data[1]; 1 others do not" in done.stdout
+    assert "seen: data[0] -0.5 to 0.5, data[1] -1 to 1" in done.stdout
     assert f"now: ./koop check {path}" in done.stdout
 
 

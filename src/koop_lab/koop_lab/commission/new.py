@@ -19,6 +19,9 @@ from koop_node.alone import is_empty
 from koop_node.config import ConfigError, spec_of
 from koop_node.domain import current_domain
 from koop_node.fields import (
+    Path as Field,
+)
+from koop_node.fields import (
     check_fields,
     check_topic,
     check_type,
@@ -162,9 +165,12 @@ def _measured(dialogue: Dialogue, client: Any, topics: Sequence[Topic]) -> dict[
             _check_received(source.fields, message)
         return f"{topic}:{named(source.fields)}"
 
-    shown = f"numbers of a message: {named(fields)}" if fields else ""
+    moving = _moving(fields, _heard(client, topic, kind, fields) if fields else None)
+    offered, others = moving or fields, len(fields) - len(moving)
+    shown = f"numbers of a message{' that change' * bool(moving)}: {named(offered)}" * bool(fields)
+    shown += f"; {others} others do not change" * bool(moving and others)
     question = "fields that are the measured channels, separated by commas"
-    measured = dialogue.ask(question, named(fields[:FEWEST_CHANNELS]), taken, shown)
+    measured = dialogue.ask(question, named(offered[:FEWEST_CHANNELS]), taken, shown)
     return {"measured": measured, "measured_type": kind}
 
 
@@ -222,6 +228,16 @@ def _heard(client: Any, topic: str, kind: str, fields: Any) -> Samples | None:
         client.spin(0.05)
     ears.close()
     return ears.samples() if ears.count else None
+
+
+def _moving(fields: tuple[Field, ...], heard: Samples | None) -> tuple[Field, ...]:
+    """Return the fields that are not one and the same number: covariances and the like are."""
+    if heard is None:
+        return ()
+    columns = [x[np.isfinite(x)] for x in heard.x.T]
+    return tuple(
+        field for field, x in zip(fields, columns, strict=True) if x.size and np.ptp(x) > 0.0
+    )
 
 
 def _dt(heard: Samples | None) -> str:
