@@ -213,6 +213,15 @@ def test_limits_far_apart_are_a_geometric_series():
     assert np.diff(staircase.values(-0.5, 60.0)) == pytest.approx(60.5 / 8)
 
 
+def test_a_check_moves_theta_by_a_part_of_the_range_as_it_is_looked_at():
+    two = 2.0 * 120.0**0.25  # a quarter of the way from 0.5 to 60 by its logarithm
+    assert staircase.away(2.0, 0.5, 60.0, 0.25) == pytest.approx(two)
+    assert staircase.away(two, 0.5, 60.0, 0.25) == pytest.approx(2.0 * 120.0**0.5)
+    assert staircase.away(30.0, 0.5, 60.0, 0.25) == pytest.approx(30.0 / 120.0**0.25)
+    assert staircase.away(2.0, -1.0, 3.0, 0.25) == 1.0
+    assert staircase.away(0.5, 0.0, 3.0, 0.25) == 1.25
+
+
 def test_of_several_features_the_one_that_shows_theta_guides():
     visits = [Visit(i, (0.0, i * 0.5, i * 0.5), (0.1, 0.1, 3.0), 0.0, 1.0) for i in range(9)]
     assert staircase.clearest(visits, range(3)) == 1

@@ -40,6 +40,7 @@ from koop_lab.commission.reaction import (
     reaction_of_rests,
 )
 from koop_lab.commission.rig_file import RigFile, read
+from koop_lab.commission.staircase import away
 from koop_node.domain import current_domain
 from koop_node.errors import LiveError
 
@@ -267,8 +268,7 @@ def _moved(
 ) -> Iterator[Row]:
     """Move theta and yield whether anything reacted."""
     a = left_at(note, rig)
-    up = rig.theta_max - a >= a - rig.theta_min
-    b = a + QUARTER * rig.span * (1 if up else -1)
+    b = away(a, rig.theta_min, rig.theta_max, QUARTER)
     row = None
     with TemporaryDirectory() as folder, ExitStack() as stack:
         log = Path(folder) / "commander.log"

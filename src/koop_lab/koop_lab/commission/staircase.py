@@ -82,13 +82,31 @@ class Point(NamedTuple):
     visits: int
 
 
+def logarithmic(low: float, high: float) -> bool:
+    """Return whether theta is looked at by its logarithm: its limits are far apart by a factor."""
+    return low > 0.0 and high / low >= LOGARITHMIC
+
+
+def away(theta: float, low: float, high: float, share: float) -> float:
+    """Return the value that is a share of the range from theta, towards the end further off.
+
+    >>> away(1.0, 0.5, 8.0, 0.25), away(1.0, 0.5, 50.0, 0.5)
+    (2.875, 10.0)
+    """
+    if logarithmic(low, high):
+        up = high / theta >= theta / low
+        return theta * (high / low) ** (share if up else -share)
+    up = high - theta >= theta - low
+    return theta + share * (high - low) * (1 if up else -1)
+
+
 def values(low: float, high: float, count: int = LEVELS) -> list[float]:
     """Return the values of theta: evenly spaced, or by a factor where the limits are far apart.
 
     >>> values(0.5, 50.0, 3)
     [0.5, 5.0, 50.0]
     """
-    if low > 0.0 and high / low >= LOGARITHMIC:
+    if logarithmic(low, high):
         return [low * (high / low) ** (i / (count - 1)) for i in range(count - 1)] + [high]
     return [low + (high - low) * i / (count - 1) for i in range(count - 1)] + [high]
 

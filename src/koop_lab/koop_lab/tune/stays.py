@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from koop_lab.commission.features import Bands, features
-from koop_lab.commission.staircase import LOGARITHMIC, judge, static_map
 from koop_lab.commission.staircase import Visit as Seen
+from koop_lab.commission.staircase import judge, logarithmic, static_map
 from koop_lab.identify.loaded import Loaded, pieces
 
 FEWEST = 4  # windows of a stay
@@ -35,7 +35,7 @@ class Scale:
     @property
     def logarithmic(self) -> bool:
         """Whether it is that of log theta."""
-        return self.low > 0.0 and self.high / self.low >= LOGARITHMIC
+        return logarithmic(self.low, self.high)
 
     def u(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions."""
