@@ -340,6 +340,15 @@ def test_a_state_that_cannot_be_used_costs_nan_and_the_lifter_goes_on(lifter):
         assert len(good.model_id) == 12
 
 
+def test_bytes_that_are_no_state_are_dropped_and_the_lifter_goes_on(lifter, module_start):
+    before = lifter(0, x=[1.0, 2.0]).r
+    for data in (b"\0\1\0\0", b"\0\1\0\0" + b"\xff" * 60, b"\0\3\0\0" + b"\0" * 60):
+        lifter.publisher.publish(data)
+    assert lifter(1, x=[1.0, 2.0]).r < before or before == 0.0
+    log = module_start.running[0].log.read_text()
+    assert "'state': a MeasuredState " in log
+
+
 def test_a_repeated_step_gets_the_same_answer_and_moves_no_filter(lifter):
     first = [lifter(k, x=[float(k), 1.0]) for k in range(5)]
     again = lifter(4, x=[99.0, 99.0])

@@ -77,11 +77,17 @@ def start_reference(start, probe, states):
     return answers
 
 
-@pytest.mark.parametrize(("kind", "field"), [("Float64", "data"), ("Float64MultiArray", "data[1]")])
-def test_the_controller_also_speaks_a_plain_number(start, probe, kind, field):
-    start("relay_esc", command_topic="/rig/theta", command_type=f"std_msgs/msg/{kind}",
-          command_field=field)  # fmt: skip
-    message = message_type(f"std_msgs/msg/{kind}")
+@pytest.mark.parametrize(
+    ("kind", "field"),
+    [
+        ("std_msgs/msg/Float64", "data"),
+        ("std_msgs/msg/Float64MultiArray", "data[1]"),
+        ("koop_msgs/msg/ControlInput", "theta"),
+    ],
+)
+def test_the_controller_also_speaks_what_the_rig_takes(start, probe, kind, field):
+    start("relay_esc", command_topic="/rig/theta", command_type=kind, command_field=field)
+    message = message_type(kind)
     numbers = probe.collect(message, "/rig/theta")  # nobody listens to 'theta'
     cost = probe.publisher(Cost, "cost")
     for k in range(3):

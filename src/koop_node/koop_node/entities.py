@@ -18,6 +18,8 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
+from koop_node.wire import WireError, codec
+
 PATIENCE = 0.5  # [s] that the last messages may take to arrive
 LOOK_PERIOD = 0.05  # [s] between looks for subscribers
 
@@ -41,6 +43,26 @@ class WithoutEvents(Node):
             "event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False)
         )
         return super().create_subscription(*args, **options)
+
+
+class Writer:
+    """Publishes messages of one type without rclpy's conversion.
+
+    Parameters
+    ----------
+    publisher : rclpy.publisher.Publisher
+        On which they go; matching and acknowledgement are asked of it.
+    kind : type
+        Message class.
+    """
+
+    def __init__(self, publisher: Publisher, kind: Any) -> None:
+        self.publisher = publisher
+        self._encode = codec(kind).encode
+
+    def publish(self, message: Any) -> None:
+        """Publish a message, of the codec or of the message class."""
+        self.publisher.publish(self._encode(message))
 
 
 class Entities:
@@ -69,6 +91,30 @@ class Entities:
         self._stack.callback(self._node.destroy_publisher, made)
         return made
 
+    def writer(self, kind: Any, topic: str, qos: QoSProfile) -> Writer:
+        """Create a publisher of messages that are encoded here; see :mod:`koop_node.wire`."""
+        return Writer(self.publisher(kind, topic, qos), kind)
+
+    def reader(
+        self, kind: Any, topic: str, callback: Callable[[Any, float], None], qos: QoSProfile
+    ) -> Subscription:
+        """Create a subscription whose messages are decoded here; see :mod:`koop_node.wire`.
+
+        The callback also gets when a message was written, as of :meth:`dated_subscription`. One
+        that cannot be decoded is reported and goes no further.
+        """
+        decode, logger = codec(kind).decode, self._node.get_logger()
+
+        def take(data: bytes, written: float) -> None:
+            try:
+                message = decode(data)
+            except WireError as error:
+                logger.error(f"'{topic}': {error}", throttle_duration_sec=1.0)
+                return
+            callback(message, written)
+
+        return self._dated(kind, topic, take, qos, True)
+
     def subscription(
         self,
         kind: Any,
@@ -92,7 +138,16 @@ class Entities:
 
         That is a time on the clock of the writer's host [s], which every DDS sends along.
         """
+        return self._dated(kind, topic, callback, qos, False)
 
+    def _dated(
+        self,
+        kind: Any,
+        topic: str,
+        callback: Callable[[Any, float], None],
+        qos: QoSProfile,
+        raw: bool,
+    ) -> Subscription:
         def deliver(*given: Any) -> None:
             # the EventsExecutor of rclpy 7.1 gives message and info as one tuple
             message, info = given if len(given) == 2 else given[0]
@@ -100,7 +155,7 @@ class Entities:
                 callback(message, info["source_timestamp"] * 1e-9)
 
         deliver.__signature__ = _TWO  # type: ignore[attr-defined]  # what rclpy goes by
-        return self._subscription(kind, topic, deliver, qos, False)
+        return self._subscription(kind, topic, deliver, qos, raw)
 
     def service(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> Service:
         """Create a service."""

@@ -11,17 +11,18 @@ from typing import Any
 import numpy as np
 from koop_msgs.msg import Cost, MeasuredState
 from numpy.typing import NDArray
-from rclpy.publisher import Publisher
 
 from koop_node.adapter import StateAdapter
 from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
+from koop_node.entities import Writer
 from koop_node.fields import Source, check_fields
 from koop_node.main import run
 from koop_node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.qos import BEST_EFFORT, RELIABLE
 from koop_node.stamps import classify
 from koop_node.stream import StreamMonitor
+from koop_node.wire import codec
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load_fitting, load_for
@@ -45,7 +46,7 @@ class Foreign:
         self.type = message_type(config.input_type)
         check_fields(source.fields, self.type())
         self.adapter = StateAdapter(source, config.dt)
-        self.publisher: Publisher | None = None  # of 'state', while the node is active
+        self.publisher: Writer | None = None  # of 'state', while the node is active
         self._early = self._taken = 0
 
     def convert(self, message: Any) -> MeasuredState:
@@ -77,26 +78,26 @@ class LifterRun(Run):
         self._candidate: KoopmanModel | None = None
         self._use(load_for(config, node.parameters[ModelConfig], self._seen))
         self._state = cost.initial()
-        self._answer = Cost()
+        self._answer = codec(Cost).new()
         self._source, self._detector = config.source, config.detector_params()
         self._topic = config.foreign.topic if config.foreign is not None else "state"
         self._input = StreamMonitor(self._topic, config.state_timeout, config.dt, may_end=True)
         self.inputs = (self._input,)
-        self._publisher: Publisher | None = None
+        self._publisher: Writer | None = None
         self._compile()
 
     def activate(self, entities: Entities) -> None:
         recorders = self._node.parameters[NodeConfig].recorders
-        publisher = self._publisher = entities.publisher(Cost, "cost", RELIABLE)
-        needed = {publisher: 1 + recorders}
+        writer = self._publisher = entities.writer(Cost, "cost", RELIABLE)
+        needed = {writer.publisher: 1 + recorders}
         foreign = self._foreign
         if foreign is not None:
-            foreign.publisher = entities.publisher(MeasuredState, "state", RELIABLE)
-            needed[foreign.publisher] = recorders
+            foreign.publisher = entities.writer(MeasuredState, "state", RELIABLE)
+            needed[foreign.publisher.publisher] = recorders
 
         def listen() -> None:
             if foreign is None:
-                entities.dated_subscription(MeasuredState, "state", self._on_state, RELIABLE)
+                entities.reader(MeasuredState, "state", self._on_state, RELIABLE)
             else:
                 own = foreign.type is MeasuredState
                 qos = RELIABLE if own else BEST_EFFORT
@@ -150,7 +151,7 @@ class LifterRun(Run):
         if self._foreign is not None:
             self._on_state(self._foreign.convert(message), written)
 
-    def _on_state(self, state: MeasuredState, written: float) -> None:
+    def _on_state(self, state: Any, written: float) -> None:
         arrival = classify(self._input, state, written)
         if arrival >= Arrival.LATE or self._publisher is None:
             return
@@ -158,7 +159,7 @@ class LifterRun(Run):
             self._process(state, arrival)
         self._publisher.publish(self._answer)
 
-    def _process(self, state: MeasuredState, arrival: Arrival) -> None:
+    def _process(self, state: Any, arrival: Arrival) -> None:
         answer = self._answer
         answer.header = state.header
         answer.step = state.step

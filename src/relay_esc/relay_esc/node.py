@@ -13,12 +13,14 @@ from std_srvs.srv import SetBool, Trigger
 
 from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
+from koop_node.entities import Writer
 from koop_node.fields import check_fields, parse_field, write_field
 from koop_node.main import run
 from koop_node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.qos import NEWEST, RELIABLE
 from koop_node.stamps import classify
 from koop_node.stream import StreamMonitor
+from koop_node.wire import codec
 from relay_esc import relay
 from relay_esc.config import EscConfig
 
@@ -31,18 +33,20 @@ class EscRun(Run):
         self._node = node
         self._params = config.params()
         self._state = config.initial()
-        self._answer = ControlInput(theta=self._state.output)
+        self._answer = codec(ControlInput).new()
+        self._answer.theta = self._state.output
         self._input = StreamMonitor("cost", config.cost_timeout, config.dt, may_end=True)
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
         self._hold_asked = False
-        self._publisher: Publisher | None = None
-        self._command: Publisher | None = None
-        self._own: Any = None  # the message of command_topic
+        self._publisher: Writer | None = None
+        self._command: Publisher | Writer | None = None
+        self._own: Any = None  # the message of command_topic, unless that is the answer itself
         self._field = parse_field(config.command_field)
         if config.command_topic:
-            self._own = message_type(config.command_type)()
-            check_fields((self._field,), self._own)
+            message = message_type(config.command_type)()
+            check_fields((self._field,), message)
+            self._own = None if isinstance(message, ControlInput) else message
         _compile(config)
         entities.service(Trigger, "~/reset", self._on_reset)
         entities.service(SetBool, "~/hold", self._on_hold)
@@ -50,14 +54,18 @@ class EscRun(Run):
     def activate(self, entities: Entities) -> None:
         recorders = self._node.parameters[NodeConfig].recorders
         topic = self._node.parameters[EscConfig].command_topic
-        publisher = self._publisher = entities.publisher(ControlInput, "theta", RELIABLE)
+        writer = self._publisher = entities.writer(ControlInput, "theta", RELIABLE)
         if topic:  # the rig listens there, and to nothing else
-            self._command = entities.publisher(type(self._own), topic, NEWEST)
-            needed = {self._command: 1, publisher: recorders}
+            if self._own is None:
+                self._command = entities.writer(ControlInput, topic, NEWEST)
+                command = self._command.publisher
+            else:
+                command = self._command = entities.publisher(type(self._own), topic, NEWEST)
+            needed = {command: 1, writer.publisher: recorders}
         else:
-            needed = {publisher: 1 + recorders}
+            needed = {writer.publisher: 1 + recorders}
         entities.when_matched(
-            needed, lambda: entities.dated_subscription(Cost, "cost", self._on_cost, RELIABLE)
+            needed, lambda: entities.reader(Cost, "cost", self._on_cost, RELIABLE)
         )
 
     def deactivate(self) -> None:
@@ -92,21 +100,20 @@ class EscRun(Run):
             return WARN, f"joined a run: holding theta, seeking in {wait:.1f} s", values
         return (WARN, "holding theta", values) if answer.holding else (OK, "seeking", values)
 
-    def _on_cost(self, cost: Cost, written: float) -> None:
+    def _on_cost(self, cost: Any, written: float) -> None:
         arrival = classify(self._input, cost, written)
         if arrival >= Arrival.LATE or self._publisher is None:
             return
         if arrival is not Arrival.REPEAT:  # else asked again: the same answer, no second update
             self._process(cost, arrival)
         self._publisher.publish(self._answer)
-        if isinstance(self._own, ControlInput):
-            self._own = self._answer
-        elif self._command is not None:
+        if self._command is None:
+            return
+        if self._own is not None:
             write_field(self._field, self._own, self._answer.theta)
-        if self._command is not None:
-            self._command.publish(self._own)
+        self._command.publish(self._answer if self._own is None else self._own)
 
-    def _process(self, cost: Cost, arrival: Arrival) -> None:
+    def _process(self, cost: Any, arrival: Arrival) -> None:
         origin = (cost.source, cost.model_id)
         switched, self._origin = origin != self._origin, origin
         answer = self._answer

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from array import array
 from collections.abc import Mapping
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from koop_msgs.msg import ControlInput, MeasuredState, PlantTruth
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Header
 
 from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
@@ -20,6 +19,7 @@ from koop_node.managed import OK, Entities, ManagedNode, Run
 from koop_node.qos import RELIABLE
 from koop_node.stamps import to_seconds, to_stamp
 from koop_node.stream import StreamMonitor
+from koop_node.wire import codec
 from vdp_plant import dynamics
 from vdp_plant.config import PaceConfig, PlantConfig
 from vdp_plant.pacing import SentStates
@@ -29,8 +29,8 @@ class Outlets:
     """What an active plant publishes on."""
 
     def __init__(self, entities: Entities, publish_clock: bool) -> None:
-        self.state = entities.publisher(MeasuredState, "state", RELIABLE)
-        self.ground_truth = entities.publisher(PlantTruth, "ground_truth", RELIABLE)
+        self.state = entities.writer(MeasuredState, "state", RELIABLE)
+        self.ground_truth = entities.writer(PlantTruth, "ground_truth", RELIABLE)
         self.clock: Publisher | None = (
             entities.publisher(Clock, "/clock", RELIABLE) if publish_clock else None
         )
@@ -59,7 +59,9 @@ class PlantRun(Run):
         self._sent = SentStates(pace.period(config.dt))
         self._round_trip = math.nan
         self.late = 0
-        self._state_message, self._ground_truth_message = MeasuredState(), PlantTruth()
+        self._state_message = codec(MeasuredState).new()
+        self._ground_truth_message = codec(PlantTruth).new()
+        self._ground_truth_message.header = self._state_message.header
         self._outlets: Outlets | None = None
         """There while the node is active."""
         self._connected = False
@@ -68,7 +70,10 @@ class PlantRun(Run):
     def activate(self, entities: Entities) -> None:
         outlets = Outlets(entities, self._node.parameters[PaceConfig].publish_clock)
         recorders = self._node.parameters[NodeConfig].recorders
-        needed = {outlets.state: 1 + recorders, outlets.ground_truth: recorders}
+        needed = {
+            outlets.state.publisher: 1 + recorders,
+            outlets.ground_truth.publisher: recorders,
+        }
 
         def start() -> None:
             self._connected = True
@@ -76,7 +81,7 @@ class PlantRun(Run):
             self.start(entities)
 
         self._outlets = outlets
-        entities.subscription(ControlInput, "theta", self.on_theta, self.theta_qos)
+        entities.reader(ControlInput, "theta", self.on_theta, self.theta_qos)
         entities.when_matched(needed, start)
 
     def deactivate(self) -> None:
@@ -86,7 +91,7 @@ class PlantRun(Run):
         """Begin, or go on after a pause: all who listen are there."""
         raise NotImplementedError
 
-    def on_theta(self, message: ControlInput) -> None:
+    def on_theta(self, message: Any, written: float) -> None:
         """Take a control input."""
         raise NotImplementedError
 
@@ -125,17 +130,15 @@ class PlantRun(Run):
             )
             self._node.finish(1)
             return
-        header = Header(stamp=self._stamp(k))
         state = self._state_message
-        state.header = header
+        state.header.stamp = self._stamp(k)
         state.step = k
-        state.x = array("d", dynamics.measure(params, k, x, y))
+        state.x = dynamics.measure(params, k, x, y)
         self._sent.send(k, time.monotonic())
         outlets.state.publish(state)
         ground_truth = self._ground_truth_message
-        ground_truth.header = header
         ground_truth.step = k
-        ground_truth.x = array("d", (x, y))
+        ground_truth.x = (x, y)
         ground_truth.theta_applied = self._theta_applied
         ground_truth.theta_step = self._theta_step
         ground_truth.epsilon0 = dynamics.damping(params, k * params.dt)
@@ -160,12 +163,12 @@ class PlantRun(Run):
 
     def _end(self) -> None:
         assert self._outlets is not None
-        for publisher in (self._outlets.state, self._outlets.ground_truth):
-            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        for writer in (self._outlets.state, self._outlets.ground_truth):
+            writer.publisher.wait_for_all_acked(Duration(seconds=1.0))
         self._node.get_logger().info(f"done: {self._k} steps, {self.late} late ticks")
         self._node.finish(0)
 
-    def _usable(self, message: ControlInput) -> bool:
+    def _usable(self, message: Any) -> bool:
         """Return whether a theta may be applied."""
         step, now = message.step, time.monotonic()
         if not math.isfinite(message.theta):

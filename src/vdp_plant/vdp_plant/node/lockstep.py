@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from typing import Any
 
-from koop_msgs.msg import ControlInput, Cost
+from koop_msgs.msg import Cost
 
 from koop_node.managed import ERROR, OK, Entities, ManagedNode
 from koop_node.qos import RELIABLE
@@ -57,7 +58,7 @@ class LockstepRun(PlantRun):
             self._sent.send(self._k, time.monotonic())
             self._outlets.state.publish(self._state_message)
 
-    def on_theta(self, message: ControlInput) -> None:
+    def on_theta(self, message: Any, written: float) -> None:
         if message.step != self._k or not self._question.open or not self._usable(message):
             return
         self._theta = message.theta
@@ -96,5 +97,5 @@ class LockstepRun(PlantRun):
             self._probe = None
 
     def _silent_node(self) -> str:
-        listeners = self._outlets.state.get_subscription_count() if self._outlets else 0
+        listeners = self._outlets.state.publisher.get_subscription_count() if self._outlets else 0
         return silent_node(self._k, self._cost_seen, listeners)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from typing import Any
 
-from koop_msgs.msg import ControlInput
 from rclpy.timer import Timer
 
 from koop_node.managed import OK, WARN, Entities, ManagedNode
@@ -58,6 +58,6 @@ class TimedRun(PlantRun):
         if self._node.exit_code is not None and self._timer is not None:
             self._timer.cancel()
 
-    def on_theta(self, message: ControlInput) -> None:
+    def on_theta(self, message: Any, written: float) -> None:
         if self._usable(message):
             self._theta, self._answered = message.theta, message.step
