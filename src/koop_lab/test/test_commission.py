@@ -9,13 +9,14 @@ import pytest
 
 from koop_lab.commission import check, progress, staircase
 from koop_lab.commission.channels import channel, lines, strongest_period
-from koop_lab.commission.ears import Samples
+from koop_lab.commission.ears import Samples, refuse_dead
 from koop_lab.commission.features import Bands, bands, features
 from koop_lab.commission.leash import Leash, beyond
 from koop_lab.commission.reaction import order, reaction, reaction_of_rests
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.commission.staircase import Visit
 from koop_node.config import ConfigError
+from koop_node.errors import LiveError
 
 DT = 0.01
 T = np.arange(6000) * DT
@@ -51,6 +52,15 @@ def test_a_channel_that_says_nothing_or_rests_is_seen():
     assert channel(np.full(100, math.nan)).dead
     assert channel(np.r_[x[:3000], np.full(3000, x[2999])]).held == pytest.approx(0.5, abs=0.01)
     assert channel(np.where(T < 6.0, math.nan, x)).bad == pytest.approx(0.1)
+
+
+def test_a_sensor_that_dies_is_named_and_one_that_misses_samples_is_not():
+    x = np.column_stack([np.sin(T), np.where(T < 30.0, np.cos(T), math.nan)])
+    refuse_dead(RIG.names, x)
+    with pytest.raises(LiveError, match="y is not a number any more: dead sensor"):
+        refuse_dead(RIG.names, x[T > 31.0])
+    with pytest.raises(LiveError, match=r"x is 0.5 and does not change: dead sensor"):
+        refuse_dead(RIG.names, np.column_stack([np.full(50, 0.5), x[:50, 1]]))
 
 
 def test_features_are_the_logarithms_of_amplitudes_in_all_and_in_bands():

@@ -6,15 +6,19 @@ is imported only when one is made, so that what can do without ROS does.
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
-from collections.abc import Callable, Mapping
-from types import TracebackType
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
 from koop_node.errors import LiveError
 from koop_node.question import Question
 
 ANSWER = 5.0  # [s] for a node to answer a call
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 Found = TypeVar("Found")
 Own = TypeVar("Own", bound="Client")
 
@@ -64,8 +68,12 @@ class Client:
         self._context.try_shutdown()
 
     def spin(self, seconds: float) -> None:
-        """Wait for an event, no longer than a time, and process it."""
-        self._executor.spin_once(timeout_sec=seconds)
+        """Wait for an event, no longer than a time, and process it.
+
+        Ctrl-C and its like come after that: within a callback, rclpy would print where it was.
+        """
+        with _after():
+            self._executor.spin_once(timeout_sec=seconds)
 
     def wait_for(
         self,
@@ -178,3 +186,24 @@ class Client:
     def count_publishers(self, topic: str) -> int:
         """Return how many publishers of a topic are on this domain."""
         return int(self.node.count_publishers(topic))
+
+
+@contextmanager
+def _after() -> Iterator[None]:
+    """Let the handlers of signals that end a program run at the end of the context."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    before = {number: signal.signal(number, lambda *it: came.append(it)) for number in ENDS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for came_number, frame in came:
+        handler = before[signal.Signals(came_number)]
+        if callable(handler):
+            handler(came_number, frame)
+        elif handler == signal.SIG_DFL:
+            signal.raise_signal(came_number)

@@ -103,7 +103,7 @@ class Commander:
         self.following, self._answered, self._last = False, math.inf, -1
         self._follows = str(given["follows"])
         if self._follows:
-            node.create_subscription(ControlInput, self._follows, self._on_answer, RELIABLE)
+            node.create_subscription(ControlInput, self._follows, self._on_answer, NEWEST)
 
     def matched(self) -> bool:
         """Return whether all that must listen do."""
