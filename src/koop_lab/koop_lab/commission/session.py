@@ -101,7 +101,7 @@ class Session:
         """
         while not condition():
             self.client.spin(0.05)
-            self._check()
+            self.check()
 
     def go(self, theta: float) -> None:
         """Move theta, and wait until what is heard is of the time when it had arrived."""
@@ -110,7 +110,8 @@ class Session:
         step = self.hand.step
         self.until(lambda: self.ears.last is not None and self.ears.last.step >= step)
 
-    def _check(self) -> None:
+    def check(self) -> None:
+        """Look after the rig, ten times a second at most; raise as :meth:`until` does."""
         now = time.monotonic()
         if now < self._beat + 0.1:
             return

@@ -192,14 +192,14 @@ class Run:
         """Drive theta to a start, close the loop, hold theta where it ended, and measure."""
         own, aim, rig = self._own, self._aim, self._rig
         rest = BEFORE * aim.how.length
-        own.client.change_state(f"/{ESC}", "configure", START_TIMEOUT, own.check_nodes)
+        own.client.change_state(f"/{ESC}", "configure", START_TIMEOUT, own.check)
         self._go(start)
         self._wait(math.ceil(settle / rig.dt), "settling")
         begin = self._ears.count
         self._wait(rest, "before")
         before = self._ears.samples(begin, begin + rest).x
         own.hand.follow()
-        own.client.change_state(f"/{ESC}", "activate", START_TIMEOUT, own.check_nodes)
+        own.client.change_state(f"/{ESC}", "activate", START_TIMEOUT, own.check)
         own.until(self._answered)
         closed, first = self._ears.count, self._theta.count
         self._wait(math.ceil(aim.duration / rig.dt), "closed loop")
@@ -209,7 +209,7 @@ class Run:
         # theta rests where the loop ended: what is learned from a recording is learned from rests
         self._go(found.theta)
         self._wait(rest, "rest")
-        own.client.change_state(f"/{ESC}", "deactivate", START_TIMEOUT, own.check_nodes)
+        own.client.change_state(f"/{ESC}", "deactivate", START_TIMEOUT, own.check)
         self._bar.close()
         return {
             **asdict(found),
