@@ -154,7 +154,7 @@ class Commander:
     def follow(self) -> None:
         """Let the controller move theta, which is where that one begins."""
         self.following, self._last = True, -1
-        self._answered = time.monotonic() + LISTENERS - self._silence
+        self._answered = time.monotonic() + HANG - self._silence
 
     def go(self, target: float) -> None:
         """Move theta to a target, once the rig hears."""
