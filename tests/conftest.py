@@ -1,8 +1,9 @@
-"""What the tests on real nodes share: processes that end, a probe."""
+"""What the tests share: processes that end, a probe; their helpers can be imported."""
 
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,8 @@ import pytest
 
 from koop_lab.live.process import NodeProcess
 from koop_node.question import Question
+
+sys.path.insert(0, str(Path(__file__).parent))  # for browser.py
 
 TIMEOUT = (
     30.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well

@@ -6,7 +6,10 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"koop_lab.cli": ["commands.txt"]},
+    package_data={
+        "koop_lab.cli": ["commands.txt"],
+        "koop_lab.page": ["page.js", "page.css", "vendor/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),

@@ -5,23 +5,21 @@ from __future__ import annotations
 import csv
 import fcntl
 import html
-import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
+from browser import browse
 
+from koop_lab.page.document import Figure, Heat, Panel, Section, Series
 from koop_study.experiments import stats
 from koop_study.experiments.kinds import read, read_folder
 from koop_study.report import publish, summary
-from koop_study.report.document import Figure, Heat, Panel, Section, Series
 from koop_study.report.page import render
 from koop_study.simulation.work import runs
 from koop_study.workers.runner import run_all
@@ -35,7 +33,6 @@ SMALL = {
     "training.duration": 5,
     "plant.drift_frequency": 0.1,
 }
-FRAME = Path(__file__).with_name("frame.html")
 
 
 @dataclass(frozen=True)
@@ -211,27 +208,3 @@ def test_a_readmes_block_is_rewritten_and_the_rest_left_alone() -> None:
 def test_a_readme_without_markers_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="needs one"):
         publish.rewrite_block(text, "new")
-
-
-def browse(
-    page: str, width: int, folder: Path, dark: bool = False
-) -> tuple[dict[str, Any], list[str]]:
-    """Open a page in headless Chromium in a frame of ``width``; return its state and errors."""
-    browser = os.environ.get("CHROMIUM") or shutil.which("chromium")
-    if browser is None:
-        pytest.skip("no Chromium: `./koop test` says how to get one")
-    path = folder / "frame.html"
-    frame = FRAME.read_text(encoding="utf-8").replace("WIDTH", str(width))
-    path.write_text(frame.replace("PAGE", html.escape(page)), encoding="utf-8")
-    done = subprocess.run(
-        [browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
-         "--disable-background-networking", f"--user-data-dir={folder / 'profile'}",
-         "--virtual-time-budget=10000", f"--blink-settings=preferredColorScheme={int(not dark)}",
-         "--window-size=1400,1000", "--dump-dom", path.as_uri()],
-        capture_output=True, text=True, check=False, timeout=120,
-        env={**os.environ, "HOME": str(folder)},
-    )  # fmt: skip
-    found = re.search(r'data-result="([^"]*)"', done.stdout)
-    assert found, done.stderr[-2000:]
-    errors = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    return json.loads(html.unescape(found[1])), errors

@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 from koop_lab.cli.main import main
+from koop_lab.page.document import Column, Table
 from koop_study.experiments import stats
-from koop_study.report.document import Column, Table
 from koop_study.workers import pool, units
 from koop_study.workers.units import Store, Unit, write_atomically
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_node.config import ConfigError
 from koop_study.experiments.spec import Seeds
 from koop_study.experiments.stats import finite, share, spread
-from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.simulation.case import Case, check_path, override
 from koop_study.workers.units import Unit
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_node.config import ConfigError
 from koop_study.experiments.ablations import label
 from koop_study.experiments.spec import Seeds
@@ -25,7 +26,6 @@ from koop_study.experiments.stats import (
     summary_cells,
     win_rate,
 )
-from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.simulation.case import Case, override
 from koop_study.workers.units import Unit
 

@@ -6,8 +6,8 @@ import re
 from dataclasses import dataclass, field
 from typing import Any
 
+from koop_lab.page.document import Claim, Column, Figure, Panel, Section, Series, Table
 from koop_loop.metrics import LOGGING_START, PAPER
-from koop_study.report.document import Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.workers.units import Unit
 
 THETA_STAR = -3.0

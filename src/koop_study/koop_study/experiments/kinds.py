@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from koop_lab.page.document import Section
 from koop_node.config import ConfigError, nearest
 from koop_study.experiments import (
     ablations,
@@ -19,7 +20,6 @@ from koop_study.experiments import (
     static_maps,
 )
 from koop_study.experiments.spec import parse, quickened, read_file
-from koop_study.report.document import Section
 from koop_study.workers.registry import check
 from koop_study.workers.units import Unit
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_node.config import ConfigError, nearest
 from koop_study.experiments.spec import Seeds, parse
 from koop_study.experiments.stats import finite, quantile
@@ -22,7 +23,6 @@ from koop_study.family.config import FamilyConfig
 from koop_study.laws import outside
 from koop_study.laws.catalogue import LAWS, Constants, trials
 from koop_study.laws.plants import PlantConfig
-from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.simulation.case import Case, override
 from koop_study.workers.units import Unit
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.experiments.spec import Seeds
-from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.workers.units import Unit
 
 PAPER = (  # table 3: real part, imaginary part, selected

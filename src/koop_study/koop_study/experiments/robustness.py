@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.experiments.spec import Seeds
 from koop_study.experiments.stats import (
     SUMMARY_COLUMNS,
@@ -16,7 +17,6 @@ from koop_study.experiments.stats import (
     summary_cells,
     win_rate,
 )
-from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.workers.units import Unit
 
 CHUNK = 8  # seeds a unit: short enough that a stopped study loses little

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_node.config import ConfigError
-from koop_study.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.simulation import maps
 from koop_study.workers.units import Unit
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from koop_study.report.document import Cell, Column
+from koop_lab.page.document import Cell, Column
 from koop_study.simulation.run import Row
 
 LONGEST = math.inf  # of a first hitting time that never comes

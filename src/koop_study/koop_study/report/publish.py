@@ -6,9 +6,9 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from koop_lab.page.document import Section, Table
 from koop_study.experiments.kinds import Experiment
 from koop_study.report import page, picture, summary
-from koop_study.report.document import Section, Table
 from koop_study.workers.units import write_atomically
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"

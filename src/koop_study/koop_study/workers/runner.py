@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from koop_lab.page.document import Section
 from koop_study.experiments.kinds import Experiment
-from koop_study.report.document import Section
 from koop_study.workers.pool import Workers
 from koop_study.workers.units import Store, Unit
 

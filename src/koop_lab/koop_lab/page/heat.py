@@ -6,7 +6,7 @@ import html
 import math
 from collections.abc import Sequence
 
-from koop_study.report.document import Heat, Panel
+from koop_lab.page.document import Heat, Panel
 
 # Viridis, light where the value is small; between the points linearly.
 COLORS = ((253, 231, 37), (94, 201, 98), (33, 145, 140), (59, 82, 139), (68, 1, 84))

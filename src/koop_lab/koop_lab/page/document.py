@@ -1,4 +1,4 @@
-"""What an experiment hands to the report: tables, figures and sentences that cite the tables."""
+"""What a page is made of: tables, figures, and sentences that cite the tables."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ def shown(value: Cell, form: str = ".4g") -> str:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table: ``key`` in the CSV, ``title`` in the report, number format."""
+    """A column of a table: ``key`` in the CSV, ``title`` on the page, number format, or words."""
 
     key: str
     title: str
     form: str = ".4g"
+    words: bool = False
 
 
 @dataclass
 class Table:
-    """A table of the report and a CSV file of its own.
+    """A table of a page; the study writes it as a CSV file, too.
 
     Attributes
     ----------
@@ -101,10 +102,10 @@ class Series:
     x, y : sequence of float, shape (M,)
         ``x`` rises or falls; None in ``y`` where there is no value.
     kind : str
-        ``line``, ``points``, ``steps``, ``band`` (between ``y`` and ``upper``), or ``level``: a
-        dashed line at a value to compare with.
+        ``line``, ``points``, ``steps``, ``band`` (between ``y`` and ``upper``), ``bars`` (the same
+        as error bars), or ``level``: a dashed line at a value to compare with.
     upper : sequence of float, shape (M,)
-        Of a band only.
+        Of a band and of bars only.
     color : int
         Position in the page's palette.
     """
@@ -114,6 +115,17 @@ class Series:
     y: Sequence[float | None]
     kind: str = "line"
     upper: Sequence[float | None] = ()
+    color: int = 0
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A place on the x axis with its name, and between what it may be."""
+
+    x: float
+    name: str
+    low: float | None = None
+    high: float | None = None
     color: int = 0
 
 
@@ -140,6 +152,7 @@ class Panel:
     log_y: bool = False
     ticks: tuple[str, ...] = ()
     heat: Heat | None = None
+    marks: tuple[Mark, ...] = ()
 
 
 @dataclass(frozen=True)

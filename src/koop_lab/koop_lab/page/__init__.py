@@ -1,0 +1,1 @@
+"""Pages that need nothing else: tables, and figures that uPlot draws; one style for all."""
