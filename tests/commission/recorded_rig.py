@@ -74,8 +74,22 @@ def training_of(rig):
     return BagTraining(StateSpec.parse("/state:x"), dt=rig.params.dt, held_out=0.0, names=names)
 
 
-def write_bag(folder, rig, theta, x):
-    """Write a bag of koop_msgs/MeasuredState on /state and std_msgs/Float64 on /knob."""
+ANSWER = np.dtype(  # what is wanted of a koop_msgs/ControlInput
+    {
+        "names": ["encoding", "sec", "nanosec", "frame_id", "step", "data"],
+        "formats": ["<u4", "<i4", "<u4", "<u4", "<u8", "<f8"],
+        "offsets": [0, 4, 8, 12, 20, 28],
+        "itemsize": 92,
+    }
+)
+KNOB = np.dtype([("encoding", "<u4"), ("data", "<f8")])
+
+
+def write_bag(folder, rig, theta, x, loop=False):
+    """Write a bag of koop_msgs/MeasuredState on /state, and theta.
+
+    Of a loop that is koop_msgs/ControlInput on /theta, else std_msgs/Float64 on /knob.
+    """
     state = np.dtype(
         {
             "names": ["encoding", "sec", "nanosec", "frame_id", "step", "count", "x"],
@@ -90,11 +104,17 @@ def write_bag(folder, rig, theta, x):
     states["encoding"], states["frame_id"], states["count"] = 0x0100, 1, x.shape[1]
     states["sec"], states["nanosec"] = np.divmod(stamps, 1_000_000_000)
     states["step"], states["x"] = steps, x
-    knobs = np.zeros(theta.size, np.dtype([("encoding", "<u4"), ("data", "<f8")]))
+    knobs = np.zeros(theta.size, ANSWER if loop else KNOB)
     knobs["encoding"], knobs["data"] = 0x0100, theta
+    if loop:
+        for name in ("sec", "nanosec", "frame_id", "step"):
+            knobs[name] = states[name]
+    topic, kind = "/knob", "std_msgs/msg/Float64"
+    if loop:
+        topic, kind = "/theta", "koop_msgs/msg/ControlInput"
     with BagWriter(folder, WriterOptions(compression="none")) as bag:
         one = bag.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
-        other = bag.add_topic("/knob", load_schema("std_msgs/msg/Float64"))
+        other = bag.add_topic(topic, load_schema(kind))
         for at, given, measured in zip(stamps.tolist(), knobs, states, strict=True):
             bag.write_many([(at, other, at, given.tobytes()), (at, one, at, measured.tobytes())])
     return folder

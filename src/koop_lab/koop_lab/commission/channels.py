@@ -116,6 +116,19 @@ def lines(x: NDArray[np.float64], dt: float) -> list[Line]:
     x = bridged(x[:, None])[:, 0]
     length = max(64, int(SEGMENT * x.size))
     frequency, power = welch(x, 1.0 / dt, "hann", length, detrend="linear", scaling="spectrum")
+    return peaks(frequency, power)
+
+
+def peaks(frequency: NDArray[np.float64], power: NDArray[np.float64]) -> list[Line]:
+    """Return the narrow peaks of a spectrum under a Hann window, the strongest first.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (F,)
+        Of each bin [Hz]; the first one is left out.
+    power : ndarray, shape (F,)
+        Of a sine at that frequency.
+    """
     # bins of the window overlap by 1.5: their sum is the power of what lies in them
     total = float(power[1:].sum()) / 1.5
     found: list[Line] = []

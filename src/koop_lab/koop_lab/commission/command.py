@@ -51,6 +51,8 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 only if the rig was damped as predicted."""
+    from koop_lab.commission.report import reported  # slow to import
+
     if (args.rig is None) == (args.new is None):
         raise ConfigError("name a rig file, or --new FILE to write one")
     if args.new is not None:
@@ -61,12 +63,15 @@ def main(args: argparse.Namespace) -> int:
     watch = Watch(time_scale.of(args), note_of(args.rig))
     again = f"to go on: koop commission {args.rig} --out {folder}"
     try:
-        return Commissioning(rig, Path(args.rig), folder, watch, args.effort).run()
+        code = Commissioning(rig, Path(args.rig), folder, watch, args.effort).run()
     except Ended as error:
         raise LiveError(f"{error}. theta is back at {rig.theta_safe:g}; {again}") from None
     except KeyboardInterrupt:
         print(f"\ninterrupted: theta is at {rig.theta_safe:g} or was not moved; {again}")
         return 130
+    if (folder / progress.NAME).exists():
+        print(reported(folder))
+    return code
 
 
 class Commissioning:

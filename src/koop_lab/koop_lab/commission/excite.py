@@ -89,6 +89,8 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 if theta was at every value at least twice."""
+    from koop_lab.commission.report import reported  # slow to import
+
     rig = rig_file.read(args.rig)
     scale = time_scale.of(args)
     folder = args.out or default_folder(Path(args.rig).stem)
@@ -103,6 +105,7 @@ def main(args: argparse.Namespace) -> int:
         print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; to go on: {again}")
         return 130
     print("\n" + ending(rig, folder, result))
+    print(reported(folder))
     print(f"now: ./koop tune {args.rig} {folder}")
     return 1 if staircase.unknown_twice(result.progress.visits) else 0
 

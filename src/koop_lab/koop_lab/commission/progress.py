@@ -89,6 +89,20 @@ def load(rig: RigFile, folder: Path) -> Progress | None:
     path = folder / NAME
     if not path.exists():
         return None
+    own, found = read(folder)
+    refuse_other_rig(path, own, rig)
+    return found
+
+
+def read(folder: Path) -> tuple[RigFile, Progress]:
+    """Return the rig, and what was done with it.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the file cannot be used.
+    """
+    path = folder / NAME
     try:
         known = json.loads(path.read_text(encoding="utf-8"))
         own = RigFile(**known.pop("rig"))
@@ -101,8 +115,7 @@ def load(rig: RigFile, folder: Path) -> Progress | None:
         found = Progress(how=bands, visits=visits, **known)
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None
-    refuse_other_rig(path, own, rig)
-    return found
+    return own, found
 
 
 def refuse_other_rig(path: Path, own: RigFile, rig: RigFile) -> None:

@@ -59,6 +59,8 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 only if the rig was damped as predicted."""
+    from koop_lab.commission.report import reported  # slow to import
+
     rig = rig_file.read(args.rig)
     watch = Watch(time_scale.of(args), note_of(args.rig))
     again = f"koop verify {args.rig} {args.folder}"
@@ -72,6 +74,7 @@ def main(args: argparse.Namespace) -> int:
         print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; to go on: {again}")
         return 130
     print("\n" + shown(found) + "\n\n" + found["verdict"])
+    print(reported(args.folder))
     return 0 if found["damped"] and found["rounds"][-1]["agrees"] else 1
 
 

@@ -50,6 +50,8 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 1 if there is no optimum to be found."""
+    from koop_lab.commission.report import reported  # slow to import
+
     if not 0.0 < args.effort < 1e3:
         raise ConfigError("--effort: above 0, below 1000")
     folder = args.folders[0]
@@ -57,6 +59,8 @@ def main(args: argparse.Namespace) -> int:
     done = tune_folders(
         rig_file.read(args.rig), args.folders, out, args.state, args.theta, args.seed, args.effort
     )
+    if args.out is None and (folder / progress.NAME).exists():
+        print(reported(folder))
     if done:
         print(f"now: ./koop verify {args.rig} {folder}" if args.out is None else
               f"now: ./koop up {out}")  # fmt: skip
@@ -94,7 +98,7 @@ def tune_folders(
     ValueError
         If there are results already, or the recordings cannot be used.
     """
-    from koop_lab.tune import written  # slow to import
+    from koop_lab.tune import figures, written  # slow to import
     from koop_lab.tune.picture import draw
     from koop_lab.tune.tuning import STEPS, NoOptimum, tune
 
@@ -121,7 +125,7 @@ def tune_folders(
         except NoOptimum as no:
             bar.close()
             draw(no.seen, None, out / PICTURE, f"{folders[0]}: {no.kind}")
-            progress.write_whole(out / FIGURES, {"verdict": no.kind, "why": str(no)})
+            progress.write_whole(out / FIGURES, figures.of_refusal(no))
             print(written.as_table(no.seen))
             print(f"\nno optimum ({no.kind}): {no}\npicture {out / PICTURE}")
             return False
@@ -129,7 +133,7 @@ def tune_folders(
     if found.chosen.cost.training is not None:
         model = out / MODEL
         train_from_bags(bags, found.chosen.cost.training).save(model)
-    progress.write_whole(out / FIGURES, written.as_figures(found, rig))
+    progress.write_whole(out / FIGURES, figures.of_tuning(found, rig, model))
     draw(found.seen, found, out / PICTURE, f"{folders[0]}: {found.chosen.cost.name}")
     (out / PARAMETERS).write_text(written.as_parameters(found, rig, model), encoding="utf-8")
     print(written.as_table(found.seen))

@@ -124,8 +124,8 @@ class Outcome:
         Mean of abs(u - u*) over the second half.
     reduction : float
         Amplitude at the start over that of the second half.
-    u : ndarray, shape (BLOCKS,)
-        Where theta was.
+    u, power : ndarray, shape (BLOCKS,)
+        Where theta was, and the mean square of the amplitude.
     score : float
         See above.
     """
@@ -135,6 +135,7 @@ class Outcome:
     distance: float
     reduction: float
     u: NDArray[np.float64]
+    power: NDArray[np.float64]
     score: float
 
 
@@ -221,6 +222,7 @@ def outcome(
         distance,
         math.exp(start - late),
         u,
+        power,
         late + SLOWNESS * share,
     )
 

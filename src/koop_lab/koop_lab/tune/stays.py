@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,13 +144,63 @@ def rests(
     return centres, [(int(np.argmin(np.abs(centres - v))), a, b) for v, a, b in found]
 
 
-def period_by_theta(loaded: Loaded, scale: Scale, dt: float) -> float | None:
-    """Return the period [s] of what theta changes most of the spectrum; None if of nothing.
+class Spectra(NamedTuple):
+    """Spectra of the channels where theta rested.
 
-    An interference may be much stronger, and may come and go: it does not go with theta.
+    Attributes
+    ----------
+    seconds, dt : float
+        Length of the pieces of Welch's method, and time between two states [s].
+    u : ndarray, shape (N,)
+        Positions of the values of theta, rising.
+    power : ndarray, shape (N, n, F)
+        Mean densities over cycles a sample, from the second bin above 0 on.
+    sure : ndarray of bool, shape (n, F)
+        Where theta changes them, beyond doubt.
     """
-    u, found = rests(loaded, scale, SHORTEST)
-    size = min(LONGEST, min(b - a for _, a, b in found) // PARTS)
+
+    seconds: float
+    dt: float
+    u: NDArray[np.float64]
+    power: NDArray[np.float64]
+    sure: NDArray[np.bool_]
+
+    @property
+    def frequency(self) -> NDArray[np.float64]:
+        """Of each bin [Hz]."""
+        return np.asarray((2 + np.arange(self.sure.shape[1])) / self.seconds)
+
+    @property
+    def density(self) -> NDArray[np.float64]:
+        """Mean densities [1/Hz]."""
+        return np.asarray(self.power * self.dt)
+
+
+def spectra_by_theta(
+    loaded: Loaded, scale: Scale, dt: float, length: int = SHORTEST, parts: int = PARTS
+) -> Spectra:
+    """Return the spectra at each value of theta.
+
+    Parameters
+    ----------
+    loaded : Loaded
+        The recording.
+    scale : Scale
+        Of theta.
+    dt : float
+        Time between two states [s].
+    length : int
+        Samples of a window; a rest has some.
+    parts : int
+        Pieces that even the shortest rest is cut into: fewer of them tell frequencies apart better.
+
+    Raises
+    ------
+    ValueError
+        If theta rested at too few values.
+    """
+    u, found = rests(loaded, scale, length)
+    size = min(LONGEST, min(b - a for _, a, b in found) // parts)
     spectra = np.array(
         [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b in found]
     )
@@ -160,11 +211,20 @@ def period_by_theta(loaded: Loaded, scale: Scale, dt: float) -> float | None:
     noise = (logs - means[level]).std(axis=0) * math.sqrt(u.size / level.size)
     sure = spread - DOUBT * noise > CHANGES
     power = np.array([spectra[level == i].mean(axis=0) for i in range(u.size)])
-    change = np.where(sure, np.ptp(power, axis=0), 0.0)
+    return Spectra(size * dt, dt, u, power, sure)
+
+
+def period_by_theta(loaded: Loaded, scale: Scale, dt: float) -> float | None:
+    """Return the period [s] of what theta changes most of the spectrum; None if of nothing.
+
+    An interference may be much stronger, and may come and go: it does not go with theta.
+    """
+    found = spectra_by_theta(loaded, scale, dt)
+    change = np.where(found.sure, np.ptp(found.power, axis=0), 0.0)
     change /= np.maximum(loaded.x.var(axis=1, keepdims=True), 1e-300)
-    if not sure.any():
+    if not found.sure.any():
         return None
-    return float(size * dt / (2 + int(np.argmax(change.sum(axis=0)))))
+    return float(found.seconds / (2 + int(np.argmax(change.sum(axis=0)))))
 
 
 def find_stays(loaded: Loaded, scale: Scale, how: Bands, period: float) -> Stays:

@@ -1,9 +1,8 @@
-"""What a tuning comes to in words: the table, the parameter file with its reasons, figures."""
+"""What a tuning comes to in words: the table, the parameter file with its reasons."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -164,46 +163,3 @@ def as_parameters(found: Tuning, rig: RigFile, model: Path | None) -> str:
         {node: KNOWN[node] for node in nodes}, nodes_of(found, rig, model), reasons_of(found, rig)
     )
     return HEAD + text
-
-
-def as_figures(found: Tuning, rig: RigFile) -> dict[str, Any]:
-    """Return all of it in JSON terms."""
-
-    def of(band: Band) -> dict[str, float | None]:
-        return {k: v if math.isfinite(v) else None for k, v in asdict(band).items()}
-
-    p, seen = found.prediction, found.seen
-    return {
-        "verdict": "tuned",
-        "cost": found.chosen.cost.name,
-        "why": found.why,
-        "constants": asdict(found.best.constants),
-        "score": math.exp(found.best.score),
-        "theta_best": seen.scale.theta_at(seen.amplitude.best()),
-        "feature": seen.feature,
-        "windows": {**seen.stays.how._asdict(), "feature": seen.stays.feature},
-        "period": seen.period,
-        "time": found.time,
-        "static_map": {
-            "theta": seen.scale.theta(seen.stays.u).tolist(),
-            "amplitude": np.exp(seen.amplitude.mean).tolist(),
-            "error": seen.amplitude.error.tolist(),
-        },
-        "predicted": {
-            "duration": p.duration,
-            "runs": len(p.runs),
-            "converges": of(p.converges),
-            "distance": of(p.distance),
-            "excess": of(p.excess),
-            "reduction": of(p.reduction),
-        },
-        "costs": [
-            {
-                "name": j.cost.name,
-                "sure": j.gain,
-                "score": math.exp(j.tried[0].score) if j.tried else None,
-                "problem": j.cost.problem,
-            }
-            for j in seen.costs
-        ],
-    }

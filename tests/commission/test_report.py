@@ -1,0 +1,215 @@
+"""The page of a commissioning: what it draws is what was recorded, at every stage."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from browser import browse
+from recorded_rig import excited, file_of, loaded_of, rig_of, write_bag
+
+from koop_lab.cli.main import main
+from koop_lab.commission import progress, rig_file, staircase
+from koop_lab.commission.features import bands, features
+from koop_lab.commission.report import write_report
+from koop_lab.tune.stays import Scale, rests
+
+QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05),
+         "optimum": (0.3, 0.7), "channels": (2, 2), "noise_driven": 0.0}  # fmt: skip
+RIG = {**QUICK, "clean": 0.0, "interference": (6.0, 6.0), "common": 1.0,
+       "maps": {"symmetric": 1.0}}  # fmt: skip
+PHONE, DESK = 390, 1280
+
+
+def excitation(folder, rig):
+    """Make what `koop excite` leaves."""
+    file, (theta, x) = file_of(rig), excited(rig)
+    write_bag(folder / "part-1/bag", rig, theta, x)
+    dt, loaded = rig.params.dt, loaded_of(theta, x)
+    how = bands(x, round(8.0 / rig.frequency / dt), dt)
+    visits = []
+    for level, begin, end in rests(loaded, Scale(file.theta_min, file.theta_max), how.length)[1]:
+        series = np.array([features(x[k : k + how.length], how)
+                           for k in range(begin, end, how.length)])  # fmt: skip
+        judged = staircase.judge(series, [0])
+        visits.append(staircase.Visit(level, tuple(judged.mean.tolist()),
+                                      tuple(judged.error.tolist()), judged.skip * how.length * dt,
+                                      (end - begin) * dt))  # fmt: skip
+    state = progress.Progress(0, how, visits, [], theta.size * dt, ["part-1"], True)
+    progress.save(state, file, folder)
+    rig_file.write(file, folder / "rig.yaml")
+    return file
+
+
+def verification(folder, rig, file):
+    """Make what `koop verify` leaves: theta on its way to the best one from both ends."""
+    best, dt, runs = rig.best()[0], rig.params.dt, []
+    rest = round(20.0 / dt)  # before the loop is closed
+    for number, start in enumerate((file.theta_min, file.theta_max), 1):
+        way = np.concatenate([np.full(rest, 0.5 * (start + best)),
+                              np.linspace(start, best, round(60.0 / dt)),
+                              np.full(round(40.0 / dt), best)])  # fmt: skip
+        bag = f"verify-1/start-{number}/bag"
+        write_bag(folder / bag, rig, way, rig.record(way, number)[0], loop=True)
+        runs.append({"start": start, "bag": bag, "time_to_converge": 60.0, "distance": 0.01,
+                     "amplitude_before": 3.0, "amplitude": 0.5, "excess": 1.0, "reduction": 6.0,
+                     "theta": best, "swing": 0.0, "error": 0.01,
+                     "closed": {"seconds": 100.0, "steps": [rest, way.size - 1]}})  # fmt: skip
+    tuned = json.loads((folder / "tuned/tune.json").read_text())
+    found = {"rounds": [{"round": 1, "runs": runs, "prediction": tuned["predicted"],
+                         "agrees": True, "says": "as predicted"}],
+             "damped": True, "feature": "x[0]",
+             "verdict": "From 2 starts. It converged. The rig is damped."}  # fmt: skip
+    (folder / "verify.json").write_text(json.dumps(found))
+
+
+@pytest.fixture(scope="module")
+def commissioned(tmp_path_factory):
+    """Excite, tune and verify a rig; the pages after each of them."""
+    folder = tmp_path_factory.mktemp("rig")
+    rig = rig_of(3, **RIG)
+    file = excitation(folder, rig)
+    pages = {"excited": write_report(folder).read_text()}
+    assert main(["tune", str(folder / "rig.yaml"), str(folder), "--theta", "/knob:data",
+                 "--effort", "0.001"]) == 0  # fmt: skip
+    pages["tuned"] = (folder / "report.html").read_text()
+    verification(folder, rig, file)
+    pages["verified"] = write_report(folder).read_text()
+    return folder, rig, pages
+
+
+def figures_of(page):
+    return json.loads(re.search(r'id="figures">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def verdict_of(page):
+    return re.findall(r"<p>(.*?)</p>", re.search(r'class="verdict">(.*?)</div>', page)[1])
+
+
+def one(drawn, figure, panel, name):
+    """Return what Chromium drew of a curve."""
+    (found,) = (d for d in drawn if (d["figure"], d["panel"]) == (figure, panel))
+    return next(s for s in found["series"] if s["name"] == name)
+
+
+@pytest.mark.parametrize(("width", "dark"), [(PHONE, True), (DESK, False)])
+def test_the_page_draws_what_was_recorded(commissioned, width, dark, tmp_path):
+    folder, rig, pages = commissioned
+    result, errors = browse(pages["verified"], width, tmp_path, dark)
+    assert errors == []
+    assert result["content"] <= result["width"]  # nothing makes the page scroll sideways
+    assert (result["empty"], result["wide"], result["small"]) == ([], 0, 0)
+    drawn = result["drawn"]
+    assert result["plots"] == len(drawn) >= 10
+    # theta of the runs is that of the bags
+    best, file = rig.best()[0], file_of(rig)
+    for k, start in enumerate((file.theta_min, file.theta_max)):
+        theta = one(drawn, f"run-1-{k}", 0, "measured")
+        assert theta["least"] == pytest.approx(min(start, best), rel=1e-3)
+        assert theta["largest"] == pytest.approx(max(start, best), rel=1e-3)
+    tuned = json.loads((folder / "tuned/tune.json").read_text())
+    # one amplitude a window; it falls as that of the rig itself does
+    amplitude = one(drawn, "run-1-0", 1, "measured")
+    closed = round(60.0 / rig.params.dt) + round(40.0 / rig.params.dt)
+    assert amplitude["count"] == closed // tuned["windows"]["length"]
+    fall = amplitude["largest"] / amplitude["least"]
+    assert fall == pytest.approx(rig.amplitude(file.theta_min) / rig.amplitude(best), rel=0.3)
+    # nine values of theta in the static map and in that of every cost
+    assert one(drawn, "map", 0, "two standard errors")["count"] == 9
+    made = [cost for cost in tuned["costs"] if cost["map"]]
+    for k, cost in enumerate(made):
+        mean = one(drawn, "costs-figure", k, "mean")
+        assert mean["least"] == pytest.approx(min(cost["map"]["r"]), rel=1e-3)
+        assert mean["largest"] == pytest.approx(max(cost["map"]["r"]), rel=1e-3)
+
+
+def test_the_interference_is_marked_and_the_oscillation_is_not(commissioned):
+    _, rig, pages = commissioned
+    marks = [mark for panel in figures_of(pages["tuned"])["spectra-figure"]["panels"]
+             for mark in panel["marks"]]  # fmt: skip
+    kinds = {kind: [m["x"] for m in marks if m["name"].startswith(kind)]
+             for kind in ("oscillation", "interference")}  # fmt: skip
+    for tone in rig.params.tone / (2.0 * np.pi):
+        assert min(abs(x / tone - 1.0) for x in kinds["interference"]) < 0.05
+        assert all(abs(x / tone - 1.0) > 0.05 for x in kinds["oscillation"])
+    assert all(abs(x / rig.frequency - 1.0) > 0.05 for x in kinds["interference"])
+    rows = re.findall(r"<td[^>]*>interference</td><td>(.*?)</td><td>(.*?)</td>", pages["tuned"])
+    for least, most in rows:
+        assert float(least) == pytest.approx(rig.params.tone_amplitude.max(), rel=0.02)
+        assert float(most) == pytest.approx(rig.params.tone_amplitude.max(), rel=0.02)
+
+
+def test_the_best_theta_is_marked_between_what_it_may_be(commissioned):
+    _, rig, pages = commissioned
+    (mark,) = figures_of(pages["tuned"])["map"]["panels"][0]["marks"]
+    span = rig.params.theta_max - rig.params.theta_min
+    assert mark["low"] <= mark["x"] <= mark["high"]
+    assert abs(mark["x"] - rig.best()[0]) < 0.1 * span
+    assert mark["high"] - mark["low"] < 0.3 * span
+
+
+def test_every_stage_says_what_is_missing(commissioned):
+    _, _, pages = commissioned
+    said = {stage: verdict_of(page) for stage, page in pages.items()}
+    assert {len(sentences) for sentences in said.values()} == {3}
+    assert "koop tune" in said["excited"][2]
+    assert "predicted" in said["tuned"][1]
+    assert "koop verify" in said["tuned"][2]
+    assert said["verified"][2] == "The rig is damped."
+    for name in ("omega_h", "dwell", "tau_f", "y_out_max"):
+        reason = re.search(rf"<td>{name}</td>.*?</tr>", pages["tuned"])[0]
+        assert "search" in reason or "times" in reason
+    assert "part-1/bag" in pages["excited"]
+    assert "verify-1/start-2/bag" in pages["verified"]
+
+
+def test_a_page_of_a_refusal_shows_the_map_and_what_to_record(tmp_path, capsys):
+    folder = tmp_path / "rig"
+    rig = rig_of(2, **QUICK, maps={"monotone": 1.0}, clean=1.0)
+    excitation(folder, rig)
+    assert main(["tune", str(folder / "rig.yaml"), str(folder), "--theta", "/knob:data"]) == 1
+    assert f"report in {folder / 'report.html'}" in capsys.readouterr().out
+    page = (folder / "report.html").read_text()
+    first, why, then = verdict_of(page)
+    assert "monotone" in why
+    assert "limit" in then
+    assert "best near" not in first
+    result, errors = browse(page, DESK, tmp_path)
+    assert errors == []
+    drawn = one(result["drawn"], "map", 0, "through all")
+    truth = [rig.amplitude(theta) for theta in (rig.params.theta_min, rig.params.theta_max)]
+    assert drawn["largest"] / drawn["least"] == pytest.approx(max(truth) / min(truth), rel=0.3)
+
+
+def test_what_is_torn_or_gone_is_said(commissioned, tmp_path):
+    folder, _, _ = commissioned
+    _, state = progress.read(folder)
+    progress.save(replace(state, parts=["part-1", "part-2"], done=False), progress.read(folder)[0],
+                  tmp_path)  # fmt: skip
+    (tmp_path / "part-1").symlink_to(folder / "part-1")
+    page = write_report(tmp_path).read_text()
+    assert "koop excite" in verdict_of(page)[2]
+    gone = re.search(r"<td>part-2/bag</td>.*?</tr>", page)[0]
+    assert "cannot be read" in gone
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("excite.json", "", "koop excite"),
+        ("tuned/tune.json", "{", "cannot be read"),
+        ("tuned/tune.json", '{"verdict": "tuned"}', "cannot be shown"),
+    ],
+)
+def test_a_folder_that_cannot_be_used_is_refused_in_one_line(
+    commissioned, tmp_path, name, text, said
+):
+    folder, _, _ = commissioned
+    if name != "excite.json":
+        (tmp_path / "excite.json").write_bytes((folder / "excite.json").read_bytes())
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).write_text(text)
+    with pytest.raises(ValueError, match=said) as error:
+        write_report(tmp_path)
+    assert "\n" not in str(error.value)
