@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 from pathlib import Path
@@ -163,6 +164,8 @@ class Processes:
         topics = {"state": "rig/state", "theta": "rig/theta"} if injects else {}
         if self._scenario.sensor_topic:
             topics["state"] = self._scenario.sensor_topic
+        if self._controlled and self._scenario.command_topic:
+            topics["theta"] = self._scenario.command_topic
         if name == "recorder":
             return ["--ros-args", "-p", f"output:={self._folder}"], None
         ros = ["--ros-args", "--params-file", str(self._parameter_file)]
@@ -183,4 +186,5 @@ class Processes:
             **topics,
         }
         words = [f"--{key}={value}" for key, value in options.items()]
+        words += ["--truth", *shlex.split(setting.rig_options)]
         return [setting.plant, "--until-eof", *words], [sys.executable, str(rig_script())]

@@ -8,12 +8,15 @@ from pathlib import Path
 from runpy import run_path
 from typing import Any
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from koop_hil import faults, installed
 from koop_node.config import ConfigError, mapping, parameter, refuse_unknown, validate
 from koop_node.fields import parse_source
 from koop_node.yaml_file import read_yaml
+from vdp_plant.config import PlantConfig
 
 NODES = ("plant", "koopman_lifter", "relay_esc")
 ACTIONS = ("inject", "kill", "pause", "second_controller", "handover", "set", "cut")
@@ -95,7 +98,10 @@ class Setting:
 
     description: str = parameter("", "what is shown")
     plant: str = parameter("vdp_plant", "vdp_plant, or the name of a rig (koop_hil/rigs)")
-    theta_star: float = parameter(-3.0, "optimal theta", low=-1e3, high=1e3)
+    rig_options: str = parameter(
+        "", "further options of the rig's program, such as --at 60:throttle=1"
+    )
+    theta_star: float = parameter(-3.0, "optimal theta, at the end", low=-1e3, high=1e3)
     pace: str = parameter(
         "scaled",
         "scaled, or lockstep: as fast as the machine allows, without events",
@@ -147,6 +153,23 @@ class Scenario:
         return parse_source(fields).topic.lstrip("/") if fields else ""
 
     @property
+    def command_topic(self) -> str:
+        """Where the plant takes a plain number in place of the controller's answers; else empty."""
+        return str(self.parameters.get("relay_esc", {}).get("command_topic", "")).lstrip("/")
+
+    @property
+    def dt(self) -> float:
+        """Time between two states [s]."""
+        given = self.parameters.get("koopman_lifter", {}).get("dt", PlantConfig().dt)
+        return float(given)
+
+    def off(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far theta is from its optimum, in Np where the law seeks in ln theta."""
+        best = self.setting.theta_star
+        logarithmic = self.parameters.get("relay_esc", {}).get("theta_scale") == "log"
+        return np.log(theta / best) if logarithmic else theta - best
+
+    @property
     def second_controller(self) -> bool:
         """Whether a second controller stands by."""
         return any(event.action in (SECOND, "handover") for event in self.events)
@@ -154,8 +177,8 @@ class Scenario:
 
 @cache
 def rigs() -> tuple[str, ...]:
-    """Return the names of the rigs that come with the package."""
-    return tuple(sorted(run_path(str(installed("rigs") / "physics.py"))["RIGS"]))
+    """Return the names of the rigs that come with the package and need no file."""
+    return (*sorted(run_path(str(installed("rigs") / "physics.py"))["RIGS"]), "jsbsim")
 
 
 def shipped() -> list[Path]:
@@ -216,6 +239,8 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     setting = Setting(**given)
     if setting.plant not in (known := ["vdp_plant", *rigs()]):
         raise ConfigError(f"plant = '{setting.plant}': must be one of {', '.join(known)}")
+    if setting.rig_options and setting.plant == "vdp_plant":
+        raise ConfigError("rig_options: only of a rig: vdp_plant has parameters")
     if setting.pace == "lockstep" and (events or setting.plant != "vdp_plant"):
         raise ConfigError("pace: lockstep is for vdp_plant, and without events")
     happens = tuple(_event(item, folder) for item in events)

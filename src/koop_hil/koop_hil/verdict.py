@@ -16,7 +16,6 @@ from koop_hil.answers import active_times, age_acting, age_sent, answered_twice,
 from koop_hil.scenario import NO_LIMIT, SECOND, Scenario
 from koop_hil.supervisor import RunRecord
 from koop_loop.metrics import TAIL
-from vdp_plant.config import PlantConfig
 
 CONTROLLERS = ("relay_esc", SECOND)
 FIELDS = {
@@ -156,16 +155,16 @@ def _judge_theta(
     stamps = ground_truth["log_time"].astype(np.int64)
     inside = (stamps >= record.begin) & (stamps <= record.end)
     stamps, theta = stamps[inside], ground_truth["theta_applied"][inside]
-    verdict.simulated = float(stamps.size * PlantConfig().dt)
+    verdict.simulated = float(stamps.size * scenario.dt)
     if verdict.simulated < LEAST * verdict.duration:
         verdict.failures.append(f"theta is known for only {verdict.simulated:.1f} s of the run")
         return
-    error = np.abs(theta - scenario.setting.theta_star)
+    error = np.abs(scenario.off(theta))
     verdict.tail_error = float(error[-max(1, round(TAIL * error.size)) :].mean())
     first = min((begin for begin, _ in record.happened), default=record.begin)
     after = stamps >= first
     out = after & (error > scenario.limits.error_limit)
-    verdict.time_out_of_tolerance = float(out.sum() * PlantConfig().dt)
+    verdict.time_out_of_tolerance = float(out.sum() * scenario.dt)
     verdict.max_error = float(error[after].max(initial=0.0))
 
 

@@ -8,11 +8,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from koop_hil import faults, installed, report
 from koop_hil.command import main, register
 from koop_hil.faults import Channel
+from koop_hil.processes import Processes
 from koop_hil.scenario import find, parse, read, shipped, with_parameter, write
 from koop_hil.verdict import Verdict
 from koop_node.config import ConfigError
@@ -97,6 +99,7 @@ def test_a_fault_that_is_none_is_refused(text):
         ({"limits": {"tail": 1}}, "limits: unknown key 'tail': did you mean"),
         ({"levels": {"relay_esc": "BAD"}}, "must be WARN, ERROR or STALE"),
         ({"pace": "lockstep", "events": [{"kill": "plant"}]}, "without events"),
+        ({"rig_options": "--at 1:throttle=1"}, "rig_options: only of a rig"),
     ],
 )
 def test_a_scenario_that_means_nothing_is_refused(content, message):
@@ -124,6 +127,18 @@ def test_a_rig_of_which_the_lifter_takes_one_field_measures_on_a_topic_of_its_ow
     scenario = parse("name", {"parameters": {"koopman_lifter": lifter}}, Path("."))
     assert scenario.sensor_topic == "rig/state"
     assert scenario.publishers["rig/state"] == 1
+
+
+def test_a_rig_of_standard_messages_says_what_it_does_and_takes_by_the_parameters(tmp_path):
+    scenario = read(find("rig-jsbsim"))
+    rig = Processes(tmp_path, scenario)._command("plant")[0]
+    assert rig[:2] == ["jsbsim", "--until-eof"]
+    assert {"--state=imu", "--theta=gain", "--truth"} <= set(rig)
+    assert rig[-len(split := scenario.setting.rig_options.split()) :] == split
+    assert scenario.dt == pytest.approx(1 / 120, rel=1e-4)
+    best = scenario.setting.theta_star
+    assert scenario.off(best * np.array([1.0, math.e])) == pytest.approx([0.0, 1.0])  # in Np
+    assert read(find("rig-paper")).off(np.array([-3.0, 1.0])) == pytest.approx([0.0, 4.0])
 
 
 def test_an_event_names_a_file_without_its_folder():

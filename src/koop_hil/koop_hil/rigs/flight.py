@@ -167,7 +167,7 @@ def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
         flight.check(item.name)
     from wire import Imu, Wire, imu
 
-    wire = Wire(args.state or "imu", args.theta or "gain", Imu, imu, numbered=False)
+    wire = Wire(args.state or "imu", args.theta or "gain", Imu, imu, False, args.truth)
     knob = Knob(start, LOW, HIGH, args.delay or 0.0, args.rate or 0.0)
     stand = begin(Stand(args, wire, STEP, knob))
     schedule = Schedule(args.at)

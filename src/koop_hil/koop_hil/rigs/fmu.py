@@ -184,7 +184,8 @@ def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
     start = args.theta_initial
     if start is None:
         start = float(model.knob.start or 0.0)
-    wire = Wire(args.state or "fmu", args.theta or "theta", JointState, joint_state(names), False)
+    said = joint_state(names)
+    wire = Wire(args.state or "fmu", args.theta or "theta", JointState, said, False, args.truth)
     knob = Knob(start, args.theta_min, args.theta_max, args.delay or 0.0, args.rate or 0.0)
     stand = begin(Stand(args, wire, args.dt, knob))
 

@@ -186,5 +186,8 @@ def options() -> argparse.ArgumentParser:
     )
     parser.add_argument("--readers", type=int, default=1, help="of the measurements to wait for")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--truth", action="store_true", help="say koop_msgs/PlantTruth on /ground_truth, too"
+    )
     parser.add_argument("--until-eof", action="store_true", help="end when stdin is closed")
     return parser

@@ -148,18 +148,23 @@ class Wire:
         Makes a message of header, step and values.
     numbered : bool
         Whether the command is a ControlInput, which says what step it answers; else a Float64.
+    truth : bool
+        Whether what is true of each sample is said, too.
     """
 
     def __init__(
-        self, state: str, theta: str, kind: type, made: Callable[..., Any], numbered: bool
-    ) -> None:
+        self, state: str, theta: str, kind: type, made: Callable[..., Any], numbered: bool,
+        truth: bool = True,
+    ) -> None:  # fmt: skip
         participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
         reliable = Policy.Reliability.Reliable(duration(seconds=1))
         kept = Qos(reliable, Policy.History.KeepLast(1000))
         newest = Qos(reliable, Policy.History.KeepLast(1))
         self._states = DataWriter(participant, Topic(participant, "rt/" + state, kind), kept)
-        truth = Topic(participant, "rt/ground_truth", PlantTruth)
-        self._truths = DataWriter(participant, truth, kept)
+        self._truths = None
+        if truth:
+            topic = Topic(participant, "rt/ground_truth", PlantTruth)
+            self._truths = DataWriter(participant, topic, kept)
         command = Topic(participant, "rt/" + theta, ControlInput if numbered else Float64)
         self._commands = DataReader(participant, command, newest)
         self._made = made
@@ -176,7 +181,8 @@ class Wire:
         """Publish one sample with its stamp [ns], and what is true of it."""
         header = Header(Time(stamp // 10**9, stamp % 10**9), "rig")
         self._states.write(self._made(header, step, x))
-        self._truths.write(PlantTruth(header, step, list(truth), theta, answered, math.nan))
+        if self._truths is not None:
+            self._truths.write(PlantTruth(header, step, list(truth), theta, answered, math.nan))
 
     def heard(self) -> list[tuple[float, int | None]]:
         """Return the commands that came, each with the step that it answers if it says that."""
