@@ -16,7 +16,9 @@ from recorded_rig import (
 
 from koop_lab.cli.main import main
 from koop_lab.commission import rig_file
+from koop_lab.identify.loaded import Loaded
 from koop_lab.tune.static_map import StaticMap
+from koop_lab.tune.stays import Scale, period_by_theta
 from koop_lab.tune.surrogate import fit_times
 from koop_lab.tune.tuning import NoOptimum, look, tune
 from koop_loop import parameters
@@ -77,6 +79,18 @@ def test_a_valley_is_told_from_a_slope_by_its_errors():
     assert gains((u - 0.6) ** 2, 0.02) > 0.99
     for nothing in (u, -u, 0.0 * u, np.maximum(u, 0.5)):
         assert gains(nothing, 0.02) <= 0.02
+
+
+def test_a_rest_that_lost_messages_cut_short_does_not_hide_the_period():
+    dt, rest, short = 0.02, 1600, 64
+    theta = np.repeat([0.0, 1.0, 2.0, 3.0, 4.0, 1.5], [rest] * 5 + [short])
+    t = dt * np.arange(theta.size)
+    noise = np.random.default_rng(0).normal(0.0, 0.3, t.size)
+    x = (1.0 + (theta - 2.0) ** 2) * np.sin(2.0 * np.pi * t) + noise  # 1 Hz
+    begins = np.zeros(t.size, bool)
+    begins[0] = True
+    recording = Loaded(x[None], begins, np.zeros(t.size, bool), theta, t)
+    assert period_by_theta(recording, Scale(0.0, 4.0), dt) == pytest.approx(1.0, rel=0.1)
 
 
 def test_the_time_constant_is_that_of_the_rig():

@@ -22,6 +22,7 @@ VALUES = 5  # of theta, that a map needs
 STILL = 2e-3  # of theta's range by which it may move in a window and rest
 DOUBT = 2.0  # standard errors
 SHORTEST, LONGEST, PARTS = 16, 4096, 4  # samples; of a rest, whose spectra are averaged
+PART_OF_USUAL = 0.5  # a shorter rest, such as one that lost messages cut, would blur the spectra
 CHANGES = 0.3  # of the logarithm of a power, that theta must change
 SAME = 0.02  # of the range, within which two values are one
 
@@ -192,7 +193,7 @@ def spectra_by_theta(
     length : int
         Samples of a window; a rest has some.
     parts : int
-        Pieces that even the shortest rest is cut into: fewer of them tell frequencies apart better.
+        Pieces that even the shortest usual rest is cut into: fewer of them tell frequencies apart better.
 
     Raises
     ------
@@ -200,11 +201,14 @@ def spectra_by_theta(
         If theta rested at too few values.
     """
     u, found = rests(loaded, scale, length)
+    usual = float(np.median([b - a for _, a, b in found]))
+    found = [rest for rest in found if rest[2] - rest[1] >= PART_OF_USUAL * usual]
     size = min(LONGEST, min(b - a for _, a, b in found) // parts)
     spectra = np.array(
         [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b in found]
     )
-    level = np.array([i for i, _, _ in found])
+    levels, level = np.unique([i for i, _, _ in found], return_inverse=True)
+    u = u[levels]
     logs = np.log(spectra + 1e-300)
     means = np.array([logs[level == i].mean(axis=0) for i in range(u.size)])
     spread = means.std(axis=0)
