@@ -193,7 +193,7 @@ def spectra_by_theta(
     length : int
         Samples of a window; a rest has some.
     parts : int
-        Pieces that even the shortest usual rest is cut into: fewer of them tell frequencies apart better.
+        Pieces that even the shortest usual rest is cut into: fewer tell frequencies apart better.
 
     Raises
     ------
