@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,8 @@ def write_whole(path: Path, values: Any) -> None:
             os.fsync(file.fileno())
         os.replace(new, path)
     except OSError as error:
+        with suppress(OSError):
+            new.unlink()
         raise LiveError(f"{path}: {error.strerror}") from None
 
 
