@@ -9,30 +9,34 @@ from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import refuse_dead
 from koop_lab.commission import excite, rig_file
-from koop_lab.commission.rig_file import RigFile
+from koop_lab.commission.rig_file import STATE_TYPE, THETA, THETA_TYPE, RigFile
 from koop_lab.live.process import START_TIMEOUT
+from koop_loop.parameters import names_of
 from koop_node.alone import alone
 from relay_esc.config import EscConfig
-from vdp_plant.config import PlantConfig
 
 RATE = 1.0  # [1/s] of theta: what the actuators of the rigs follow
 
 
 def rig_of(scenario: Scenario, time: float) -> RigFile:
     """Return the rig of a scenario, for an excitation of some time [s]."""
-    limits = EscConfig(theta_initial=scenario.setting.theta_initial)
-    own = scenario.parameters.get("koopman_lifter", {}).get("input_fields", "")
+    given = scenario.parameters.get("relay_esc", {})
+    known = names_of([EscConfig])
+    start = scenario.setting.theta_initial
+    esc = EscConfig(**{n: v for n, v in given.items() if n in known} | {"theta_initial": start})
+    lifter = scenario.parameters.get("koopman_lifter", {})
+    topic = esc.command_topic
     return RigFile(
-        measured=own or "/state:x[0],x[1]",
-        measured_type="koop_msgs/msg/MeasuredState",
-        command="/theta:theta",
-        command_type="koop_msgs/msg/ControlInput",
-        dt=PlantConfig().dt,
-        theta_min=limits.theta_min,
-        theta_max=limits.theta_max,
-        theta_rate=RATE,
-        theta_start=limits.theta_initial,
-        theta_safe=limits.theta_initial,
+        measured=lifter.get("input_fields", "/state:x[0],x[1]"),
+        measured_type=lifter.get("input_type", STATE_TYPE),
+        command=f"{topic}:{esc.command_field}" if topic else f"{THETA}:theta",
+        command_type=esc.command_type if topic else THETA_TYPE,
+        dt=esc.dt,
+        theta_min=esc.theta_min,
+        theta_max=esc.theta_max,
+        theta_rate=esc.rate_limit or RATE,
+        theta_start=start,
+        theta_safe=start,
         time=time,
     )
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_hil import faults, installed, report
+from koop_hil import commission, faults, installed, report
 from koop_hil.command import main, register
+from koop_hil.excite import rig_of
 from koop_hil.faults import Channel
 from koop_hil.processes import Processes
 from koop_hil.scenario import find, parse, read, shipped, with_parameter, write
@@ -139,6 +140,34 @@ def test_a_rig_of_standard_messages_says_what_it_does_and_takes_by_the_parameter
     best = scenario.setting.theta_star
     assert scenario.off(best * np.array([1.0, math.e])) == pytest.approx([0.0, 1.0])  # in Np
     assert read(find("rig-paper")).off(np.array([-3.0, 1.0])) == pytest.approx([0.0, 4.0])
+
+
+def test_a_scenario_s_rig_is_described_by_its_parameters():
+    rig = rig_of(read(find("rig-jsbsim")), 100.0)
+    assert (rig.measured, rig.command) == ("/imu:angular_velocity.x", "/gain:data")
+    assert (rig.theta_min, rig.theta_max, rig.theta_start) == (0.5, 60.0, 1.0)
+    assert rig_of(read(find("rig-other-one-sensor")), 100.0).names == ("x[0]",)
+    assert rig_of(read(find("rig-galloping")), 100.0).takes_answers
+
+
+def test_what_a_commissioning_came_to_is_a_row_of_a_page(tmp_path):
+    scenario, folder = read(find("rig-galloping")), tmp_path / "run"
+    (folder / "tuned").mkdir(parents=True)
+    (folder / "excite.json").write_text('{"elapsed": 1200.4}')
+    (folder / "tuned/tune.json").write_text('{"verdict": "flat", "why": "nothing to see"}')
+    assert commission.row(scenario, folder).endswith("| flat: nothing to see |")
+    (folder / "tuned/tune.json").write_text(
+        '{"cost": "raw", "constants": {"law": "adaptive"}, "theta_best": 0.7}'
+    )
+    assert "| raw, adaptive | 0.70 (0.8) | 0 |" in commission.row(scenario, folder)
+    page = tmp_path / "page.md"
+    page.write_text(f"a\n{commission.BEGIN}\nold\n{commission.END}\nb\n")
+    for _ in range(2):  # once more gives the same
+        commission.publish(["| one |"], page)
+        text = page.read_text()
+        assert text == f"a\n{commission.BEGIN}\n{commission.HEAD}\n| one |\n{commission.END}\nb\n"
+    with pytest.raises(ConfigError, match="has no lines"):
+        commission.publish([], folder / "excite.json")
 
 
 def test_an_event_names_a_file_without_its_folder():
