@@ -19,7 +19,6 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, rankdata, spearmanr
 
 from koop_loop.oscillation import amplitude
 from koop_node.arrival import Arrival
@@ -231,6 +230,8 @@ def merit(
     swing : float, optional
         What theta moves within one dwell; default a tenth of theta's range.
     """
+    from scipy.stats import norm, rankdata  # slow to import
+
     part = max(1, min(round(dwell / dt), r.shape[1]))
     finite = np.isfinite(r)
     good = (finite.sum(axis=1) * 2 > r.shape[1]) & np.isfinite(amplitude)
@@ -270,6 +271,8 @@ def rank(a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
     """Return Spearman's rank correlation; None where one of them is constant."""
     if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return None
+    from scipy.stats import spearmanr  # slow to import
+
     return float(spearmanr(a, b).statistic)
 
 

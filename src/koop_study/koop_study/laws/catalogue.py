@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from scipy.stats import qmc
-
 from koop_study.laws import loop
 
 Range = tuple[float, float]
@@ -53,6 +51,8 @@ def trials(law: str, count: int) -> list[Constants]:
     ranges = LAWS[law].searched
     if not ranges:
         return [{}]
+    from scipy.stats import qmc  # slow to import
+
     points = qmc.Sobol(len(ranges), seed=0).random(count)
     found = []
     for point in points:

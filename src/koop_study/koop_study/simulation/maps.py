@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
 
 from koop_loop import static_map
 from koop_loop.static_map import SETTLING
@@ -52,6 +51,8 @@ def smooth(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def shape(theta: NDArray[np.float64], r: NDArray[np.float64], theta_star: float) -> MapShape:
     """Judge a map that is sampled at equally spaced ``theta``, both shape (G,)."""
+    from scipy.stats import spearmanr  # slow to import
+
     smoothed = smooth(r)
     inner = theta[SMOOTHING // 2 : theta.size - SMOOTHING // 2]
     best = int(np.argmin(smoothed))

@@ -20,8 +20,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
-from scipy.stats import spearmanr
 
 from koop_study.simulation.learning import Learned
 from koopman_lifter.contrast import with_contrast
@@ -94,6 +92,8 @@ def _balanced(
 def _correlation(
     model: KoopmanModel, learned: Learned, koopman: Koopman, modes: Modes
 ) -> KoopmanModel:
+    from scipy.stats import spearmanr  # slow to import
+
     target = amplitudes(learned)
     fluctuations = modal_fluctuations(learned, koopman, modes)
     constant = fluctuations.max(axis=0) <= 1e-12 * modes.energies
@@ -117,6 +117,8 @@ def _correlation(
 def _weighted(
     model: KoopmanModel, learned: Learned, koopman: Koopman, modes: Modes
 ) -> KoopmanModel:
+    from scipy.optimize import nnls  # slow to import
+
     target = amplitudes(learned)
     fluctuations = modal_fluctuations(learned, koopman, modes)
     scale = fluctuations.mean(axis=0)
