@@ -26,12 +26,14 @@ class Probe:
 
     def __init__(self) -> None:
         import rclpy
-        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        from koop_node.entities import WithoutEvents
 
         self.context = rclpy.Context()
         self.context.init(args=[])
-        self.node = rclpy.create_node("probe", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
+        self.node = WithoutEvents("probe", context=self.context)
+        self.executor: Any = EventsExecutor(context=self.context)
         self.executor.add_node(self.node)
 
     def spin_until(self, condition: Callable[[], Any], what: str = "") -> Any:
@@ -67,8 +69,9 @@ class Probe:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.executor.shutdown()
+        self.executor.remove_node(self.node)
         self.node.destroy_node()
+        self.executor.shutdown()
         self.context.try_shutdown()
 
 

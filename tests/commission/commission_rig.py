@@ -42,15 +42,17 @@ class FastRig:
 
     def __init__(self):
         import rclpy
-        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.experimental.events_executor import EventsExecutor
         from std_msgs.msg import Float64, Float64MultiArray
+
+        from koop_node.entities import WithoutEvents
 
         self.theta, self.moved = RIG.theta_start, []
         self.applied, self.dead, self.silent, self.spike = True, False, False, False
         self._context = rclpy.Context()
         self._context.init(args=[])
-        self._node = rclpy.create_node("fast_rig", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._node = WithoutEvents("fast_rig", context=self._context)
+        self._executor = EventsExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._message = Float64MultiArray()
         self._publisher = self._node.create_publisher(Float64MultiArray, "/fast", 100)
@@ -62,8 +64,9 @@ class FastRig:
     def close(self):
         self._over.set()
         self._thread.join()
-        self._executor.shutdown()
+        self._executor.remove_node(self._node)
         self._node.destroy_node()
+        self._executor.shutdown()
         self._context.try_shutdown()
 
     def _on_command(self, message):
