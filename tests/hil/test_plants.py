@@ -14,6 +14,8 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64
 
 from koop_hil import installed
+from koop_hil.run import run
+from koop_hil.scenario import find, read
 
 RIGS = installed("rigs")
 sys.path[:0] = [str(RIGS), str(Path(__file__).parent / "fmu")]
@@ -175,3 +177,10 @@ def test_a_property_that_jsbsim_does_not_have_is_a_line():
     assert done.stderr == (
         "rig: --at: JSBSim has no property 'trottle'; there is throttle, turbulence\n"
     )
+
+
+def test_a_scenario_with_an_aircraft_is_skipped_where_there_is_none(tmp_path, monkeypatch):
+    monkeypatch.setattr("koop_hil.run.find_spec", lambda name: None)
+    verdict = run(read(find("rig-jsbsim")), tmp_path)
+    assert verdict.skipped.startswith("JSBSim is not installed: pip install")
+    assert not verdict.passed

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
@@ -25,6 +26,7 @@ from koop_node.errors import LiveError
 from koop_node.lifeline import end_with_parent
 
 VERDICT = "verdict.json"
+INSTALL = "pip install --no-deps -r requirements/plants.txt"
 BAR = "{desc:<24} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
 
@@ -39,6 +41,9 @@ def run(scenario: Scenario, folder: Path) -> Verdict:
     if (folder / "bag").exists():
         raise ConfigError(f"{folder} holds a recording already: choose another --out")
     folder.mkdir(parents=True, exist_ok=True)
+    if scenario.setting.plant == "jsbsim" and find_spec("jsbsim") is None:
+        why = f"JSBSim is not installed: {INSTALL}"
+        return Verdict(scenario.name, scenario.setting.description, [], skipped=why)
     verdict = (_run_isolated if scenario.setting.remote else run_here)(scenario, folder)
     _write(verdict, folder)
     return verdict
