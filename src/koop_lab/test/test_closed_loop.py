@@ -6,7 +6,14 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from koop_lab.commission.closed_loop import aim_of, disagreements, measure, read_aim, verdict
+from koop_lab.commission.closed_loop import (
+    aim_of,
+    disagreements,
+    measure,
+    read_aim,
+    slower,
+    verdict,
+)
 from koop_lab.commission.rig_file import RigFile
 from koop_node.config import ConfigError
 
@@ -82,6 +89,17 @@ def test_only_what_is_worse_than_the_band_disagrees(change, message):
     worse = replace(run(aim), **{"excess": 2.0, **change}, error=0.0)
     said = verdict(aim, [run(aim), worse], 3, "there")
     assert ("not damped after 3 rounds" in said) == (worse.excess > 1.5)
+
+
+def test_a_rig_that_was_slower_than_predicted_is_taken_for_a_slower_one():
+    def done(agrees, *took):
+        runs = [{"time_to_converge": value} for value in took]
+        return {"agrees": agrees, "prediction": BANDS, "runs": runs}
+
+    assert slower([]) == slower([done(None)]) == slower([done(True, 90.0, 90.0)]) == 1.0
+    assert slower([done(False, 30.0, 90.0)]) == 1.5
+    assert slower([done(False, 30.0, 40.0)]) == 1.0  # it was another figure
+    assert slower([done(False, 90.0, 30.0), done(False, None, 50.0)]) == 6.0
 
 
 def test_a_folder_without_a_controller_is_refused(tmp_path):

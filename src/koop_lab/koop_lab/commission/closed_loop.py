@@ -30,6 +30,7 @@ SMOOTHED = 3  # windows at least, in whose mean an amplitude counts as converged
 ERRORS = 2.0  # standard errors that a band is widened by
 LATER = 1.2  # than the band, a loop may converge
 TWICE = 2.0  # times the time to converge, that the loop is closed; its second half counts
+MOST_SLOWER = 4.0  # times, that a rig is taken to be after one round
 LEAST = 0.25  # of the prediction's runs, that it is closed at least
 
 
@@ -221,6 +222,27 @@ def disagreements(aim: Aim, run: Measured) -> list[str]:
             f"changed the amplitude by a factor of {run.reduction:.3g}, at least "
             f"{p['reduction']['low']:.3g} was predicted"
         )
+    return found
+
+
+def slower(rounds: Sequence[dict[str, Any]]) -> float:
+    """Return by how much a rig follows theta more slowly than its recordings made believe.
+
+    Of the rounds of a verify.json that disagreed: the times that their loops took to converge over
+    the longest predicted, one after the other.
+
+    >>> p = {"converges": {"high": 50.0}}
+    >>> slower([{"agrees": False, "prediction": p, "runs": [{"time_to_converge": 100.0}]}])
+    2.0
+    """
+    found = 1.0
+    for item in rounds:
+        late = item["prediction"]["converges"]["high"]
+        if item["agrees"] is not False or late is None:
+            continue
+        took = [run["time_to_converge"] for run in item["runs"]]
+        ratios = [MOST_SLOWER if value is None else value / late for value in took]
+        found *= min(max(1.0, *ratios), MOST_SLOWER)
     return found
 
 

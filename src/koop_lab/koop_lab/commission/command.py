@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_lab.commission import check, new, progress, rig_file, time_scale, verify
+from koop_lab.commission.closed_loop import slower
 from koop_lab.commission.excite import ending, excite
 from koop_lab.commission.hand import note_of
 from koop_lab.commission.rig_file import RigFile
@@ -158,9 +159,12 @@ class Commissioning:
         closed = [
             (self._folder / run["bag"]).parent for item in found["rounds"] for run in item["runs"]
         ]
+        if (factor := slower(found["rounds"])) > 1.0:
+            print(f"the rig counts as {factor:.3g} times as slow as its stays say")
         return tune_folders(
-            self._rig, [self._folder, *closed], out, seed=rounds, effort=self._effort
-        )
+            self._rig, [self._folder, *closed], out, seed=rounds, effort=self._effort,
+            slower=factor,
+        )  # fmt: skip
 
     def _set_aside(self, number: int) -> None:
         """Keep what was tuned before under the number of its round."""

@@ -75,6 +75,7 @@ def tune_folders(
     theta: str | None = None,
     seed: int = 0,
     effort: float = 1.0,
+    slower: float = 1.0,
 ) -> bool:
     """Tune from recordings, write the results and print them; return whether there is an optimum.
 
@@ -92,6 +93,8 @@ def tune_folders(
         Of all random numbers.
     effort : float
         Of the search, in units of the usual one.
+    slower : float
+        By how much the rig follows theta more slowly than its stays say, as a loop has shown.
 
     Raises
     ------
@@ -121,7 +124,7 @@ def tune_folders(
             bar.update(100.0 * share)
 
         try:
-            found = tune(loaded, rig, training, how, seed, effort * STEPS, said)
+            found = tune(loaded, rig, training, how, seed, effort * STEPS, said, slower)
         except NoOptimum as no:
             bar.close()
             draw(no.seen, None, out / PICTURE, f"{folders[0]}: {no.kind}")

@@ -307,6 +307,7 @@ def tune(
     seed: int = 0,
     steps: float = STEPS,
     said: Callable[[str, float], None] = lambda what, share: None,
+    slower: float = 1.0,
 ) -> Tuning:
     """Choose the cost and all constants of a controller.
 
@@ -326,6 +327,8 @@ def tune(
         Steps of the closed loop that may be simulated.
     said : callable
         Told what is done, and of each step its share of all.
+    slower : float
+        By how much the rig follows theta more slowly than its stays say, as a loop has shown.
 
     Raises
     ------
@@ -337,6 +340,7 @@ def tune(
     said("costs", 0.0)
     seen = look(loaded, rig, training, how)
     times = fit_times(loaded, seen.stays, seen.amplitude, seen.scale, rig.dt)
+    times = times._replace(usual=times.usual + math.log(slower))
     middle = [times.tau(float(a), up) for a in seen.amplitude.mean for up in (False, True)]
     time = float(max(middle)) + 2.0 * seen.period
     wanted = sorted((j for j in seen.costs if j.usable), key=lambda j: -j.gain)
