@@ -26,7 +26,7 @@ def scenario(tmp_path):
 
 
 def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, monkeypatch):
-    monkeypatch.setattr("koop_lab.commission.excite.LISTEN", 8.0)
+    monkeypatch.setattr("koop_lab.commission.survey.LISTEN", 8.0)
     given = read(find("rig-galloping"))
     faster = replace(given, setting=replace(given.setting, time_scale=5.0))
     said = record_excitation(faster, tmp_path, TIME)

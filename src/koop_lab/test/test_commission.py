@@ -7,7 +7,7 @@ import random
 import numpy as np
 import pytest
 
-from koop_lab.commission import check, progress, staircase
+from koop_lab.commission import check, progress, staircase, valley
 from koop_lab.commission.channels import channel, lines, strongest_period
 from koop_lab.commission.ears import Samples, refuse_dead
 from koop_lab.commission.features import Bands, bands, features
@@ -154,7 +154,10 @@ def test_a_limit_of_a_channel_is_named():
 
 
 class Simulated:
-    """A rig of which the map is known: log amplitude (theta - 1)^2, first order, noisy."""
+    """A rig of which the map is known: log amplitude (theta - 1)^2, first order, noisy.
+
+    The noise is that of a power with a gamma distribution; 0.5 is of a noise-driven oscillation.
+    """
 
     def __init__(self, tau, noise, seed=0):
         self.tau, self.noise, self.value = tau, noise, 0.0
@@ -164,14 +167,15 @@ class Simulated:
         while True:
             aim = (theta - 1.0) ** 2
             self.value += (1.0 - math.exp(-length / self.tau)) * (aim - self.value)
-            yield np.array([self.value + self.rng.normal(0.0, self.noise)])
+            shape = 0.25 / self.noise**2
+            yield np.array([self.value + 0.5 * math.log(self.rng.gamma(shape) / shape)])
 
 
 def excited(rig, length=1.0, most=400):
     """Do as the excitation does; return the visits."""
     values = staircase.values(RIG.theta_min, RIG.theta_max)
     visits, queue = [], staircase.passes(True)
-    while queue or (queue := staircase.next_round(visits, 0, 0)):
+    while queue or (queue := staircase.next_round(visits, 0, 0, 1.0)):
         level = queue.pop(0)
         target = staircase.target_error(staircase.static_map(visits, 0))
         series, source = [], rig.windows(values[level], length)
@@ -190,7 +194,7 @@ def excited(rig, length=1.0, most=400):
     return visits
 
 
-@pytest.mark.parametrize(("tau", "noise"), [(1.0, 0.02), (10.0, 0.05), (3.0, 0.8)])
+@pytest.mark.parametrize(("tau", "noise"), [(1.0, 0.02), (10.0, 0.05), (3.0, 0.5)])
 def test_the_map_is_found_as_well_as_was_promised(tau, noise):
     visits = excited(Simulated(tau, noise))
     points = staircase.static_map(visits, 0)
@@ -205,7 +209,7 @@ def test_the_map_is_found_as_well_as_was_promised(tau, noise):
 def test_theta_stays_longer_where_the_rig_is_slow_or_noisy():
     usual = np.mean([visit.stay for visit in excited(Simulated(1.0, 0.02))])
     assert np.mean([visit.stay for visit in excited(Simulated(10.0, 0.02))]) > 2.0 * usual
-    assert np.mean([visit.stay for visit in excited(Simulated(1.0, 0.8))]) > 2.0 * usual
+    assert np.mean([visit.stay for visit in excited(Simulated(1.0, 0.5))]) > 2.0 * usual
 
 
 def test_theta_goes_up_and_down_and_then_everywhere_at_random():
@@ -251,3 +255,34 @@ def test_progress_is_what_was_saved_and_of_this_rig(tmp_path):
     (tmp_path / progress.NAME).write_text(json.dumps({"rig": 3}))
     with pytest.raises(ConfigError, match="cannot be read"):
         progress.load(RIG, tmp_path)
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.9, 0.98])
+def test_the_error_of_a_mean_counts_that_neighbours_are_alike(alike):
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=(1500, 400))
+    series = np.zeros_like(noise)
+    for k in range(1, len(noise)):  # first order: the error of its mean is known
+        series[k] = alike * series[k - 1] + noise[k]
+    series = series[500:]
+    found = np.median(staircase.standard_error(series))
+    assert 0.7 * series.mean(axis=0).std() < found < 1.3 * series.mean(axis=0).std()
+
+
+def test_a_level_is_that_of_the_power_whatever_the_amplitude_does_in_a_window():
+    rng = np.random.default_rng(4)
+    power = rng.exponential(4.0, (20_000, 1))  # of a noise-driven oscillation of rms 2
+    mean, error = staircase.level(0.5 * np.log(power))
+    assert mean[0] == pytest.approx(math.log(2.0), abs=4.0 * error[0])
+    assert error[0] == pytest.approx(0.5 / math.sqrt(20_000), rel=0.2)
+
+
+def test_more_stays_are_asked_for_where_they_decide_whether_there_is_an_optimum():
+    u, error = np.linspace(0.0, 1.0, 9), np.full(9, 0.05)
+    assert valley.in_doubt((u - 0.5) ** 2 * 4.0, error) == []  # there is one
+    assert valley.in_doubt(2.0 * u, error) == []  # there is none: the end is the best by far
+    assert valley.in_doubt(0.0 * u, error) == []  # theta does nothing
+    slight = np.where(u > 0.2, u - 0.2, 0.3 * (0.2 - u)) * 2.0
+    assert valley.in_doubt(slight, error) == [0, 1]
+    assert valley.in_doubt(slight[::-1], error) == [7, 8]
+    assert valley.in_doubt(slight, 0.1 * error) == []

@@ -19,6 +19,7 @@ LINE = 8.0  # times the spectrum around it, that a line stands out by
 WORTH = 0.02  # of the power, from which on a line is named
 NAMED = 4  # lines
 AROUND = 12  # bins to each side, that a line is compared with
+FEWEST = 128  # samples, before which there is no spectrum to speak of
 WIDTH = 2  # bins to each side, that belong to a line: the window's
 
 
@@ -164,7 +165,7 @@ def listens(x: NDArray[np.float64], dt: float, least: float, periods: float, mos
     What is strongest shows only when it is heard long enough, so this is asked again and again.
     """
     heard = x.shape[0] * dt
-    if heard < least:
+    if heard < max(least, FEWEST * dt):
         return True
     period = strongest_period(x, dt)
     return period is not None and heard < min(periods * period, most)

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from koop_bag.bag.columns import read_tables
@@ -23,9 +22,7 @@ from koop_bag.recorder.run_folder import default_folder
 from koop_lab.cli.table import table
 from koop_lab.commission import progress as progress_file
 from koop_lab.commission import rig_file, staircase, time_scale
-from koop_lab.commission.channels import lines, listens
 from koop_lab.commission.ears import DISCOVERY
-from koop_lab.commission.features import Bands, bands, bridged, features, window_length
 from koop_lab.commission.hand import note_of
 from koop_lab.commission.leash import way_home
 from koop_lab.commission.progress import Progress
@@ -37,17 +34,12 @@ from koop_lab.commission.session import (
     refuse_incomplete_state,
     session,
 )
-from koop_lab.commission.staircase import Visit
+from koop_lab.commission.survey import SHORTEST, Survey
 from koop_lab.live.loop import LiveNodes
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 
-WINDOW = 4.0  # periods of the strongest oscillation
-SLOWEST = 2.0  # periods of the slowest one, where that is longer
-LISTEN = 40.0  # windows' worth of periods is not known before: periods that are listened to first
-SHORTEST, LONGEST = 3.0, 120.0  # [s] of that
 GUESS = 12  # windows that theta stays at a value, before any was seen
-MOST_SHARE = 0.15  # of the time, that theta stays at one value at most
 BYTES = 250.0  # of a bag for one state, with its cost and theta
 BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
@@ -270,7 +262,7 @@ class Excitation:
         self._state = state
         self._own = own
         self._ears = own.ears
-        self._values = staircase.values(rig.theta_min, rig.theta_max)
+        self._survey = Survey(rig, state)
         self._begin, self._before, self._began = 0, state.elapsed, time.monotonic()
         self._bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
         own.shown = self._show
@@ -294,23 +286,15 @@ class Excitation:
         state, rig = self._state, self._rig
         self._begin, self._began = self._ears.count, time.monotonic()
         if state.how is None:
-            state.how = self._listen()
+            self._listen()
+        assert state.how is not None
         self._own.still = state.how.length
         self._forecast()
         reason = "the static map is known well enough"
-        while True:
-            if not state.queue:
-                feature = self._feature()
-                state.queue = staircase.next_round(state.visits, feature, state.seed)
-                if not state.queue:
-                    state.done = True
-                    break
-            visit = self._stay(state.queue[0])
-            if visit is None:
+        while (value := self._survey.next_value()) is not None:
+            if not self._stay(value):
                 reason = f"the {rig.time:g} s of the rig file are over"
                 break
-            state.queue.pop(0)
-            state.visits.append(visit)
             state.elapsed = self._elapsed
             progress_file.save(state, rig, self._folder)
         state.elapsed = self._elapsed
@@ -318,7 +302,7 @@ class Excitation:
         self._bar.close()
         return Result(state, reason)
 
-    def _listen(self) -> Bands:
+    def _listen(self) -> None:
         """Choose the windows from what the rig does before theta moves."""
         dt = self._rig.dt
 
@@ -327,84 +311,38 @@ class Excitation:
         def more() -> bool:
             return self._ears.count >= heard + 0.2 * SHORTEST / dt
 
-        while listens(x := self._ears.samples(self._begin).x, dt, SHORTEST, LISTEN, LONGEST):
+        while self._survey.listens(x := self._ears.samples(self._begin).x):
             heard = self._ears.count
             self._own.until(more)
-        x = bridged(x)
-        found = [line for column in x.T for line in lines(column, dt)]
-        if not found:
-            raise LiveError("no channel moves: dead sensors, or other fields")
-        strongest = 1.0 / max(found, key=lambda line: line.share).frequency
-        slowest = 1.0 / min(line.frequency for line in found)
-        window = max(WINDOW * strongest, SLOWEST * slowest)
-        length = min(window_length(window, 1.0, dt), x.shape[0])
+        try:
+            found = self._survey.look(x)
+        except ValueError as error:
+            raise LiveError(str(error)) from None
+        assert self._state.how is not None
         print(
-            f"periods from {min(strongest, slowest):.3g} to {slowest:.3g} s: amplitudes are taken "
-            f"in windows of {length * dt:.3g} s",
+            f"periods from {min(found):.3g} to {found.slowest:.3g} s: amplitudes are taken in "
+            f"windows of {self._state.how.length * dt:.3g} s",
             flush=True,
         )
-        return bands(x, length, dt)
 
-    def _stay(self, level: int) -> Visit | None:
-        """Go to a value and stay as long as it needs; None if the time is over."""
-        state, rig, how = self._state, self._rig, self._state.how
+    def _stay(self, value: float) -> bool:
+        """Go to a value and stay as long as it needs; return False if the time is over."""
+        rig, how, survey = self._rig, self._state.how, self._survey
         assert how is not None
-        self._own.go(self._values[level])
+        self._own.go(value)
         begin = self._ears.count
-        guide, seen = self._guide(), [visit.settled for visit in state.visits]
-        length = how.length * rig.dt
-        points = staircase.static_map(state.visits, guide[0])
-        target = staircase.target_error(points)
-        fair = 2.0 * self._time_left / self._visits_left
-        most = max(staircase.FEWEST, int(min(MOST_SHARE * rig.time, fair) / length))
-        series: list[NDArray[np.float64]] = []
+        survey.arrive(self._elapsed)
         while True:
-            end = begin + (len(series) + 1) * how.length
+            end = begin + (survey.windows + 1) * how.length
             self._own.until(functools.partial(self._heard_or_over, end))
             self._own.refuse_dead()
             if self._elapsed > rig.time:
-                return None
-            series.append(features(self._ears.samples(end - how.length, end).x, how))
-            if len(series) < staircase.FEWEST:
-                continue
-            judged = staircase.judge(np.array(series), guide)
-            if not staircase.stays(judged, len(series), length, guide, target, seen, most):
-                break
-        return Visit(
-            level,
-            tuple(map(float, judged.mean)),
-            tuple(map(float, judged.error)),
-            judged.skip * length,
-            len(series) * length,
-        )
+                return False
+            if survey.take(self._ears.samples(end - how.length, end).x):
+                return True
 
     def _heard_or_over(self, count: int) -> bool:
         return self._ears.count >= count or self._elapsed > self._rig.time
-
-    def _guide(self) -> list[int]:
-        """Return the features that tell how long theta stays."""
-        if len(self._state.visits) >= len(staircase.passes(True)):
-            return [self._feature()]
-        return self._wholes()
-
-    def _wholes(self) -> list[int]:
-        """Return the features that are a channel's amplitude at all frequencies."""
-        assert self._state.how is not None
-        each = len(self._state.how.edges)
-        return [i * each for i in range(len(self._rig.names))]
-
-    def _feature(self) -> int:
-        """Return the feature that tells theta best."""
-        assert self._state.how is not None
-        every = len(self._state.how.edges) * len(self._rig.names)
-        return staircase.clearest(self._state.visits, range(every))
-
-    @property
-    def _visits_left(self) -> int:
-        """Return how many stays are to come, with the first round at random."""
-        queue = len(self._state.queue)
-        first = len(self._state.visits) + queue <= len(staircase.passes(True))
-        return queue + staircase.LEVELS * first
 
     # -- telling ------------------------------------------------------------------------------
 
@@ -415,7 +353,7 @@ class Excitation:
         length = state.how.length * rig.dt
         stays = [visit.stay for visit in state.visits]
         stay = float(np.mean(stays)) if stays else GUESS * length
-        visits = self._visits_left
+        visits = self._survey.visits_left
         travel = visits * rig.span / rig.theta_rate / (staircase.LEVELS - 1) * 1.5
         return min(visits * stay + travel, self._time_left)
 

@@ -62,29 +62,28 @@ def bands(x: NDArray[np.float64], length: int, dt: float) -> Bands:
 
 
 def features(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
-    """Return the logarithms of the amplitudes of one window, channel by channel.
+    """Return the logarithms of the amplitudes of windows, channel by channel.
 
     Parameters
     ----------
-    x : ndarray, shape (length, n)
-        The samples; NaN is bridged.
+    x : ndarray, shape (..., length, n)
+        The samples of each window; NaN is bridged.
     how : Bands
         Of the rig.
 
     Returns
     -------
-    ndarray, shape (n * (1 + bands),)
+    ndarray, shape (..., n * (1 + bands))
         For each channel that of all frequencies, then that of each band.
     """
-    x = bridged(x)
-    power = np.abs(np.fft.rfft(_detrended(x) * np.hanning(x.shape[0])[:, None], axis=0)) ** 2
-    whole = amplitude(x.T)
-    total = np.maximum(power[1:].sum(axis=0), FLOOR)
-    inside = [
-        power[a:b].sum(axis=0) / total for a, b in zip(how.edges, how.edges[1:], strict=False)
-    ]
-    rows = np.array([whole, *(whole * np.sqrt(share) for share in inside)])
-    return np.asarray(np.log(np.maximum(rows, FLOOR)).T.reshape(-1))
+    if not np.isfinite(x).all():
+        x = np.reshape([bridged(w) for w in x.reshape(-1, *x.shape[-2:])], x.shape)
+    power = np.abs(np.fft.rfft(_detrended(x) * np.hanning(x.shape[-2])[:, None], axis=-2)) ** 2
+    whole = amplitude(np.swapaxes(x, -1, -2))
+    total = np.maximum(power[..., 1:, :].sum(axis=-2), FLOOR)
+    inside = [power[..., a:b, :].sum(axis=-2) / total for a, b in itertools.pairwise(how.edges)]
+    rows = np.stack([whole, *(whole * np.sqrt(share) for share in inside)], axis=-1)
+    return np.asarray(np.log(np.maximum(rows, FLOOR)).reshape(*x.shape[:-2], -1))
 
 
 def bridged(x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -104,6 +103,7 @@ def window_length(period: float, periods: float, dt: float) -> int:
 
 
 def _detrended(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    t = np.linspace(-1.0, 1.0, x.shape[0])
-    centred = x - x.mean(axis=0)
-    return np.asarray(centred - np.outer(t, (t @ centred) / (t @ t)))
+    t = np.linspace(-1.0, 1.0, x.shape[-2])
+    centred = x - x.mean(axis=-2, keepdims=True)
+    slope = np.einsum("t,...tn->...n", t, centred) / (t @ t)
+    return np.asarray(centred - t[:, None] * slope[..., None, :])

@@ -1,9 +1,10 @@
 """Where theta goes next, how long it stays, and when the static map is known. Pure: no ROS.
 
 Theta goes up and down through its values, then through them at random, so that neither a memory of
-the rig nor a drift is taken for the map. At each value the logarithm of an amplitude is taken in
-one window after the other. What comes before the rig has settled is left out: the d windows for
-which the marginal standard error of the rest is least (White, Simulation 69 (1997) 323-334),
+the rig nor a drift is taken for the map. At each value the amplitude is taken in one window after
+the other; the level is the logarithm of its root mean square. What comes before the rig has
+settled is left out: the d windows for which the marginal standard error of the rest is least
+(White, Simulation 69 (1997) 323-334),
 
     d = argmin_{d <= m/2} var(a_d .. a_m) / (m - d)
 
@@ -22,14 +23,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_lab.commission import valley
+
 LEVELS = 9
 LOGARITHMIC = 20.0  # ratio of the limits of theta, from which on its values are a geometric series
 FEWEST = 6  # windows at a value
 LONGER = 2.0  # than the rig was seen to need, theta stays at least
 FLOOR = 0.03  # of an amplitude: no map need be known better
-SHARE = 0.07  # of the map's span, that is good enough
-MOST_VISITS = 6
-ALIKE = 0.8  # largest correlation of neighbouring windows that is believed
+SHARE = 0.05  # of the map's span, that is good enough
+MOST_VISITS, MOST_IN_DOUBT = 6, 16
+LEAST_ERROR = 0.003  # of an amplitude: nothing is known better
 
 
 @dataclass(frozen=True)
@@ -125,22 +128,61 @@ def judge(series: NDArray[np.float64], guide: Sequence[int]) -> Judged:
     most = m // 2
     skip = 0
     for j in guide:
-        worth = [series[d:, j].var() / (m - d) for d in range(most + 1)]
-        skip = max(skip, int(np.argmin(worth)))
+        skip = max(skip, int(np.argmin(_worth(series[:, j], most))))
     rest = series[skip:]
-    return Judged(skip, skip < most, rest.mean(axis=0), standard_error(rest))
+    return Judged(skip, skip < most, *level(rest))
+
+
+def _worth(values: NDArray[np.float64], most: int) -> NDArray[np.float64]:
+    """Return var(a_d .. a_m) / (m - d) for d up to ``most``."""
+    backwards = values[::-1] - values.mean()
+    count = np.arange(1, values.size + 1)
+    mean = np.cumsum(backwards) / count
+    variance = np.maximum(np.cumsum(backwards**2) / count - mean**2, 0.0)
+    return np.asarray((variance / count)[::-1][: most + 1])
+
+
+def level(rest: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the logarithm of the root mean square of each column's exponential, and its error.
+
+    The mean of the logarithm would be lower the more an amplitude comes and goes in a window, and
+    less sure: by a third for the one of a noise-driven oscillation.
+    """
+    top = rest.max(axis=0)
+    power = np.exp(2.0 * (rest - top))
+    mean = power.mean(axis=0)
+    return top + 0.5 * np.log(mean), 0.5 * standard_error(power) / mean
 
 
 def standard_error(rest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the standard error of the mean of each column; neighbours may be alike."""
+    """Return the standard error of the mean of each column; neighbours may be alike.
+
+    se^2 = var s / (m - s),   s of :func:`alike`
+    """
     m = rest.shape[0]
     if m < 3:
         return np.full(rest.shape[1], math.inf)
+    count = alike(rest)
+    return np.asarray(np.sqrt(rest.var(axis=0) * count / (m - count)))
+
+
+def alike(rest: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how many neighbouring windows of each column know no more than one.
+
+        s = 1 + 2 sum_k rho_k
+
+    The sum of the autocorrelation ends where two neighbours of it are no longer positive together
+    (Geyer, Statistical Science 7 (1992) 473-483), and s is at most a third of the windows.
+    """
+    m = rest.shape[0]
     centred = rest - rest.mean(axis=0)
+    size = 1 << (2 * m - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(centred, size, axis=0)) ** 2
+    rho = np.fft.irfft(spectrum, size, axis=0)[: m // 2 + 1]
     power = np.maximum((centred**2).sum(axis=0), 1e-300)
-    alike = np.clip((centred[1:] * centred[:-1]).sum(axis=0) / power, 0.0, ALIKE)
-    deviation = np.sqrt(power / (m - 1))
-    return np.asarray(deviation * np.sqrt((1.0 + alike) / (1.0 - alike) / m))
+    pairs = rho[: rho.shape[0] // 2 * 2].reshape(-1, 2, rest.shape[1]).sum(axis=1) / power
+    known = np.cumprod(pairs > 0.0, axis=0)  # up to the first that is not
+    return np.asarray(np.clip(2.0 * (pairs * known).sum(axis=0) - 1.0, 1.0, m / 3.0))
 
 
 def stays(
@@ -183,9 +225,12 @@ def static_map(visits: Sequence[Visit], feature: int, count: int = LEVELS) -> li
             continue
         mean = np.array([visit.mean[feature] for visit in own])
         error = np.maximum([visit.error[feature] for visit in own], 1e-9)
-        weight = 1.0 / np.minimum(error, 1e3) ** 2
-        centre = float(np.average(mean, weights=weight))
-        inner = 1.0 / math.sqrt(float(weight.sum()))
+        # few windows may happen to agree: no visit is believed much more than the usual one
+        square = np.minimum(error, 1e3) ** 2
+        weight = 1.0 / (square + np.median(square))
+        weight /= weight.sum()
+        centre = float(weight @ mean)
+        inner = math.sqrt(float(weight**2 @ square))
         between = float(mean.std(ddof=1)) / math.sqrt(mean.size) if mean.size > 1 else 0.0
         found.append(Point(centre, max(inner, between), len(own)))
     return found
@@ -233,13 +278,28 @@ def passes(up_first: bool, count: int = LEVELS) -> list[int]:
     return [*up, *up[-2::-1]] if up_first else [*up[::-1], *up[1:]]
 
 
-def next_round(visits: Sequence[Visit], feature: int, seed: int, count: int = LEVELS) -> list[int]:
+def in_doubt(visits: Sequence[Visit], feature: int, sense: float, count: int = LEVELS) -> list[int]:
+    """Return the values that leave open whether there is an optimum; see :mod:`valley`."""
+    points = [p for p in static_map(visits, feature, count) if p is not None]
+    if len(points) < count:
+        return []
+    means = sense * np.array([p.mean for p in points])
+    errors = np.array([max(p.error, LEAST_ERROR) for p in points])
+    doubtful = valley.in_doubt(means, np.where(np.isfinite(errors), errors, 1e3))
+    return [level for level in doubtful if points[level].visits < MOST_IN_DOUBT]
+
+
+def next_round(
+    visits: Sequence[Visit], feature: int, seed: int, sense: float, count: int = LEVELS
+) -> list[int]:
     """Return the values for another round, at random; empty if the map is known well enough.
 
-    The first round has all of them.
+    The first round has all of them. ``sense`` is +1 where little is wanted.
     """
     first = len(visits) <= len(passes(True, count))
     wanted = list(range(count)) if first else unknown(visits, feature, count)
+    if not first:
+        wanted = sorted({*wanted, *in_doubt(visits, feature, sense, count)})
     random.Random(f"{seed} {len(visits)}").shuffle(wanted)
     if visits and len(wanted) > 1 and wanted[0] == visits[-1].level:
         wanted.append(wanted.pop(0))
