@@ -29,7 +29,7 @@ from koop_lab.identify.windows import PERIODS, SKIP, period_of, usual_rest
 from koop_lab.replay.settings import recorded_values
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.delays import Delays, spacing_for
-from koopman_lifter.edmd import Gram
+from koopman_lifter.edmd import BLOCK, Gram
 from koopman_lifter.model import KoopmanModel
 from koopman_lifter.observables import Monomials
 from relay_esc.config import EscConfig
@@ -39,6 +39,7 @@ from matplotlib import pyplot as plt
 
 BAND_LIMITED = "band-limited energy"  # for comparison: the lifter has no such cost
 DELAYS = 8  # samples of the candidates with delays, unless told otherwise
+PART = 2048  # samples in a row, where not all are learned from
 REST = 0.6  # of the time in which theta rests, that may pass before a window
 
 
@@ -180,10 +181,13 @@ class Cost(NamedTuple):
         return words + (" --contrast" if own.contrast else "")
 
 
-def costs(loaded: Loaded, training: BagTraining, period: float) -> Iterator[Cost]:
+def costs(
+    loaded: Loaded, training: BagTraining, period: float, most: int | None = None
+) -> Iterator[Cost]:
     """Yield every candidate, learned from the training part of a recording.
 
-    ``period`` is that of the oscillation [s].
+    ``period`` is that of the oscillation [s]; modes are learned from ``most`` samples, spread over
+    the recording, or from all.
     """
     x, begins, dt = loaded.x, loaded.begins, training.dt
     assert dt is not None
@@ -200,7 +204,7 @@ def costs(loaded: Loaded, training: BagTraining, period: float) -> Iterator[Cost
         model: KoopmanModel | None = None
         problem = ""
         try:
-            model = _learned(loaded, training, delays)
+            model = _learned(loaded, training, delays, most)
         except ValueError as error:
             problem = str(error)
         yield _of(f"lifted{words}", own, model, loaded, problem)
@@ -220,13 +224,20 @@ def _of(
     return Cost(name, training, model, energies(model, loaded.x, loaded.begins))
 
 
-def _learned(loaded: Loaded, training: BagTraining, delays: Delays) -> KoopmanModel:
-    """Return the model of the training part."""
+def _learned(
+    loaded: Loaded, training: BagTraining, delays: Delays, most: int | None
+) -> KoopmanModel:
+    """Return the model of the training part, or of ``most`` of its samples."""
     assert training.dt is not None
     gram = Gram.empty(Monomials(delays.n, training.degree_for(delays)))
+    share = 1.0 if most is None else min(1.0, most / loaded.x.shape[1])
+    length = BLOCK if share == 1.0 else PART
     for piece in pieces(loaded.begins):
         if not loaded.held_out[piece.start]:
-            gram.add_trajectory(delays.embed(loaded.x[:, piece]))
+            for begin in range(piece.start, piece.stop, round(length / share)):
+                # embedded, it is as many times as large as there are delays
+                end = min(begin + length + delays.depth, piece.stop)
+                gram.add_trajectory(delays.embed(loaded.x[:, begin:end]))
     names = training.names or state_names(training.state, delays.channels)
     return built(gram, training, names, {}, delays)
 

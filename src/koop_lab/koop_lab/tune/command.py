@@ -103,7 +103,7 @@ def tune_folders(
     """
     from koop_lab.tune import figures, written  # slow to import
     from koop_lab.tune.picture import draw
-    from koop_lab.tune.tuning import STEPS, NoOptimum, tune
+    from koop_lab.tune.tuning import NoOptimum, tune
 
     began = time.monotonic()
     bags, how = bags_of(folders, rig)
@@ -124,7 +124,7 @@ def tune_folders(
             bar.update(100.0 * share)
 
         try:
-            found = tune(loaded, rig, training, how, seed, effort * STEPS, said, slower)
+            found = tune(loaded, rig, training, how, seed, effort, said, slower)
         except NoOptimum as no:
             bar.close()
             draw(no.seen, None, out / PICTURE, f"{folders[0]}: {no.kind}")

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from koop_lab.tune import surrogate
-from koop_lab.tune.stays import Scale
 from koop_lab.tune.surrogate import BLOCKS, Surrogate
+from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 
@@ -43,8 +43,10 @@ DRIFT = 0.05  # of the range, by which the optimum moves in a run at most
 PERCENTILE = 90.0
 GOOD = 1.5  # times the least amplitude, and
 PART = 0.25  # of what theta can do above it: whatever is less counts as converged
-WORKERS = 2
-FEWEST, MOST = 16, 256  # constants in the first round
+FIRST = 64  # constants in the first round
+TOP, FINE = 12, 3  # constants of the last coarse round; of those that are run sample by sample
+FINE_RUNS = 12  # of each of these
+COARSE_DT = 0.01  # of a controller in blocks [s]
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,8 @@ class Task:
 
     Attributes
     ----------
-    surrogates : dict of float to list of Surrogate
-        By omega_h [rad/s].
+    surrogates, coarse : dict of float to list of Surrogate
+        By omega_h [rad/s]: sample by sample, and in blocks.
     sense : float
         +1 to minimise.
     time : float
@@ -93,6 +95,7 @@ class Task:
     """
 
     surrogates: dict[float, list[Surrogate]]
+    coarse: dict[float, list[Surrogate]]
     sense: float
     time: float
     dt: float
@@ -166,6 +169,22 @@ def esc_of(task: Task, c: Constants, theta: float) -> EscConfig:
     )
 
 
+def slowed(esc: EscConfig, every: int) -> EscConfig:
+    """Return a controller that does with one of ``every`` samples what this one does with all.
+
+    In units of time in which its dt is one that a controller may have.
+    """
+    unit = COARSE_DT / (every * esc.dt)
+    return replace(
+        esc,
+        step_size=esc.step_size * every,
+        dwell=esc.dwell * unit,
+        tau_f=esc.tau_f * unit,
+        rate_limit=esc.rate_limit / unit,
+        dt=COARSE_DT,
+    )
+
+
 def lifter_of(task: Task, c: Constants) -> LifterConfig:
     """Return the detector's configuration."""
     return LifterConfig(omega_h=rounded(c.omega_h), omega_l=rounded(c.omega_l), dt=task.dt)
@@ -181,29 +200,34 @@ def rounded(value: float) -> float:
 
 
 def try_out(
-    task: Task, c: Constants, number: int, seed: int, start: float | None = None
+    task: Task, c: Constants, number: int, seed: int, start: float | None = None, fine: bool = True
 ) -> Outcome:
     """Run once; ``number`` chooses surrogate and end of the range."""
-    options = task.surrogates[c.omega_h]
+    options = (task.surrogates if fine else task.coarse)[c.omega_h]
     s = options[(number // 2) % len(options)]
     rng = np.random.default_rng([seed, number])
     end = float(number % 2) if start is None else start
-    theta = min(max(Scale(s.low, s.high).theta_at(end), s.low), s.high)
-    steps = task.steps
+    theta = s.low * (s.high / s.low) ** end if s.logarithmic else s.low + end * (s.high - s.low)
+    theta = min(max(theta, s.low), s.high)
+    every = round(s.dt / task.dt)
+    steps = task.steps // every
     drift = 0.0 if number % 4 < 2 else float(rng.uniform(-DRIFT, DRIFT)) / steps
     esc = replace(esc_of(task, c, theta), epsilon_initial=1 if end > 0.5 else -1)
+    detector = lifter_of(task, c).detector_params()
+    if s.coarse:
+        esc = slowed(esc, every)
+        detector = cost.detector_params(c.omega_h, c.omega_l, s.dt)._replace(alpha_hp=0.0)
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
     surrogate.run(
-        s, lifter_of(task, c).detector_params(), esc.params(), esc.initial(), steps, drift,
-        rng.random(1021), u, power,
-    )  # fmt: skip
-    return outcome(task, s, u, power, steps)
+        s, detector, esc.params(), esc.initial(), steps, drift, rng.random(1021), u, power
+    )
+    return outcome(task, s, u, power, steps * s.dt)
 
 
 def outcome(
-    task: Task, s: Surrogate, u: NDArray[np.float64], power: NDArray[np.float64], steps: int
+    task: Task, s: Surrogate, u: NDArray[np.float64], power: NDArray[np.float64], time: float
 ) -> Outcome:
-    """Judge a run."""
+    """Judge a run of a time [s]."""
     maps = task.sense * s.amplitudes
     i = int(np.argmin(maps))
     best, worst = float(maps[i]), float(maps.max())
@@ -213,7 +237,6 @@ def outcome(
     bound = math.log(min(GOOD, 1.0 + PART * (math.exp(worst - best) - 1.0)))
     inside = np.flatnonzero(logs <= bound)
     share = (inside[0] + 1) / BLOCKS if inside.size else 2.0
-    time = steps * task.dt
     distance = float(np.abs(np.clip(u, 0.0, 1.0)[half:] - i / (s.amplitudes.size - 1)).mean())
     start = 0.5 * task.sense * math.log(float(power[0])) - best
     return Outcome(
@@ -259,14 +282,18 @@ def _in_units(task: Task, law: str, omega_h: float, v: dict[str, float]) -> Cons
 
 
 def around(
-    task: Task, centres: Sequence[Constants], count: int, rng: np.random.Generator
+    task: Task,
+    centres: Sequence[Constants],
+    count: int,
+    rng: np.random.Generator,
+    spread: float,
 ) -> list[Constants]:
     """Return constants near some."""
     found = []
     for i in range(count):
         c = centres[i % len(centres)]
         own: dict[str, Any] = {
-            name: getattr(c, name) * math.exp(rng.normal(0.0, 0.35)) for name in RANGES
+            name: getattr(c, name) * math.exp(rng.normal(0.0, spread)) for name in RANGES
         }
         own["step_ratio"] = min(max(own["step_ratio"], 0.01), 1.0)
         found.append(replace(c, **own))
@@ -287,7 +314,11 @@ class Tried:
 
 
 def search(
-    task: Task, steps: float, seed: int, said: Callable[[float], None] = lambda share: None
+    task: Task,
+    effort: float,
+    seed: int,
+    said: Callable[[float], None] = lambda share: None,
+    workers: int = 1,
 ) -> list[Tried]:
     """Return the best constants first, the better half of each round having run more often.
 
@@ -295,38 +326,44 @@ def search(
     ----------
     task : Task
         What is to be controlled.
-    steps : float
-        That may be run in all.
+    effort : float
+        Of the search, in units of the usual one.
     seed : int
         Of the draws.
     said : callable
         Told of every run, as a share of all.
+    workers : int
+        Threads.
     """
-    per_run = task.steps
-    runs = max(int(steps / per_run), 200)
-    first = 2 ** int(math.log2(max(FEWEST, min(MOST, runs // 8))))  # an eighth, with two runs each
+    first = 2 ** max(round(math.log2(FIRST * effort)), 3)
     rng = np.random.default_rng([seed, 7])
-    with ThreadPoolExecutor(WORKERS) as pool:
+    total = 8 * first + 16 * TOP
+
+    with ThreadPoolExecutor(workers) as pool:
 
         def more(tried: list[Tried], upto: int) -> list[Tried]:
-            jobs = [
-                [pool.submit(try_out, task, t.constants, n, seed)
-                 for n in range(len(t.outcomes), upto)]
-                for t in tried
-            ]  # fmt: skip
+            def results(t: Tried) -> list[Outcome]:
+                done = range(len(t.outcomes), upto)
+                return [try_out(task, t.constants, n, seed, fine=False) for n in done]
+
             found = []
-            for t, own in zip(tried, jobs, strict=True):
-                results = [job.result() for job in own]
-                said(len(results) / total)
-                found.append(Tried(t.constants, t.outcomes + results))
+            for t, outcomes in zip(tried, pool.map(results, tried), strict=True):
+                said(len(outcomes) / total)
+                found.append(Tried(t.constants, t.outcomes + outcomes))
             return sorted(found, key=lambda t: t.score)
 
-        quarter, few = max(first // 4, 4), max(first // 16, 4)
-        total = 2 * first + 6 * quarter + 4 * (first // 2) + 4 * few + 16 * 8 + 32 * 3
         tried = more([Tried(c, []) for c in draw(task, first, seed)], 2)
-        tried = more(tried[:quarter], 8)
-        near = around(task, [t.constants for t in tried[:4]], first // 2, rng)
-        new = more([Tried(c, []) for c in near], 4)
-        both = sorted([*more(new[:few], 8), *tried[:8]], key=lambda t: t.score)
-        tried = more(both[:8], 24)
-        return more(tried[:3], 56)
+        tried = more(tried[: first // 4], 8)
+        for spread in (0.35, 0.2):
+            near = around(task, [t.constants for t in tried[:4]], first // 4, rng, spread)
+            tried = sorted([*more([Tried(c, []) for c in near], 8), *tried], key=lambda t: t.score)
+        return more(tried[:TOP], 24)
+
+
+def confirm(task: Task, tried: Sequence[Tried], seed: int) -> list[Tried]:
+    """Return the best constants, the best first, as they do sample by sample."""
+    found = [
+        Tried(t.constants, [try_out(task, t.constants, n, seed) for n in range(FINE_RUNS)])
+        for t in tried[:FINE]
+    ]
+    return sorted(found, key=lambda t: t.score)

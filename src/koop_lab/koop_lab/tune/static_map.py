@@ -1,11 +1,4 @@
-"""A static map with its errors: has it an optimum inside, and what is it between its points?
-
-The test: of all curves that fall and then rise, and of all that only fall or only rise, those are
-fitted that are nearest to the points (isotonic regression). By how much chi-squared of the second
-is larger tells whether the ends are worse than the inside.
-
-    gain = min(chi2_rising, chi2_falling) - chi2_valley
-"""
+"""A static map with its errors: has it an optimum inside, and what is it between its points?"""
 
 from __future__ import annotations
 
@@ -15,20 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
-from scipy.optimize import isotonic_regression
 
-from koop_lab.commission.staircase import standard_error
+from koop_lab.commission import valley
+from koop_lab.commission.staircase import LEAST_ERROR, level
 from koop_lab.tune.stays import Stays
 
-SURE = 12.0  # gain from which on there is an optimum: 3 sigma, and the choice of the feature
-FLAT = 25.0  # chi-squared about a constant, below which 9 values show nothing
-LEAST_ERROR = 0.003  # of an amplitude: nothing is known better
+SINGLE = 2.0  # chi-squared of a point about the nearest curve with one optimum
 GRID = 257  # points of a map between 0 and 1
 
 
 @dataclass(frozen=True)
 class StaticMap:
-    """Logarithm of a level at each value of theta.
+    """Logarithm of a level, a root mean square, at each value of theta.
 
     Attributes
     ----------
@@ -51,25 +42,22 @@ class StaticMap:
     @property
     def gain(self) -> float:
         """By how much a valley fits better than a slope, in chi-squared."""
-        y, w = self.sense * self.mean, 1.0 / self.error**2
-        rising, falling = _misfit(y, w, True)[-1], _misfit(y, w, False)[-1]
-        left = _misfit(y, w, False)  # the first k points fall
-        right = _misfit(y[::-1], w[::-1], False)[::-1]  # the last ones rise
-        valley = min(left[k] + right[k] for k in range(y.size + 1))
-        return float(min(rising, falling) - valley)
+        return valley.shape(self.sense * self.mean, self.error).gain
 
     @property
     def interior(self) -> bool:
         """Whether there is an optimum inside."""
-        return self.gain > SURE and 0.0 < self.best() < 1.0
+        return self.gain > valley.SURE and 0.0 < self.best() < 1.0
 
     @property
     def flat(self) -> bool:
         """Whether the points show nothing at all."""
-        w = 1.0 / self.error**2
-        centre = float(np.average(self.mean, weights=w))
-        n = self.u.size
-        return float((w * (self.mean - centre) ** 2).sum()) < FLAT * max(1.0, (n - 1) / 8.0)
+        return valley.flat(self.mean, self.error)
+
+    @property
+    def clarity(self) -> float:
+        """How much the map stands out from its errors, in chi-squared."""
+        return valley.clarity(self.mean, self.error)
 
     def best(self) -> float:
         """Return the position of the optimum."""
@@ -81,7 +69,8 @@ class StaticMap:
         """Return the map through points, shape (GRID,); as smooth as their errors allow.
 
         The smoothest (Whittaker 1923) of chi-squared up to the number of points; between them
-        PCHIP, which does not overshoot.
+        PCHIP, which does not overshoot. A map is taken to have one optimum, unless its points
+        say otherwise: in a dip that errors made a simulated loop would be caught.
         """
         n, w = self.u.size, 1.0 / self.error**2
         h = np.diff(self.u)
@@ -94,10 +83,13 @@ class StaticMap:
                 np.diag(w) + strength * np.median(w) * bend.T @ bend * float(h.mean()) ** 2,
                 w * mean,
             )
-            if float((w * (smooth - mean) ** 2).sum()) <= 0.5 * n:
+            if float((w * (smooth - mean) ** 2).sum()) <= n:
                 break
         else:
             smooth = mean
+        single = self.sense * valley.nearest(self.sense * smooth, self.error)
+        if float((w * (single - mean) ** 2).sum()) < SINGLE * n:
+            smooth = single
         grid = np.clip(np.linspace(0.0, 1.0, GRID), self.u[0], self.u[-1])
         return np.asarray(PchipInterpolator(self.u, smooth)(grid))
 
@@ -121,8 +113,8 @@ def static_map(stays: Stays, windows: list[NDArray[np.float64]], sense: float) -
     own: list[list[float]] = [[] for _ in stays.u]
     inner: list[list[float]] = [[] for _ in stays.u]
     for stay, values in zip(stays.stays, settled, strict=True):
-        error = float(standard_error(values[:, None])[0])
-        own[stay.level].append(float(values.mean()))
+        mean, error = (float(found[0]) for found in level(values[:, None]))
+        own[stay.level].append(mean)
         inner[stay.level].append(error if math.isfinite(error) else float(np.ptp(values)))
     visits = [np.array(group) for group in own]
     spare = sum(v.size - 1 for v in visits)
@@ -139,12 +131,3 @@ def static_map(stays: Stays, windows: list[NDArray[np.float64]], sense: float) -
 def weights_of(maps: StaticMap, rng: np.random.Generator) -> list[NDArray[np.float64]]:
     """Return random weights of each value's visits (the Bayesian bootstrap; Rubin 1981)."""
     return [rng.dirichlet(np.ones(v.size)) for v in maps.visits]
-
-
-def _misfit(y: NDArray[np.float64], w: NDArray[np.float64], rising: bool) -> list[float]:
-    """Return chi-squared of the first 0, 1 .. n points about the nearest monotone curve."""
-    found = [0.0]
-    for k in range(1, y.size + 1):
-        fit = isotonic_regression(y[:k], weights=w[:k], increasing=rising).x
-        found.append(float((w[:k] * (y[:k] - fit) ** 2).sum()))
-    return found

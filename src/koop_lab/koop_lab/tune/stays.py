@@ -245,7 +245,7 @@ def find_stays(loaded: Loaded, scale: Scale, how: Bands, period: float) -> Stays
     length = how.length
     u, found = rests(loaded, scale, length)
     seen = [
-        np.array([features(loaded.x[:, k : k + length].T, how) for k in range(a, b, length)])
+        features(loaded.x[:, a:b].T.reshape(-1, length, loaded.x.shape[0]), how)
         for _, a, b in found
     ]
     each = seen[0].shape[1] // loaded.x.shape[0]

@@ -10,6 +10,10 @@ y_out is what was recorded at the nearest value of theta once the rig had settle
 exp(l - L_recorded): ripple, noise, interference and how they go on are the rig's own. A piece is
 played from a random place on; at its end, or when another value is nearer, the next one begins
 where y_out is about the same.
+
+A coarse surrogate is for trying much in little time: it plays the root mean square of y_hp, which
+is what the high-pass filter leaves of y_out, over blocks of samples. What the low-pass filter and
+the relay make of it is the nodes' own kernels', at the time step of the blocks.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
+from koop_lab.commission.staircase import alike
 from koop_lab.identify.loaded import Loaded, pieces
 from koop_lab.tune.static_map import GRID, StaticMap
 from koop_lab.tune.stays import Scale, Stays
@@ -34,6 +39,7 @@ from relay_esc.relay import RelayParams, RelayState
 
 PLACES = 16  # that are looked at for one where y_out is about the same
 BLOCKS = 200  # that a run is told in
+WANDERS = 3.0  # windows that are alike, from which on the amplitude comes and goes by itself
 
 
 class Times(NamedTuple):
@@ -76,6 +82,8 @@ class Surrogate(NamedTuple):
         Range of theta.
     logarithmic : bool
         Whether positions are those of log theta.
+    coarse : bool
+        Whether ``y`` is the root mean square of y_hp over dt.
     """
 
     levels: NDArray[np.float64]
@@ -90,6 +98,7 @@ class Surrogate(NamedTuple):
     low: float
     high: float
     logarithmic: bool
+    coarse: bool
 
 
 def high_passed(
@@ -108,7 +117,11 @@ def high_passed(
 
 
 def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, dt: float) -> Times:
-    """Fit the time constants to the amplitude's logarithm in the windows of all stays."""
+    """Fit the time constants to the amplitude's logarithm in the windows of all stays.
+
+    An oscillation that noise drives comes and goes by itself: its power is alike for about one
+    time constant, which tells more of it than how it follows theta does.
+    """
     assert loaded.theta is not None
     every = max(1, stays.how.length // 4)
     curve = amplitude.curve(amplitude.mean)
@@ -124,6 +137,9 @@ def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, 
     middle = float(np.mean(curve))
     usual = 0.02 + float(np.median([v[s.skip :].std() for s, v in
                                     zip(stays.stays, stays.amplitude, strict=True)]))  # fmt: skip
+    window = stays.how.length * dt
+    settled = [v[:, None] for v in stays.settled(stays.amplitude) if v.size > 8]
+    same = float(np.median([alike(np.exp(2.0 * (v - v.max())))[0] for v in settled] or [1.0]))
     longest = max(s.end - s.begin for s in stays.stays) * dt
     shortest = 0.05 * stays.how.length * dt
     found = np.empty(target.size)
@@ -133,8 +149,10 @@ def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, 
         made = sum(found[np.minimum(starts + j, found.size - 1)] for j in range(4)) / 4.0
         error = np.minimum(np.abs(made - seen) / usual, 5.0)
         beyond = max(0.0, c[0] - math.log(longest)) + max(0.0, math.log(shortest) - c[0])
-        prior = 0.3 * (c[1] ** 2 + c[2] ** 2) + 100.0 * beyond**2
-        return float((error**2).sum()) + prior
+        prior = 0.5 * c[1] ** 2 + 5.0 * c[2] ** 2 + 100.0 * beyond**2
+        if same > WANDERS:
+            prior += 2.0 * (c[0] - math.log(same * window)) ** 2
+        return float((error**2).sum()) / same + prior
 
     tries = [np.array([x, 0.0, 0.0]) for x in np.linspace(math.log(shortest), math.log(longest), 9)]
     begin = min(tries, key=loss)
@@ -248,7 +266,8 @@ def run(
         arrival = Arrival.JOIN if k == 0 else Arrival.NEXT
         gain = math.exp(level - s.recorded[value])
         y = gain * s.y[place]
-        r, seen = cost.follow(detector, seen, arrival, y)
+        # a filter without memory makes of this sum what is added
+        r, seen = cost.follow(detector, seen, arrival, seen.y_previous + y if s.coarse else y)
         state, _, _ = relay.answer(params, state, arrival, False, seen.settling > 0, r, False)
         position = _position(s, state.output)
         moved = position - drift * k

@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from koop_lab.commission.features import Bands, bands, window_length
 from koop_lab.commission.rig_file import RigFile
-from koop_lab.commission.staircase import standard_error
+from koop_lab.commission.staircase import level
+from koop_lab.commission.valley import SURE
 from koop_lab.identify.compare import BAND_LIMITED, Cost, costs
 from koop_lab.identify.from_bags import BagTraining
 from koop_lab.identify.loaded import Loaded
 from koop_lab.identify.windows import period_of
-from koop_lab.tune.search import HIGH, Outcome, Task, Tried, search, try_out
-from koop_lab.tune.static_map import SURE, StaticMap, static_map, weights_of
+from koop_lab.tune.search import HIGH, Outcome, Task, Tried, confirm, search, try_out
+from koop_lab.tune.static_map import StaticMap, static_map, weights_of
 from koop_lab.tune.stays import Scale, Stays, find_stays, period_by_theta, window_levels
 from koop_lab.tune.surrogate import Surrogate, Times, fit_times, high_passed
 
@@ -24,11 +27,13 @@ PERIODS = 4.0  # of the oscillation, in a window
 SURROGATES = 6
 UNSURE = 0.2  # standard deviation of the logarithm of tau
 DECIDES, NEAR = 3.0, 0.2  # a cost that decides is so much surer, and so near [u]
-CANDIDATES = 3  # costs that are searched for
+CLEARER = 2.0  # a contrast's map is taken for the amplitude's if it stands out so much more
+LEARNED = 65536  # samples that models are learned from, spread over the recording
+CANDIDATES = 2  # costs that are searched for
 AS_GOOD = 1.05  # raw is taken when the best is not better by more
-RUNS = 64  # of the prediction
+RUNS = 32  # of the prediction
 BAND = (5.0, 50.0, 95.0)  # percentiles that are told
-STEPS = 1.0e9  # of all runs: most of the time that it takes
+BLOCKS_OF_TIME = 100  # in T, of coarse surrogates at least
 BELIEVED = 10.0  # times the largest y_out of the recording
 
 
@@ -191,12 +196,9 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
     stays = find_stays(loaded, scale, how, period)
     amplitude = static_map(stays, stays.amplitude, sense)
     feature = how.names(rig.names)[stays.feature]
-    seen = Seen(scale, stays, amplitude, period, feature, [])
-    inside = 0 < int(np.argmin(sense * amplitude.mean)) < stays.u.size - 1
-    if not amplitude.interior and (amplitude.flat or not inside):
-        raise refusal(seen, rig)
     omega = 2.0 * math.pi / period
-    for cost in costs(loaded, training, period):
+    judged: list[Judged] = []
+    for cost in costs(loaded, training, period, LEARNED):
         if cost.name == BAND_LIMITED:
             continue
         maps = {}
@@ -205,9 +207,20 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
                 filtered = high_passed(cost.y_out, loaded, factor * omega, dt)
                 levels = window_levels(filtered, stays)
                 maps[factor * omega] = static_map(stays, levels, sense)
-        seen.costs.append(Judged(cost, maps, []))
-    if not amplitude.interior and not any(_settles(judged, amplitude) for judged in seen.costs):
-        raise refusal(seen, rig)
+        judged.append(Judged(cost, maps, []))
+    seen = Seen(scale, stays, amplitude, period, feature, judged)
+    told = amplitude
+    for one in judged:  # an interference is part of the amplitude; of a contrast it is not
+        if one.cost.name.startswith("contrast") and one.cost.y_out is not None:
+            own = window_levels(np.sqrt(np.nan_to_num(one.cost.y_out)), stays)
+            found = static_map(stays, own, sense)
+            if found.clarity > CLEARER * told.clarity:
+                told = found
+    inside = 0 < int(np.argmin(sense * told.mean)) < stays.u.size - 1
+    if not told.interior and (told.flat or not inside):
+        raise refusal(seen, rig, told)
+    if not told.interior and not any(_settles(judged, told) for judged in seen.costs):
+        raise refusal(seen, rig, told)
     if not any(judged.usable for judged in seen.costs):
         best = max(judged.gain for judged in seen.costs)
         raise NoOptimum(
@@ -232,9 +245,8 @@ def _best_theta(seen: Seen) -> float:
     return seen.scale.theta_at(seen.amplitude.best())
 
 
-def refusal(seen: Seen, rig: RigFile) -> NoOptimum:
-    """Return why there is no optimum inside, and what to record next."""
-    found = seen.amplitude
+def refusal(seen: Seen, rig: RigFile, found: StaticMap) -> NoOptimum:
+    """Return why a map has no optimum inside, and what to record next."""
     span = float(np.ptp(found.mean))
     error = float(np.median(found.error))
     if found.flat:
@@ -264,23 +276,65 @@ def refusal(seen: Seen, rig: RigFile) -> NoOptimum:
     )
 
 
-def surrogates(
-    loaded: Loaded, seen: Seen, judged: Judged, omega_h: float, times: Times, dt: float, seed: int
-) -> list[Surrogate]:
-    """Return rigs that the recording may be of, for one cost and corner frequency."""
+def task_of(
+    loaded: Loaded, seen: Seen, judged: Judged, times: Times, time: float, rig: RigFile, seed: int
+) -> Task:
+    """Return the rigs that the recording may be of, for one cost and each corner frequency."""
     y_out = judged.cost.y_out
     assert y_out is not None
-    stays, found = seen.stays, judged.maps[omega_h]
-    length = stays.how.length
+    every = max(1, int(time / (BLOCKS_OF_TIME * rig.dt)))
+    parts, first = pieces_of(y_out, seen.stays)
+    sizes = [part.size for part in parts]
+    y, begins = np.concatenate(parts), np.cumsum([0, *sizes])
+    fine: dict[float, list[Surrogate]] = {}
+    coarse: dict[float, list[Surrogate]] = {}
+    for omega_h, found in judged.usable.items():
+        drawn = surrogates(seen, found, Recorded(y, begins, first, rig.dt), times, seed)
+        filtered, _ = pieces_of(high_passed(y_out, loaded, omega_h, rig.dt), seen.stays)
+        blocks = [rms(part, every) for part in filtered]
+        ends = np.cumsum([0, *(block.size for block in blocks)])
+        fine[omega_h] = drawn
+        coarse[omega_h] = [
+            s._replace(y=np.concatenate(blocks), begins=ends, dt=every * rig.dt, coarse=True)
+            for s in drawn
+        ]
+    return Task(fine, coarse, seen.amplitude.sense, time, rig.dt, rig.theta_rate)
+
+
+class Recorded(NamedTuple):
+    """Pieces of a signal in a row: see :class:`koop_lab.tune.surrogate.Surrogate`."""
+
+    y: NDArray[np.float64]
+    begins: NDArray[np.int64]
+    first: NDArray[np.int64]
+    dt: float
+
+
+def pieces_of(
+    values: NDArray[np.float64], stays: Stays
+) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
+    """Return a signal of each stay once the rig had settled, without its mean, by theta."""
     by_level = sorted(stays.stays, key=lambda s: s.level)
     parts = []
     for stay in by_level:
-        part = y_out[stay.begin + stay.skip * length : stay.end]
+        part = values[stay.begin + stay.skip * stays.how.length : stay.end]
         part = part[np.isfinite(part)]
         parts.append(part - part.mean() if part.size else np.zeros(2))
-    begins = np.cumsum([0, *(part.size for part in parts)])
-    first = np.searchsorted([s.level for s in by_level], np.arange(stays.u.size + 1))
-    rng = np.random.default_rng(seed)
+    return parts, np.searchsorted([s.level for s in by_level], np.arange(stays.u.size + 1))
+
+
+def rms(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
+    """Return the root mean square of blocks."""
+    every = min(every, values.size)
+    whole = values[: values.size // every * every].reshape(-1, every)
+    return np.asarray(np.sqrt((whole**2).mean(axis=1)))
+
+
+def surrogates(
+    seen: Seen, found: StaticMap, recorded: Recorded, times: Times, seed: int
+) -> list[Surrogate]:
+    """Return rigs that the recording may be of."""
+    stays, rng = seen.stays, np.random.default_rng(seed)
     made = []
     for i in range(SURROGATES):
         weights = weights_of(found, rng)
@@ -291,9 +345,9 @@ def surrogates(
             Surrogate(
                 found.curve(found.drawn(weights)),
                 seen.amplitude.curve(seen.amplitude.drawn(weights)),
-                stays.u, found.mean, np.concatenate(parts), begins, first,
-                times._replace(usual=times.usual + shift), dt, seen.scale.low, seen.scale.high,
-                seen.scale.logarithmic,
+                stays.u, found.mean, recorded.y, recorded.begins, recorded.first,
+                times._replace(usual=times.usual + shift), recorded.dt, seen.scale.low,
+                seen.scale.high, seen.scale.logarithmic, False,
             )
         )  # fmt: skip
     return made
@@ -305,9 +359,10 @@ def tune(
     training: BagTraining,
     how: Bands | None = None,
     seed: int = 0,
-    steps: float = STEPS,
+    effort: float = 1.0,
     said: Callable[[str, float], None] = lambda what, share: None,
     slower: float = 1.0,
+    workers: int = 2,
 ) -> Tuning:
     """Choose the cost and all constants of a controller.
 
@@ -323,12 +378,14 @@ def tune(
         How the excitation looked at its windows.
     seed : int
         Of every draw.
-    steps : float
-        Steps of the closed loop that may be simulated.
+    effort : float
+        Of the search, in units of the usual one.
     said : callable
         Told what is done, and of each step its share of all.
     slower : float
         By how much the rig follows theta more slowly than its stays say, as a loop has shown.
+    workers : int
+        Threads of the search.
 
     Raises
     ------
@@ -349,23 +406,21 @@ def tune(
     searched = []
     tasks = {}
     for judged in chosen:
-        task = Task(
-            {w: surrogates(loaded, seen, judged, w, times, rig.dt, seed) for w in judged.usable},
-            seen.amplitude.sense, time, rig.dt, rig.theta_rate,
-        )  # fmt: skip
+        task = task_of(loaded, seen, judged, times, time, rig, seed)
         name, share = judged.cost.name, 1.0 / len(chosen)
 
         def told(part: float, name: str = name, share: float = share) -> None:
             said(name, part * share)
 
-        tried = search(task, steps / len(chosen), seed, told)
+        tried = search(task, effort, seed, told, workers)
         tasks[name] = task
         searched.append(replace(judged, tried=tried))
     searched.sort(key=lambda j: j.tried[0].score)
     best, why = choose(searched)
     left = [j for j in seen.costs if j.cost.name not in tasks]
     seen = replace(seen, costs=[*searched, *left])
-    task, top = tasks[best.cost.name], best.tried[0]
+    task = tasks[best.cost.name]
+    top = confirm(task, best.tried, seed)[0]
     assert best.cost.y_out is not None
     largest = float(np.nanmax(best.cost.y_out))
     return Tuning(
@@ -398,7 +453,7 @@ def wander(stays: Stays, samples: float) -> float:
     """Return by how much the logarithm of an amplitude over so many samples differs by itself."""
     found = []
     for values in stays.settled(stays.amplitude):
-        error = float(standard_error(values[:, None])[0])
+        error = float(level(values[:, None])[1][0])
         if math.isfinite(error):
             found.append(error * math.sqrt(values.size * stays.how.length / samples))
     return float(np.median(found)) if found else 0.0
