@@ -1,25 +1,17 @@
-"""Rigs of the random family, excited offline as `koop excite` would, and their loop closed."""
-
-import math
-from dataclasses import replace
+"""Rigs of the random family, excited offline, and their loop closed."""
 
 import numpy as np
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
 from koop_lab.commission import staircase
-from koop_lab.commission.rig_file import RigFile
-from koop_lab.identify.from_bags import BagTraining
 from koop_lab.identify.loaded import Loaded
-from koop_lab.identify.samples import StateSpec
 from koop_lab.tune import search
-from koop_node.arrival import Arrival
-from koop_node.kernels import njit
-from koop_study.family import oscillator
+from koop_study.commissioning import excitation, verification
+from koop_study.commissioning.verification import Controller
 from koop_study.family.config import FamilyConfig
 from koop_study.family.rig import draw
-from koopman_lifter import cost
-from relay_esc import relay
+from koop_study.laws.plants import time_of
 
 CALM = {"drift": (0.0, 0.0), "frequency": (1.0, 1.0), "log_scaled": 0.0, "maximised": 0.0}
 RATE = 0.5  # ranges of theta in the rig's own time, at most
@@ -30,20 +22,9 @@ def rig_of(seed=0, **family):
     return draw(FamilyConfig(**{**CALM, **family}), seed)
 
 
-def own_time(rig):
-    return rig.slowest + 2.0 / rig.frequency
-
-
 def file_of(rig):
     """Return its rig file."""
-    p = rig.params
-    fields = ",".join(f"x[{i}]" for i in range(rig.channels))
-    return RigFile(
-        f"/state:{fields}", "koop_msgs/msg/MeasuredState", "/knob:data", dt=p.dt,
-        theta_min=p.theta_min, theta_max=p.theta_max, theta_start=rig.theta_initial,
-        theta_rate=RATE * (p.theta_max - p.theta_min) / own_time(rig),
-        theta_safe=rig.theta_initial, objective=rig.objective, time=1e5,
-    )  # fmt: skip
+    return excitation.file_of(rig, RATE, 1e5)
 
 
 def excited(rig, seed=0, stay=8.0, windows=8):
@@ -51,10 +32,10 @@ def excited(rig, seed=0, stay=8.0, windows=8):
     p = rig.params
     values = staircase.values(p.theta_min, p.theta_max)
     order = [*staircase.passes(True), *np.random.default_rng(seed).permutation(len(values))]
-    rest = max(round(stay * own_time(rig) / p.dt), windows * round(4 / rig.frequency / p.dt))
+    rest = max(round(stay * time_of(rig) / p.dt), windows * round(4 / rig.frequency / p.dt))
     parts, now = [], values[0]
     for level in order:
-        way = abs(values[level] - now) / (p.theta_max - p.theta_min) * own_time(rig) / RATE
+        way = abs(values[level] - now) / (p.theta_max - p.theta_min) * time_of(rig) / RATE
         parts += [np.linspace(now, values[level], 2 + round(way / p.dt))[1:]]
         parts += [np.full(rest, values[level])]
         now = values[level]
@@ -67,11 +48,6 @@ def loaded_of(theta, x):
     begins = np.arange(theta.size) == 0
     nowhere = np.zeros(theta.size, bool)
     return Loaded(np.ascontiguousarray(x.T), begins, nowhere, theta, np.arange(theta.size) * 1.0)
-
-
-def training_of(rig):
-    names = tuple(f"x{i}" for i in range(rig.channels))
-    return BagTraining(StateSpec.parse("/state:x"), dt=rig.params.dt, held_out=0.0, names=names)
 
 
 ANSWER = np.dtype(  # what is wanted of a koop_msgs/ControlInput
@@ -126,33 +102,8 @@ def damped(rig, found, seed, end):
     Returns the amplitude of the second half over that at the best theta (its inverse where it is to
     be large).
     """
-    p, task, constants = rig.params, found.task, found.best.constants
-    start = p.theta_max if end else p.theta_min
-    esc = replace(search.esc_of(task, constants, start), epsilon_initial=1 if end else -1)
-    detector, limits = search.lifter_of(task, constants).detector_params(), esc.params()
-    model = found.chosen.cost.model
-    lifting = cost.no_lifting() if model is None else model.lifting()
-    source, work = cost.RAW if model is None else cost.LIFTED, cost.workspace(lifting)
-    state = replace(rig, theta_initial=start).initial(seed)
-    square = _closed(
-        p, source, lifting, work, detector, limits, esc.initial(), state,
-        rig.noise(task.steps, seed),
-    )  # fmt: skip
-    _, best = rig.best_fixed(task.steps * p.dt)
-    ratio = math.sqrt(square) / best
-    return ratio if p.sense > 0.0 else 1.0 / ratio
-
-
-@njit()
-def _closed(p, source, lifting, work, detector, limits, command, state, noise):
-    """Return the mean square of the amplitude over the second half."""
-    x, square, seen, half = np.empty(p.offset.size), 0.0, cost.initial(), noise.shape[0] // 2
-    for k in range(noise.shape[0]):
-        oscillator.measure(p, state, k, noise[k, 2:], x)
-        arrival = Arrival.NEXT if k else Arrival.JOIN
-        r, _, settling, seen = cost.answer(source, lifting, detector, seen, arrival, k + 1, x, work)
-        command, _, _ = relay.answer(limits, command, arrival, False, settling, r, False)
-        if k >= half:
-            square += (state.re**2 + state.im**2) / (noise.shape[0] - half)
-        state = oscillator.step(p, state, k, command.output, noise[k, 0], noise[k, 1])
-    return square
+    task, constants = found.task, found.best.constants
+    esc = search.esc_of(task, constants, rig.theta_initial)
+    controller = Controller(search.lifter_of(task, constants), esc, found.chosen.cost.model)
+    noise = verification.noise_of(rig, task.steps, seed)
+    return verification.close(rig, controller, end, noise, seed)[0]

@@ -10,7 +10,6 @@ from recorded_rig import (
     file_of,
     loaded_of,
     rig_of,
-    training_of,
     write_bag,
 )
 
@@ -22,6 +21,7 @@ from koop_lab.tune.stays import Scale, period_by_theta
 from koop_lab.tune.surrogate import fit_times
 from koop_lab.tune.tuning import NoOptimum, look, tune
 from koop_loop import parameters
+from koop_study.commissioning.excitation import training_of
 from koopman_lifter.model import load
 
 QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05),
@@ -41,7 +41,7 @@ def recorded(rig, **excitation):
 )
 def test_the_tuned_loop_damps_the_rig_as_predicted(seed, family, cost):
     rig = rig_of(seed, **QUICK, **family, noise_driven=0.0, maps={"symmetric": 1.0})
-    found = tune(*recorded(rig), steps=2e6)
+    found = tune(*recorded(rig), effort=0.1)
     assert found.chosen.cost.name.startswith(cost)
     best = found.seen.scale.theta_at(found.seen.amplitude.best())
     assert abs(best - rig.best()[0]) < 0.1 * (rig.params.theta_max - rig.params.theta_min)
@@ -117,7 +117,7 @@ def bagged(tmp_path_factory):
 def test_a_bag_becomes_a_controller_with_its_reasons(bagged, capsys):
     folder, rig = bagged
     words = ["tune", str(folder / "rig.yaml"), str(folder / "bag"), "--theta", "/knob:data",
-             "--out", str(folder / "out"), "--effort", "0.001"]  # fmt: skip
+             "--out", str(folder / "out"), "--effort", "0.1"]  # fmt: skip
     assert main(words) == 0
     said = capsys.readouterr().out
     assert "predicted" in said

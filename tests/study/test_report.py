@@ -73,7 +73,8 @@ def write_small(folder: Path) -> None:
         content = yaml.safe_load(path.read_text())
         without = ("modes", "static_maps")  # whose units have a length of their own
         own = content["experiment"] in without
-        content["settings"] = {k: v for k, v in SMALL.items() if not (own and k == "duration")}
+        if content["experiment"] != "commission":
+            content["settings"] = {k: v for k, v in SMALL.items() if not (own and k == "duration")}
         for ablation in content.get("ablations", ()):
             if ablation["name"] in ("trajectories", "training_duration"):
                 ablation["values"] = [4, 8]

@@ -13,6 +13,7 @@ from koop_study.experiments import (
     ablations,
     beyond,
     closed_loop,
+    commission,
     laws,
     modes,
     robustness,
@@ -48,6 +49,7 @@ KINDS: dict[str, tuple[type[Any], Callable[[Any], Steps]]] = {  # in the order o
     "identification": (ablations.AblationsConfig, _once(ablations)),
     "beyond": (beyond.BeyondConfig, beyond.steps),
     "laws": (laws.LawsConfig, laws.steps),
+    "commission": (commission.CommissionConfig, _once(commission)),
 }
 
 

@@ -8,7 +8,19 @@ from typing import Any
 from koop_study.laws import run
 from koop_study.simulation import work
 
-WORK: dict[str, Callable[..., Any]] = {**work.WORK, **run.WORK}
+
+def commission_plant(**arguments: Any) -> Any:
+    """Do :func:`koop_study.commissioning.work.commission_plant`, which no other work imports."""
+    from koop_study.commissioning.work import commission_plant as commission
+
+    return commission(**arguments)
+
+
+WORK: dict[str, Callable[..., Any]] = {
+    **work.WORK,
+    **run.WORK,
+    "commission_plant": commission_plant,
+}
 
 
 def check(name: str, arguments: dict[str, Any]) -> None:

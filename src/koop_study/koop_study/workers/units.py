@@ -18,16 +18,26 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import koop_lab
 import koop_loop
 import koop_node
 import koopman_lifter
 import relay_esc
 import vdp_plant
-from koop_study import controllers, family, laws, simulation
+from koop_study import commissioning, controllers, family, laws, simulation
 
 # All code of these decides results, but for the modules that know ROS.
 PACKAGES = (vdp_plant, relay_esc, koopman_lifter, koop_loop, simulation, controllers, family, laws)
 ROS = {"node.py", "executable.py"}
+LAB = Path(str(koop_lab.__file__)).parent
+COMMISSION = "commission_plant"  # the one work that these decide, too
+SURVEYED = ("channels", "features", "progress", "rig_file", "staircase", "survey", "valley")
+COMMISSIONING = (
+    Path(str(commissioning.__file__)).parent,
+    LAB / "tune",
+    LAB / "identify",
+    *(LAB / "commission" / f"{name}.py" for name in SURVEYED),
+)
 LIBRARIES = ("numpy", "scipy", "numba")  # another version may round in another way
 
 
@@ -41,27 +51,34 @@ class Unit:
     @property
     def key(self) -> str:
         """Name of the result: the same work with the same code has the same key."""
-        text = json.dumps([self.work, self.arguments, fingerprint()], sort_keys=True)
+        code = fingerprint(self.work == COMMISSION)
+        text = json.dumps([self.work, self.arguments, code], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
-@lru_cache(maxsize=1)
-def fingerprint() -> str:
-    """Return a hash of all that decides results: our code, and the libraries' versions."""
+@lru_cache(maxsize=2)
+def fingerprint(commissioning: bool = False) -> str:
+    """Return a hash of all that decides results: our code, and the libraries' versions.
+
+    With ``commissioning``, of what decides :data:`COMMISSION`.
+    """
     digest = hashlib.sha256()
     for name in LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
-    for path in deciding():
+    for path in deciding(COMMISSIONING if commissioning else ()):
         digest.update(f"{path.parent.name}/{path.name} {meaning(path.read_text())}\n".encode())
     return digest.hexdigest()
 
 
-def deciding() -> list[Path]:
-    """Return the numerical packages' modules and those of koop_node that they import."""
+def deciding(further: tuple[Path, ...] = ()) -> list[Path]:
+    """Return the numerical packages' modules and those of koop_node that they import.
+
+    Modules, and those of folders, may be added.
+    """
     found: list[Path] = []
-    for package in PACKAGES:
-        folder = Path(str(package.__file__)).parent
-        found += [path for path in sorted(folder.rglob("*.py")) if path.name not in ROS]
+    for place in (*(Path(str(package.__file__)).parent for package in PACKAGES), *further):
+        modules = sorted(place.rglob("*.py")) if place.is_dir() else [place]
+        found += [path for path in modules if path.name not in ROS]
     shared = Path(str(koop_node.__file__)).parent
     for path in found:  # what is appended is looked at too
         for name in sorted(shared_modules(path)):

@@ -1,0 +1,169 @@
+"""A rig of the family excited as ``koop excite`` does it: the same decisions, no messages."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_lab.commission import progress, staircase
+from koop_lab.commission.progress import Progress
+from koop_lab.commission.rig_file import STATE, STATE_TYPE, RigFile
+from koop_lab.commission.survey import SHORTEST, Survey
+from koop_lab.identify.from_bags import BagTraining
+from koop_lab.identify.loaded import Loaded
+from koop_lab.identify.samples import StateSpec
+from koop_study.family import oscillator
+from koop_study.family.rig import Rig
+from koop_study.laws.plants import time_of
+
+PERIODS = 10.0  # windows are as long as the slowest oscillation asks, an interference's too
+OFTEN = 0.1  # of what was heard, after which it is asked again whether that is enough
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What an excitation recorded.
+
+    Attributes
+    ----------
+    theta : ndarray, shape (M,)
+        Control input of each sample.
+    x : ndarray, shape (M, n)
+        Measured channels.
+    progress : Progress
+        What was done.
+    """
+
+    theta: NDArray[np.float64]
+    x: NDArray[np.float64]
+    progress: Progress
+
+    @property
+    def loaded(self) -> Loaded:
+        """The recording as it is loaded from a bag."""
+        size = self.theta.size
+        begins = np.arange(size) == 0
+        nowhere = np.zeros(size, np.bool_)
+        assert self.progress.how is not None
+        time = np.asarray(np.arange(size) * self.progress.how.dt, np.float64)
+        return Loaded(np.ascontiguousarray(self.x.T), begins, nowhere, self.theta, time)
+
+
+def file_of(rig: Rig, rate: float, time: float) -> RigFile:
+    """Return the rig file that an engineer would write.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    rate : float
+        Largest change of theta: ranges in the rig's own time.
+    time : float
+        That the excitation may take: slowest times of the amplitude and ten periods.
+    """
+    p, own = rig.params, time_of(rig)
+    longest = time * (rig.slowest + PERIODS / rig.frequency)
+    fields = ",".join(f"x[{i}]" for i in range(rig.channels))
+    return RigFile(
+        f"{STATE}:{fields}", STATE_TYPE, "/knob:data", dt=p.dt,
+        theta_min=p.theta_min, theta_max=p.theta_max, theta_start=rig.theta_initial,
+        theta_rate=rate * (p.theta_max - p.theta_min) / own, theta_safe=rig.theta_initial,
+        objective=rig.objective, time=max(longest, 1.0),
+    )  # fmt: skip
+
+
+def training_of(rig: Rig) -> BagTraining:
+    """Return how models of the rig are learned."""
+    names = tuple(f"x{i}" for i in range(rig.channels))
+    return BagTraining(StateSpec.parse("/state:x"), dt=rig.params.dt, held_out=0.0, names=names)
+
+
+class Running:
+    """A rig that runs on, its theta moved at a limited rate; everything is recorded.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig, which has settled at its first theta.
+    rate : float
+        Largest change of theta per second.
+    seed : int
+        Of noise and first phase.
+    """
+
+    def __init__(self, rig: Rig, rate: float, seed: int) -> None:
+        self._rig = rig
+        self._most = rate * rig.params.dt
+        self._state = rig.initial(seed)
+        self._rng = np.random.default_rng([seed, 3])
+        self._theta = rig.theta_initial
+        self._parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+        self.steps = 0
+
+    @property
+    def elapsed(self) -> float:
+        """Time [s]."""
+        return self.steps * self._rig.params.dt
+
+    def _run(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        p = self._rig.params
+        x, amplitude = np.empty((theta.size, self._rig.channels)), np.empty(theta.size)
+        noise = self._rng.standard_normal((theta.size, 2 + self._rig.channels))
+        self._state = oscillator.run(p, self._state, self.steps, theta, noise, x, amplitude)
+        self.steps += theta.size
+        self._parts.append((theta, x))
+        return x
+
+    def stay(self, steps: int) -> NDArray[np.float64]:
+        """Run for some samples, and return them."""
+        return self._run(np.full(steps, self._theta))
+
+    def go(self, theta: float) -> None:
+        """Move theta."""
+        count = math.ceil(abs(theta - self._theta) / self._most)
+        if count:
+            way = np.linspace(self._theta, theta, count + 1)[1:]
+            self._run(np.asarray(way, np.float64))
+        self._theta = theta
+
+    def recorded(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return theta and the channels from the beginning."""
+        theta, x = zip(*self._parts, strict=True)
+        return np.concatenate(theta), np.concatenate(x)
+
+
+def excite(rig: Rig, file: RigFile, seed: int) -> Excitation:
+    """Excite a rig until the static map is known or the time is over.
+
+    Raises
+    ------
+    ValueError
+        If no channel moves.
+    """
+    first = staircase.passes(file.theta_start <= 0.5 * (file.theta_min + file.theta_max))
+    state = progress.begin(seed, first)
+    survey, running = Survey(file, state), Running(rig, file.theta_rate, seed)
+    heard = running.stay(math.ceil(SHORTEST / file.dt))
+    while survey.listens(heard):
+        more = max(0.2 * SHORTEST / file.dt, OFTEN * heard.shape[0])
+        heard = np.concatenate([heard, running.stay(math.ceil(more))])
+    survey.look(heard)
+    assert state.how is not None
+    while (value := survey.next_value()) is not None:
+        running.go(value)
+        survey.arrive(running.elapsed)
+        over = False
+        while not over and not survey.take(running.stay(state.how.length)):
+            over = running.elapsed > file.time
+        if over or running.elapsed > file.time:
+            break
+    state.elapsed = running.elapsed
+    return Excitation(*running.recorded(), state)
+
+
+def from_end(rig: Rig, end: int) -> Rig:
+    """Return the rig at rest at the lower (0) or upper (1) end of theta's range."""
+    return replace(rig, theta_initial=rig.params.theta_max if end else rig.params.theta_min)

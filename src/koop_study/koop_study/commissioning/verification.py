@@ -1,0 +1,149 @@
+"""The loop closed on a rig of the family with the nodes' own configuration, from either side."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_node.arrival import Arrival
+from koop_node.kernels import njit
+from koop_study.commissioning.excitation import from_end
+from koop_study.family import oscillator
+from koop_study.family.oscillator import RigParams, RigState
+from koop_study.family.rig import Rig
+from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig
+from koopman_lifter.cost import DetectorParams, Lifting, Workspace
+from koopman_lifter.model import KoopmanModel
+from relay_esc import relay
+from relay_esc.config import EscConfig
+from relay_esc.relay import RelayParams, RelayState
+
+BLOCKS = 200  # that a run is told in
+EVERY = 16  # samples, of which one is looked at for where theta leads to
+GOOD = 1.5  # amplitude over that at the best theta, within which a loop has converged
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Lifter and controller of a loop.
+
+    Attributes
+    ----------
+    lifter : LifterConfig
+        Of the detector.
+    esc : EscConfig
+        Of the controller; theta's start is chosen by the run.
+    model : KoopmanModel or None
+        Of the lifted cost; None for the raw one.
+    """
+
+    lifter: LifterConfig
+    esc: EscConfig
+    model: KoopmanModel | None = None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What reaches a rig in a run, and how large the best fixed theta keeps it then.
+
+    Attributes
+    ----------
+    numbers : ndarray, shape (M, 2 + n)
+        Standard normal numbers of the rig, and what is added to its channels: noise, interference.
+    best : float
+        Root mean square of the amplitude over the second half at the best fixed theta.
+    """
+
+    numbers: NDArray[np.float64]
+    best: float
+
+
+def exposed(p: RigParams) -> RigParams:
+    """Return a rig whose interference is among the numbers of its noise."""
+    n = p.offset.size
+    none = np.zeros((0, n))
+    return p._replace(noise=np.ones(n), tone=np.zeros(0), tone_amplitude=none, tone_phase=none)
+
+
+def noise_of(rig: Rig, steps: int, seed: int) -> Noise:
+    """Draw the numbers of a run of some steps; the amplitude is that of its second half."""
+    p = rig.params
+    numbers = rig.noise(steps, seed)
+    numbers[:, 2:] *= p.noise
+    t = np.arange(steps) * p.dt
+    for omega, size, phase in zip(p.tone, p.tone_amplitude, p.tone_phase, strict=True):
+        numbers[:, 2:] += size * np.sin(omega * t[:, None] + phase)
+    theta, _ = rig.best_fixed(steps * p.dt)
+    resting = replace(rig, theta_initial=theta)
+    x, amplitude = np.empty((steps, rig.channels)), np.empty(steps)
+    path = np.full(steps, theta)
+    oscillator.run(exposed(p), resting.initial(seed), 0, path, numbers, x, amplitude)
+    return Noise(numbers, math.sqrt(float((amplitude[steps // 2 :] ** 2).mean())))
+
+
+def close(
+    rig: Rig, controller: Controller, end: int, noise: Noise, seed: int
+) -> tuple[float, float]:
+    """Close the loop from an end of theta's range.
+
+    Returns
+    -------
+    ratio : float
+        True amplitude of the second half over that at the best fixed theta with the same noise (its
+        inverse where it is to be large).
+    converged : float
+        Share of the run after which L(theta) is within 1.5 times the best one; 2 if never.
+    """
+    p, rig = rig.params, from_end(rig, end)
+    esc = replace(controller.esc, theta_initial=rig.theta_initial, epsilon_initial=1 if end else -1)
+    model = controller.model
+    lifting = cost.no_lifting() if model is None else model.lifting()
+    source = cost.RAW if model is None else cost.LIFTED
+    power, excess = np.empty(BLOCKS), np.empty(BLOCKS)
+    _close(
+        exposed(p), source, lifting, cost.workspace(lifting), controller.lifter.detector_params(),
+        esc.params(), esc.initial(), rig.initial(seed), noise.numbers, power, excess,
+    )  # fmt: skip
+    ratio = math.sqrt(float(power[BLOCKS // 2 :].mean())) / noise.best
+    inside = np.flatnonzero(excess <= math.log(GOOD))
+    return (
+        ratio if p.sense > 0.0 else 1.0 / max(ratio, 1e-9),
+        float(inside[0] + 1) / BLOCKS if inside.size else 2.0,
+    )
+
+
+@njit()
+def _close(
+    p: RigParams,
+    source: int,
+    lifting: Lifting,
+    work: Workspace,
+    detector: DetectorParams,
+    limits: RelayParams,
+    command: RelayState,
+    state: RigState,
+    noise: NDArray[np.float64],
+    power: NDArray[np.float64],
+    excess: NDArray[np.float64],
+) -> None:
+    """Fill in each block's mean square of the amplitude, and mean of log L(theta) over the best."""
+    steps, blocks = noise.shape[0], power.shape[0]
+    x, seen = np.empty(p.offset.shape[0]), cost.initial()
+    power[:] = 0.0
+    excess[:] = 0.0
+    share = blocks / steps
+    for k in range(steps):
+        i = k * blocks // steps
+        oscillator.measure(p, state, k, noise[k, 2:], x)
+        arrival = Arrival.NEXT if k > 0 else Arrival.JOIN
+        r, _, settling, seen = cost.answer(source, lifting, detector, seen, arrival, k + 1, x, work)
+        command, _, _ = relay.answer(limits, command, arrival, False, settling, r, False)
+        power[i] += (state.re * state.re + state.im * state.im) * share
+        if k % EVERY == 0:
+            settled = oscillator.level(p, oscillator.position(p, command.output), k * p.dt)
+            excess[i] += p.sense * math.log(settled / p.level) * share * EVERY
+        state = oscillator.step(p, state, k, command.output, noise[k, 0], noise[k, 1])

@@ -1,0 +1,228 @@
+"""One rig of the family commissioned: excited, tuned, verified, beside what else could be done."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from koop_lab.tune.search import esc_of, lifter_of
+from koop_lab.tune.static_map import StaticMap
+from koop_lab.tune.tuning import NoOptimum, Tuning, tune
+from koop_study.commissioning.excitation import excite, file_of, from_end, training_of
+from koop_study.commissioning.verification import Controller, Noise, close, exposed, noise_of
+from koop_study.family import oscillator
+from koop_study.family.rig import Rig, draw
+from koop_study.laws import run as laws_run
+from koop_study.laws.catalogue import Constants
+from koop_study.laws.plants import NO_EXPOSURE, PAPER, Setting, family_of, time_of
+from koopman_lifter import cost
+from koopman_lifter.config import SOURCES, LifterConfig
+from koopman_lifter.model import KoopmanModel
+from relay_esc.config import EscConfig
+
+EARLIER, OTHER = 1_000_000, 2_000_000  # to the seed, of the excitation and of the other end's noise
+ENDS = (0, 1)
+# the paper's constants in units of its plant, whose time is 15 s and whose omega is 1 rad/s
+SCALED = {"omega_h": 20.0, "omega_l": 4.5, "speed": 0.1, "dwell": 1.0, "tau_f": 10.0 / 15.0}
+NEVER = 2.0  # share of a run
+Row = dict[str, Any]
+
+
+def commission_plant(
+    family: dict[str, Any], seed: int, rate: float, excitation: float, duration: float,
+    effort: float, grid: dict[str, list[Any]], stochastic: list[Constants],
+) -> Row:  # fmt: skip
+    """Commission one rig.
+
+    Parameters
+    ----------
+    family : dict
+        Settings of the family.
+    seed : int
+        Of the rig.
+    rate : float
+        Largest change of theta: ranges in the rig's own time.
+    excitation : float
+        Longest time of the excitation, see :func:`koop_study.commissioning.excitation.file_of`.
+    duration : float
+        Of a run of verification, in the rig's own time.
+    effort : float
+        Of the search, in units of the usual one.
+    grid : dict of str to list
+        Values of the constants of which the oracle takes the best combination.
+    stochastic : list of dict
+        Constants that the stochastic relay is tried with.
+
+    Returns
+    -------
+    dict
+        What the rig is, what was said of it, how each controller did from either end, and the
+        seconds of the processor that each stage took.
+    """
+    rig = draw(family_of(family), seed)
+    file, own = file_of(rig, rate, excitation), time_of(rig)
+    watch = _Watch()
+    recorded = excite(rig, file, seed + EARLIER)
+    watch.lap("excite")
+    row: Row = {
+        **_described(rig),
+        "excited": recorded.progress.elapsed / own,
+        "known": recorded.progress.done,
+        "stays": len(recorded.progress.visits),
+        "samples": int(recorded.theta.size),
+    }
+    found: Tuning | None = None
+    seen: StaticMap | None
+    try:
+        found = tune(recorded.loaded, file, training_of(rig), recorded.progress.how, seed, effort,
+                     workers=1)  # fmt: skip
+        row |= {"verdict": "tuned", "why": found.why, "cost": found.chosen.cost.name,
+                "constants": asdict(found.best.constants), "time_ratio": found.time / own,
+                "predicted": found.prediction.excess.high}  # fmt: skip
+        seen = found.seen.amplitude
+    except NoOptimum as no:
+        row |= {"verdict": no.kind, "why": str(no)}
+        seen = no.seen.amplitude
+    except ValueError as error:
+        row |= {"verdict": "error", "why": str(error)}
+        seen = None
+    if seen is not None:
+        row |= {"gain": seen.gain, "map": seen.mean.tolist(), "errors": seen.error.tolist(),
+                "u_best": seen.best()}  # fmt: skip
+    watch.lap("tune")
+    if rig.has_optimum:
+        steps = round(duration * own / rig.params.dt)
+        noises = [noise_of(from_end(rig, end), steps, seed + end * OTHER) for end in ENDS]
+        model = None if found is None else found.chosen.cost.model
+        row["runs"] = {}
+        if found is not None:
+            task, constants = found.task, found.best.constants
+            tuned = Controller(
+                lifter_of(task, constants), esc_of(task, constants, rig.theta_initial), model
+            )
+            row["runs"]["tuned"] = _both(rig, tuned, noises, seed)
+            watch.lap("verify")
+        row["runs"] |= beside(rig, model, rate, noises, seed, grid, stochastic)
+        watch.lap("beside")
+    return {**row, "seconds": watch.laps}
+
+
+class _Watch:
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.process_time()
+
+    def lap(self, name: str) -> None:
+        now = time.process_time()
+        self.laps[name], self._last = now - self._last, now
+
+
+def _described(rig: Rig) -> Row:
+    p = rig.params
+    rms = p.middle * math.sqrt(0.5)
+    tone = float(np.sqrt(0.5 * (p.tone_amplitude**2).sum(axis=0)).mean()) if p.tone.size else 0.0
+    return {
+        "seed": rig.seed,
+        "shape": rig.map,
+        "noise_driven": p.kind == oscillator.NOISE_DRIVEN,
+        "frequency": rig.frequency,
+        "channels": rig.channels,
+        "logarithmic": p.log_scale,
+        "maximised": p.sense < 0.0,
+        "optimum": p.best,
+        "slowest": rig.slowest * rig.frequency,
+        "noise": float(p.noise.mean()) / rms,
+        "interference": tone / rms,
+        "depths": [
+            float(oscillator.level(p, u, 0.0) / p.level) ** (1.0 if p.sense > 0.0 else -1.0)
+            for u in (0.0, 1.0)
+        ],
+    }
+
+
+def _both(rig: Rig, controller: Controller, noises: list[Noise], seed: int) -> Row:
+    runs = [close(rig, controller, end, noises[end], seed + end * OTHER) for end in ENDS]
+    return {"ratio": [run[0] for run in runs], "converged": [run[1] for run in runs]}
+
+
+def _worst(row: Row) -> float:
+    return float(max(row["ratio"]))
+
+
+def beside(
+    rig: Rig, model: KoopmanModel | None, rate: float, noises: list[Noise], seed: int,
+    grid: dict[str, list[Any]], stochastic: list[Constants],
+) -> Row:  # fmt: skip
+    """Return how the other controllers did; ``model`` is that of the cost that was chosen.
+
+    The defaults know the rig's limits and dt and take the raw cost; all others the chosen one.
+    """
+    p, time = rig.params, time_of(rig)
+    limit = rate * (p.theta_max - p.theta_min) / time
+    esc = EscConfig(
+        theta_min=p.theta_min, theta_max=p.theta_max, theta_initial=rig.theta_initial,
+        rate_limit=limit, dt=p.dt, objective=rig.objective,
+    )  # fmt: skip
+    found = {
+        "defaults": _both(rig, Controller(LifterConfig(dt=p.dt), esc), noises, seed),
+        "scaled": _both(rig, scaled(rig, esc, SCALED, model), noises, seed),
+    }
+    tried = [
+        {**_both(rig, scaled(rig, esc, constants, model), noises, seed), "constants": constants}
+        for constants in combinations(grid)
+    ]
+    found["grid"] = min(tried, key=_worst)
+    found["stochastic"] = [_stochastic(rig, c, model, noises, seed) for c in stochastic]  # type: ignore[assignment]
+    return found
+
+
+def combinations(grid: dict[str, list[Any]]) -> Iterator[dict[str, Any]]:
+    """Yield every combination of a grid's values."""
+    for values in itertools.product(*grid.values()):
+        yield dict(zip(grid, values, strict=True))
+
+
+def scaled(rig: Rig, esc: EscConfig, c: dict[str, Any], model: KoopmanModel | None) -> Controller:
+    """Return a controller with constants in units of the rig's own."""
+    p, time = rig.params, time_of(rig)
+    span = math.log(p.theta_max / p.theta_min) if p.log_scale else p.theta_max - p.theta_min
+    esc = replace(
+        esc,
+        law=c.get("law", "relay"),
+        theta_scale="log" if p.log_scale else "linear",
+        rate_limit=esc.rate_limit / p.theta_max if p.log_scale else esc.rate_limit,
+        step_size=c["speed"] * span * p.dt / time,
+        dwell=c["dwell"] * time,
+        tau_f=c["tau_f"] * time,
+    )
+    omega = 2.0 * math.pi * rig.frequency
+    lifter = LifterConfig(omega_h=c["omega_h"] * omega, omega_l=c["omega_l"] / time, dt=p.dt)
+    return Controller(lifter, esc, model)
+
+
+def _stochastic(
+    rig: Rig, constants: Constants, model: KoopmanModel | None, noises: list[Noise], seed: int
+) -> Row:
+    p, ratios, converged = rig.params, [], []
+    lifting = cost.no_lifting() if model is None else model.lifting()
+    for end in ENDS:
+        resting, noise = from_end(rig, end), noises[end]
+        state = resting.initial(seed + end * OTHER)
+        steps = noise.numbers.shape[0]
+        plant = Setting(
+            True, PAPER, NO_EXPOSURE, exposed(p), noise.numbers, rig, lifting,
+            SOURCES["raw" if model is None else "lifted"], p.sense, time_of(rig), rig.frequency,
+            p.dt, steps, (state.re, state.im), float(end), seed,
+        )  # fmt: skip
+        path = laws_run.run(plant, "stochastic", constants)
+        ratio = math.sqrt(float((path.amplitude[steps // 2 :] ** 2).mean())) / noise.best
+        ratios.append(ratio if p.sense > 0.0 else 1.0 / max(ratio, 1e-9))
+        when = laws_run.first_good(p, path.theta)
+        converged.append(NEVER if when is None else when / steps)
+    return {"ratio": ratios, "converged": converged}

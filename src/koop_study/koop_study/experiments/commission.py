@@ -1,0 +1,291 @@
+"""Experiment ``commission``: unknown rigs from the first sample to a damped oscillation.
+
+Every rig of the family is excited, tuned and verified from either end of theta's range, offline, by
+what ``koop excite`` and ``koop tune`` do. Beside: what an engineer could do without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from koop_lab.page.document import Claim, Column, Figure, Panel, Section, Series, Table
+from koop_node.config import ConfigError, nearest
+from koop_study.experiments.spec import Seeds, parse
+from koop_study.experiments.stats import quantile
+from koop_study.family.config import WITH_OPTIMUM, FamilyConfig
+from koop_study.workers.units import Unit
+
+GOOD = 1.5
+VERDICTS = ("tuned", "monotone", "flat", "unsure", "drowned", "error")
+GRID = ("law", "omega_h", "omega_l", "speed", "dwell", "tau_f")
+STOCHASTIC = ("omega_h", "omega_l", "step", "interval")
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class CommissionConfig:
+    """Rigs, and how long each may be excited and is verified.
+
+    Attributes
+    ----------
+    rigs : Seeds
+        One rig a seed.
+    family : dict
+        Settings of the family.
+    rate : float
+        Largest change of theta: ranges in the rig's own time.
+    excitation : float
+        Longest time of an excitation: slowest times of the amplitude and ten periods.
+    duration : float
+        Of a run of verification, in the rig's own time.
+    effort : float
+        Of the search for constants, in units of the usual one.
+    grid : dict of str to tuple
+        Constants in units of the rig's own, of which the oracle takes the best combination.
+    stochastic : tuple of dict
+        Constants of the stochastic relay, the same for all rigs; those that do best are shown.
+    """
+
+    rigs: Seeds
+    grid: dict[str, Any]
+    stochastic: tuple[dict[str, float], ...]
+    family: dict[str, Any] = field(default_factory=dict)
+    rate: float = 0.5
+    excitation: float = 400.0
+    duration: float = 80.0
+    effort: float = 1.0
+
+    def __post_init__(self) -> None:
+        parse(FamilyConfig, self.family, "family")
+        for name in ("rate", "excitation", "duration", "effort"):
+            if not 0.0 < getattr(self, name) <= 1e4:
+                raise ConfigError(f"{name} = {getattr(self, name):g}: must be above 0, at most 1e4")
+        for given, known, where in (
+            (self.grid, GRID, "grid"), *((one, STOCHASTIC, "stochastic") for one in self.stochastic)
+        ):  # fmt: skip
+            for name in given:
+                if name not in known:
+                    raise ConfigError(f"{where}: unknown constant '{name}': {nearest(name, known)}")
+            if missing := [name for name in known if name not in given]:
+                raise ConfigError(f"{where}: lacks {', '.join(missing)}")
+
+
+def units(config: CommissionConfig) -> list[Unit]:
+    """Return one unit a rig."""
+    return [
+        Unit("commission_plant",
+             {"family": config.family, "seed": seed, "rate": config.rate,
+              "excitation": config.excitation, "duration": config.duration,
+              "effort": config.effort, "grid": config.grid,
+              "stochastic": list(config.stochastic)})
+        for seed in config.rigs.list()
+    ]  # fmt: skip
+
+
+def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
+    """Report."""
+    rows: list[Row] = list(results)
+    best = _best_stochastic(config, rows)
+    ways: dict[str, Callable[[Row], Row | None]] = {
+        "koop excite, koop tune": lambda row: row["runs"].get("tuned"),
+        "best of the grid for each rig (oracle)": lambda row: row["runs"]["grid"],
+        "scaled by hand": lambda row: row["runs"]["scaled"],
+        "stochastic relay (Salsbury, Yu 2025; our reading)": lambda row: row["runs"]["stochastic"][
+            best
+        ],
+        "defaults": lambda row: row["runs"]["defaults"],
+    }
+    with_optimum = [row for row in rows if row["shape"] in WITH_OPTIMUM]
+    summary = _summary(ways, with_optimum, len(rows))
+    refusals, kinds, time = _refusals(rows), _kinds(ways, with_optimum), _time(rows)
+    claim = Claim(
+        f"{len(rows)} random rigs, {len(with_optimum)} of them with an optimum: excited and tuned "
+        f"without a human, {summary.cell('koop excite, koop tune', 'success')} % of these end "
+        f"within {GOOD} times the amplitude at the best fixed θ from either side; the best of a "
+        "grid for each rig "
+        f"{summary.cell('best of the grid for each rig (oracle)', 'success')} %, constants scaled "
+        f"by hand {summary.cell('scaled by hand', 'success')} %.",
+        summary.name,
+    )
+    figure = Figure(
+        "commission_figure",
+        "Amplitude over that at the best fixed θ, from the worse side; cumulative over the rigs.",
+        (_panel(ways, with_optimum),),
+    )
+    return Section(
+        "commission",
+        "Commissioning",
+        "Every rig is drawn at random, excited as koop excite does it, tuned as koop tune does it, "
+        f"and its loop closed from either end of θ's range for {config.duration:g} times its own "
+        "time (slowest time of the amplitude and two periods). The amplitude is the true one, "
+        "root mean square over the second half, over that of the best fixed θ with the same "
+        "noise; a rig counts as a success if the worse side is within 1.5. A rig with an optimum "
+        "that is refused counts as a failure. The best of the grid is chosen by the outcome; "
+        "'scaled by hand' are the node's defaults in units of each rig's true time and frequency. "
+        "They and the stochastic relay are given the cost that koop tune chose, raw where it "
+        "refused; 'defaults' take raw and know the rig's limits and dt.",
+        [summary, refusals, kinds, time],
+        [figure],
+        [claim],
+    )
+
+
+def _best_stochastic(config: CommissionConfig, rows: list[Row]) -> int:
+    """Return which constants of the stochastic relay serve most rigs."""
+    known = [row["runs"]["stochastic"] for row in rows if "runs" in row]
+    good = [
+        sum(max(runs[i]["ratio"]) <= GOOD for runs in known) for i in range(len(config.stochastic))
+    ]
+    return int(np.argmax(good))
+
+
+def _share(count: int, of: int) -> float | None:
+    return 100.0 * count / of if of else None
+
+
+def _summary(ways: dict[str, Callable[[Row], Row | None]], rows: list[Row], total: int) -> Table:
+    table = Table(
+        "commission",
+        f"{total} rigs with an optimum",
+        (
+            Column("way", "constants"),
+            Column("success", "within 1.5 from either side [%]", ".1f"),
+            Column("tried", "rigs", ".0f"),
+            Column("median", "amplitude over best fixed θ, median", ".2f"),
+            Column("p90", "90 %", ".2f"),
+            Column("oracle", "amplitude over oracle's, median", ".2f"),
+            Column("converged", "within bounds after [share of run], median", ".2f"),
+        ),
+    )
+    for name, way in ways.items():
+        pairs = [(row, run) for row in rows if (run := way(row)) is not None]
+        ratios = [max(run["ratio"]) for _, run in pairs]
+        beside = [max(run["ratio"]) / max(row["runs"]["grid"]["ratio"]) for row, run in pairs]
+        slow = [max(run["converged"]) for _, run in pairs]
+        table.rows.append(
+            (
+                name,
+                _share(sum(ratio <= GOOD for ratio in ratios), total),
+                len(pairs),
+                quantile(ratios, 0.5) if pairs else None,
+                quantile(ratios, 0.9) if pairs else None,
+                quantile(beside, 0.5) if pairs else None,
+                quantile(slow, 0.5) if pairs else None,
+            )
+        )
+    return table
+
+
+def _refusals(rows: list[Row]) -> Table:
+    table = Table(
+        "commission_verdicts",
+        "What koop tune says, by the rig's map: rigs",
+        (
+            Column("map", "map"),
+            Column("rigs", "rigs", ".0f"),
+            *(Column(name, name, ".0f") for name in VERDICTS),
+            Column("right", "right [%]", ".1f"),
+        ),
+    )
+    groups = {name: [row for row in rows if row["shape"] == name] for name in
+              dict.fromkeys([*WITH_OPTIMUM, *(row["shape"] for row in rows)])}  # fmt: skip
+    groups["all with an optimum"] = [row for row in rows if row["shape"] in WITH_OPTIMUM]
+    groups["all without"] = [row for row in rows if row["shape"] not in WITH_OPTIMUM]
+    for name, own in groups.items():
+        if own:
+            there = own[0]["shape"] in WITH_OPTIMUM
+            counts = [sum(row["verdict"] == verdict for row in own) for verdict in VERDICTS]
+            right = counts[0] if there else sum(counts[1:-1])
+            table.rows.append((name, len(own), *counts, _share(right, len(own))))
+    return table
+
+
+KINDS: dict[str, Callable[[Row], bool]] = {
+    "limit cycle": lambda row: not row["noise_driven"],
+    "noise-driven": lambda row: bool(row["noise_driven"]),
+    "one channel": lambda row: row["channels"] == 1,
+    "amplitude time up to 20 periods": lambda row: row["slowest"] <= 20.0,
+    "amplitude time above 20 periods": lambda row: row["slowest"] > 20.0,
+    "no interference": lambda row: row["interference"] == 0.0,
+    "interference above the signal": lambda row: row["interference"] > 1.0,
+    "measurement noise above 10 %": lambda row: row["noise"] > 0.1,
+    "θ on a log scale": lambda row: bool(row["logarithmic"]),
+    "maximised": lambda row: bool(row["maximised"]),
+    **{f"map {name}": lambda row, name=name: row["shape"] == name for name in WITH_OPTIMUM},  # type: ignore[misc]
+}
+
+
+def _kinds(ways: dict[str, Callable[[Row], Row | None]], rows: list[Row]) -> Table:
+    shown = ("koop excite, koop tune", "best of the grid for each rig (oracle)")
+    table = Table(
+        "commission_kinds",
+        "The same by kind of rig",
+        (
+            Column("kind", "rigs that are"),
+            Column("rigs", "rigs", ".0f"),
+            Column("refused", "refused", ".0f"),
+            Column("success", "within 1.5 [%]", ".1f"),
+            Column("median", "amplitude over best fixed θ, median", ".2f"),
+            Column("oracle", "oracle within 1.5 [%]", ".1f"),
+        ),
+    )
+    for name, belongs in KINDS.items():
+        own = [row for row in rows if belongs(row)]
+        tuned, oracle = (
+            [max(run["ratio"]) for row in own if (run := ways[way](row)) is not None]
+            for way in shown
+        )
+        table.rows.append(
+            (
+                name,
+                len(own),
+                len(own) - len(tuned),
+                _share(sum(ratio <= GOOD for ratio in tuned), len(own)),
+                quantile(tuned, 0.5) if tuned else None,
+                _share(sum(ratio <= GOOD for ratio in oracle), len(own)),
+            )
+        )
+    return table
+
+
+def _time(rows: list[Row]) -> Table:
+    table = Table(
+        "commission_time",
+        "What it takes",
+        (
+            Column("what", "what"),
+            Column("median", "median", ".3g"),
+            Column("p90", "90 %", ".3g"),
+            Column("worst", "worst", ".3g"),
+        ),
+        detail=True,
+    )
+
+    def add(name: str, values: list[float]) -> None:
+        if values:
+            shares = (quantile(values, 0.5), quantile(values, 0.9), max(values))
+            table.rows.append((name, *shares))
+
+    add("excitation [rig's own time]", [row["excited"] for row in rows])
+    add("excitation [samples]", [float(row["samples"]) for row in rows])
+    for stage in ("excite", "tune", "verify", "beside"):
+        add(
+            f"{stage} [s of one core]",
+            [row["seconds"][stage] for row in rows if stage in row["seconds"]],
+        )
+    return table
+
+
+def _panel(ways: dict[str, Callable[[Row], Row | None]], rows: list[Row]) -> Panel:
+    series = []
+    for i, (name, way) in enumerate(ways.items()):
+        values = np.sort([max(run["ratio"]) for row in rows if (run := way(row)) is not None])
+        if values.size:
+            shares = (np.arange(values.size) + 1.0) / len(rows) * 100.0
+            series.append(Series(name, values.tolist(), shares.tolist(), "steps", color=i))
+    label = "amplitude over that at the best fixed θ"
+    return Panel(label, "share of rigs [%]", tuple(series), log_x=True)
