@@ -171,6 +171,23 @@ def test_the_roll_rate_has_a_smallest_value_a_cliff_beyond_it_and_moves_with_the
 
 
 @flight_needed
+@pytest.mark.ros
+def test_a_flight_tells_only_its_beginning_and_its_end(own_domain):
+    done = rig("jsbsim", "--readers", 0, "--duration", 0.1)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("connected\n12 steps in ")
+
+
+@fmu_needed
+@pytest.mark.ros
+def test_an_fmu_tells_only_its_beginning_and_its_end(own_domain, absorber):
+    words = ["--input", "tuning", "--outputs", "mass.x", "--dt", 0.02, "--model-exchange"]
+    done = rig("fmu", absorber, *words, "--readers", 0, "--duration", 0.2)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("connected\n10 steps in ")
+
+
+@flight_needed
 def test_a_property_that_jsbsim_does_not_have_is_a_line():
     done = rig("jsbsim", "--at", "3:trottle=1")
     assert (done.returncode, done.stdout) == (1, "")

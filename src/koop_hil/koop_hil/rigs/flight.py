@@ -10,6 +10,7 @@ oscillate, all at once. More throttle is more airspeed, which moves the optimum.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import math
 import os
 from collections.abc import Callable
@@ -191,6 +192,7 @@ def _quietly(call: Callable[[], Any]) -> Any:
     try:
         return call()
     finally:
+        ctypes.CDLL(None).fflush(None)
         os.dup2(kept, 1)
         os.close(kept)
         os.close(nowhere)

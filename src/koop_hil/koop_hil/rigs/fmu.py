@@ -7,7 +7,6 @@ numbers. What stands in the FMU is its own: this module only steps it.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -162,13 +161,12 @@ class Model:
 
         first = {c.name: c.value for c in schedule.due(0.0)}
         try:
-            with contextlib.redirect_stdout(None):
-                fmpy.simulate_fmu(
-                    self.file, start_time=0.0, stop_time=FOREVER, output_interval=dt,
-                    step_size=dt, fmi_type=self.kind, record_events=False, set_stop_time=False,
-                    start_values={**first, self.knob.name: theta}, step_finished=after_step,
-                    model_description=self.description, output=[self.outputs[0].name],
-                )  # fmt: skip
+            fmpy.simulate_fmu(
+                self.file, start_time=0.0, stop_time=FOREVER, output_interval=dt,
+                step_size=dt, fmi_type=self.kind, record_events=False, set_stop_time=False,
+                start_values={**first, self.knob.name: theta}, step_finished=after_step,
+                model_description=self.description, output=[self.outputs[0].name],
+            )  # fmt: skip
         except Exception as error:  # the FMU's own, or of its library
             raise ValueError(f"{self.file}: {_line(error)}") from None
 
