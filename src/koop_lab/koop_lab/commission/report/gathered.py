@@ -83,6 +83,11 @@ class Gathered:
         return str(own) if own.exists() else "RIG.YAML"
 
     @property
+    def excitation_over(self) -> bool:
+        """Whether the map is known, or the time over."""
+        return self.excited.done or self.excited.elapsed >= self.rig.time
+
+    @property
     def found(self) -> bool:
         """Whether a controller was tuned."""
         return self.tuned.get("verdict") == "tuned"

@@ -87,6 +87,10 @@ def static_map(g: Gathered) -> Section:
             low, high = g.tuned["theta_best_band"]
             best = g.tuned["theta_best"]
             marks = (Mark(best, f"best {best:.3g}", low, high, BEST),)
+        elif g.tuned["verdict"] == "monotone":
+            limits = (g.rig.theta_min, g.rig.theta_max)
+            best = min(limits, key=lambda limit: abs(limit - g.tuned["theta_best"]))
+            marks = (Mark(best, f"limit {best:.3g}: best here", color=NOISE),)
     else:
         known = excited_map(g)
         if known is None:
@@ -100,7 +104,7 @@ def static_map(g: Gathered) -> Section:
         "Where the rig settled at each value of theta: each stay, their mean with two standard "
         "errors, and the smoothest curve that fits."
     )
-    if marks:
+    if g.found:
         intro += (
             " Nine of ten maps drawn from the stays have their best theta in the shaded band; "
             "between two values it is where a parabola through three of them is least."
@@ -175,7 +179,7 @@ def spectrum(g: Gathered) -> Section:
             rows.append((channel, peak.line.frequency, what, peak.least, peak.most))
         panels.append(
             Panel("frequency [Hz]", "density [1/Hz]", tuple(series), channel, True, True,
-                  marks=tuple(marks))
+                  marks=tuple(sorted(marks, key=lambda mark: mark.x)))
         )  # fmt: skip
     columns = (Column("channel", "channel"), Column("frequency", "frequency [Hz]", ".3g"),
                Column("what", "what", words=True), Column("least", "least amplitude", ".3g"),

@@ -24,7 +24,7 @@ class Peak:
     Attributes
     ----------
     line : Line
-        Of the spectrum averaged over theta.
+        Of the spectrum averaged over theta, or of the quietest one.
     moved : bool
         Whether theta changes it; what it does not change is interference.
     least, most : float
@@ -38,19 +38,32 @@ class Peak:
 
 
 def lines_of(found: Spectra, channel: int) -> list[Peak]:
-    """Return the narrow lines of a channel, the strongest first."""
+    """Return the narrow lines of a channel, the strongest first.
+
+    Those that stand out on average, and those where the channel is quietest: there the oscillation
+    hides no interference.
+    """
     frequency = found.frequency
     sine = HANN / found.seconds  # from a density to the power of a sine
     power = found.density[:, channel] * sine
-    marked = []
+    marked: list[Peak] = []
+    taken: list[int] = []
+    quietest = power[int(np.argmin(power.sum(axis=1)))]
     # no peak is looked for at the first frequency that is given
-    for line in peaks(np.r_[0.0, frequency], np.r_[0.0, power.mean(axis=0)]):
+    for line in (
+        line
+        for spectrum in (power.mean(axis=0), quietest)
+        for line in peaks(np.r_[0.0, frequency], np.r_[0.0, spectrum])
+    ):
         at = int(np.argmin(np.abs(frequency - line.frequency)))
+        if any(abs(at - other) <= NEAR for other in taken):
+            continue
+        taken.append(at)
         about = slice(max(at - NEAR, 0), at + NEAR + 1)
         own = np.sqrt(2.0 * power[:, about].sum(axis=1) / HANN)
         moved = bool(found.sure[channel, about].any())
         marked.append(Peak(line, moved, float(own.min()), float(own.max())))
-    return marked
+    return sorted(marked, key=lambda peak: -peak.most)
 
 
 def groups(frequency: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -37,8 +37,9 @@ def stages(g: Gathered) -> Iterator[Stage]:
     yield Stage("Rig", DONE, f"{', '.join(g.rig.names)} measured; theta on {g.rig.knob.topic}")
     reached = len({visit.level for visit in visits})
     text = f"{len(visits)} stays at {reached} of {staircase.LEVELS} values of theta"
-    if g.excited.done:
-        yield Stage("Excite", DONE, text)
+    if g.excitation_over:
+        over = "" if g.excited.done else f"; the {g.rig.time:g} s were over"
+        yield Stage("Excite", DONE, text + over)
     else:
         yield Stage("Excite", OPEN, f"{text}; ./koop excite {rig} --out {folder} goes on")
     if g.found:
@@ -107,7 +108,7 @@ def _of_proof(g: Gathered) -> str:
         return NEXT.get(g.tuned["verdict"], "Record again") + "."
     if g.found:
         return f"It is not verified on the rig yet: ./koop verify {g.file} {g.folder}."
-    if not g.excited.done:
+    if not g.excitation_over:
         return f"The excitation is not at its end: ./koop excite {g.file} --out {g.folder} goes on."
     return f"Next: ./koop tune {g.file} {g.folder}."
 
