@@ -1,6 +1,7 @@
 """`koop tune`: what it chooses is tried on the rig itself, whose truths are known."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from koop_lab.cli.main import main
 from koop_lab.commission import rig_file
 from koop_lab.identify.loaded import Loaded
 from koop_lab.tune.static_map import StaticMap
-from koop_lab.tune.stays import Scale, period_by_theta
+from koop_lab.tune.stays import Scale, period_by_theta, rests
 from koop_lab.tune.surrogate import fit_times
 from koop_lab.tune.tuning import NoOptimum, look, tune
 from koop_loop import parameters
@@ -101,6 +102,17 @@ def test_the_time_constant_is_that_of_the_rig():
     tau = [times.tau(float(a), up) for a in seen.amplitude.mean for up in (True, False)]
     # d a^2/dt = a^2 (1 - a^2 / L^2) / tau: near L the amplitude's own time is tau
     assert 0.4 * rig.slowest < np.median(tau) < 2.0 * rig.slowest
+
+
+def test_a_theta_that_moves_slowly_does_not_rest_on_its_way():
+    values = np.linspace(0.0, 1.0, 9)
+    way = [np.linspace(a, b, 2001)[1:] for a, b in pairwise(values)]
+    theta = np.concatenate([part for v, w in zip(values, [*way, []], strict=True)
+                            for part in (np.full(1000, v), w)])  # fmt: skip
+    loaded = loaded_of(theta, np.zeros((theta.size, 1)))
+    u, found = rests(loaded, Scale(0.0, 1.0), 16)
+    assert u == pytest.approx(values)
+    assert [(b - a) // 16 for _, a, b in found] == [62] * 9
 
 
 @pytest.fixture(scope="module")
