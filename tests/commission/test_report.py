@@ -102,6 +102,7 @@ def test_the_page_draws_what_was_recorded(commissioned, width, dark, tmp_path):
     assert (result["empty"], result["wide"], result["small"]) == ([], 0, 0)
     drawn = result["drawn"]
     assert result["plots"] == len(drawn) >= 10
+    assert all(plot["whole"] for plot in drawn)  # each column has its curve: bars have two
     # theta of the runs is that of the bags
     best, file = rig.best()[0], file_of(rig)
     for k, start in enumerate((file.theta_min, file.theta_max)):
