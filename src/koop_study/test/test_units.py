@@ -19,6 +19,7 @@ import pytest
 from koop_lab.cli.main import main
 from koop_lab.page.document import Column, Table
 from koop_study.experiments import stats
+from koop_study.laws.catalogue import LAWS
 from koop_study.workers import pool, units
 from koop_study.workers.units import Store, Unit, write_atomically
 
@@ -204,6 +205,24 @@ def test_a_changed_line_in_any_module_of_a_numerical_package_changes_the_fingerp
     assert after != before
     (package / "newer.py").write_text("")
     assert now() not in (before, after)
+
+
+def test_a_law_is_not_computed_again_for_what_only_another_law_calls(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    counted = {f"{path.parent.name}/{path.name}": path.read_text() for path in units.deciding()}
+    assert set(units.OF_ONE_LAW) < set(counted)
+    assert set(units.OF_ONE_LAW.values()) < set(LAWS)
+    changed = counted["relay_esc/swing.py"]
+    usual = units.meaning
+    laws = ("relay", "adaptive", "newton", "")
+    fingerprint = units.fingerprint.__wrapped__
+    before = {law: fingerprint(law) for law in laws}
+    assert len(set(before.values())) == len(laws)
+    monkeypatch.setattr(
+        units, "meaning", lambda source: "other" if source == changed else usual(source)
+    )
+    assert [fingerprint(law) != before[law] for law in laws] == [False, True, False, True]
 
 
 def test_results_come_back_to_the_last_bit(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 A result's file is named by a hash of the work, its arguments and the code that does it. A study
 that was stopped goes on where it was; after a change of the numerical code everything is computed
-again.
+again, after one of a module that only one law calls what that law did.
 """
 
 from __future__ import annotations
@@ -38,6 +38,13 @@ COMMISSIONING = (
     LAB / "identify",
     *(LAB / "commission" / f"{name}.py" for name in SURVEYED),
 )
+OF_ONE_LAW = {  # modules that no other law's numbers depend on
+    "relay_esc/swing.py": "adaptive",
+    **{
+        f"laws/{name}.py": name
+        for name in ("bounded", "golden", "least_squares", "newton", "sliding", "stochastic")
+    },
+}
 LIBRARIES = ("numpy", "scipy", "numba")  # another version may round in another way
 
 
@@ -51,22 +58,26 @@ class Unit:
     @property
     def key(self) -> str:
         """Name of the result: the same work with the same code has the same key."""
-        code = fingerprint(self.work == COMMISSION)
+        further = self.work == COMMISSION
+        code = fingerprint("" if further else self.arguments.get("law", ""), further)
         text = json.dumps([self.work, self.arguments, code], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
-@lru_cache(maxsize=2)
-def fingerprint(commissioning: bool = False) -> str:
+@lru_cache(maxsize=32)
+def fingerprint(law: str = "", commissioning: bool = False) -> str:
     """Return a hash of all that decides results: our code, and the libraries' versions.
 
-    With ``commissioning``, of what decides :data:`COMMISSION`.
+    Of a law's results, other laws' own modules decide nothing. With ``commissioning``, of what
+    decides :data:`COMMISSION`.
     """
     digest = hashlib.sha256()
     for name in LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
     for path in deciding(COMMISSIONING if commissioning else ()):
-        digest.update(f"{path.parent.name}/{path.name} {meaning(path.read_text())}\n".encode())
+        name = f"{path.parent.name}/{path.name}"
+        if not law or OF_ONE_LAW.get(name, law) == law:
+            digest.update(f"{name} {meaning(path.read_text())}\n".encode())
     return digest.hexdigest()
 
 
