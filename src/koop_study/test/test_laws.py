@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from koop_loop.loop import simulate
 from koop_node.config import ConfigError
@@ -62,6 +63,30 @@ def test_perturbation_converges_at_the_rate_of_its_average(curvature: float) -> 
     )
     washout = 1.0 / (1.0 + omega_w**2)  # in phase with the dither
     assert rate(u, PERIOD) == pytest.approx(gain * a / 2.0 * curvature * washout, rel=0.05)
+
+
+@pytest.mark.parametrize(("gain", "tolerance"), [(0.16, 0.025), (0.04, 0.01)])
+def test_perturbation_follows_the_solution_of_the_averaged_system(
+    gain: float, tolerance: float
+) -> None:
+    # Krstic and Wang 2000, section 3: on a quadratic map the average of the loop is linear,
+    #   centre' = -gain g,   g' = omega_g (a / 2 W f'' (centre - u*) - g),
+    # W the washout's gain at the dither in phase with it; the loop stays close to it, the closer
+    # the slower the centre moves against the dither
+    a, omega_w, omega_g, curvature = 0.05, 0.02, 0.1, 2.0
+    seconds = 12.0 / gain * PERIOD
+    u = path(
+        loop.PERTURBATION, [a, 1.0, gain, omega_w, omega_g], 0.6, seconds, quadratic(curvature)
+    )
+    t = 0.01 * (1.0 + np.arange(u.size))
+    centre = u - a * np.sin(t)
+    in_phase = 1.0 / (1.0 + omega_w**2)
+    average = np.array([[0.0, -gain], [omega_g * 0.5 * a * in_phase * curvature, -omega_g]])
+    begin = np.array([0.6 - OPTIMUM, 0.0])
+    every = slice(0, u.size, u.size // 60)
+    expected = np.array([(expm(average * s) @ begin)[0] for s in t[every]])
+    assert np.abs(expected[-1]) < 0.1 * begin[0]
+    np.testing.assert_allclose(centre[every] - OPTIMUM, expected, rtol=0.0, atol=tolerance * 0.2)
 
 
 def test_newton_converges_at_its_gain_whatever_the_curvature() -> None:
