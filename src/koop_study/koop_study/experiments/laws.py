@@ -33,11 +33,12 @@ Rows = list[dict[str, Any]]
 
 @dataclass(frozen=True)
 class Fixed:
-    """A law at constants that are given, not tuned, on plants that are not of the family."""
+    """A law at constants that are given, not tuned: on the family, or on the other plants."""
 
     name: str
     law: str
     constants: dict[str, float]
+    family: bool = False
 
     def __post_init__(self) -> None:
         if self.law not in LAWS:
@@ -178,7 +179,7 @@ class LawsConfig:
 
     def rows(self, plant: PlantConfig) -> list[tuple[str, str]]:
         """Return names and laws of a plant's rows."""
-        fixed = [] if plant.family else [(one.name, one.law) for one in self.fixed]
+        fixed = [(one.name, one.law) for one in self.fixed if one.family == plant.family]
         return [*((LAWS[law].title, law) for law in self.running), *fixed]
 
 
