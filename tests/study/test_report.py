@@ -16,7 +16,7 @@ import pytest
 import yaml
 from browser import browse
 
-from koop_lab.page.document import Figure, Heat, Panel, Section, Series
+from koop_lab.page.document import Column, Figure, Heat, Panel, Section, Series, Table
 from koop_study.experiments import stats
 from koop_study.experiments.kinds import read, read_folder
 from koop_study.report import publish, summary
@@ -209,3 +209,40 @@ def test_a_readmes_block_is_rewritten_and_the_rest_left_alone() -> None:
 def test_a_readme_without_markers_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="needs one"):
         publish.rewrite_block(text, "new")
+
+
+def law_table(name: str, rows: dict[str, tuple[float, float, float]]) -> Table:
+    columns = (
+        Column("law", "law"), Column("median", "m", ".0f"), Column("p90", "p", ".0f"),
+        Column("swing", "s", ".1f"),
+    )  # fmt: skip
+    return Table(
+        f"laws_{name}", f"{name}: 7 fresh seeds", columns, [(k, *v) for k, v in rows.items()]
+    )
+
+
+def test_a_run_of_the_laws_rewrites_their_sentence_and_leaves_the_results() -> None:
+    usual = {
+        "relay (x)": (6.0, 7.0, 9.0),
+        "relay, the paper's constants": (51.0, 52.0, 10.3),
+        "golden (x)": (21.0, 99.0, 0.0),
+        "oracle: x": (0.0, 0.0, 0.0),
+    }
+    ours = {
+        "paper_s_plant_contrast_calm": ("adaptive, dwell 6 s", (31.0, 32.0, 2.2)),
+        "paper_s_plant_contrast_jumps": ("adaptive, dwell 6 s", (41.0, 42.0, 3.0)),
+        "family_contrast_calm": ("adaptive, in the rig's times", (61.0, 62.0, 4.0)),
+    }
+    tables = [law_table(name, {**usual, law: row}) for name, (law, row) in ours.items()]
+    laws = Section("laws", "Laws", "", tables)
+    begin, end = publish.LAWS
+    text = f"{publish.BEGIN}\nresults\n{publish.END}\n{begin}\n{end}\n"
+    written = publish.rewrite(text, [laws], "docs/laws/report.html")
+    assert f"{publish.BEGIN}\nresults\n{publish.END}" in written
+    for figures in ("51 / 52", "31 / 32", "41 / 42", "6 / 7", "61 / 62", "2.2 %", "10.3 %"):
+        assert figures in written
+    assert "7 fresh seeds" in written
+    assert publish.rewrite(written, [laws], "docs/laws/report.html") == written
+    assert publish.rewrite(text, [Section("other", "Other", "")], "r.html").endswith(
+        f"{begin}\n{end}\n"
+    )

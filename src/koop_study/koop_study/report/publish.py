@@ -12,6 +12,7 @@ from koop_study.report import page, picture, summary
 from koop_study.workers.units import write_atomically
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
+LAWS = "<!-- laws -->", "<!-- /laws -->"
 
 
 def write(
@@ -45,15 +46,30 @@ def readme_block(sections: Sequence[Section], report: str) -> str:
     return "\n\n".join([*shown, link])
 
 
-def rewrite_block(text: str, block: str) -> str:
-    """Return ``text`` with what stands between the two markers replaced by ``block``.
+def rewrite(text: str, sections: Sequence[Section], report: str) -> str:
+    """Return a README with the blocks rewritten that the sections have something for.
+
+    A run of the experiment ``laws`` alone leaves the results as they are, and one without it the
+    sentence on laws.
+    """
+    sentence = summary.laws(summary.by_name(sections))
+    if sentence:
+        text = rewrite_block(text, f"{sentence} All tables: [{report}]({report}).", LAWS)
+    if any(section.name != "laws" for section in sections):
+        text = rewrite_block(text, readme_block(sections, report))
+    return text
+
+
+def rewrite_block(text: str, block: str, markers: tuple[str, str] = (BEGIN, END)) -> str:
+    """Return ``text`` with what stands between two markers replaced by ``block``.
 
     Raises
     ------
     ValueError
         If the markers are not there, once each and in order.
     """
-    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
-        raise ValueError(f"needs one '{BEGIN}' and, after it, one '{END}'")
-    pattern = re.escape(BEGIN) + ".*?" + re.escape(END)
-    return re.sub(pattern, lambda _: f"{BEGIN}\n{block}\n{END}", text, flags=re.DOTALL)
+    begin, end = markers
+    if text.count(begin) != 1 or text.count(end) != 1 or text.index(begin) > text.index(end):
+        raise ValueError(f"needs one '{begin}' and, after it, one '{end}'")
+    pattern = re.escape(begin) + ".*?" + re.escape(end)
+    return re.sub(pattern, lambda _: f"{begin}\n{block}\n{end}", text, flags=re.DOTALL)
