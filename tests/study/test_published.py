@@ -14,6 +14,7 @@ from koop_study.report import publish
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 STUDY = ROOT / "docs" / "study"
+LAWS_FOLDER = ROOT / "docs" / "laws"
 
 
 def rows(name: str) -> list[dict[str, str]]:
@@ -59,3 +60,19 @@ def test_the_report_shows_the_published_tables() -> None:
         assert f"<td>{row['method']}</td><td>{float(row['iae']):.0f}</td>" in page
     for row in rows("modes_spread"):
         assert f"<td>{float(row['median']):.6f}</td>" in page
+
+
+def test_the_readmes_figures_of_laws_are_those_of_the_published_tables() -> None:
+    begin, end = publish.LAWS
+    block = README.split(begin)[1].split(end)[0]
+    tables = LAWS_FOLDER / "tables"
+    carried = set()
+    for path in tables.glob("laws_*_calm.csv"), tables.glob("laws_*_jumps.csv"):
+        for table in path:
+            with table.open(encoding="utf-8") as file:
+                for row in csv.DictReader(file):
+                    form = ".2f" if "family" in table.name else ".0f"
+                    carried.add(f"{float(row['median']):{form}} / {float(row['p90']):{form}}")
+    shown = re.findall(r"\d+(?:\.\d+)? / \d+(?:\.\d+)?", block)
+    assert len(shown) == 8
+    assert set(shown) <= carried
