@@ -12,6 +12,7 @@ from koop_msgs.msg import MeasuredState
 from mcap.reader import make_reader
 
 from koop_bag.bag.reader import BagReader
+from koop_lab.cli.main import main
 from koop_lab.recorded.run import read_run
 
 pytestmark = pytest.mark.ros
@@ -19,14 +20,9 @@ pytestmark = pytest.mark.ros
 TIMEOUT = 60.0  # [s] to start four processes on a busy machine
 
 
-def command(folder, *arguments):
-    return [sys.executable, "-m", "koop_lab", "demo", "--out", str(folder), *arguments]
-
-
 def demo(folder, *arguments, stdout=subprocess.PIPE):
-    return subprocess.Popen(
-        command(folder, *arguments), stdout=stdout, stderr=subprocess.STDOUT, text=True
-    )
+    command = [sys.executable, "-m", "koop_lab", "demo", "--out", str(folder), *arguments]
+    return subprocess.Popen(command, stdout=stdout, stderr=subprocess.STDOUT, text=True)
 
 
 def processes_of(folder):
@@ -43,7 +39,7 @@ def processes_of(folder):
     return found
 
 
-def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path):
+def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
     folder = tmp_path / "run"
     file = tmp_path / "my.yaml"
     file.write_text(
@@ -69,10 +65,8 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path):
     assert "seed: 2" in text
     assert "output" not in text
     assert "recorders" not in text
-    again = demo(folder, "--duration", "20")
-    printed, _ = again.communicate(timeout=120)
-    assert again.returncode == 2
-    assert "holds a recording already: choose another --out" in printed
+    assert main(["demo", "--out", str(folder), "--duration", "20"]) == 2
+    assert "holds a recording already: choose another --out" in capsys.readouterr().err
 
 
 def wait_for(condition, process, what):
@@ -89,16 +83,16 @@ def begun(folder):
     return bag.is_file() and bag.stat().st_size > 50_000
 
 
-def test_who_comes_second_starts_nothing_and_a_killed_demo_leaves_nothing(tmp_path, probe):
+def test_who_comes_second_starts_nothing_and_a_killed_demo_leaves_nothing(tmp_path, probe, capsys):
     """The one under way goes on, notes who comes in all the same, and ends with who started it."""
     first, second = tmp_path / "first", tmp_path / "second"
     with open(tmp_path / "printed", "w") as printed:
         process = demo(first, "--pace", "realtime", "--duration", "600", stdout=printed)
     wait_for(lambda: begun(first), process, "the recording")
-    refused = subprocess.run(command(second), capture_output=True, text=True, timeout=TIMEOUT)
-    assert refused.returncode == 2
-    assert "another loop runs on ROS domain" in refused.stderr
-    assert "Set ROS_DOMAIN_ID to a free one, such as " in refused.stderr
+    assert main(["demo", "--out", str(second)]) == 2
+    refused = capsys.readouterr().err
+    assert "another loop runs on ROS domain" in refused
+    assert "Set ROS_DOMAIN_ID to a free one, such as " in refused
     assert not second.exists()
     probe.node.create_publisher(MeasuredState, "state", 10)  # nodes that were started by hand
     text = tmp_path / "printed"
