@@ -1,5 +1,7 @@
 """A rig of one sensor and one knob, both plain numbers: from its recording to the closed loop."""
 
+import time
+
 import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -58,6 +60,15 @@ def test_a_rig_of_one_sensor_is_damped(start, probe, tmp_path, capfd):
     sensor = probe.publisher(Float64, "/pressure")
     params, steps = PLANT.params(), round(120.0 / DT)
     x, y = dynamics.initial_state(3)
+    due = [0.0]
+
+    def begun():  # best effort: a sample is lost while the lifter does not know of the sensor yet
+        if time.monotonic() > due[-1]:
+            due.append(time.monotonic() + 1.0)
+            sensor.publish(Float64(data=dynamics.measure(params, 0, x, y)[0]))
+        return turned
+
+    probe.spin_until(begun, "the first answer")
     theta = np.full(steps, -1.0)
     applied = -1.0
     for k in range(steps):  # the rig waits for the knob: the machine may be as slow as it likes
