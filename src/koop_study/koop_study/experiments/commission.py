@@ -147,10 +147,11 @@ def _share(count: int, of: int) -> float | None:
     return 100.0 * count / of if of else None
 
 
-def _summary(ways: dict[str, Callable[[Row], Row | None]], rows: list[Row], total: int) -> Table:
+def _summary(ways: dict[str, Callable[[Row], Row | None]], rows: list[Row], every: int) -> Table:
+    total = len(rows)
     table = Table(
         "commission",
-        f"{total} rigs with an optimum",
+        f"{total} rigs with an optimum, of {every}",
         (
             Column("way", "constants"),
             Column("success", "within 1.5 from either side [%]", ".1f"),
