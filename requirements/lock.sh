@@ -26,5 +26,8 @@ compile plants.txt --constraints "$all" --no-emit-package numpy plants.in
 compile rivals.txt rivals.in
 # An installed ROS 2 brings these three, and its binaries want the versions they were built with. On the wheels they
 # come with ros.txt.
+# colcon asks for coverage and pytest-cov, and needs them for `colcon test --pytest-with-coverage` only; where coverage is
+# installed, numba imports it in every node and every command: 0.07 s of a processor each time.
 compile python.txt --constraints "$all" \
-  --no-emit-package numpy --no-emit-package empy --no-emit-package lark-parser python.in
+  --no-emit-package numpy --no-emit-package empy --no-emit-package lark-parser \
+  --no-emit-package coverage --no-emit-package pytest-cov python.in
