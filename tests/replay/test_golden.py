@@ -73,7 +73,7 @@ def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
         ),
         (["--set", "dwell=2"], "--set dwell=2: write koopman_lifter.PARAMETER=VALUE or"),
         (["--set", "relay_esc.dwell=["], "in YAML"),
-        (["--set", "relay_esc.dwell=-1"], "relay_esc: dwell = -1: must be 0 to 10000 s"),
+        (["--set", "relay_esc.dwell=-1"], "relay_esc: dwell = -1: must be 0 to 1e+06 s"),
         (["--set", "relay_esc.dt=0.01"], "dt differs: lifter 0.005"),
         (["--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
         (["--namespace", "/two"], "no koop_msgs/msg/MeasuredState on /two/state"),

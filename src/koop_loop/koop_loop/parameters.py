@@ -163,7 +163,7 @@ def with_model_beside(
     So a folder that holds both can be moved. Where none is beside it, the path is left as it is.
     """
     given = values.get("koopman_lifter", {}).get("model")
-    if not isinstance(given, str) or not given:
+    if not isinstance(given, str) or not given or Path(given).is_absolute():
         return values
     beside = Path(path).parent / given
     if not beside.is_file():

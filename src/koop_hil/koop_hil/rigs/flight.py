@@ -13,6 +13,7 @@ import argparse
 import ctypes
 import math
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -186,12 +187,14 @@ def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
 
 
 def _quietly(call: Callable[[], Any]) -> Any:
-    """Call what prints a banner that nothing turns off, from C++."""
+    """Call what prints a banner that nothing turns off, through Python or from C++."""
+    sys.stdout.flush()
     kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     try:
         return call()
     finally:
+        sys.stdout.flush()
         ctypes.CDLL(None).fflush(None)
         os.dup2(kept, 1)
         os.close(kept)

@@ -46,6 +46,7 @@ TELL_MOVING = 0.05  # [s]: if this process is killed, another goes on from the t
 TICK = 0.02  # [s] between two commands where no state asks for one
 HELD = 0.5  # [s] that the safe value is said again at least before the end
 LISTENERS = 15.0  # [s] for a rig to be found, and for its first message
+LAG = 0.1  # [s] of states that wait to be answered
 HEARD = 2.0  # [s] after which a rig that is seen to listen hears; on a busy machine 1.4 s were seen
 
 
@@ -112,8 +113,10 @@ class Commander:
     def listen(self) -> None:
         """Begin to answer states."""
         self._heard = self._usable = self.since = time.monotonic()
-        # on a busy machine it answers the newest state, and leaves out what it has no time for
-        qos = NEWEST if self._own else QoSProfile(depth=1, reliability=BEST_EFFORT.reliability)
+        # on a busy machine it leaves out states, so that it is never late by more than LAG
+        like = RELIABLE if self._own else BEST_EFFORT
+        depth = max(1, round(LAG * self._scale / self.rig.dt))
+        qos = QoSProfile(depth=depth, reliability=like.reliability)
         self._client.node.create_subscription(self._kind, self._source.topic, self._on_state, qos)
 
     def _on_state(self, message: Any) -> None:
