@@ -13,8 +13,8 @@ from koop_hil.excite import record_excitation, rig_of
 from koop_hil.run import run_here
 from koop_hil.scenario import find, parse, read
 from koop_hil.supervisor import Supervisor
-from koop_lab.commission.excite import count_answers
 from koop_lab.commission.commander import HEARD
+from koop_lab.commission.excite import count_answers
 from koop_lab.commission.rig_file import read as read_rig
 from koop_node.errors import LiveError
 
@@ -42,7 +42,7 @@ def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, monkey
     states, answered = count_answers(recorded)
     assert f"recorded {states} states, theta of {answered} of them" in said
     known = np.isin(state["step"], theta["step"])[state["step"] >= theta["step"][0]]
-    # of 1000 a second; who listens may not hear at first, and the last ones were under way at the end
+    # of 1000 a second; at first who listens may not hear, the last ones were under way at the end
     assert known[round(HEARD * 1000) : int(0.9 * known.size)].mean() > 0.9
     assert state["step"][-1] * 0.005 >= TIME - 1.0
     between = (theta["step"] >= cost["step"][0]) & (theta["step"] <= cost["step"][-1])
