@@ -24,6 +24,12 @@ os.environ["ROS_DOMAIN_ID"] = NO_DOMAIN
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
+@pytest.hookimpl(optionalhook=True)  # there may be no xdist
+def pytest_xdist_auto_num_workers() -> int:
+    """One worker more than processors: tests wait for nodes a third of the time."""
+    return len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else 2
+
+
 @pytest.fixture(scope="module")
 def module_domain() -> Iterator[str]:
     """Give the tests of a module one domain, for nodes that several of them use."""
