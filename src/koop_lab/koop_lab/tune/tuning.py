@@ -399,7 +399,7 @@ def tune(
     times = fit_times(loaded, seen.stays, seen.amplitude, seen.scale, rig.dt)
     times = times._replace(usual=times.usual + math.log(slower))
     middle = [times.tau(float(a), up) for a in seen.amplitude.mean for up in (False, True)]
-    time = float(max(middle)) + 2.0 * seen.period
+    time = float(max(middle)) + 2.0 * seen.period + rig.dt * (wander(seen.stays, 1.0) / 0.15) ** 2
     wanted = sorted((j for j in seen.costs if j.usable), key=lambda j: -j.gain)
     chosen = wanted[:CANDIDATES]
     chosen += [j for j in wanted[CANDIDATES:] if j.cost.name == "raw"]
