@@ -46,7 +46,7 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--composed",
         action="store_true",
-        help="all nodes but the recorder share one process: a quarter of the processor time",
+        help="all nodes but the recorder share one process: a step takes a third of the time",
     )
     for argument in ARGUMENTS:
         if argument.name not in LEFT_OUT:
