@@ -147,7 +147,7 @@ def closed_from(
         count += 1
     nodes = LiveNodes(
         own, nodes_of(rig, folder, own, start, aim), rig=True,
-        remaps={ESC: f"theta:={CONTROLLER}"},
+        remaps=[f"{ESC}:theta:={CONTROLLER}"],
     )  # fmt: skip
     with session("koop_verify", rig, watch, nodes, follows=CONTROLLER) as there:
         run = Run(rig, aim, watch, there).run(start, settle)

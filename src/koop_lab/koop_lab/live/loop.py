@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import TracebackType
 from typing import Any, TypeVar
 
 from koop_bag.recorder.config import RecorderConfig
@@ -40,8 +40,8 @@ class LiveNodes:
         The rig's own program; empty: it is started by others.
     composed : bool
         Whether the nodes share one process, the container, besides the recorder.
-    remaps : mapping of str to str
-        By node, a topic and its other name as ``FROM:=TO``.
+    remaps : sequence of str
+        Topics of one node that have another name, as ``NODE:FROM:=TO``.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class LiveNodes:
         rig: bool = False,
         program: Sequence[str] = (),
         composed: bool = False,
-        remaps: Mapping[str, str] = MappingProxyType({}),
+        remaps: Sequence[str] = (),
     ) -> None:
         self.folder = folder
         self.notes: list[str] = []
@@ -69,7 +69,7 @@ class LiveNodes:
         self._rig = rig
         self._program = list(program)
         self._composed = {n: c for n, c in COMPONENTS.items() if composed and n in values}
-        self._remaps = remaps
+        self._remaps = list(remaps)
         self._nodes: dict[str, NodeProcess] = {}
         self._stack = ExitStack()
 
@@ -86,11 +86,11 @@ class LiveNodes:
             arguments = ["--ros-args", "--params-file", str(file)]
             if self._namespace:
                 arguments += ["-r", f"__ns:={self._namespace}"]
+            arguments += [word for rule in self._remaps for word in ("-r", rule)]
             stack.callback(self._stop_all)
             for node in EXECUTABLES:
                 if node in self._values and node not in self._composed:
-                    own = ["-r", self._remaps[node]] if node in self._remaps else []
-                    self._nodes[node] = NodeProcess(node, arguments + own, logs / f"{node}.log")
+                    self._nodes[node] = NodeProcess(node, arguments, logs / f"{node}.log")
             if self._composed:
                 words = [*self._composed.values(), *arguments]
                 self._nodes["container"] = NodeProcess("container", words, logs / "container.log")

@@ -18,12 +18,8 @@ from koop_node.config import ConfigError
 
 STATUS = 10.0  # [s] between two status lines when nothing new is to be said
 CONTROLLER, TUNED = "controller.yaml", "tuned"  # of koop tune, and where it is
-LEFT_OUT = (
-    "params",
-    "record",
-    "output",
-    "composed",
-)  # arguments of the launch that are not options here
+# arguments of the launch that are not options here, or another kind of option
+LEFT_OUT = ("params", "record", "output", "composed")
 
 
 def register(commands: Any) -> None:
@@ -69,7 +65,7 @@ def main(args: argparse.Namespace) -> int:
         planned.namespace,
         planned.rig,
         planned.program,
-        args.composed,
+        planned.composed,
     )
     try:
         with nodes:
@@ -98,6 +94,7 @@ def chosen(args: argparse.Namespace) -> tuple[Plan, Path]:
     known = {argument.name for argument in ARGUMENTS}
     told = {name: value for name, value in given.items() if name in known}
     told.setdefault("namespace", parameter_file.read(file).namespace_of(ALL_NODES))
+    told["composed"] = str(args.composed)
     planned = plan({**told, "params": str(file), "record": "true", "output": args.out or ""})
     recorder = planned.parameters["recorder"]
     folder = Path(recorder.get("output") or default_folder(label)).expanduser()
