@@ -17,6 +17,7 @@ import yaml
 from browser import browse
 
 from koop_lab.page.document import Column, Figure, Heat, Panel, Section, Series, Table
+from koop_lab.page.markdown import rewrite_block
 from koop_study.experiments import stats
 from koop_study.experiments.kinds import read, read_folder
 from koop_study.report import publish, summary
@@ -202,13 +203,13 @@ def test_a_string_cannot_end_the_script() -> None:
 def test_a_readmes_block_is_rewritten_and_the_rest_left_alone() -> None:
     text = f"before\n{publish.BEGIN}\nold \\1\n{publish.END}\nafter\n"
     expected = f"before\n{publish.BEGIN}\nnew \\2\n{publish.END}\nafter\n"
-    assert publish.rewrite_block(text, "new \\2") == expected
+    assert rewrite_block(text, "new \\2", (publish.BEGIN, publish.END)) == expected
 
 
 @pytest.mark.parametrize("text", ["", publish.BEGIN, f"{publish.END} {publish.BEGIN}"])
 def test_a_readme_without_markers_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="needs one"):
-        publish.rewrite_block(text, "new")
+        rewrite_block(text, "new", (publish.BEGIN, publish.END))
 
 
 def law_table(name: str, rows: dict[str, tuple[float, float, float]]) -> Table:

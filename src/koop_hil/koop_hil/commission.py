@@ -14,6 +14,7 @@ from koop_lab.commission import progress, rig_file, verify
 from koop_lab.commission.command import Commissioning
 from koop_lab.commission.session import Watch
 from koop_lab.live.process import START_TIMEOUT
+from koop_lab.page.markdown import rewrite_block
 from koop_lab.tune.command import FIGURES
 from koop_node.alone import alone
 from koop_node.config import ConfigError
@@ -93,10 +94,10 @@ def publish(rows: Sequence[str], path: Path) -> None:
     koop_node.config.ConfigError
         If it has none.
     """
-    text = path.read_text(encoding="utf-8")
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ConfigError(f"{path}: has no lines {BEGIN} and {END}")
-    table = "\n".join([HEAD, *rows])
-    path.write_text(f"{before}{BEGIN}\n{table}\n{END}{after}", encoding="utf-8")
+    try:
+        text = rewrite_block(
+            path.read_text(encoding="utf-8"), "\n".join([HEAD, *rows]), (BEGIN, END)
+        )
+    except ValueError:
+        raise ConfigError(f"{path}: has no lines {BEGIN} and {END}") from None
+    path.write_text(text, encoding="utf-8")

@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from koop_lab.page.markdown import rewrite_block
 from koop_node.config import ConfigError
 from koop_study.experiments.kinds import KINDS, Experiment, read_folder
 from koop_study.experiments.laws import LawsConfig
@@ -39,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     readme = args.readme.read_text() if args.readme else ""
     if args.readme:
         for markers in ((publish.BEGIN, publish.END), publish.LAWS):
-            publish.rewrite_block(readme, "", markers)  # complain before the work, not after it
+            rewrite_block(readme, "", markers)  # complain before the work, not after it
     experiments = [
         with_rivals(experiment, args.rivals)
         for experiment in read_folder(args.experiments, args.quick)

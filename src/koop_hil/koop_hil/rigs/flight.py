@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
 
-from stand import Knob, Schedule, Stand, change
+from stand import INSTALL, Knob, Schedule, Stand, change
 
 STEP = 1.0 / 120.0  # [s]
 FOOT = 0.3048  # [m]
@@ -38,7 +38,6 @@ NAMES = {
 RATES = ("velocities/p-rad_sec", "velocities/q-rad_sec", "velocities/r-rad_sec")
 ACCELERATIONS = tuple(f"accelerations/a-pilot-{axis}-ft_sec2" for axis in "xyz")
 AIRSPEED = "velocities/vc-kts"
-INSTALL = "pip install --no-deps -r requirements/plants.txt"
 
 
 def register(rigs: Any, common: argparse.ArgumentParser) -> None:

@@ -12,12 +12,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from stand import Change, Knob, Schedule, Stand, change
+from stand import INSTALL, Change, Knob, Schedule, Stand, change
 
 NUMBERS = ("Real", "Float64", "Float32")
 FOREVER = 1e9  # [s]
 SHOWN = 12  # names in an error
-INSTALL = "pip install --no-deps -r requirements/plants.txt"
 
 
 def register(rigs: Any, common: argparse.ArgumentParser) -> None:

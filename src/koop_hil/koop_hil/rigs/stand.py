@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+INSTALL = "pip install --no-deps -r requirements/plants.txt"  # plants of others
 SHORTEST = 0.02  # [s] between two looks for listeners
 
 

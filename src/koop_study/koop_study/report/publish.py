@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from koop_lab.page.document import Section, Table
+from koop_lab.page.document import Section
+from koop_lab.page.markdown import markdown, rewrite_block
 from koop_study.experiments.kinds import Experiment
 from koop_study.report import page, picture, summary
 from koop_study.workers.units import write_atomically
@@ -31,13 +31,6 @@ def write(
     return path
 
 
-def markdown(table: Table) -> str:
-    """Return a table as Markdown."""
-    heads = [column.title for column in table.columns]
-    lines = [heads, ["---"] * len(heads), *table.texts()]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
 def readme_block(sections: Sequence[Section], report: str) -> str:
     """Return the README's results: the table of the report's summary, and where the rest is."""
     table = summary.headline(summary.by_name(sections))
@@ -56,20 +49,5 @@ def rewrite(text: str, sections: Sequence[Section], report: str) -> str:
     if sentence:
         text = rewrite_block(text, f"{sentence} All tables: [{report}]({report}).", LAWS)
     if any(section.name != "laws" for section in sections):
-        text = rewrite_block(text, readme_block(sections, report))
+        text = rewrite_block(text, readme_block(sections, report), (BEGIN, END))
     return text
-
-
-def rewrite_block(text: str, block: str, markers: tuple[str, str] = (BEGIN, END)) -> str:
-    """Return ``text`` with what stands between two markers replaced by ``block``.
-
-    Raises
-    ------
-    ValueError
-        If the markers are not there, once each and in order.
-    """
-    begin, end = markers
-    if text.count(begin) != 1 or text.count(end) != 1 or text.index(begin) > text.index(end):
-        raise ValueError(f"needs one '{begin}' and, after it, one '{end}'")
-    pattern = re.escape(begin) + ".*?" + re.escape(end)
-    return re.sub(pattern, lambda _: f"{begin}\n{block}\n{end}", text, flags=re.DOTALL)
