@@ -20,6 +20,7 @@ from koop_node.errors import LiveError
 
 pytestmark = pytest.mark.ros
 TIME = 20.0  # [s] in which theta goes to the end of its range
+SCALE = 3.0  # times real time: 600 states a second, which a commander on a busy machine answers
 
 
 def scenario(tmp_path):
@@ -29,7 +30,7 @@ def scenario(tmp_path):
 def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, monkeypatch):
     monkeypatch.setattr("koop_lab.commission.survey.LISTEN", 8.0)
     given = read(find("rig-galloping"))
-    faster = replace(given, setting=replace(given.setting, time_scale=5.0))
+    faster = replace(given, setting=replace(given.setting, time_scale=SCALE))
     said = record_excitation(faster, tmp_path, TIME)
     assert "the 20 s of the rig file are over; theta is back at -2" in said
     rig = rig_of(faster, TIME)
@@ -42,11 +43,11 @@ def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, monkey
     states, answered = count_answers(recorded)
     assert f"recorded {states} states, theta of {answered} of them" in said
     known = np.isin(state["step"], theta["step"])[state["step"] >= theta["step"][0]]
-    # of 1000 a second; at first who listens may not hear, the last ones were under way at the end
-    assert known[round(HEARD * 1000) : int(0.9 * known.size)].mean() > 0.9
+    # at first who listens may not hear, the last ones were under way at the end
+    assert known[round(HEARD * SCALE / 0.005) : int(0.9 * known.size)].mean() > 0.9
     assert state["step"][-1] * 0.005 >= TIME - 1.0
     between = (theta["step"] >= cost["step"][0]) & (theta["step"] <= cost["step"][-1])
-    assert np.isin(theta["step"][between], cost["step"]).mean() > 0.9  # of 1000 a second
+    assert np.isin(theta["step"][between], cost["step"]).mean() > 0.9  # of 600 a second
     assert between.mean() > 0.3  # the lifter ends before the recorder
     # the commander may be late on a busy machine; a jump home would be 1 and more
     assert np.abs(np.diff(theta["theta"])).max() <= 0.2 * rig.theta_rate
