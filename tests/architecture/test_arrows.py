@@ -8,13 +8,18 @@ import pytest
 SRC = Path(__file__).parents[2] / "src"
 ALGORITHMS = {"vdp_plant", "koopman_lifter", "relay_esc"}
 LEAVES = {"koop_hil", "koop_study"}
-PACKAGES = {"koop_node", "koop_loop", "koop_bag", "koop_lab", "koop_bringup"} | ALGORITHMS | LEAVES
+PACKAGES = (
+    {"koop_node", "koop_loop", "koop_bag", "koop_lab", "koop_bringup", "koop_view"}
+    | ALGORITHMS
+    | LEAVES
+)
 MAY_IMPORT = {
     "koop_node": set(),
     "vdp_plant": {"koop_node"},
     "koopman_lifter": {"koop_node"},
     "relay_esc": {"koop_node"},
     "koop_bag": {"koop_node"},
+    "koop_view": {"koop_node", "koop_bag"},
     "koop_loop": {"koop_node"} | ALGORITHMS,
     "koop_bringup": {"koop_node", "koop_loop", "koop_bag"} | ALGORITHMS,
     "koop_lab": PACKAGES - LEAVES,

@@ -1,0 +1,22 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_view"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"koop_view": ["page/index.html"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=["koop_node"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="A page that shows a loop and operates it, over the Foxglove WebSocket protocol.",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["server = koop_view.executable:server"]},
+)
