@@ -145,7 +145,7 @@ export class Loop {
   }
 
   /** The nodes of the loop and what is thought of each. */
-  rows(now: number, recorded: boolean): { node: Node; judgement: Judgement }[] {
+  rows(now: number, seen: "live" | "recorded" | "unknown"): { node: Node; judgement: Judgement }[] {
     const { plant, lifter, controller, state, cost, theta } = this.names;
     const { heard: h, reports } = this;
     const nodes: Node[] = [
@@ -155,7 +155,7 @@ export class Loop {
     if (controller) nodes.push({ name: controller, role: "controller", report: reports.get(controller), output: h.theta, input: h.cost, topic: theta ?? "" });
     const own = new Set([plant, lifter, controller]);
     for (const [name, report] of reports) if (!own.has(name)) nodes.push({ name, role: "other", report });
-    return nodes.map((node) => ({ node, judgement: recorded ? said(node) : judge(node, now) }));
+    return nodes.map((node) => ({ node, judgement: seen === "live" ? judge(node, now) : seen === "recorded" ? said(node) : UNKNOWN }));
   }
 
   /** Steps a second, by what was heard last. */
@@ -171,6 +171,8 @@ export class Loop {
 export function sourceName(source: number): string {
   return source === 1 ? "lifted" : source === 0 ? "raw" : "";
 }
+
+const UNKNOWN: Judgement = { level: "off", text: "unknown: no connection" };
 
 /** In a recording nobody is late. */
 function said(node: Node): Judgement {

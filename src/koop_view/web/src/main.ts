@@ -108,7 +108,7 @@ const link = new Link({
   services: () => operate.refresh(),
 }, token);
 
-const operate = new Operate({ loop, link, operate: () => (server?.operate ?? false) && connection === "open", parameter });
+const operate = new Operate({ loop, link, operate: () => server?.operate ?? false, parameter });
 
 /** The token of the address, kept for a reload and taken out of what others may see. */
 function takeToken(): string {
@@ -291,7 +291,7 @@ function showForce(): void {
 
 /** All that is words. */
 function slow(): void {
-  const now = seconds(), l = loop(), rows = l?.rows(now, recorded()) ?? [];
+  const now = seconds(), l = loop(), rows = l?.rows(now, recorded() ? "recorded" : connection === "open" ? "live" : "unknown") ?? [];
   const bounds = limits();
   const found = verdict({
     connection, lostFor: now - lostAt, mode: server?.mode ?? "live", loop: l !== undefined, rows, holding: l?.holding ?? false,

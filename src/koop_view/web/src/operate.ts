@@ -98,7 +98,7 @@ export class Operate {
     if (now < low || now > high) words.push(`θ is outside now: it goes from ${short(now)} to ${short(Math.min(high, Math.max(low, now)))}.`);
     if (low < high && (initial < low || initial > high)) {
       const moved = Math.min(high, Math.max(low, initial));
-      words.push(`So does the value to which a reset goes: from ${short(initial)} to ${short(moved)}.`);
+      words.push(`The value that a reset goes to becomes ${short(moved)}; it was ${short(initial)}.`);
       parameters.push(number("theta_initial", moved));
     }
     if (!(await confirm("Limits of θ", words.join(" ")))) return;
@@ -132,7 +132,7 @@ export class Operate {
     while (acts.children.length > MOST_ACTS) acts.lastElementChild?.remove();
     const done = (outcome: string, words: string): void => {
       entry.dataset["outcome"] = outcome;
-      say(entry.lastElementChild as HTMLElement, ` ${words} (${clock(Date.now() / 1000)})`);
+      say(entry.lastElementChild as HTMLElement, ` – ${words} (${clock(Date.now() / 1000)})`);
     };
     try {
       const answer = await this.desk.link.call(service, request);

@@ -1,0 +1,73 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { inputAge, judge, losses, verdict, type Node, type Report, type Situation } from "../src/health";
+
+const report = (at: number, more: Partial<Report> = {}): Report => ({ at, level: "ok", message: "lifting", values: { lifecycle_state: "active" }, ...more });
+const lifter = (more: Partial<Node> = {}): Node => ({
+  name: "/koopman_lifter", role: "lifter", report: report(99.5), output: { at: 99.99, rate: 200 }, input: { at: 99.99, rate: 200 }, ...more,
+});
+
+test("a node that reports and answers is what it says it is", () => {
+  assert.deepEqual(judge(lifter(), 100), { level: "ok", text: "lifting" });
+  const broken = lifter({ report: report(99.5, { level: "error", message: "2 publishers on 'state'" }) });
+  assert.deepEqual(judge(broken, 100), { level: "error", text: "2 publishers on 'state'" });
+});
+
+test("a killed lifter is stale within two seconds, whenever it had last reported", () => {
+  for (const last of [99.01, 99.5, 99.99]) {
+    const killed = lifter({ report: report(last), output: { at: 100, rate: 200 }, input: { at: 102, rate: 200 } });
+    assert.equal(judge(killed, 102).level, "stale");
+    assert.equal(judge(killed, 100.5).level, "ok");
+  }
+});
+
+test("who gets no input is not blamed for giving no output", () => {
+  const starved = lifter({ report: report(102), output: { at: 100, rate: 200 }, input: { at: 100, rate: 200 } });
+  assert.equal(judge(starved, 102.5).level, "ok");
+  const deaf = lifter({ report: report(102), output: { at: 100, rate: 200 }, input: { at: 102.4, rate: 200 } });
+  assert.deepEqual(judge(deaf, 102.5), { level: "stale", text: "no cost for 2.5 s" });
+});
+
+test("a node that is slow by nature is not silent between two messages", () => {
+  const slow: Node = { name: "rig", role: "rig", output: { at: 97, rate: 0.5 } };
+  assert.equal(judge(slow, 100).level, "ok");
+  assert.equal(judge(slow, 108).level, "stale");
+});
+
+test("a rig without diagnostics is judged by its state", () => {
+  assert.deepEqual(judge({ name: "/state", role: "rig", output: { at: 99.9, rate: 200 } }, 100), { level: "ok", text: "sends state" });
+  assert.deepEqual(judge({ name: "/state", role: "rig", output: { at: NaN, rate: 0 } }, 100), { level: "off", text: "no state yet" });
+});
+
+test("an inactive node is said to be", () => {
+  const inactive = lifter({ report: report(99.5, { values: { lifecycle_state: "inactive" } }) });
+  assert.deepEqual(judge(inactive, 100), { level: "warn", text: "not active: inactive" });
+});
+
+test("losses are added up over the inputs, ages are the oldest", () => {
+  const values = { "state missed_steps": "3", "cost missed_steps": "2", "cost late": "0", "cost too_old": "1", "state age_s": "0.004", "cost age_s": "nan" };
+  assert.equal(losses(report(0, { values })), "5 missed, 1 too old");
+  assert.equal(inputAge(report(0, { values })), "0.004 s");
+});
+
+const healthy: Situation = {
+  connection: "open", lostFor: 0, mode: "live", loop: true, rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
+  holding: false, settling: false, costUsable: true, saturated: false, theta: -2.5, limits: [-5, 5], r: 0.01, rate: 200, reading: undefined, number: String,
+};
+
+test("the verdict names what comes first", () => {
+  assert.deepEqual(verdict(healthy), { level: "ok", text: "Healthy, seeking: θ = -2.5 in [-5, 5], r = 0.01, 200 steps a second." });
+  const stale = { ...healthy, rows: [...healthy.rows, { node: lifter(), judgement: { level: "stale" as const, text: "no cost for 2.0 s" } }] };
+  assert.deepEqual(verdict(stale), { level: "stale", text: "Not healthy: lifter – no cost for 2.0 s." });
+  const fault = { ...stale, rows: [...stale.rows, { node: lifter({ role: "rig" }), judgement: { level: "error" as const, text: "diverged" } }] };
+  assert.deepEqual(verdict(fault), { level: "error", text: "Fault: rig – diverged." });
+  assert.match(verdict({ ...fault, connection: "lost", lostFor: 3 }).text, /^No connection to koop serve for 3 s/);
+  assert.match(verdict({ ...healthy, loop: false, rows: [] }).text, /^No loop is running/);
+});
+
+test("a hold says why", () => {
+  const held = { ...healthy, holding: true, rows: [{ node: lifter({ role: "controller" as const }), judgement: { level: "warn" as const, text: "holding theta" } }] };
+  assert.match(verdict(held).text, /^Holding as asked: θ = -2.5/);
+  assert.match(verdict({ ...held, costUsable: false, r: NaN }).text, /^Holding there is no usable cost|^Holding/);
+  assert.equal(verdict(held).level, "warn");
+});
