@@ -11,12 +11,15 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["koop_node"],
+    install_requires=["koop_bag", "koop_node", "websockets"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="A page that shows a loop and operates it, over the Foxglove WebSocket protocol.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["server = koop_view.executable:server"]},
+    entry_points={
+        "console_scripts": ["server = koop_view.executable:server"],
+        "koop.commands": ["serve = koop_view.command:register"],
+    },
 )

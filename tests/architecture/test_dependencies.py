@@ -29,6 +29,7 @@ MODULES = {
     "rosbags": ("python3-rosbags-pip", "rosbags"),
     "scipy": ("python3-scipy", "scipy"),
     "tqdm": ("python3-tqdm", "tqdm"),
+    "websockets": ("python3-websockets", "websockets"),
     "yaml": ("python3-yaml", "PyYAML"),
     "zstandard": ("mcap-ros2-support", "zstandard"),
 }

@@ -62,9 +62,46 @@ def load_schema(type_name: str, prefixes: Sequence[str | Path] | None = None) ->
         If the type or one it depends on is not installed.
     """
     package, name = _split(type_name)
-    places = _prefixes() if prefixes is None else [Path(prefix) for prefix in prefixes]
-    root = _find(places, package, name)
-    parts = [_text(root)]
+    places = _places(prefixes)
+    root = _find(places, package, f"msg/{name}.msg")
+    full_name = f"{package}/msg/{name}"
+    return MessageSchema(
+        full_name,
+        _with_dependencies(places, package, name, _text(root)),
+        _type_hash(root.with_suffix(".json"), full_name),
+    )
+
+
+def load_service(
+    type_name: str, prefixes: Sequence[str | Path] | None = None
+) -> tuple[MessageSchema, MessageSchema]:
+    """Find the definitions of a service type's request and response; as :func:`load_schema`.
+
+    Parameters
+    ----------
+    type_name : str
+        `pkg/srv/Type`.
+    """
+    package, _, name = type_name.partition("/srv/")
+    if not name:
+        raise BagError(f"'{type_name}' is not a service type: write it as pkg/srv/Type")
+    places = _places(prefixes)
+    request, _, response = re.split(
+        r"^(---)[ \t]*$\n?", _text(_find(places, package, f"srv/{name}.srv")), flags=re.MULTILINE
+    )
+    return (
+        MessageSchema(
+            f"{type_name}_Request", _with_dependencies(places, package, name, request), ""
+        ),
+        MessageSchema(
+            f"{type_name}_Response", _with_dependencies(places, package, name, response), ""
+        ),
+    )
+
+
+def _with_dependencies(places: Sequence[Path], package: str, name: str, root: str) -> str:
+    """Return a root definition followed by those that it needs."""
+    parts = [root]
     seen = {(package, name)}
 
     def append_dependencies(text: str, inside: str) -> None:
@@ -72,15 +109,13 @@ def load_schema(type_name: str, prefixes: Sequence[str | Path] | None = None) ->
             if dependency in seen:
                 continue
             seen.add(dependency)
-            dependency_text = _text(_find(places, *dependency))
+            found = _find(places, dependency[0], f"msg/{dependency[1]}.msg")
+            dependency_text = _text(found)
             parts.append(f"{SEPARATOR}\nMSG: {'/'.join(dependency)}\n{dependency_text}")
             append_dependencies(dependency_text, dependency[0])
 
-    append_dependencies(parts[0], package)
-    full_name = f"{package}/msg/{name}"
-    return MessageSchema(
-        full_name, "\n".join(parts), _type_hash(root.with_suffix(".json"), full_name)
-    )
+    append_dependencies(root, package)
+    return "\n".join(parts)
 
 
 def _split(type_name: str) -> tuple[str, str]:
@@ -92,18 +127,24 @@ def _split(type_name: str) -> tuple[str, str]:
     raise BagError(f"'{type_name}' is not a message type: write it as pkg/msg/Type")
 
 
+def _places(prefixes: Sequence[str | Path] | None) -> list[Path]:
+    return _prefixes() if prefixes is None else [Path(prefix) for prefix in prefixes]
+
+
 def _prefixes() -> list[Path]:
     listed = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     return [*listed, Path(sys.prefix)]
 
 
-def _find(prefixes: Sequence[Path], package: str, name: str) -> Path:
+def _find(prefixes: Sequence[Path], package: str, file: str) -> Path:
     for prefix in prefixes:
-        path = prefix / "share" / package / "msg" / f"{name}.msg"
+        path = prefix / "share" / package / file
         if path.is_file():
             return path
+    kind = "message" if file.startswith("msg") else "service"
     raise BagError(
-        f"no definition of message {package}/msg/{name} under any prefix of AMENT_PREFIX_PATH: "
+        f"no definition of {kind} {package}/{Path(file).with_suffix('')} "
+        "under any prefix of AMENT_PREFIX_PATH: "
         f"build or install the package '{package}' and source the workspace"
     )
 

@@ -1,0 +1,134 @@
+"""Who may come in: hosts, origins, the token; what the page itself may do. Pure."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import ipaddress
+import re
+import socket
+from collections.abc import Collection
+from dataclasses import dataclass
+from http import HTTPStatus
+from urllib.parse import parse_qs, urlsplit
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a request is refused."""
+
+    status: HTTPStatus
+    reason: str
+
+
+@dataclass(frozen=True)
+class Access:
+    """The rules.
+
+    Attributes
+    ----------
+    token : str
+        Of those who may operate; empty: nobody may.
+    origins : collection of str
+        Of the web pages, besides the server's own, that may connect.
+    """
+
+    token: str = ""
+    origins: Collection[str] = ()
+
+    def refuse_host(self, host: str | None) -> Refusal | None:
+        """Refuse a request to a name that anybody could have pointed at this machine.
+
+        A page of another site reaches a server on loopback as its own origin once its name resolves
+        to 127.0.0.1 (DNS rebinding). So the host is an address, this machine, or allowed.
+        """
+        name = (urlsplit(f"//{host}").hostname or "") if _plain(host) else ""
+        own = {"localhost", socket.gethostname().lower()}
+        known = {urlsplit(origin).hostname for origin in self.origins}
+        if name in own | known or _is_address(name):
+            return None
+        return Refusal(
+            HTTPStatus.MISDIRECTED_REQUEST,
+            "this server answers to localhost, an address or this machine's name only",
+        )
+
+    def refuse_origin(self, origin: str | None, host: str | None) -> Refusal | None:
+        """Refuse a web page of another server; a program that is no browser names no origin."""
+        if origin is None or origin in self.origins:
+            return None
+        if _plain(origin) and re.fullmatch(r"https?://" + re.escape(str(host)), origin):
+            return None
+        return Refusal(
+            HTTPStatus.FORBIDDEN,
+            "a page of another origin: start the server with --allow-origin to let it in",
+        )
+
+    def right_of(self, path: str) -> bool | Refusal:
+        """Return whether a path's token lets its sender operate, or that it is a wrong one."""
+        given = parse_qs(urlsplit(path).query).get("token", [""])[0] if _plain(path) else "?"
+        if not given:
+            return False
+        if self.token and hmac.compare_digest(given.encode(), self.token.encode()):
+            return True
+        return Refusal(HTTPStatus.UNAUTHORIZED, "wrong token: the server printed the right one")
+
+
+def _plain(text: str | None) -> bool:
+    """Return whether a text can be read as an address."""
+    return text is not None and re.fullmatch(r"[\x21-\x7e]+", text) is not None and _splits(text)
+
+
+def _splits(text: str) -> bool:
+    try:
+        urlsplit(text if "/" in text else f"//{text}")
+    except ValueError:
+        return False
+    return True
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def page_headers(page: bytes, host: str) -> list[tuple[str, str]]:
+    """Return the headers of the page: it runs its own script only, and speaks with its own server.
+
+    Parameters
+    ----------
+    page : bytes
+        The HTML file, script and style inline.
+    host : str
+        The server, as the browser calls it.
+    """
+    policy = {
+        "default-src": "'none'",
+        "script-src": _hashes(page, b"script"),
+        "style-src": _hashes(page, b"style"),
+        "connect-src": f"ws://{host} wss://{host}",
+        "img-src": "data: blob:",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+        "frame-ancestors": "'none'",  # or another page could lay itself over the buttons
+    }
+    return [
+        ("Content-Type", "text/html; charset=utf-8"),
+        ("Content-Security-Policy", "; ".join(f"{key} {value}" for key, value in policy.items())),
+        ("X-Frame-Options", "DENY"),
+        ("X-Content-Type-Options", "nosniff"),
+        ("Referrer-Policy", "no-referrer"),
+        ("Cross-Origin-Resource-Policy", "same-origin"),
+        ("Cross-Origin-Opener-Policy", "same-origin"),
+        ("Cache-Control", "no-store"),
+    ]
+
+
+def _hashes(page: bytes, tag: bytes) -> str:
+    """Return the sources of the inline elements of a kind."""
+    found = re.findall(rb"<%b(?:\s[^>]*)?>(.*?)</%b\s*>" % (tag, tag), page, re.DOTALL | re.I)
+    digests = [base64.b64encode(hashlib.sha256(text).digest()).decode() for text in found]
+    return " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"

@@ -1,0 +1,67 @@
+"""Configuration of the server."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from koop_node.config import ConfigError, parameter, validate
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """Where the server listens, who may do what, and its limits.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If a value has the wrong type or is out of range.
+    """
+
+    host: str = parameter(
+        "127.0.0.1",
+        "address to listen on; 0.0.0.0: on all of this machine, without encryption",
+        read_only=True,
+    )
+    port: int = parameter(8765, "TCP port; 0: any that is free", low=0, high=65535, read_only=True)
+    operate: bool = parameter(
+        False,
+        "let whoever has the token, which is printed at the start, hold, reset and change the loop",
+        read_only=True,
+    )
+    allow_origins: str = parameter(
+        "",
+        "origins of web pages that may connect besides the server's own, separated by spaces, "
+        "such as https://app.foxglove.dev",
+        read_only=True,
+    )
+    clients: int = parameter(16, "clients at a time", low=1, high=100, read_only=True)
+    backlog: float = parameter(
+        4.0,
+        "what may wait for a slow client; one with more is dropped",
+        unit="MB",
+        low=0.1,
+        high=100.0,
+        read_only=True,
+    )
+    rate: float = parameter(
+        1000.0,
+        "messages a second of one topic; of a faster one some are left out",
+        unit="Hz",
+        low=1.0,
+        high=100000.0,
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        for origin in self.origins:
+            if not re.fullmatch(r"[a-z][a-z0-9+.-]*://[^/?#\s]+", origin):
+                raise ConfigError(
+                    f"allow_origins: '{origin}' is not an origin, such as https://app.foxglove.dev"
+                )
+
+    @property
+    def origins(self) -> tuple[str, ...]:
+        """The origins that are allowed."""
+        return tuple(self.allow_origins.split())

@@ -1,0 +1,1 @@
+"""A running loop as a source. Only these modules and ``node.py`` know ROS."""

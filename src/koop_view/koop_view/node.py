@@ -1,0 +1,94 @@
+"""ROS node of the server: a loop's topics, parameters and services for those who look at it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from koop_bag.recorder.topics import polled
+from koop_node.config import one_line
+from koop_node.describe import help_text
+from koop_node.entities import WithoutEvents
+from koop_node.lifeline import end_with_parent
+from koop_node.main import refuse_other_arguments, set_dds_profile
+from koop_node.parameters import Parameters
+from koop_view.config import ViewConfig
+from koop_view.live.source import LiveSource
+from koop_view.serving import serve
+
+PURPOSE = (
+    "Serves a page that shows the loops of the ROS domain, and the Foxglove WebSocket protocol, "
+    "on one port."
+)
+NICE = 5  # whoever looks waits for the loop
+
+
+class ViewNode(WithoutEvents):
+    """The server's place in the ROS domain."""
+
+    def __init__(self) -> None:
+        # what it was started with is no part of the record of a run, nor to be changed
+        super().__init__("koop_view", start_parameter_services=False)
+        self.parameters = Parameters(
+            self, (ViewConfig,), lambda configs, names: None, lambda names: None, sys.argv
+        )
+
+    @property
+    def subscriptions(self) -> Iterator[Any]:
+        """The subscriptions that the executor serves: not those that are polled."""
+        return (item for item in super().subscriptions if item.callback is not polled)
+
+
+def run(args: list[str] | None = None) -> int:
+    """Serve until the process is told to stop; ``args`` are ROS arguments.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a clean end, 2 if the server could not start.
+    """
+    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
+        print(help_text("ros2 run koop_view server", PURPOSE, (ViewConfig,)))
+        return 0
+    end_with_parent()
+    set_dds_profile()
+    os.nice(NICE)
+    executor: Any = None
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        refuse_other_arguments(args)
+        node = ViewNode()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        asyncio.run(_serve(node, executor))
+    except (ValueError, OSError) as error:
+        print(f"error: {one_line(str(error))}", file=sys.stderr)
+        return 2
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        if executor is not None:
+            executor.remove_node(node)
+            node.destroy_node()
+            executor.shutdown()
+        rclpy.try_shutdown()
+    return 0
+
+
+async def _serve(node: ViewNode, executor: Any) -> None:
+    config = node.parameters[ViewConfig]
+    source = LiveSource(node, executor, config.rate, config.operate)
+    await serve(source, config, source.run())
+
+
+def main() -> None:
+    """Run the node until it is told to stop."""
+    sys.exit(run())

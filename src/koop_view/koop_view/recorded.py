@@ -1,0 +1,107 @@
+"""A recorded run as a source. No ROS."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from websockets.exceptions import ConnectionClosed
+
+from koop_bag.bag.reader import BagReader
+from koop_bag.errors import BagError
+from koop_view.protocol import ENCODING, ERROR, INFO, Channel
+from koop_view.roles import COST, STATE, THETA, namespace_of
+from koop_view.source import Client, Loop, Source
+
+COMPLETE = "recording complete"
+TURN = 200  # messages after which the others have theirs
+
+
+class RecordedSource(Source):
+    """The topics of a bag, each from its first message to its last as fast as a client takes them.
+
+    Parameters
+    ----------
+    path : path
+        A run folder, a bag folder or an ``.mcap`` file.
+
+    Raises
+    ------
+    BagError
+        If there is no bag, or it is damaged.
+    """
+
+    mode = "recorded"
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__()
+        self._path = path
+        self._tasks: dict[tuple[int, int], asyncio.Task[None]] = {}
+        with BagReader(path) as bag:
+            topics = [item for item in bag.topics if item.encoding == ENCODING]
+            self._read_parameters(bag.custom_data().get("parameters", ""))
+        for number, item in enumerate(topics, 1):
+            self.channels[number] = Channel(number, item.name, item.type_name, item.definition)
+        self.loops = _loops({t.name: t.type_name for t in topics}, self.parameters)
+
+    def _read_parameters(self, text: str) -> None:
+        try:
+            given = yaml.safe_load(text) or {}
+        except yaml.YAMLError:
+            return
+        for node, content in given.items() if isinstance(given, Mapping) else ():
+            values = content.get("ros__parameters") if isinstance(content, Mapping) else None
+            for name, value in values.items() if isinstance(values, Mapping) else ():
+                self.parameters[f"{node}.{name}"] = value
+
+    def subscribe(self, client: Client, subscription: int, channel: Channel) -> None:
+        work = self._send(client, subscription, channel)
+        task = asyncio.get_running_loop().create_task(work)
+        key = (id(client), subscription)
+        self._tasks[key] = task
+        task.add_done_callback(lambda done: self._forget(key, done))
+
+    def unsubscribe(self, client: Client, subscription: int, channel: Channel) -> None:
+        task = self._tasks.pop((id(client), subscription), None)
+        if task is not None:
+            task.cancel()
+
+    def _forget(self, key: tuple[int, int], done: asyncio.Task[None]) -> None:
+        if self._tasks.get(key) is done:
+            del self._tasks[key]
+
+    async def _send(self, client: Client, subscription: int, channel: Channel) -> None:
+        """Send a channel, and say when it is complete."""
+        try:
+            with BagReader(self._path) as bag:
+                for count, message in enumerate(bag.messages([channel.topic])):
+                    await client.deliver_slowly(subscription, message.log_time, message.data)
+                    if count % TURN == 0:
+                        await asyncio.sleep(0)
+            client.say(INFO, COMPLETE, f"complete {channel.topic}")
+        except BagError as error:
+            client.say(ERROR, str(error), f"complete {channel.topic}")
+        except ConnectionClosed:
+            pass
+
+
+def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str, Loop]:
+    """Return the loops as far as names and parameters tell: a bag does not say who published.
+
+    The nodes are told by parameters that only they have.
+    """
+    known = {"omega_h": "lifter", "dwell": "controller", "theta_star": "plant"}
+    kinds = {STATE: "state", COST: "cost", THETA: "theta"}
+    found: dict[str, dict[str, str]] = {}
+    for topic, type_name in topics.items():
+        name = kinds.get(type_name)
+        if name is not None and topic.endswith(f"/{name}"):
+            found.setdefault(namespace_of(topic), {})[name] = topic
+    for full in parameters:
+        node, _, name = full.partition(".")
+        if name in known and namespace_of(node) in found:
+            found[namespace_of(node)][known[name]] = node
+    return {space: Loop(space, **given) for space, given in found.items()}

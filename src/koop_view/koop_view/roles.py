@@ -1,0 +1,55 @@
+"""Which nodes and topics make a loop. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+
+from koop_view.source import Loop
+
+STATE, COST, THETA = (f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput"))
+
+
+def namespace_of(name: str) -> str:
+    """Return the namespace of a full name.
+
+    >>> namespace_of("/rig/theta"), namespace_of("/theta")
+    ('/rig', '/')
+    """
+    return name.rpartition("/")[0] or "/"
+
+
+def loops(published: Mapping[str, Mapping[str, str]]) -> dict[str, Loop]:
+    """Return the loops, by namespace.
+
+    A lifter publishes a cost, a controller a control input; the plant is the node that publishes
+    the state and is neither, for a lifter that reads a rig's own message publishes the state.
+
+    Parameters
+    ----------
+    published : mapping of str to mapping
+        Topics with their types, by full name of the node.
+    """
+    found: dict[str, Loop] = {}
+    for node, topics in sorted(published.items()):
+        of_type = {kind: topic for topic, kind in sorted(topics.items(), key=_last_is_own)}
+        own = {"state": of_type.get(STATE), "cost": of_type.get(COST), "theta": of_type.get(THETA)}
+        if not any(own.values()):
+            continue
+        role = "lifter" if own["cost"] else "controller" if own["theta"] else "plant"
+        space = namespace_of(node)
+        loop = found.get(space, Loop(space))
+        given = {name: topic for name, topic in own.items() if topic}
+        found[space] = replace(loop, **{role: node}, **given)
+    return found
+
+
+def _last_is_own(item: tuple[str, str]) -> tuple[bool, str]:
+    """Order topics so that the loop's own name comes last: a command may have the same type."""
+    return item[0].endswith(("/theta", "/cost", "/state")), item[0]
+
+
+def joined(before: Loop | None, now: Loop) -> Loop:
+    """Return a loop with what is known of it from before: a node that died has the same name."""
+    known = {} if before is None else asdict(before)
+    return Loop(**{**known, **{k: v for k, v in asdict(now).items() if v is not None}})

@@ -1,0 +1,250 @@
+"""The server: one port that gives the page to browsers and the protocol to WebSockets."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from collections.abc import Mapping
+from http import HTTPStatus
+from importlib.resources import files
+from typing import Any, cast
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed, InvalidHeader
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from koop_view import protocol
+from koop_view.access import Access, Refusal, page_headers
+from koop_view.config import ViewConfig
+from koop_view.protocol import Channel, Service
+from koop_view.session import Budget, Session
+from koop_view.source import Source
+
+LONGEST_MESSAGE = 256 * 1024  # [B] of a client
+CONNECTIONS = 64  # besides the clients: half open, or for the page
+CHECK_PERIOD = 0.1  # [s] between looks for slow clients
+OPEN_TIMEOUT = 5.0  # [s] for a request to be complete
+
+_silent = logging.getLogger("koop_view.websockets")  # hostile requests would fill the log
+_silent.setLevel(logging.CRITICAL + 1)
+
+
+class ViewServer:
+    """Serves a source; a context manager, of an event loop.
+
+    Parameters
+    ----------
+    source : Source
+        What is shown.
+    config : ViewConfig
+        Where and to whom.
+    token : str
+        Of those who may operate; empty: nobody may.
+    version : str
+        Of the project, for clients.
+    """
+
+    def __init__(self, source: Source, config: ViewConfig, token: str, version: str) -> None:
+        self._source = source
+        self._config = config
+        self._access = Access(token, frozenset(config.origins))
+        self._version = version
+        self._session_id = os.urandom(8).hex()
+        self._page = (files("koop_view") / "page" / "index.html").read_bytes()
+        self._sessions: set[Session] = set()
+        self._connections = 0
+        self._reads = Budget(50.0, 50.0)
+        self._refusals = Budget(1.0, 5.0)
+        self._server: Server | None = None
+        self._check: asyncio.Task[None] | None = None
+        source.listener = self
+
+    async def __aenter__(self) -> ViewServer:
+        try:
+            self._server = await self._listen()
+        except OSError as error:
+            where = f"{self._config.host} port {self._config.port}"
+            raise OSError(f"cannot listen on {where}: {error.strerror or error}") from None
+        self._check = asyncio.create_task(self._watch_backlogs())
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        assert self._server is not None
+        assert self._check is not None
+        self._check.cancel()
+        for session in list(self._sessions):
+            session.drop(1001, "the server ends")
+        self._server.close()
+        await self._server.wait_closed()
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on."""
+        assert self._server is not None
+        return int(next(iter(self._server.sockets)).getsockname()[1])
+
+    @property
+    def clients(self) -> int:
+        """How many there are."""
+        return len(self._sessions)
+
+    # -- connections --------------------------------------------------------------------------
+
+    async def _listen(self) -> Server:
+        outer, limit = self, self._config.clients + CONNECTIONS
+
+        class Counted(ServerConnection):
+            """A connection that is refused before it costs anything if there are too many."""
+
+            counted = False
+
+            def connection_made(self, transport: asyncio.BaseTransport) -> None:
+                if outer._connections >= limit:
+                    cast(asyncio.Transport, transport).abort()
+                    return
+                outer._connections += 1
+                self.counted = True
+                super().connection_made(transport)
+
+            def connection_lost(self, exc: Exception | None) -> None:
+                if self.counted:
+                    outer._connections -= 1
+                    super().connection_lost(exc)
+
+            def data_received(self, data: bytes) -> None:
+                if self.counted:
+                    super().data_received(data)
+
+            def eof_received(self) -> None:
+                if self.counted:
+                    super().eof_received()
+
+        return await serve(
+            self._serve_client,
+            self._config.host,
+            self._config.port,
+            process_request=self._decide,
+            subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS],
+            select_subprotocol=_subprotocol,
+            compression=None,  # it would cost the machine of the loop time
+            server_header=None,
+            open_timeout=OPEN_TIMEOUT,
+            close_timeout=2.0,
+            max_size=LONGEST_MESSAGE,
+            max_queue=16,
+            write_limit=64 * 1024,
+            logger=_silent,
+            create_connection=Counted,
+        )
+
+    def _decide(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Answer a request, or let it become a WebSocket."""
+        host, origin = _one(request.headers, "Host"), _one(request.headers, "Origin")
+        refused = self._access.refuse_host(host)
+        if refused is None and _one(request.headers, "Upgrade").lower() != "websocket":
+            return self._give_page(request.path, host)
+        refused = refused or self._access.refuse_origin(origin or None, host)
+        right = self._access.right_of(request.path)
+        if isinstance(right, Refusal):
+            refused = refused or right
+        elif len(self._sessions) >= self._config.clients:
+            refused = refused or Refusal(
+                HTTPStatus.SERVICE_UNAVAILABLE, f"there are {self._config.clients} clients already"
+            )
+        if refused is None:
+            connection.operates = right is True  # type: ignore[attr-defined]
+            return None
+        if self._refusals.take():
+            whence = f", origin {origin[:100]!r}" if origin else ""
+            self._source.log(f"refused: {connection.remote_address[0]}{whence}: {refused.reason}")
+        return _response(refused.status, [], (refused.reason + "\n").encode())
+
+    def _give_page(self, path: str, host: str) -> Response:
+        if path.partition("?")[0] not in ("/", "/index.html"):
+            return _response(HTTPStatus.NOT_FOUND, [], b"there is only /\n")
+        return _response(HTTPStatus.OK, page_headers(self._page, host), self._page)
+
+    async def _serve_client(self, connection: ServerConnection) -> None:
+        operates = bool(getattr(connection, "operates", False))
+        limit = round(self._config.backlog * 1e6)
+        session = Session(connection, self._source, operates, limit, self._reads)
+        if len(self._sessions) >= self._config.clients:  # several have come at once
+            await connection.close(1013, "too many clients")
+            return
+        self._sessions.add(session)
+        try:
+            session.send(self._info(session))
+            session.send(protocol.advertise(self._source.channels.values()))
+            session.send_services(self._source.services.values())
+            async for message in connection:
+                session.receive(message)
+        except ConnectionClosed:
+            pass
+        finally:
+            self._sessions.discard(session)
+            session.close()
+
+    def _info(self, session: Session) -> str:
+        capabilities = ["parameters", "parametersSubscribe"]
+        capabilities += ["services"] if self._source.mode == "live" else []
+        metadata = {
+            "koop_mode": self._source.mode,
+            "koop_operate": "true" if session.operates else "false",
+            "koop_version": self._version,
+            "koop_loops": self._source.loops_text(),
+        }
+        return protocol.server_info("koop", capabilities, metadata, self._session_id)
+
+    async def _watch_backlogs(self) -> None:
+        while True:
+            await asyncio.sleep(CHECK_PERIOD)
+            for session in list(self._sessions):
+                reason = session.check_backlog()
+                if reason is not None:
+                    self._source.log(f"dropped: {session.peer} is {reason}")
+
+    # -- news of the source -------------------------------------------------------------------
+
+    def news_of_channels(self, added: list[Channel], gone: list[int]) -> None:
+        for session in self._sessions:
+            if gone:
+                session.forget(gone)
+                session.send(protocol.unadvertise(gone))
+            if added:
+                session.send(protocol.advertise(added))
+
+    def news_of_services(self, added: list[Service]) -> None:
+        for session in self._sessions:
+            session.send_services(added)
+
+    def news_of_parameters(self, values: Mapping[str, Any]) -> None:
+        for session in self._sessions:
+            session.send_parameters(dict(values))
+
+    def news_of_loops(self) -> None:
+        for session in self._sessions:
+            session.send(self._info(session))
+
+
+def _one(headers: Headers, name: str) -> str:
+    """Return a header, one that cannot be used if it is there more than once."""
+    values = headers.get_all(name)
+    return values[0] if len(values) == 1 else " ".join(values)
+
+
+def _subprotocol(connection: ServerConnection, offered: Any) -> Subprotocol | None:
+    """Return the first of ours that is offered; without one there is no connection."""
+    for name in protocol.SUBPROTOCOLS:
+        if name in offered:
+            return Subprotocol(name)
+    raise InvalidHeader("Sec-WebSocket-Protocol", f"must have one of {protocol.SUBPROTOCOLS}")
+
+
+def _response(status: HTTPStatus, headers: list[tuple[str, str]], body: bytes) -> Response:
+    """Return an HTTP response, after which the connection is closed."""
+    own = headers or [("Content-Type", "text/plain; charset=utf-8")]
+    every = [*own, ("Content-Length", str(len(body))), ("Connection", "close")]
+    return Response(status.value, status.phrase, Headers(every), body)

@@ -1,0 +1,99 @@
+"""Runs the server until it is told to stop, and says where it is. Pure."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import os
+import re
+import secrets
+import signal
+import socket
+from collections.abc import Coroutine
+from importlib.metadata import version
+from typing import Any
+
+from koop_node.config import ConfigError
+from koop_view.config import ViewConfig
+from koop_view.source import Source
+
+TOKEN = "KOOP_VIEW_TOKEN"  # environment variable: neither a command line nor a parameter is secret
+SHORTEST = 16  # characters of a token
+
+
+def token_of(config: ViewConfig) -> str:
+    """Return the token of those who may operate, empty if nobody may.
+
+    Raises
+    ------
+    ConfigError
+        If the environment gives one that can be guessed.
+    """
+    if not config.operate:
+        return ""
+    given = os.environ.get(TOKEN)
+    if given is None:
+        return secrets.token_urlsafe(24)
+    if not re.fullmatch(f"[A-Za-z0-9_-]{{{SHORTEST},}}", given):
+        raise ConfigError(
+            f"{TOKEN} must be at least {SHORTEST} letters, digits, - or _; or unset it"
+        )
+    return given
+
+
+def address(config: ViewConfig, port: int) -> str:
+    """Return the page's address as a browser takes it."""
+    host = config.host
+    if host in ("0.0.0.0", "::", ""):
+        host = socket.gethostname()
+    elif ":" in host:
+        host = f"[{host}]"
+    return f"http://{host}:{port}/"
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this machine reaches an address."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+async def serve(source: Source, config: ViewConfig, work: Coroutine[Any, Any, None] | None) -> None:
+    """Serve a source until SIGINT, SIGTERM or SIGHUP.
+
+    Parameters
+    ----------
+    source : Source
+        What is shown.
+    config : ViewConfig
+        Where and to whom.
+    work : coroutine, optional
+        Follows what is shown; its failure ends the server.
+    """
+    from koop_view.server import ViewServer
+
+    stop = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, stop.set)
+    token = token_of(config)
+    following = asyncio.create_task(work) if work is not None else None
+    stopping = asyncio.create_task(stop.wait())
+    try:
+        async with ViewServer(source, config, token, version("koop_view")) as server:
+            page = address(config, server.port)
+            print(f"the page: {page}{f'#token={token}' if token else ''}")
+            if token:
+                print(f"who has that address may operate the loop; {page} reads only")
+            if not is_loopback(config.host):
+                print("it is open to the network, without encryption: see docs/security.md")
+            print("Ctrl-C ends it", flush=True)
+            tasks = {stopping, following} - {None}
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)  # type: ignore[type-var]
+            if following is not None and following.done():
+                following.result()
+    finally:
+        for task in (stopping, following):
+            if task is not None:
+                task.cancel()
