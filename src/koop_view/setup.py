@@ -11,7 +11,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["koop_bag", "koop_node", "websockets"],
+    install_requires=["koop_bag", "koop_node", "PyYAML", "websockets"],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",

@@ -21,7 +21,7 @@ TURN = 200  # messages after which the others have theirs
 
 
 class RecordedSource(Source):
-    """The topics of a bag, each from its first message to its last as fast as a client takes them.
+    """The topics of a bag, from the first message to the last as fast as a client takes them.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class RecordedSource(Source):
     def __init__(self, path: str | Path) -> None:
         super().__init__()
         self._path = path
-        self._tasks: dict[tuple[int, int], asyncio.Task[None]] = {}
+        self._under_way: list[tuple[Client, dict[str, int], asyncio.Task[None]]] = []
         with BagReader(path) as bag:
             topics = [item for item in bag.topics if item.encoding == ENCODING]
             self._read_parameters(bag.custom_data().get("parameters", ""))
@@ -57,33 +57,37 @@ class RecordedSource(Source):
             for name, value in values.items() if isinstance(values, Mapping) else ():
                 self.parameters[f"{node}.{name}"] = value
 
-    def subscribe(self, client: Client, subscription: int, channel: Channel) -> None:
-        work = self._send(client, subscription, channel)
+    def subscribe(self, client: Client, wanted: Mapping[int, Channel]) -> None:
+        """Send channels that are asked for together in the order in which they were recorded."""
+        left = {channel.topic: number for number, channel in wanted.items()}
+        work = self._send(client, left)
         task = asyncio.get_running_loop().create_task(work)
-        key = (id(client), subscription)
-        self._tasks[key] = task
-        task.add_done_callback(lambda done: self._forget(key, done))
+        self._under_way.append((client, left, task))
+        task.add_done_callback(lambda done: self._end(done))
 
     def unsubscribe(self, client: Client, subscription: int, channel: Channel) -> None:
-        task = self._tasks.pop((id(client), subscription), None)
-        if task is not None:
-            task.cancel()
+        for whose, left, task in self._under_way:
+            if whose is client and left.get(channel.topic) == subscription:
+                del left[channel.topic]
+                if not left:
+                    task.cancel()
 
-    def _forget(self, key: tuple[int, int], done: asyncio.Task[None]) -> None:
-        if self._tasks.get(key) is done:
-            del self._tasks[key]
+    def _end(self, done: asyncio.Task[None]) -> None:
+        self._under_way = [item for item in self._under_way if item[2] is not done]
 
-    async def _send(self, client: Client, subscription: int, channel: Channel) -> None:
-        """Send a channel, and say when it is complete."""
+    async def _send(self, client: Client, left: dict[str, int]) -> None:
+        """Send topics, by the subscriptions that are left of them, and say when that is done."""
         try:
             with BagReader(self._path) as bag:
-                for count, message in enumerate(bag.messages([channel.topic])):
-                    await client.deliver_slowly(subscription, message.log_time, message.data)
+                for count, message in enumerate(bag.messages(list(left))):
+                    if message.topic in left:
+                        number = left[message.topic]
+                        await client.deliver_slowly(number, message.log_time, message.data)
                     if count % TURN == 0:
                         await asyncio.sleep(0)
-            client.say(INFO, COMPLETE, f"complete {channel.topic}")
+            client.say(INFO, COMPLETE)
         except BagError as error:
-            client.say(ERROR, str(error), f"complete {channel.topic}")
+            client.say(ERROR, str(error))
         except ConnectionClosed:
             pass
 

@@ -151,8 +151,7 @@ class Session:
     def _obey(self, asked: protocol.Request) -> None:
         match asked:
             case protocol.Subscribe(items):
-                for number, channel in items:
-                    self._subscribe(number, channel)
+                self._subscribe(items)
             case protocol.Unsubscribe(numbers):
                 for number in numbers:
                     self._unsubscribe(number)
@@ -169,15 +168,19 @@ class Session:
             case protocol.Unsupported(operation):
                 self.say(ERROR, f"{operation} is not offered here", "protocol")
 
-    def _subscribe(self, number: int, channel: int) -> None:
-        known = self._source.channels.get(channel)
-        if known is None:
-            self.say(WARNING, f"there is no channel {channel}")
-        elif number in self._subscriptions or len(self._subscriptions) >= protocol.MANY:
-            self.say(WARNING, f"subscription {number} is taken, or there are too many")
-        else:
-            self._subscriptions[number] = known
-            self._source.subscribe(self, number, known)
+    def _subscribe(self, items: Iterable[tuple[int, int]]) -> None:
+        wanted: dict[int, Channel] = {}
+        for number, channel in items:
+            known = self._source.channels.get(channel)
+            taken = number in self._subscriptions or len(self._subscriptions) >= protocol.MANY
+            if known is None:
+                self.say(WARNING, f"there is no channel {channel}")
+            elif taken:
+                self.say(WARNING, f"subscription {number} is taken, or there are too many")
+            else:
+                self._subscriptions[number] = wanted[number] = known
+        if wanted:
+            self._source.subscribe(self, wanted)
 
     def _unsubscribe(self, number: int) -> None:
         channel = self._subscriptions.pop(number, None)

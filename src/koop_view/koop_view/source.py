@@ -76,8 +76,8 @@ class Source:
         """Return the loops as JSON."""
         return json.dumps([asdict(loop) for _, loop in sorted(self.loops.items())])
 
-    def subscribe(self, client: Client, subscription: int, channel: Channel) -> None:
-        """Begin to deliver a channel."""
+    def subscribe(self, client: Client, wanted: Mapping[int, Channel]) -> None:
+        """Begin to deliver channels, given by the numbers of the subscriptions."""
 
     def unsubscribe(self, client: Client, subscription: int, channel: Channel) -> None:
         """Deliver a channel no more."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
@@ -21,25 +21,32 @@ from koop_view.source import Refused
 
 ANSWER = 5.0  # [s] for a node to answer
 READS = {
-    "rcl_interfaces/srv/DescribeParameters",
-    "rcl_interfaces/srv/GetParameters",
-    "rcl_interfaces/srv/GetParameterTypes",
-    "rcl_interfaces/srv/ListParameters",
-    "lifecycle_msgs/srv/GetState",
-    "lifecycle_msgs/srv/GetAvailableStates",
-    "lifecycle_msgs/srv/GetAvailableTransitions",
-    "type_description_interfaces/srv/GetTypeDescription",
+    "rcl_interfaces": (
+        "DescribeParameters",
+        "GetParameters",
+        "GetParameterTypes",
+        "ListParameters",
+    ),
+    "lifecycle_msgs": ("GetState", "GetAvailableStates", "GetAvailableTransitions"),
+    "type_description_interfaces": ("GetTypeDescription",),
 }
-"""Types of services that change nothing."""
-ONCE = {"std_srvs/srv/Trigger", "lifecycle_msgs/srv/ChangeState"}
-"""Types of services that do not bear being called twice."""
+"""Services that change nothing, by package."""
+ONCE = {"std_srvs": ("Trigger",), "lifecycle_msgs": ("ChangeState",)}
+"""Services that do not bear being called twice."""
+
+
+def _is_in(type_name: str, table: Mapping[str, tuple[str, ...]]) -> bool:
+    package, _, name = type_name.partition("/srv/")
+    return name in table.get(package, ())
 
 
 def load(number: int, name: str, type_name: str) -> Service:
     """Return a service as it is advertised; raise BagError if its type is not installed."""
     service_class(type_name)
     request, response = load_service(type_name)
-    return Service(number, name, type_name, request.text, response.text, type_name not in READS)
+    return Service(
+        number, name, type_name, request.text, response.text, not _is_in(type_name, READS)
+    )
 
 
 def service_class(type_name: str) -> Any:
@@ -103,7 +110,7 @@ class Caller:
                 client.service_is_ready, deadline, f"{name} is not there: nothing was done"
             )
             late = f"{name} did not answer in {ANSWER:g} s: look whether it was done"
-            if type_name not in ONCE:
+            if not _is_in(type_name, ONCE):
                 return await _until(Question(client, request).answer, deadline, late)
             future = client.call_async(request)
             await _until(future.done, deadline, late)

@@ -84,8 +84,9 @@ class LiveSource(Source):
 
     # -- messages -----------------------------------------------------------------------------
 
-    def subscribe(self, client: Client, subscription: int, channel: Channel) -> None:
-        self._viewers.setdefault(channel.topic, []).append((client, subscription))
+    def subscribe(self, client: Client, wanted: Mapping[int, Channel]) -> None:
+        for subscription, channel in wanted.items():
+            self._viewers.setdefault(channel.topic, []).append((client, subscription))
         self._choose(time.monotonic())
 
     def unsubscribe(self, client: Client, subscription: int, channel: Channel) -> None:
