@@ -66,6 +66,27 @@ def test_every_path_is_a_field_and_every_topic_is_shown(paths, pattern):
     assert {("state", "x[0]"), ("cost", "r"), ("theta", "theta")} <= set(found)
 
 
+def test_no_layout_goes_by_stamps_which_a_rig_need_not_set():
+    for panel in foxglove_panels().values():
+        for path in [*panel.get("paths", ()), *filter(None, [panel.get("xAxisPath")])]:
+            assert path["timestampMethod"] == "receiveTime", path
+    plugins = ElementTree.parse(LAYOUTS / "plotjuggler.xml").getroot().find("Plugins")
+    by_stamp = {"use_header_stamp": "value", "parameters": "use_timestamp"}
+    by_stamp["foxglove_client"] = "use_timestamp"
+    for plugin in plugins:
+        found = [item.get(by_stamp[item.tag]) for item in plugin if item.tag in by_stamp]
+        assert found in (["false"], ["0"]), plugin.get("ID")
+
+
+def test_every_plotjuggler_source_takes_every_topic():
+    for plugin in ElementTree.parse(LAYOUTS / "plotjuggler.xml").getroot().find("Plugins"):
+        lists = [item.get("value") for item in plugin.iter("selected_topics")]
+        lists += [item.get("selected_topics") for item in plugin.iter("parameters")]
+        topics = {topic for text in lists for topic in text.split(";")}
+        topics |= {item.get("name") for item in plugin.iter("topic")}
+        assert topics == {f"/{topic}" for topic in TYPES}, plugin.get("ID")
+
+
 def test_every_foxglove_panel_stands_in_the_layout():
     panels = foxglove_panels()
     shown = []
