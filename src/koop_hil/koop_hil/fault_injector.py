@@ -78,7 +78,7 @@ class FaultInjectorRun(Run):
             self._channels[name].fault = parse(text)
         delayed = any(channel.fault.name == "delayed" for channel in self._channels.values())
         if delayed:
-            self._timer.reset()
+            self._timer.restart()
 
     def samples(self) -> int:
         return self._count

@@ -10,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.linalg import expm
 
-from koop_lab.bench.memory import STORED, peak_of_training, write_states
+from koop_lab.bench.training import STORED, peak_of_training, write_states
 from koop_lab.cli.main import main
 from koop_lab.identify import counted
 from koop_lab.identify.from_bags import BagTraining, joined, train_from_bags

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -186,6 +187,19 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
 
 
+def processors(text: str) -> Iterator[int]:
+    """Yield the processors of a list such as ``0-2,5``, or raise ConfigError.
+
+    >>> list(processors("0-2,5"))
+    [0, 1, 2, 5]
+    """
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        if match is None or len(part) > 20 or int(match[1]) > int(match[2] or match[1]):
+            raise ConfigError(f"cpus = {text!r}: must be a list such as 0 or 0-2,5")
+        yield from range(int(match[1]), min(int(match[2] or match[1]), int(match[1]) + 4096) + 1)
+
+
 @dataclass(frozen=True)
 class NodeConfig:
     """Parameters of every node of the loop."""
@@ -200,6 +214,22 @@ class NodeConfig:
         high=10,
         read_only=True,
     )
+    priority: int = parameter(
+        0,
+        "real-time priority (SCHED_FIFO) of the node's process, above all ordinary ones; 0: none",
+        low=0,
+        high=99,
+        read_only=True,
+    )
+    cpus: str = parameter(
+        "", "processors that the node's process keeps to, such as 0 or 0-2,5; empty: all",
+        read_only=True,
+    )  # fmt: skip
+    lock_memory: bool = parameter(
+        False, "keep the memory of the node's process from being swapped out", read_only=True
+    )
 
     def __post_init__(self) -> None:
         validate(self)
+        if self.cpus:
+            list(processors(self.cpus))

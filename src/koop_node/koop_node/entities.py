@@ -16,8 +16,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.service import Service
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
+from rclpy.timer import Timer as RosTimer
 
+from koop_node import schedule
+from koop_node.schedule import Timer
 from koop_node.wire import WireError, codec
 
 PATIENCE = 0.5  # [s] that the last messages may take to arrive
@@ -63,6 +65,20 @@ class Writer:
     def publish(self, message: Any) -> None:
         """Publish a message, of the codec or of the message class."""
         self.publisher.publish(self._encode(message))
+
+
+class _OfRos:
+    """A timer of ROS, for nodes that another program spins."""
+
+    def __init__(self, timer: RosTimer) -> None:
+        self._timer = timer
+        self.cancel = timer.cancel
+
+    def restart(self, period: float | None = None) -> None:
+        """Let it be due a period [s] from now, a new one if one is given, and so on."""
+        if period is not None:
+            self._timer.timer_period_ns = round(period * 1e9)
+        self._timer.reset()
 
 
 class Entities:
@@ -164,15 +180,20 @@ class Entities:
         return made
 
     def timer(self, period: float, callback: Callable[[], None]) -> Timer:
-        """Create a timer [s]."""
+        """Create a timer [s]: of the schedule of the process, or of ROS where there is none."""
 
         def tick() -> None:
             if self._open:
                 callback()
 
+        running = schedule.current()
+        if running is not None:
+            scheduled = running.timer(period, tick)
+            self._stack.callback(scheduled.cancel)
+            return scheduled
         made = self._node.create_timer(period, tick, clock=self._steady)
         self._stack.callback(self._node.destroy_timer, made)
-        return made
+        return _OfRos(made)
 
     def when_matched(self, needed: Mapping[Publisher, int], then: Callable[[], object]) -> None:
         """Call ``then`` once every publisher has its number of matched subscriptions.

@@ -7,6 +7,7 @@ import inspect
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -18,7 +19,10 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
+from koop_node import realtime, schedule
+from koop_node.config import NodeConfig
 from koop_node.describe import ARGUMENTS, help_text
+from koop_node.housekeeping import Housekeeping
 from koop_node.lifeline import end_with_parent
 from koop_node.managed import ManagedNode
 
@@ -90,31 +94,58 @@ def run_nodes(
     signal.signal(signal.SIGTERM, on_signal)
     end_with_parent()
     set_dds_profile()
-    try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        nodes = make()
-    except Exception as error:  # whatever the start-up raises, the user gets one line
-        print(f"error: {_one_line(error)}", file=sys.stderr)
-        rclpy.try_shutdown()
-        return 2
+    with schedule.running() as timers:
+        try:
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+            nodes = make()
+            wanted = realtime.requested(node.parameters[NodeConfig] for node in nodes)
+        except Exception as error:  # whatever the start-up raises, the user gets one line
+            print(f"error: {_one_line(error)}", file=sys.stderr)
+            rclpy.try_shutdown()
+            return 2
+        return _spin(nodes, wanted, timers, stop, keep_going)
+
+
+def _spin(
+    nodes: list[ManagedNode[Any]],
+    wanted: NodeConfig,
+    timers: schedule.Schedule,
+    stop: list[int],
+    keep_going: bool,
+) -> int:
+    """Run nodes until they finish or ``stop`` is not empty; return the exit code."""
     executor: Any = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
+    house: Housekeeping | None = None
+    """From when all nodes are active."""
     code = 0
     try:
         going = bool(nodes)
         while going and not stop:
+            timers.run_due()
+            wait = timers.wait(POLL)
+            if house is not None:
+                house.tidy(time.monotonic(), wait)
+            elif all(node.active for node in nodes):
+                house = Housekeeping(time.monotonic())
+                for problem in realtime.apply(wanted):
+                    nodes[0].get_logger().warning(problem)
             # EventsExecutor.spin() would hang in the Jazzy wheels and ignore the flag
-            executor.spin_once(timeout_sec=POLL)
+            executor.spin_once(timeout_sec=wait)
             ended = _ended(nodes)
             if ended is not None:
                 code = code or nodes[ended].exit_code or 0
                 going = len(nodes) > 1 and (keep_going or nodes[ended].was_shut_down)
                 if going:
                     _take_out(nodes, ended, executor)
+                    if house is not None:
+                        house.settle()
         for node in reversed(nodes):  # speakers end before those who listen to them
             node.close()
     finally:
+        if house is not None:
+            house.end()
         # Under a launch file Ctrl-C comes twice, and the interpreter, when it ends, puts back the
         # default handler, which would kill the process; an ignored signal stays ignored.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -146,7 +177,9 @@ def _take_out(nodes: list[ManagedNode[Any]], index: int, executor: Any) -> None:
         executor.spin_once(timeout_sec=0.0)
     node.destroy_node()
     del node
-    gc.collect()  # a node and what it made refer to each other; as long as it is there it is seen
+    # a node and what it made refer to each other; as long as it is there it is seen
+    gc.unfreeze()
+    gc.collect()
 
 
 def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:

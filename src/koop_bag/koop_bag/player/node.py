@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rclpy.timer import Timer
 from std_srvs.srv import SetBool, Trigger
 
 from koop_bag.bag.reader import BagReader, RawMessage
@@ -23,6 +22,7 @@ from koop_bag.player.playback import Playback, in_time_order
 from koop_node.config import NodeConfig
 from koop_node.main import run
 from koop_node.managed import ERROR, OK, Entities, ManagedNode, Run
+from koop_node.schedule import Timer
 
 SLICE = 0.005  # [s] of publishing after which services and answers have their turn
 SETTLED = 0.3  # [s] without a new subscriber after which all that are coming have come
@@ -257,8 +257,7 @@ class PlayerRun(Run):
         if math.isinf(wait):
             self._timer.cancel()
         else:
-            self._timer.timer_period_ns = round(wait * 1e9)
-            self._timer.reset()
+            self._timer.restart(wait)
 
     def _go_on(self) -> None:
         """Look again at what is due, after the playback was told something."""

@@ -1,121 +1,114 @@
-"""``koop bench memory``: peak memory of ``koop train`` on two bags, one 20 times as large."""
+"""``koop bench memory``: memory of a node, of a loop in processes and in one, of loops more."""
 
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 import tempfile
-import time
-from collections.abc import Iterator
+from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from koop_lab.live.fleet import Fleet, FleetMonitor
+from koop_lab.live.loop import LiveLoop
+from koop_lab.live.monitor import Monitor
+from koop_lab.live.process import START_TIMEOUT, NodeProcess
+from koop_loop.parameters import EXECUTABLES, make
 
-from koop_bag.bag.writer import BagWriter, WriterOptions
-from koop_bag.cdr.schema import load_schema
-from koop_loop.training import TrainingConfig, trajectories
-from vdp_plant.config import PlantConfig
+SETTLED = 400  # steps after which what is made at the first ones is there
+SIZES = (1, 10)  # loops in one container, whose difference is what a further one takes
 
-FACTOR = 20
-DT = 0.005
-STATE = np.dtype(  # a koop_msgs/MeasuredState of two values as little-endian CDR
-    {
-        "names": ["encoding", "sec", "nanosec", "frame_id", "step", "count", "x"],
-        "formats": ["<u4", "<i4", "<u4", "<u4", "<u8", "<u4", ("<f8", 2)],
-        "offsets": [0, 4, 8, 12, 20, 32, 36],
-        "itemsize": 52,
-    }
-)
-STORED = STATE.itemsize + 55  # bytes of a message in an uncompressed bag, its index included
-MEASURE = """
-import sys
-from pathlib import Path
-from koop_lab.cli.main import main
-code = main(sys.argv[1:])
-print([line for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line][0])
-sys.exit(code)
-"""
+
+class Memory(NamedTuple):
+    """Resident memory of processes [B].
+
+    Attributes
+    ----------
+    pss : float
+        A page that n processes share counts as 1/n of it.
+    rss : float
+        It counts as a whole in each.
+    """
+
+    pss: float
+    rss: float
+
+    def text(self) -> str:
+        """The figures for people."""
+        return f"{self.pss / 1e6:7.1f} MB PSS {self.rss / 1e6:7.1f} MB RSS"
 
 
 def register(benchmarks: Any) -> None:
     """Add the benchmark to the subparsers of ``koop bench``."""
-    parser = benchmarks.add_parser("memory", help="peak memory of training, small and large bag")
-    parser.add_argument(
-        "--size", type=float, default=10.0, metavar="MB", help="of the small bag (default 10)"
+    parser = benchmarks.add_parser(
+        "memory", help="resident memory of nodes, of a loop, of loops in a container"
     )
     parser.set_defaults(func=main)
 
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
-    peaks = []
-    for size in (args.size, args.size * FACTOR):
-        with tempfile.TemporaryDirectory() as folder:
-            bag = Path(folder) / "bag"
-            stored = write_states(bag, round(size * 1e6 / STORED))
-            started = time.perf_counter()
-            peaks.append(peak_of_training(bag))
-            elapsed = time.perf_counter() - started
-        print(
-            f"bag of {stored / 1e6:.0f} MB: peak {peaks[-1] / 1e6:.0f} MB, "
-            f"{elapsed:.1f} s, both passes and the start of Python included",
-            flush=True,
-        )
-    print(f"{FACTOR} times the bag takes {peaks[1] / peaks[0]:.2f} times the memory")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        in_loop(folder / "first", True)  # compiles the kernels if they are not kept yet
+        for node in EXECUTABLES:
+            print(f"{node + ' alone':34}{alone(folder, node).text()}", flush=True)
+        for composed, label in ((False, "four processes"), (True, "composed, and its recorder")):
+            each = in_loop(folder / label, composed)
+            print(f"{label:34}{total(each.values()).text()}", flush=True)
+            if composed:
+                print(f"{'composed, without the recorder':34}{each['container'].text()}")
+        found = {loops: fleet(folder / str(loops), loops) for loops in SIZES}
+        for loops, memory in found.items():
+            print(f"{f'a container with {loops} loops':34}{memory.text()}")
+    few, many = SIZES
+    further = (found[many].pss - found[few].pss) / (many - few)
+    print(f"{'each further loop':34}{further / 1e6:7.1f} MB PSS")
     return 0
 
 
-def write_states(folder: Path, count: int) -> int:
-    """Write a bag of `count` simulated states; return its size [B]."""
-    with BagWriter(folder, WriterOptions(compression="none")) as bag:
-        channel = bag.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
-        sent = 0
-        for states in _simulated():
-            for message in serialized(states[:, : count - sent]):
-                time_ns = 1 + sent * round(DT * 1e9)
-                bag.write_many([(time_ns, channel, time_ns, message)])
-                sent += 1
-            if sent == count:
-                break
-    return sum(file.stat().st_size for file in folder.glob("*.mcap"))
+def memory_of(process: int) -> Memory:
+    """Return the memory of a process, by its id."""
+    rows = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()[1:]
+    sizes = {row.split(":")[0]: int(row.split()[1]) * 1024 for row in rows}
+    return Memory(float(sizes["Pss"]), float(sizes["Rss"]))
 
 
-def _simulated() -> Iterator[NDArray[np.float64]]:
-    """Yield trajectories without end."""
-    seed = 0
-    while True:
-        for states in trajectories(PlantConfig(), TrainingConfig(trajectories=100, seed=seed)):
-            if states is not None:
-                yield states
-        seed += 1
+def total(each: Iterable[Memory]) -> Memory:
+    """Return the memory of several processes together."""
+    found = list(each)
+    return Memory(sum(item.pss for item in found), sum(item.rss for item in found))
 
 
-def serialized(states: NDArray[np.float64]) -> list[bytes]:
-    """Return states, shape (2, M), as M serialized messages, from step 0 on."""
-    messages = np.zeros(states.shape[1], STATE)
-    steps = np.arange(states.shape[1])
-    messages["encoding"], messages["frame_id"], messages["count"] = 0x0100, 1, 2
-    messages["sec"], messages["nanosec"] = np.divmod(steps * round(DT * 1e9), 1_000_000_000)
-    messages["step"], messages["x"] = steps, states.T
-    return [message.tobytes() for message in messages]
+def alone(folder: Path, node: str) -> Memory:
+    """Return the memory of a node that has no others yet."""
+    words = ["--ros-args", "-p", f"output:={folder / 'alone'}"] if node == "recorder" else []
+    with ExitStack() as stack:
+        monitor = stack.enter_context(Monitor())
+        process = NodeProcess(node, words, folder / f"{node}.log")
+        stack.callback(process.stop)
+
+        def active() -> bool:
+            said = monitor.progress.values.get(node, {})
+            return said.get("lifecycle_state") == "active"
+
+        monitor.wait_for(active, START_TIMEOUT, f"{node} to be active")
+        return memory_of(process.process.pid)
 
 
-def peak_of_training(bag: Path) -> int:
-    """Train on a bag in a process of its own; return the most memory that it held [B].
+def in_loop(folder: Path, composed: bool) -> dict[str, Memory]:
+    """Return the memory of every process of a loop that records itself in real time."""
+    parameters = make({"vdp_plant": {"duration": 3600.0, "pace": "realtime"}})
+    with LiveLoop(folder, parameters, composed=composed) as loop, Monitor("") as monitor:
+        monitor.wait_for(lambda: monitor.progress.step > SETTLED, START_TIMEOUT, "the loop")
+        return {name: memory_of(pid) for name, pid in loop.process_ids().items()}
 
-    Raises
-    ------
-    ValueError
-        If the training fails.
-    """
-    given = ["train", str(bag), "--dt", str(DT), "--out", str(bag.parent / "model.npz")]
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURE, *given], capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        raise ValueError(done.stderr.strip())
-    # VmHWM and not the process's ru_maxrss, which includes what its parent held when it forked
-    return int(done.stdout.split("VmHWM:")[1].split()[0]) * 1024
+
+def fleet(folder: Path, loops: int) -> Memory:
+    """Return the memory of a container with so many loops, in real time."""
+    with (
+        Fleet(folder, loops, {"vdp_plant": {"pace": "realtime"}}, containers=1) as running,
+        FleetMonitor() as monitor,
+    ):
+        monitor.wait_until_running(running, SETTLED)
+        return memory_of(running.processes[0].process.pid)

@@ -153,6 +153,10 @@ class LiveNodes:
             if process.poll() != 0 and node not in self.lost:
                 raise process.failure()
 
+    def process_ids(self) -> dict[str, int]:
+        """Return the id of every process, by node; all composed nodes are in ``container``."""
+        return {node: process.process.pid for node, process in self._nodes.items()}
+
     def ended(self) -> list[NodeProcess]:
         """Return the nodes that have ended on their own."""
         return [process for process in self._nodes.values() if process.poll() is not None]

@@ -118,11 +118,15 @@ class NodeProcess:
         """Return the exit code, or None while the process runs."""
         return self.process.poll()
 
+    def ask_to_stop(self) -> None:
+        """Ask the process to end, and do not wait."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+
     @uninterrupted()
     def stop(self) -> int:
         """Ask the process to end, wait, kill it if it does not; return the exit code."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+        self.ask_to_stop()
         try:
             self.process.wait(STOP_TIMEOUT)
         except subprocess.TimeoutExpired:

@@ -6,10 +6,9 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from rclpy.timer import Timer
-
 from koop_node.managed import OK, WARN, Entities, ManagedNode
 from koop_node.qos import NEWEST
+from koop_node.schedule import Timer
 from vdp_plant.config import PaceConfig
 from vdp_plant.node.base import PlantRun
 from vdp_plant.pacing import Ticks

@@ -1,0 +1,70 @@
+"""How long something took, thousands of times a second: counted by size. Pure: no ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+FINE = 16  # sizes that an octave is divided into: each 4.4 % above the one before
+SMALLEST = 1e-6  # [s]
+SIZES = FINE * 30  # up to 18 minutes
+
+
+class Durations:
+    """Counts by size; a quantile is known to 5 %."""
+
+    def __init__(self) -> None:
+        self.counts = [0] * SIZES
+
+    def add(self, duration: float) -> None:
+        """Count a duration [s]."""
+        if duration > SMALLEST:
+            size = int(FINE * math.log2(duration / SMALLEST)) + 1
+            self.counts[min(size, SIZES - 1)] += 1
+        elif duration == duration:  # not NaN
+            self.counts[0] += 1
+
+    @property
+    def count(self) -> int:
+        """How many were counted."""
+        return sum(self.counts)
+
+    def quantile(self, share: float) -> float:
+        """Return the duration [s] that a share of all do not exceed; NaN if there are none."""
+        wanted, seen = share * self.count, 0
+        for size, count in enumerate(self.counts):
+            seen += count
+            if count and seen >= wanted:
+                return SMALLEST * 2.0 ** (size / FINE)
+        return math.nan
+
+    def since(self, before: Durations) -> Durations:
+        """Return what was counted since ``before``, an earlier copy of this."""
+        return _of(a - b for a, b in zip(self.counts, before.counts, strict=True))
+
+    def with_those_of(self, other: Durations) -> Durations:
+        """Return both together."""
+        return _of(a + b for a, b in zip(self.counts, other.counts, strict=True))
+
+    def text(self) -> str:
+        """Return all counts as text, for :func:`read`."""
+        return " ".join(f"{size}:{count}" for size, count in enumerate(self.counts) if count)
+
+
+def read(text: str) -> Durations:
+    """Return the durations that :meth:`Durations.text` wrote.
+
+    >>> read("0:3 16:1").quantile(1.0)
+    2e-06
+    """
+    counts = [0] * SIZES
+    for pair in text.split():
+        size, _, count = pair.partition(":")
+        counts[int(size)] = int(count)
+    return _of(iter(counts))
+
+
+def _of(counts: Iterator[int]) -> Durations:
+    made = Durations()
+    made.counts = list(counts)
+    return made

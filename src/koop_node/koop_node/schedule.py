@@ -1,0 +1,111 @@
+"""Timers that the thread of the nodes waits for itself. Pure: no ROS, and the clock is an argument.
+
+rclpy's EventsExecutor gives every clock a thread that waits and then wakes the one that runs the
+callbacks: two switches a tick, and two threads a node. Here the loop that runs the executor lets it
+wait until the next timer is due.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Protocol
+
+
+class Timer(Protocol):
+    """A callback that is due every period until it is cancelled."""
+
+    def cancel(self) -> None:
+        """Let it be due no more, until it is restarted."""
+
+    def restart(self, period: float | None = None) -> None:
+        """Let it be due a period [s] from now, a new one if one is given, and so on."""
+
+
+class ScheduledTimer:
+    """A timer of a schedule."""
+
+    def __init__(self, schedule: Schedule, period: float, callback: Callable[[], object]) -> None:
+        self._schedule = schedule
+        self.callback = callback
+        self.period = period
+        self.restart()
+
+    def cancel(self) -> None:
+        """Let it be due no more, until it is restarted."""
+        self.due = math.inf
+
+    def restart(self, period: float | None = None) -> None:
+        """Let it be due a period [s] from now, a new one if one is given, and so on."""
+        if period is not None:
+            self.period = period
+        self.due = self._schedule.clock() + self.period
+        self._schedule.push(self)
+
+
+class Schedule:
+    """The timers of a process, the next one first.
+
+    Parameters
+    ----------
+    clock : callable
+        Returns a steady time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self.clock = clock
+        self._number = itertools.count()
+        self._heap: list[tuple[float, int, ScheduledTimer]] = []
+
+    def timer(self, period: float, callback: Callable[[], object]) -> ScheduledTimer:
+        """Call ``callback`` every ``period`` [s], the first time after one."""
+        return ScheduledTimer(self, period, callback)
+
+    def wait(self, most: float) -> float:
+        """Return how long nothing is due [s], at most ``most``; 0 if something is."""
+        while self._heap and self._heap[0][0] != self._heap[0][2].due:  # it was changed
+            heapq.heappop(self._heap)
+        if not self._heap:
+            return most
+        return min(max(self._heap[0][0] - self.clock(), 0.0), most)
+
+    def run_due(self) -> None:
+        """Call what is due, each once: periods that are past are dropped, not made up for."""
+        now = self.clock()
+        while self._heap and self._heap[0][0] <= now:
+            due, _, timer = heapq.heappop(self._heap)
+            if due != timer.due:
+                continue
+            if timer.period > 0.0:
+                timer.due += timer.period * (math.floor((now - due) / timer.period) + 1)
+            timer.due = max(timer.due, math.nextafter(now, math.inf))
+            self.push(timer)
+            timer.callback()
+
+    def push(self, timer: ScheduledTimer) -> None:
+        """Take note of when a timer is due."""
+        heapq.heappush(self._heap, (timer.due, next(self._number), timer))
+
+
+_RUNNING: ContextVar[Schedule | None] = ContextVar("schedule", default=None)
+
+
+@contextmanager
+def running() -> Iterator[Schedule]:
+    """Run a schedule: nodes that are made and spun in this context have their timers on it."""
+    schedule = Schedule()
+    token = _RUNNING.set(schedule)
+    try:
+        yield schedule
+    finally:
+        _RUNNING.reset(token)
+
+
+def current() -> Schedule | None:
+    """Return the schedule of this context; None where others spin the nodes."""
+    return _RUNNING.get()
