@@ -12,7 +12,7 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     install_requires=["koop_bag", "koop_node", "PyYAML", "websockets"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["hypothesis", "pytest", "rosbags"]},
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

@@ -75,9 +75,7 @@ class ViewServer:
         assert self._server is not None
         assert self._check is not None
         self._check.cancel()
-        for session in list(self._sessions):
-            session.drop(1001, "the server ends")
-        self._server.close()
+        self._server.close(code=1001, reason="the server ends")
         await self._server.wait_closed()
 
     @property
@@ -202,9 +200,7 @@ class ViewServer:
         while True:
             await asyncio.sleep(CHECK_PERIOD)
             for session in list(self._sessions):
-                reason = session.check_backlog()
-                if reason is not None:
-                    self._source.log(f"dropped: {session.peer} is {reason}")
+                session.check_backlog()
 
     # -- news of the source -------------------------------------------------------------------
 

@@ -108,20 +108,18 @@ class Session:
             if channel.number in gone:
                 self._unsubscribe(number)
 
-    def check_backlog(self) -> str | None:
-        """Drop the client if it does not keep up; return why."""
+    def check_backlog(self) -> None:
+        """Drop the client if it does not keep up."""
         waiting = self._connection.transport.get_write_buffer_size()
-        if self._dropped or waiting <= self._backlog:
-            return None
-        reason = f"too slow: {waiting / 1e6:.1f} MB are waiting"
-        self.drop(TOO_SLOW, reason)
-        return reason
+        if waiting > self._backlog:
+            self.drop(TOO_SLOW, f"too slow: {waiting / 1e6:.1f} MB are waiting")
 
     def drop(self, code: int, reason: str) -> None:
         """Disconnect the client, with the reason."""
         if self._dropped:
             return
         self._dropped = True
+        self._source.log(f"dropped: {self.peer}: {reason}")
         self.close()
         transport = self._connection.transport
         asyncio.get_running_loop().call_later(PATIENCE, transport.abort)

@@ -1,0 +1,69 @@
+"""What a client sends is a request or refused in words, whatever it is."""
+
+import json
+import struct
+from contextlib import suppress
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from koop_view import protocol
+from koop_view.protocol import ProtocolError, parse
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=4,
+)
+OPERATIONS = st.sampled_from([
+    "subscribe", "unsubscribe", "getParameters", "setParameters", "subscribeParameterUpdates",
+    "advertise", "fetchAsset", "serverInfo", "",
+])  # fmt: skip
+KEYS = ("subscriptions", "subscriptionIds", "parameterNames", "parameters", "id")
+MESSAGES = st.builds(
+    lambda operation, content: json.dumps({"op": operation, **content}),
+    OPERATIONS,
+    st.dictionaries(st.sampled_from(KEYS), JSON),
+)
+CALLS = st.builds(
+    lambda head, rest: struct.pack("<B", head) + rest, st.integers(0, 3), st.binary(max_size=40)
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(MESSAGES | JSON.map(json.dumps) | st.text() | CALLS | st.binary())
+def test_any_message_is_a_request_or_is_refused(message):
+    with suppress(ProtocolError):
+        assert isinstance(parse(message), protocol.Request)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"op":"subscribe","subscriptions":1e999}',
+                                  '{"op":"setParameters","parameters":[{"name":"x","value":NaN}]}',
+                                  '{"op":"unsubscribe","subscriptionIds":[true]}',
+                                  "1" * 5000])  # fmt: skip
+def test_what_would_harm_a_careless_reader_is_refused(text):
+    with pytest.raises(ProtocolError):
+        parse(text)
+
+
+def test_a_call_is_read_and_one_cut_short_refused():
+    message = struct.pack("<BIII", 2, 7, 9, 3) + b"cdr" + b"payload"
+    assert parse(message) == protocol.Call(7, 9, "cdr", b"payload")
+    with pytest.raises(ProtocolError):
+        parse(struct.pack("<BIII", 2, 7, 9, 30) + b"cdr")
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (1.0, {"type": "float64", "value": 1.0}),
+        ([1.0, 2.0], {"type": "float64_array", "value": [1.0, 2.0]}),
+        (1, {"value": 1}),
+        (float("inf"), {"value": "inf"}),  # JSON has no word for it
+        (None, {}),
+    ],
+)
+def test_a_parameter_says_its_type_where_json_cannot(value, said):
+    text = protocol.parameter_values({"/n.p": value}, None)
+    assert json.loads(text)["parameters"] == [{"name": "/n.p", **said}]

@@ -1,0 +1,49 @@
+"""Which nodes and topics make a loop, and which still wait for it."""
+
+from koop_view.live.starting import SILENCE, STRANGER, Starting
+from koop_view.roles import COST, STATE, THETA, joined, loops
+from koop_view.source import Loop
+
+
+def test_loops_are_told_apart_by_namespace_and_by_what_their_nodes_publish():
+    found = loops({
+        "/vdp_plant": {"/state": STATE, "/rosout": "rcl_interfaces/msg/Log"},
+        "/koopman_lifter": {"/cost": COST},
+        "/relay_esc": {"/a_command": THETA, "/theta": THETA},
+        "/rig/lifter": {"/rig/cost": COST, "/rig/state": STATE},  # of a rig's own message
+        "/recorder": {"/rosout": "rcl_interfaces/msg/Log"},
+    })  # fmt: skip
+    assert found["/"] == Loop(
+        "/", "/vdp_plant", "/koopman_lifter", "/relay_esc", "/state", "/cost", "/theta"
+    )
+    assert found["/rig"] == Loop("/rig", lifter="/rig/lifter", state="/rig/state", cost="/rig/cost")
+
+
+def test_a_node_that_has_gone_keeps_its_place():
+    before = Loop("/", lifter="/lifter", cost="/cost")
+    assert joined(before, Loop("/", controller="/esc")) == Loop(
+        "/", lifter="/lifter", controller="/esc", cost="/cost"
+    )
+
+
+def test_nobody_listens_to_a_node_that_waits_for_those_who_listen():
+    starting = Starting()
+    starting.see({"/esc"}, 0.0)
+    assert starting.waits("/esc", 0.0)
+    assert not starting.waits("/a_rig", 0.0)  # not managed: it waits for nobody
+    assert not starting.hear("/esc", works=False, active=True, now=1.0)
+    assert starting.waits("/esc", 1.0)
+    assert starting.hear("/esc", works=True, active=True, now=2.0)
+    assert not starting.waits("/esc", 2.0)
+    assert not starting.hear("/esc", works=False, active=True, now=3.0)  # a pause
+    assert not starting.waits("/esc", 3.0)
+    assert starting.waits("/esc", 3.1 + SILENCE)  # killed: who comes back waits once more
+    starting.hear("/esc", works=False, active=True, now=20.0)
+    assert starting.waits("/esc", 20.0)
+
+
+def test_a_managed_node_of_others_that_never_reports_is_listened_to():
+    starting = Starting()
+    for now in (0.0, STRANGER + 1.0):
+        starting.see({"/camera"}, now)
+    assert not starting.waits("/camera", STRANGER + 1.0)

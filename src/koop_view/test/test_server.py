@@ -1,0 +1,207 @@
+"""The server, over real connections: who gets in, what a client gets, what it may not do."""
+
+import asyncio
+import json
+import struct
+import urllib.request
+from contextlib import suppress
+from http.client import HTTPConnection
+from urllib.error import HTTPError
+
+import pytest
+from koop_view_running import client, closed_with, heard, running, tell
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from koop_bag.bag.writer import BagWriter
+from koop_bag.cdr.schema import load_schema
+from koop_view.protocol import SUBPROTOCOLS, Channel, Service
+from koop_view.recorded import RecordedSource
+from koop_view.source import Refused, Source
+
+TOKEN = "a-token-of-24-characters"
+
+
+class Loop(Source):
+    """Stands for a loop: a channel that gushes, two services, one of which moves the rig."""
+
+    mode = "live"
+
+    def __init__(self):
+        super().__init__()
+        self.channels = {1: Channel(1, "/gush", "std_msgs/msg/String", "string data")}
+        for number, (name, operates) in enumerate([("/get", False), ("/hold", True)], 1):
+            self.services[number] = Service(number, name, "a/srv/B", "", "", operates)
+        self.parameters = {"/esc.dwell": 1.0, "/esc.name": "a"}
+        self.asked, self.logged, self.task = [], [], None
+
+    def subscribe(self, client, wanted):
+        async def gush():
+            while True:
+                client.deliver(next(iter(wanted)), 5, bytes(500_000))
+                await asyncio.sleep(0.001)
+
+        self.task = asyncio.get_running_loop().create_task(gush())
+
+    def unsubscribe(self, client, subscription, channel):
+        self.task.cancel()
+
+    async def call(self, service, payload, peer):
+        self.asked.append((service.name, payload))
+        if payload == b"no":
+            raise Refused("it cannot")
+        return b"\0\1\0\0yes"
+
+    async def set_parameters(self, values, peer):
+        self.asked.append(values)
+        self.parameters.update(values)
+        self.listener.news_of_parameters(values)
+
+    def log(self, text):
+        self.logged.append(text)
+
+
+@pytest.fixture(scope="module")
+def loop():
+    return Loop()
+
+
+@pytest.fixture(scope="module")
+def port(loop):
+    with running(loop, TOKEN, clients=3, backlog=1.0, allow_origins="https://good.example") as port:
+        yield port
+
+
+def call(connection, service, payload, number=1):
+    """Call a service; return its answer, or why it failed."""
+    connection.send(struct.pack("<BIII", 2, service, number, 3) + b"cdr" + payload)
+    while True:
+        message = connection.recv(10)
+        if isinstance(message, bytes) and message[0] == 3:
+            assert struct.unpack_from("<III", message, 1) == (service, number, 3)
+            return message[16:]
+        if isinstance(message, str) and json.loads(message)["op"] == "serviceCallFailure":
+            return json.loads(message)["message"]
+
+
+def refused(port, **options):
+    """Return the status with which a connection is refused."""
+    with pytest.raises(InvalidStatus) as error:
+        client(port, **options)
+    return error.value.response.status_code
+
+
+def test_the_page_is_on_the_same_port(port):
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/#token=x") as answer:
+        assert b"<!doctype html>" in answer.read().lower()[:100]
+        assert "script-src 'sha256-" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["X-Frame-Options"] == "DENY"
+    with pytest.raises(HTTPError, match="404"):
+        urllib.request.urlopen(f"http://127.0.0.1:{port}/etc/passwd")
+    rebound = HTTPConnection("127.0.0.1", port)
+    rebound.request("GET", "/", headers={"Host": f"evil.example:{port}"})
+    assert rebound.getresponse().status == 421
+    rebound.close()
+
+
+@pytest.mark.parametrize("name", SUBPROTOCOLS)
+def test_viewers_of_any_age_connect(port, name):
+    with client(port, subprotocols=[name]) as viewer:
+        assert viewer.subprotocol == name
+        info = heard(viewer, "serverInfo")
+        assert info["metadata"]["koop_operate"] == "false"
+        assert heard(viewer, "advertise")["channels"][0]["schemaEncoding"] == "ros2msg"
+
+
+def test_no_page_of_another_origin_no_wrong_token_and_no_other_protocol_gets_in(port, loop):
+    assert refused(port, origin="http://evil.example") == 403
+    assert refused(port, origin="null") == 403
+    assert refused(port, origin="http://evil.example", token=TOKEN) == 403
+    assert refused(port, token="wrong") == 401
+    assert refused(port, subprotocols=["another.v1"]) == 400
+    assert refused(port, subprotocols=None) == 400
+    for origin in (f"http://127.0.0.1:{port}", "https://good.example"):
+        client(port, origin=origin).close()
+    assert any("evil.example" in line for line in loop.logged)
+
+
+def test_who_has_no_token_reads_and_is_refused_operating(port, loop):
+    with client(port) as viewer:
+        offered = heard(viewer, "advertiseServices")["services"]
+        assert [service["name"] for service in offered] == ["/get"]
+        assert call(viewer, 1, b"x") == b"\0\1\0\0yes"
+        loop.asked.clear()
+        assert "may only read" in call(viewer, 2, b"x")
+        tell(viewer, "setParameters", parameters=[{"name": "/esc.dwell", "value": 9.0}], id="s")
+        assert "may only read" in heard(viewer, "status")["message"]
+        assert heard(viewer, "parameterValues")["parameters"][0]["value"] == 1.0
+    assert loop.asked == []
+
+
+def test_who_has_the_token_operates_and_others_see_it(port, loop):
+    with client(port) as other, client(port, TOKEN) as operator:
+        assert heard(operator, "serverInfo")["metadata"]["koop_operate"] == "true"
+        names = [service["name"] for service in heard(operator, "advertiseServices")["services"]]
+        assert names == ["/get", "/hold"]
+        assert call(operator, 2, b"x") == b"\0\1\0\0yes"
+        assert call(operator, 2, b"no") == "it cannot"
+        assert "no service" in call(operator, 77, b"x")
+        tell(other, "subscribeParameterUpdates", parameterNames=["/esc.dwell"])
+        tell(other, "getParameters", parameterNames=["/esc.dwell"], id="g")
+        assert heard(other, "parameterValues")["id"] == "g"
+        tell(operator, "setParameters", parameters=[{"name": "/esc.dwell", "value": 2.0}])
+        changed = heard(other, "parameterValues")["parameters"]
+        assert changed == [{"name": "/esc.dwell", "type": "float64", "value": 2.0}]
+
+
+def test_a_client_that_does_not_keep_up_is_dropped_and_told_why(port, loop):
+    with client(port, max_queue=1) as slow:
+        tell(slow, "subscribe", subscriptions=[{"id": 1, "channelId": 1}])
+        slow.recv(10)
+        loop.logged.clear()
+        while not any("too slow" in line for line in loop.logged):
+            pass
+        code, reason = closed_with(slow)
+    assert code == 1008
+    assert "too slow" in reason
+
+
+def test_there_are_no_more_clients_than_allowed_and_no_message_is_too_long(port):
+    several = [client(port) for _ in range(3)]
+    assert refused(port) == 503
+    several[0].send("x" * 300_000)
+    assert closed_with(several[0])[0] == 1009
+    for connection in several:
+        connection.close()
+
+
+def test_who_asks_without_end_is_dropped(port, loop):
+    with client(port) as greedy, suppress(ConnectionClosed):
+        for _ in range(100_000):
+            greedy.send("{}")
+    assert any("too many messages" in line for line in loop.logged)
+
+
+def test_a_recording_comes_whole_and_in_its_order(tmp_path):
+    schema = load_schema("std_msgs/msg/String")
+    sent = []
+    with BagWriter(tmp_path / "bag") as bag:
+        channels = {name: bag.add_topic(name, schema) for name in ("/a", "/b", "/c")}
+        for k in range(3000):
+            name = ("/a", "/b", "/c")[k % 3]
+            data = b"\0\1\0\0" + struct.pack("<I", 5) + b"%4d\0" % k
+            bag.write(channels[name], 1000 + k, 0, data)
+            sent.append((name, 1000 + k, data))
+    with running(RecordedSource(tmp_path)) as port, client(port) as viewer:
+        info = heard(viewer, "serverInfo")
+        assert info["metadata"]["koop_mode"] == "recorded"
+        offered = {item["topic"]: item for item in heard(viewer, "advertise")["channels"]}
+        assert offered["/a"]["schema"] == schema.text
+        asked = {1: "/a", 2: "/c"}
+        pairs = [{"id": n, "channelId": offered[topic]["id"]} for n, topic in asked.items()]
+        tell(viewer, "subscribe", subscriptions=pairs)
+        got = []
+        while isinstance(message := viewer.recv(10), bytes):
+            _, number, time = struct.unpack_from("<BIQ", message)
+            got.append((asked[number], time, message[13:]))
+        assert json.loads(message) == {"op": "status", "level": 0, "message": "recording complete"}
+    assert got == [item for item in sent if item[0] != "/b"]
