@@ -79,7 +79,7 @@ export class Figures {
   private figures: Figure[] = [];
   private readonly sizes: ResizeObserver;
   private readonly sight: IntersectionObserver;
-  logR = false;
+  logR = true;
 
   constructor(private readonly source: Source, private readonly view: View) {
     this.sizes = new ResizeObserver((changes) => {

@@ -133,15 +133,16 @@ export function verdict(s: Situation): Judgement {
   if (level === "error") return { level, text: `Fault: ${told(guilty)}` };
   if (level === "stale") return { level, text: `Not healthy: ${told(guilty)}` };
   if (!Number.isFinite(s.theta)) return { level: "off", text: "Waiting: no θ has come yet." };
-  const own = guilty.filter((row) => row.node.role !== "controller");
-  if (s.holding && (level !== "warn" || own.length === 0)) {
-    const why = s.settling ? "until the filters have settled" : s.costUsable ? "as asked" : "there is no usable cost";
-    return { level: "warn", text: `Holding ${why}: ${figures}` };
+  const others = level === "warn" ? guilty.filter((row) => !(s.holding && row.node.role === "controller")) : [];
+  const warning = others.length ? ` Warning: ${told(others)}` : "";
+  if (s.holding) {
+    const why = s.settling ? "until the filters have settled" : s.costUsable ? "as asked" : "because there is no usable cost";
+    return { level: "warn", text: `Holding ${why}: ${figures}${warning}` };
   }
-  if (level === "warn") return { level, text: `Running, with a warning: ${told(guilty)}` };
   if (s.rate === 0) return { level: "off", text: `At rest: no steps. Last ${theta}, r = ${s.number(s.r)}.` };
   const edge = s.saturated ? " θ is at a limit." : "";
-  return { level: s.saturated ? "warn" : "ok", text: `Healthy, seeking: ${figures}${edge}` };
+  const fine = !warning && !edge;
+  return { level: fine ? "ok" : "warn", text: `${fine ? "Healthy, seeking" : "Seeking"}: ${figures}${edge}${warning}` };
 }
 
 function told(rows: { node: Node; judgement: Judgement }[]): string {

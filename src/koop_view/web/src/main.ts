@@ -11,6 +11,7 @@ import { byId, clock, make, say, short } from "./words";
 
 const MOST_NOTES = 40;
 const SLOW = 250; // [ms] between two looks at health and words
+const ASK_AGAIN = 3; // [s]
 const WARNING = 30; // rcl_interfaces/msg/Log
 const WATCHED = {
   controller: ["law", "objective", "theta_min", "theta_max", "theta_initial", "theta_scale", "step_size", "dwell", "tau_f", "rate_limit", "dt"],
@@ -31,6 +32,7 @@ let newest = NaN; // receive time of the newest message [s]
 let newestAt = NaN; // when it came, on the page's clock [s]
 let complete = false;
 let watchedNames = "";
+let askedAt = 0;
 
 const loop = (): Loop | undefined => loops.get(chosen);
 const recorded = (): boolean => server?.mode === "recorded";
@@ -267,7 +269,7 @@ function showForce(): void {
   };
   const pairs: [string, string][] = [
     ["cost", [sourceName(l?.source ?? -1) || value("lifter.cost"), l?.settling ? "(settling)" : ""].join(" ").trim()],
-    ["model", [l?.modelId ?? "", value("lifter.model")].filter(Boolean).join(" – ")],
+    ["model", [l?.modelId ?? "", value("lifter.model").replace(/^.*\//, "")].filter(Boolean).join(" – ")],
     ["law", [value("controller.law"), value("controller.objective")].filter(Boolean).join(", ")],
     ["θ limits", limits() ? `[${short(limits()!.low)}, ${short(limits()!.high)}]` : ""],
     ["θ initial", value("controller.theta_initial")],
@@ -287,6 +289,14 @@ function showForce(): void {
   if (text === forceShown) return;
   forceShown = text;
   byId("force").replaceChildren(...pairs.filter(([, v]) => v).flatMap(([key, v]) => [make("dt", { text: key }), make("dd", { text: v })]));
+}
+
+/** Ask again for parameters of nodes that did not answer yet: one that has just come is not ready at once. */
+function askAgain(now: number): void {
+  const missing = parameter("controller.theta_min") === undefined || parameter("lifter.cost") === undefined;
+  if (!missing || now - askedAt < ASK_AGAIN || !loop()) return;
+  askedAt = now;
+  link.refresh();
 }
 
 /** All that is words. */
@@ -309,6 +319,7 @@ function slow(): void {
   say(byId("mode"), connection === "connecting" ? "" : recorded() ? "recorded run" : server?.operate ? "operating" : "read-only");
   showHealth(rows, now);
   showForce();
+  askAgain(now);
   operate.refresh();
 }
 

@@ -68,6 +68,17 @@ test("the verdict names what comes first", () => {
 test("a hold says why", () => {
   const held = { ...healthy, holding: true, rows: [{ node: lifter({ role: "controller" as const }), judgement: { level: "warn" as const, text: "holding theta" } }] };
   assert.match(verdict(held).text, /^Holding as asked: θ = -2.5/);
-  assert.match(verdict({ ...held, costUsable: false, r: NaN }).text, /^Holding there is no usable cost|^Holding/);
+  assert.doesNotMatch(verdict(held).text, /Warning/); // that it holds is said once
+  assert.match(verdict({ ...held, costUsable: false, r: NaN }).text, /^Holding because there is no usable cost: /);
+  assert.match(verdict({ ...held, settling: true }).text, /^Holding until the filters have settled: /);
   assert.equal(verdict(held).level, "warn");
+});
+
+test("a warning does not hide what the controller does", () => {
+  const rig = { node: lifter({ role: "rig" as const }), judgement: { level: "warn" as const, text: "27 late ticks" } };
+  assert.deepEqual(verdict({ ...healthy, rows: [...healthy.rows, rig] }), {
+    level: "warn", text: "Seeking: θ = -2.5 in [-5, 5], r = 0.01, 200 steps a second. Warning: rig – 27 late ticks.",
+  });
+  assert.match(verdict({ ...healthy, rows: [rig], holding: true }).text, /^Holding as asked: .* Warning: rig – 27 late ticks\.$/);
+  assert.deepEqual(verdict({ ...healthy, saturated: true }).level, "warn");
 });
