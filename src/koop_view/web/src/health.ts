@@ -1,5 +1,7 @@
 // Is the loop healthy? Judged from what arrived and when, said in words. Pure: time is an argument.
 
+import { shortName } from "./words";
+
 export type Level = "ok" | "warn" | "stale" | "error" | "off";
 
 const URGENCY: Level[] = ["off", "ok", "warn", "stale", "error"];
@@ -146,6 +148,6 @@ export function verdict(s: Situation): Judgement {
 }
 
 function told(rows: { node: Node; judgement: Judgement }[]): string {
-  const words = rows.map(({ node, judgement }) => `${node.role === "other" ? node.name : node.role} – ${judgement.text}`);
+  const words = rows.map(({ node, judgement }) => `${node.role === "other" ? shortName(node.name) : node.role} – ${judgement.text}`);
   return `${words.join("; ")}.`;
 }

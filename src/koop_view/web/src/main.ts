@@ -7,7 +7,7 @@ import { Link, type ServerState } from "./link";
 import { Loop, sourceName, type Status } from "./loop";
 import { Operate } from "./operate";
 import { View } from "./view";
-import { byId, clock, make, say, short } from "./words";
+import { byId, clock, make, say, short, shortName } from "./words";
 
 const MOST_NOTES = 40;
 const SLOW = 250; // [ms] between two looks at health and words
@@ -236,16 +236,17 @@ function showSpans(): void {
 const WORDS = { ok: "OK", warn: "WARN", error: "ERROR", stale: "STALE", off: "–" };
 
 function healthRow(node: Node, judgement: Judgement, now: number): HTMLElement {
-  const cell = (label: string, text: string, kind = ""): HTMLElement => make("td", { text, class: kind, data: { label } });
   const heard = loop()?.hears(node.role);
   const own = node.report?.values["rate_hz"];
   const quiet = heard && silence(heard, now) > 0;
   const rate = heard && Number.isFinite(heard.at) ? (quiet ? "0" : heard.rate.toFixed(heard.rate < 10 ? 1 : 0)) : own ?? "";
   const age = recorded() ? "" : quiet ? `${(now - heard.at).toFixed(1)} s` : inputAge(node.report);
-  const parts = node.name.split("/"), shown = parts[parts.length - 1] ?? node.name;
-  return make("tr", { data: { node: node.name, level: judgement.level }, title: node.name },
-    make("th", {}, make("span", { class: "mark", text: WORDS[judgement.level] }), make("span", { text: ` ${shown}` })),
-    cell("says", judgement.text, "words"), cell("rate", rate && `${rate} /s`), cell("age", age), cell("lost", losses(node.report) || (node.report ? "none" : "")));
+  const lost = losses(node.report);
+  const figure = (text: string, title: string): HTMLElement => make("span", { class: "figure", text, title });
+  return make("li", { data: { node: node.name, level: judgement.level } },
+    make("span", { class: "mark", text: WORDS[judgement.level] }), make("b", { text: shortName(node.name), title: node.name }),
+    figure(rate && `${rate} /s`, "messages a second"), figure(age && `age ${age}`, "age of the newest input"),
+    make("span", { class: "says", text: judgement.text }), make("span", { class: "lost", text: lost && `since its start: ${lost}` }));
 }
 
 let rowsShown = "";

@@ -35,3 +35,8 @@ export function clock(t: number): string {
   const date = new Date(t * 1000), two = (n: number): string => String(n).padStart(2, "0");
   return `${two(date.getHours())}:${two(date.getMinutes())}:${two(date.getSeconds())}`;
 }
+
+/** The last part of a name: `/rig1/relay_esc` is `relay_esc`. */
+export function shortName(name: string): string {
+  return name.slice(name.lastIndexOf("/") + 1);
+}
