@@ -163,6 +163,12 @@ export class Loop {
     return silence(this.heard.state, now) ? 0 : this.heard.state.rate;
   }
 
+  /** Messages a second over all that was recorded. */
+  meanRate(role: Node["role"]): string {
+    const stream = role === "rig" ? this.state : role === "lifter" ? this.cost : role === "controller" ? this.theta : undefined;
+    return stream && stream.last > stream.first ? String(Math.round((stream.count - 1) / (stream.last - stream.first))) : "";
+  }
+
   hears(role: Node["role"]): Heard | undefined {
     return role === "rig" ? this.heard.state : role === "lifter" ? this.heard.cost : role === "controller" ? this.heard.theta : undefined;
   }

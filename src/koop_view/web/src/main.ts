@@ -10,6 +10,7 @@ import { View } from "./view";
 import { byId, clock, make, say, short, shortName } from "./words";
 
 const MOST_NOTES = 40;
+const FRAME = 75; // [ms] between two looks at what is to be drawn
 const SLOW = 250; // [ms] between two looks at health and words
 const ASK_AGAIN = 3; // [s]
 const WARNING = 30; // rcl_interfaces/msg/Log
@@ -38,13 +39,19 @@ const loop = (): Loop | undefined => loops.get(chosen);
 const recorded = (): boolean => server?.mode === "recorded";
 
 function nowOfServer(): number {
-  if (recorded() || connection !== "open") return newest;
+  if (recorded()) return lastTime(); // later there are only reports
+  if (connection !== "open") return newest;
   return newest + Math.max(0, seconds() - newestAt);
 }
 
 function firstTime(): number {
   const l = loop();
   return l ? Math.min(...[l.state, l.cost, l.theta].map((s) => s.first).filter(Number.isFinite)) : NaN;
+}
+
+function lastTime(): number {
+  const l = loop();
+  return l ? Math.max(...[l.state, l.cost, l.theta].map((s) => s.last).filter(Number.isFinite)) : NaN;
 }
 
 function parameter(name: string): ParameterValue {
@@ -239,7 +246,7 @@ function healthRow(node: Node, judgement: Judgement, now: number): HTMLElement {
   const heard = loop()?.hears(node.role);
   const own = node.report?.values["rate_hz"];
   const quiet = heard && silence(heard, now) > 0;
-  const rate = heard && Number.isFinite(heard.at) ? (quiet ? "0" : heard.rate.toFixed(heard.rate < 10 ? 1 : 0)) : own ?? "";
+  const rate = recorded() ? loop()?.meanRate(node.role) ?? "" : heard && Number.isFinite(heard.at) ? (quiet ? "0" : heard.rate.toFixed(heard.rate < 10 ? 1 : 0)) : own ?? "";
   const age = recorded() ? "" : quiet ? `${(now - heard.at).toFixed(1)} s` : inputAge(node.report);
   const lost = losses(node.report);
   const figure = (text: string, title: string): HTMLElement => make("span", { class: "figure", text, title });
@@ -317,6 +324,7 @@ function slow(): void {
   if (document.title !== title) document.title = title;
   say(byId("connection"), connection === "open" ? "connected" : connection === "lost" ? "connection lost" : "connecting");
   document.body.dataset["connection"] = connection;
+  document.body.dataset["mode"] = server?.mode ?? "live";
   say(byId("mode"), connection === "connecting" ? "" : recorded() ? "recorded run" : server?.operate ? "operating" : "read-only");
   showHealth(rows, now);
   showForce();
@@ -324,9 +332,9 @@ function slow(): void {
   operate.refresh();
 }
 
-function frame(time: number): void {
-  if (!document.hidden) figures.draw(time);
-  requestAnimationFrame(frame);
+/** Draw what is due. Not with every frame of the screen: even one in which nothing changes costs the browser work. */
+function frame(): void {
+  if (!document.hidden) figures.draw(performance.now());
 }
 
 byId<HTMLSelectElement>("loop").addEventListener("change", (event) => choose((event.target as HTMLSelectElement).value));
@@ -345,7 +353,7 @@ for (const answer of ["yes", "no"]) {
 showSpans();
 link.connect();
 setInterval(slow, SLOW);
-requestAnimationFrame(frame);
+setInterval(frame, FRAME);
 
 // For tests and the console: what is kept of a signal, as it came and as it is drawn.
 declare global {

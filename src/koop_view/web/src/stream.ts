@@ -21,7 +21,7 @@ export class Stream {
   private steps = new Float64Array(SAMPLES);
   private next = 0; // index of the next sample, ever growing
   private since = 0; // index of the first sample after the last clear
-  count = 0; // messages since the page was opened
+  count = 0; // messages since the last clear
   first = NaN;
   last = NaN; // receive time of the newest message [s]
   lastStep = -1;
@@ -33,6 +33,7 @@ export class Stream {
   clear(): void {
     this.signals.clear();
     this.since = this.next;
+    this.count = 0;
     this.first = this.last = NaN;
     this.lastStep = -1;
   }

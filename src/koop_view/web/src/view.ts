@@ -51,7 +51,7 @@ export class View {
   /** Milliseconds between two drawings: a column moves no sooner. */
   every(): number {
     if (this.part) return 1000;
-    return this.span === SPAN_RAW ? 100 : this.span === 60 ? 250 : 1000;
+    return this.span === SPAN_RAW ? 140 : this.span === 60 ? 350 : 1000;
   }
 
   /** What the legend says of a time. */
