@@ -26,7 +26,7 @@ from typing import NamedTuple
 from koop_node.arrival import Arrival
 from koop_node.kernels import njit
 from relay_esc.elementary import exp, log
-from relay_esc.swing import OPEN, Swing, confidence, follow, forget_leg, turn, widen
+from relay_esc.swing import OPEN, Swing, confidence, follow, forget_leg, gain, turn, widen
 
 
 class RelayParams(NamedTuple):
@@ -142,7 +142,7 @@ def gradient(p: RelayParams, state: RelayState) -> float:
 
     It is that of the cost's change by the step that theta makes, whatever causes the change.
     """
-    step_size = p.step_size * state.swing.factor
+    step_size = p.step_size * gain(state.swing, state.u, state.epsilon)
     if step_size == 0.0:
         return 0.0
     return -p.sense * state.epsilon * state.cost_rise_filtered / step_size
@@ -224,11 +224,11 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
         epsilon = -epsilon
         if p.adaptive:
             length = since_flip / max(p.dwell_samples, 1)
-            swing = turn(swing, length, p.step_ratio, p.lost)
+            swing = turn(swing, length, state.u, p.step_ratio, p.lost)
         since_flip = 0
     elif p.adaptive and since_flip >= 2 * p.dwell_samples > 0 and since_flip % p.dwell_samples == 0:
         swing = widen(swing)
-    u = state.u - p.step_size * swing.factor * epsilon
+    u = state.u - p.step_size * gain(swing, state.u, epsilon) * epsilon
     u = min(max(u, p.u_min), p.u_max)
     return RelayState(
         u,

@@ -20,6 +20,12 @@ Away from home the reference and the noise follow slowly, leg by leg: a cost tha
 noisier, is at home in the end. No clock shrinks the step; a swing that has become too small to see
 the optimum loses it, which the level shows.
 
+Noise turns the legs of a narrow swing too early or too late, and where they are would be a random
+walk. So the mean of the middles of the legs at home is kept, the centre c: wide legs, that see the
+optimum well, tell it to the narrow ones. Steps of a swing that is not at its widest are larger by a
+half towards c and smaller by a half away from it. A lost optimum or a leg of two dwell times
+forgets c.
+
 Far from the optimum the cost of an oscillating rig has a ripple of its own, and a relay of one
 dwell time locks in with it: every leg ends at the same phase of the ripple, wherever the optimum
 is. So the dwell time of wide legs is stretched by 0 to 50 %, as the golden ratio has it.
@@ -47,6 +53,10 @@ NOISE_AT_FIRST = 0.1  # 10 % of r
 NOISE_RATE, NOISE_RATE_AWAY = 0.2, 0.02  # share of the news, by leg
 REFERENCE_RATE, REFERENCE_RATE_AWAY = 0.5, 0.05
 LEVEL_TIME = 0.15  # time constant of the level [dwell]
+LONG = 2.0  # dwell times of a leg that shows that the optimum is elsewhere
+PULL = 0.5  # share by which a step is larger towards the centre, and smaller away from it
+CENTRED = 3  # legs from which on the centre pulls
+CENTRE_RATE = 0.1  # share of the news, by leg
 
 
 class Swing(NamedTuple):
@@ -74,6 +84,12 @@ class Swing(NamedTuple):
         Legs that the level is known of.
     short : int
         Legs in a row that ended as soon as they could, at home.
+    turned : float
+        u where this leg begins.
+    centre : float
+        Mean u of the legs at home.
+    centred : int
+        Legs that it is a mean of.
     """
 
     factor: float
@@ -87,9 +103,12 @@ class Swing(NamedTuple):
     dip: float
     legs: int
     short: int
+    turned: float
+    centre: float
+    centred: int
 
 
-OPEN = Swing(1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0)
+OPEN = Swing(1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0, 0)
 """Full step, nothing known; the relay of the paper never leaves it."""
 
 
@@ -110,6 +129,9 @@ def follow(swing: Swing, alpha: float, x: float) -> Swing:
         swing.dip,
         swing.legs,
         swing.short,
+        swing.turned,
+        swing.centre,
+        swing.centred,
     )
 
 
@@ -128,6 +150,9 @@ def forget_leg(swing: Swing) -> Swing:
         swing.dip,
         swing.legs,
         0,
+        swing.turned,
+        swing.centre,
+        swing.centred,
     )
 
 
@@ -146,11 +171,23 @@ def widen(swing: Swing) -> Swing:
         swing.dip,
         swing.legs,
         0,
+        swing.turned,
+        swing.centre,
+        swing.centred,
     )
 
 
 @njit()
-def turn(swing: Swing, length: float, least: float, lost: float) -> Swing:
+def gain(swing: Swing, u: float, epsilon: int) -> float:
+    """Return the step in units of the configured one: larger towards the centre than away."""
+    if swing.factor == 1.0 or swing.centred < CENTRED:
+        return swing.factor
+    towards = (u - swing.centre) * epsilon > 0.0  # epsilon +1 moves u down
+    return min(1.0, swing.factor * (1.0 + PULL)) if towards else swing.factor * (1.0 - PULL)
+
+
+@njit()
+def turn(swing: Swing, length: float, u: float, least: float, lost: float) -> Swing:
     """End a leg: judge what it showed and set the step of the next one.
 
     Parameters
@@ -159,6 +196,8 @@ def turn(swing: Swing, length: float, least: float, lost: float) -> Swing:
         At the flip.
     length : float
         Of the leg, in dwell times.
+    u : float
+        At the flip.
     least : float
         Smallest factor.
     lost : float
@@ -166,6 +205,7 @@ def turn(swing: Swing, length: float, least: float, lost: float) -> Swing:
     """
     factor, reference, noise, short = swing.factor, swing.reference, swing.noise, swing.short
     lowest, dip = swing.lowest, swing.dip
+    centre, centred = swing.centre, swing.centred
     if swing.legs == 0:
         reference, noise = lowest, NOISE_AT_FIRST
     else:
@@ -185,17 +225,36 @@ def turn(swing: Swing, length: float, least: float, lost: float) -> Swing:
             if short >= ARRIVED:
                 factor = max(least, factor * SHRINK)
             reference = reference + REFERENCE_RATE * above if above > 0.0 else lowest
+            if length <= LONG:
+                centred += 1
+                middle = 0.5 * (swing.turned + u)
+                centre += max(1.0 / centred, CENTRE_RATE) * (middle - centre)
         else:
             short = 0
             reference += REFERENCE_RATE_AWAY * above
             if away:
                 factor = min(1.0, factor * GROW)
+        if away or length > LONG:
+            centred = 0
     stretch = 1.0
     if factor >= WIDE:
         stretch += STRETCH * (swing.legs * GOLDEN % 1.0)
     level = swing.level
     return Swing(
-        factor, stretch, level, level, level, lowest, reference, noise, dip, swing.legs + 1, short
+        factor,
+        stretch,
+        level,
+        level,
+        level,
+        lowest,
+        reference,
+        noise,
+        dip,
+        swing.legs + 1,
+        short,
+        u,
+        centre,
+        centred,
     )
 
 

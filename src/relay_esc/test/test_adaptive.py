@@ -117,6 +117,18 @@ def arrived(esc=None):
     return state
 
 
+def test_noise_alone_does_not_carry_a_narrow_swing_away_from_where_it_arrived():
+    esc, begin, away = config(), arrived(), []
+    p = esc.params()
+    for seed in range(4):
+        state, level, rng = begin, 0.0, np.random.default_rng(seed)
+        for noise in rng.normal(0.0, 0.1, 20_000):
+            level += DT / LAG * (noise - level)  # a cost that does not know theta
+            state, _, _ = relay.answer(p, state, 0, False, False, math.exp(level), False)
+            away.append(abs(state.output - begin.output))
+    assert np.mean(away) < 0.03  # 0.05 with steps that are as large to both sides
+
+
 def test_an_unusable_cost_or_a_hold_keeps_theta_and_all_that_was_learned():
     esc, state = config(), arrived()
     for r, asked in ((math.nan, False), (math.inf, False), (0.0, False), (1.0, True)):
