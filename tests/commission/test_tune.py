@@ -1,6 +1,8 @@
 """`koop tune`: what it chooses is tried on the rig itself, whose truths are known."""
 
 import json
+import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,12 +15,16 @@ from recorded_rig import (
     rig_of,
     write_bag,
 )
+from scipy.signal import lfilter
 
 from koop_lab.cli.main import main
 from koop_lab.commission import rig_file
+from koop_lab.commission.features import Bands
+from koop_lab.commission.valley import best_end
 from koop_lab.identify.loaded import Loaded
+from koop_lab.tune.fluctuation import fluctuation
 from koop_lab.tune.static_map import StaticMap
-from koop_lab.tune.stays import Scale, period_by_theta, rests
+from koop_lab.tune.stays import Scale, Stay, Stays, period_by_theta, rests
 from koop_lab.tune.surrogate import fit_times
 from koop_lab.tune.tuning import NoOptimum, look, tune
 from koop_loop import parameters
@@ -102,6 +108,45 @@ def test_the_time_constant_is_that_of_the_rig():
     tau = [times.tau(float(a), up) for a in seen.amplitude.mean for up in (True, False)]
     # d a^2/dt = a^2 (1 - a^2 / L^2) / tau: near L the amplitude's own time is tau
     assert 0.4 * rig.slowest < np.median(tau) < 2.0 * rig.slowest
+
+
+@pytest.mark.parametrize("tau", [2.0, 8.0])
+def test_the_time_constant_of_what_noise_drives_is_that_of_its_process(tau):
+    """A complex Ornstein-Uhlenbeck process, exactly sampled; measurement noise, drifting levels."""
+    window, per, rng = 1.0, 50, np.random.default_rng(1)
+    dt = window / per
+    keep = math.exp(-dt / tau)
+    stays, amplitude = [], []
+    for level in [*range(9), *range(9)]:
+        steps = per * 120
+        white = rng.normal(size=(2, steps)) * math.sqrt((1.0 - keep**2) / 2.0)
+        z = lfilter([1.0], [1.0, -keep], white, axis=1) * rng.uniform(0.8, 1.25)
+        power = (z**2).sum(axis=0).reshape(-1, per).mean(axis=1) * (1.0 + 0.2 * level)
+        amplitude.append(0.5 * np.log(power + 0.05 * rng.chisquare(2, power.size)))
+        stays.append(Stay(level, 0, steps, 0))
+    how = Bands(per, (1, 2), dt)
+    found = fluctuation(Stays(np.linspace(0.0, 1.0, 9), stays, how, 0, amplitude))
+    assert 0.6 * tau < found.time < 1.4 * tau
+    assert found.share > 0.3
+
+
+def test_what_is_best_at_a_limit_is_said_only_beyond_doubt():
+    error = np.full(5, 0.1)
+    assert best_end(np.array([0.0, 0.4, 0.8, 1.2, 1.6]), error) == 0
+    assert best_end(np.array([1.6, 1.2, 0.8, 0.4, 0.0]), error) == 4
+    assert best_end(np.array([0.0, 0.02, 0.2, 1.0, 2.0]), error) is None  # may be better beside it
+    assert best_end(np.array([0.1, 0.0, 0.8, 1.2, 1.6]), error) is None
+
+
+def test_an_optimum_in_doubt_is_tuned_for_and_said():
+    """Below the optimum little gets worse, less than the errors; above it much does."""
+    rig = rig_of(3, **{**QUICK, "optimum": (0.85, 0.85)}, clean=1.0, noise_driven=0.0,
+                 maps={"one-sided": 1.0}, quiet=0.0)  # fmt: skip
+    loaded, file, training = recorded(rig, windows=12)
+    noisy = loaded.x + np.random.default_rng(0).normal(0.0, 2.0 * loaded.x.std(), loaded.x.shape)
+    found = look(replace(loaded, x=noisy), file, training)
+    assert "towards theta_min is not sure" in found.doubt
+    assert any(judged.usable for judged in found.costs)
 
 
 def test_a_theta_that_moves_slowly_does_not_rest_on_its_way():

@@ -18,6 +18,7 @@ from scipy.optimize import isotonic_regression
 
 SURE = 12.0  # gain from which on there is an optimum: 3 sigma, and the choice of the feature
 SURER = 1.5  # times that, with which an excitation ends
+ENDS = 1.5  # standard errors by which the values beside an end are worse: it is the best
 CLEAR = 3.0  # standard errors by which an end is better than the value beside it: there is none
 FLAT = 25.0  # chi-squared about a constant, below which 9 values show nothing
 
@@ -68,6 +69,20 @@ def clarity(y: NDArray[np.float64], error: NDArray[np.float64]) -> float:
     """Return chi-squared of points about a constant."""
     w = 1.0 / error**2
     return float((w * (y - np.average(y, weights=w)) ** 2).sum())
+
+
+def best_end(y: NDArray[np.float64], error: NDArray[np.float64]) -> int | None:
+    """Return the end, 0 or N - 1, that is the best of all beyond doubt; None if none is.
+
+    The two values beside it count together: one of them may be as good by chance.
+    """
+    best = int(np.argmin(y))
+    if best not in (0, y.size - 1):
+        return None
+    beside = [1, 2] if best == 0 else [y.size - 2, y.size - 3]
+    way = float(y[beside].mean() - y[best])
+    sure = math.hypot(error[best], 0.5 * math.hypot(*error[beside]))
+    return best if way > ENDS * sure else None
 
 
 def in_doubt(y: NDArray[np.float64], error: NDArray[np.float64]) -> list[int]:

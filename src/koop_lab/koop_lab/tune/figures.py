@@ -36,6 +36,7 @@ def of_tuning(found: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any]
         "verdict": "tuned",
         "cost": found.chosen.cost.name,
         "why": found.why,
+        "doubt": found.seen.doubt,
         "constants": asdict(found.best.constants),
         "score": math.exp(found.best.score),
         "time": found.time,

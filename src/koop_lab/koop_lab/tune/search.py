@@ -8,7 +8,9 @@ once more. A run's score is
 
     log(amplitude over its second half / least amplitude) + SLOWNESS (share of the run to converge)
 
-and a constant's score the 90th percentile over its runs.
+and a constant's score the 90th percentile over its runs. Of constants that score alike those are
+taken that serve most rigs (USUAL): a surrogate is not the rig, and what is best on it by a hair may
+be far from what any rig has needed.
 """
 
 from __future__ import annotations
@@ -37,6 +39,9 @@ RANGES = {  # of what else is searched; omega_l in 1/T, speed in ranges of theta
     "tau_f": (0.2, 5.0),
     "step_ratio": (0.03, 0.5),
 }
+USUAL = {"omega_l": 2.0, "speed": 0.08, "dwell": 1.5, "tau_f": 0.7, "step_ratio": 0.15}
+ANCHORS = {"speed": (0.01, 0.03, 0.1), "dwell": (1.0, 4.0)}  # that are tried beside those drawn
+UNUSUAL = 0.02  # what a score must be better by for a constant that is a factor of 3 off the usual
 LENGTH = 80.0  # of a run, in T
 SLOWNESS = 0.15
 DRIFT = 0.05  # of the range, by which the optimum moves in a run at most
@@ -300,12 +305,47 @@ def around(
     return found
 
 
+def anchors(task: Task) -> list[Constants]:
+    """Return constants that serve many rigs."""
+    high = sorted(task.surrogates)
+    omega_h = high[min(2, len(high) - 1)]
+    return [
+        _in_units(task, law, omega_h, {**USUAL, "speed": speed, "dwell": dwell})
+        for law in ("relay", "adaptive")
+        for speed in ANCHORS["speed"]
+        for dwell in ANCHORS["dwell"]
+    ]
+
+
+def unusual(task: Task, c: Constants) -> float:
+    """Return by how much a score must be better for constants that are not the usual ones."""
+    usual = _in_units(task, c.law, c.omega_h, USUAL)
+    far = [math.log(getattr(c, name) / getattr(usual, name)) / math.log(3.0) for name in USUAL]
+    return UNUSUAL * sum(x * x for x in far)
+
+
 @dataclass(frozen=True)
 class Tried:
-    """Constants and how they did."""
+    """Constants and how they did.
+
+    Attributes
+    ----------
+    constants : Constants
+        What was tried.
+    outcomes : list of Outcome
+        Of each run.
+    unusual : float
+        See :func:`unusual`.
+    """
 
     constants: Constants
     outcomes: list[Outcome]
+    unusual: float
+
+    @property
+    def rank(self) -> float:
+        """Return what the best has least of."""
+        return self.score + self.unusual
 
     @property
     def score(self) -> float:
@@ -337,7 +377,7 @@ def search(
     """
     first = 2 ** max(round(math.log2(FIRST * effort)), 3)
     rng = np.random.default_rng([seed, 7])
-    total = 8 * first + 16 * TOP
+    total = 8 * first + 16 * TOP + 2 * len(anchors(task))
 
     with ThreadPoolExecutor(workers) as pool:
 
@@ -349,21 +389,24 @@ def search(
             found = []
             for t, outcomes in zip(tried, pool.map(results, tried), strict=True):
                 said(len(outcomes) / total)
-                found.append(Tried(t.constants, t.outcomes + outcomes))
-            return sorted(found, key=lambda t: t.score)
+                found.append(replace(t, outcomes=t.outcomes + outcomes))
+            return sorted(found, key=lambda t: t.rank)
 
-        tried = more([Tried(c, []) for c in draw(task, first, seed)], 2)
+        def new(constants: Sequence[Constants], runs: int) -> list[Tried]:
+            return more([Tried(c, [], unusual(task, c)) for c in constants], runs)
+
+        tried = new([*anchors(task), *draw(task, first, seed)], 2)
         tried = more(tried[: first // 4], 8)
         for spread in (0.35, 0.2):
             near = around(task, [t.constants for t in tried[:4]], first // 4, rng, spread)
-            tried = sorted([*more([Tried(c, []) for c in near], 8), *tried], key=lambda t: t.score)
+            tried = sorted([*new(near, 8), *tried], key=lambda t: t.rank)
         return more(tried[:TOP], 24)
 
 
 def confirm(task: Task, tried: Sequence[Tried], seed: int) -> list[Tried]:
     """Return the best constants, the best first, as they do sample by sample."""
     found = [
-        Tried(t.constants, [try_out(task, t.constants, n, seed) for n in range(FINE_RUNS)])
+        replace(t, outcomes=[try_out(task, t.constants, n, seed) for n in range(FINE_RUNS)])
         for t in tried[:FINE]
     ]
-    return sorted(found, key=lambda t: t.score)
+    return sorted(found, key=lambda t: t.rank)

@@ -23,6 +23,7 @@ STILL = 2e-3  # of theta's range by which it may move in a window and rest
 DOUBT = 2.0  # standard errors
 SHORTEST, LONGEST, PARTS = 16, 4096, 4  # samples; of a rest, whose spectra are averaged
 PART_OF_USUAL = 0.5  # a shorter rest, such as one that lost messages cut, would blur the spectra
+PART_OF_STAY = 0.25  # the same for the static map: the rest before an excitation is a short one
 CHANGES = 0.3  # of the logarithm of a power, that theta must change
 SAME = 0.02  # of the range, within which two values are one
 
@@ -145,6 +146,16 @@ def rests(
     return centres, [(int(np.argmin(np.abs(centres - v))), a, b) for v, a, b in found]
 
 
+def usual(
+    u: NDArray[np.float64], found: list[tuple[int, int, int]], part: float
+) -> tuple[NDArray[np.float64], list[tuple[int, int, int]]]:
+    """Leave out the rests that are shorter than a part of most, and values that have no other."""
+    middle = float(np.median([b - a for _, a, b in found]))
+    found = [rest for rest in found if rest[2] - rest[1] >= part * middle]
+    kept, level = np.unique([i for i, _, _ in found], return_inverse=True)
+    return u[kept], [(int(i), a, b) for i, (_, a, b) in zip(level, found, strict=True)]
+
+
 class Spectra(NamedTuple):
     """Spectra of the channels where theta rested.
 
@@ -201,14 +212,12 @@ def spectra_by_theta(
         If theta rested at too few values.
     """
     u, found = rests(loaded, scale, length)
-    usual = float(np.median([b - a for _, a, b in found]))
-    found = [rest for rest in found if rest[2] - rest[1] >= PART_OF_USUAL * usual]
+    u, found = usual(u, found, PART_OF_USUAL)
     size = min(LONGEST, min(b - a for _, a, b in found) // parts)
     spectra = np.array(
         [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b in found]
     )
-    levels, level = np.unique([i for i, _, _ in found], return_inverse=True)
-    u = u[levels]
+    level = np.array([i for i, _, _ in found])
     logs = np.log(spectra + 1e-300)
     means = np.array([logs[level == i].mean(axis=0) for i in range(u.size)])
     spread = means.std(axis=0)
@@ -251,7 +260,7 @@ def find_stays(loaded: Loaded, scale: Scale, how: Bands, period: float) -> Stays
         If theta rested at too few values.
     """
     length = how.length
-    u, found = rests(loaded, scale, length)
+    u, found = usual(*rests(loaded, scale, length), PART_OF_STAY)
     seen = [
         features(loaded.x[:, a:b].T.reshape(-1, length, loaded.x.shape[0]), how)
         for _, a, b in found

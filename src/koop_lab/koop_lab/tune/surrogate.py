@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.signal import lfilter
 
-from koop_lab.commission.staircase import alike
 from koop_lab.identify.loaded import Loaded, pieces
+from koop_lab.tune.fluctuation import fluctuation
 from koop_lab.tune.static_map import GRID, StaticMap
 from koop_lab.tune.stays import Scale, Stays
 from koop_node.arrival import Arrival
@@ -39,7 +39,7 @@ from relay_esc.relay import RelayParams, RelayState
 
 PLACES = 16  # that are looked at for one where y_out is about the same
 BLOCKS = 200  # that a run is told in
-WANDERS = 3.0  # windows that are alike, from which on the amplitude comes and goes by itself
+WANDERS = 0.1  # share of an amplitude's power, from which on it comes and goes by itself
 
 
 class Times(NamedTuple):
@@ -119,8 +119,8 @@ def high_passed(
 def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, dt: float) -> Times:
     """Fit the time constants to the amplitude's logarithm in the windows of all stays.
 
-    An oscillation that noise drives comes and goes by itself: its power is alike for about one
-    time constant, which tells more of it than how it follows theta does.
+    Where noise drives the oscillation its amplitude is seldom where theta leads it: how it comes
+    and goes by itself tells the time constant far better than how it follows theta does.
     """
     assert loaded.theta is not None
     every = max(1, stays.how.length // 4)
@@ -137,9 +137,9 @@ def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, 
     middle = float(np.mean(curve))
     usual = 0.02 + float(np.median([v[s.skip :].std() for s, v in
                                     zip(stays.stays, stays.amplitude, strict=True)]))  # fmt: skip
-    window = stays.how.length * dt
-    settled = [v[:, None] for v in stays.settled(stays.amplitude) if v.size > 8]
-    same = float(np.median([alike(np.exp(2.0 * (v - v.max())))[0] for v in settled] or [1.0]))
+    own = fluctuation(stays)
+    if own.share > WANDERS:
+        return Times(math.log(own.time), 0.0, 0.0, middle)
     longest = max(s.end - s.begin for s in stays.stays) * dt
     shortest = 0.05 * stays.how.length * dt
     found = np.empty(target.size)
@@ -150,9 +150,7 @@ def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, 
         error = np.minimum(np.abs(made - seen) / usual, 5.0)
         beyond = max(0.0, c[0] - math.log(longest)) + max(0.0, math.log(shortest) - c[0])
         prior = 0.5 * c[1] ** 2 + 5.0 * c[2] ** 2 + 100.0 * beyond**2
-        if same > WANDERS:
-            prior += 2.0 * (c[0] - math.log(same * window)) ** 2
-        return float((error**2).sum()) / same + prior
+        return float((error**2).sum()) + prior
 
     tries = [np.array([x, 0.0, 0.0]) for x in np.linspace(math.log(shortest), math.log(longest), 9)]
     begin = min(tries, key=loss)

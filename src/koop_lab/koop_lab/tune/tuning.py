@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_lab.commission import valley
 from koop_lab.commission.features import Bands, bands, window_length
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.commission.staircase import level
@@ -18,19 +19,20 @@ from koop_lab.identify.compare import BAND_LIMITED, Cost, costs
 from koop_lab.identify.from_bags import BagTraining
 from koop_lab.identify.loaded import Loaded
 from koop_lab.identify.windows import period_of
-from koop_lab.tune.search import HIGH, Outcome, Task, Tried, confirm, search, try_out
+from koop_lab.tune.search import GOOD, HIGH, Outcome, Task, Tried, confirm, search, try_out
 from koop_lab.tune.static_map import StaticMap, static_map, weights_of
 from koop_lab.tune.stays import Scale, Stays, find_stays, period_by_theta, window_levels
 from koop_lab.tune.surrogate import Surrogate, Times, fit_times, high_passed
 
 PERIODS = 4.0  # of the oscillation, in a window
 SURROGATES = 6
-UNSURE = 0.2  # standard deviation of the logarithm of tau
+UNSURE = 0.35  # standard deviation of the logarithm of tau
 DECIDES, NEAR = 3.0, 0.2  # a cost that decides is so much surer, and so near [u]
 CLEARER = 2.0  # a contrast's map is taken for the amplitude's if it stands out so much more
 LEARNED = 65536  # samples that models are learned from, spread over the recording
+LONGER = (1.0, 4.0, 16.0)  # times T, that a search is made for until its best is good
 CANDIDATES = 2  # costs that are searched for
-AS_GOOD = 1.05  # raw is taken when the best is not better by more
+AS_GOOD = 1.1  # raw, and a short run, are taken when the best is not better by more
 RUNS = 32  # of the prediction
 BAND = (5.0, 50.0, 95.0)  # percentiles that are told
 BLOCKS_OF_TIME = 100  # in T, of coarse surrogates at least
@@ -38,7 +40,7 @@ BELIEVED = 10.0  # times the largest y_out of the recording
 
 
 class NoOptimum(ValueError):
-    """There is nothing to be found; ``kind`` is monotone, flat, unsure or drowned."""
+    """There is nothing to be found; ``kind`` is monotone, flat or drowned."""
 
     def __init__(self, kind: str, message: str, seen: Seen) -> None:
         super().__init__(message)
@@ -58,16 +60,25 @@ class Judged:
         Of the logarithm of y_hp, by omega_h [rad/s]; empty where the cost cannot be made.
     tried : list of Tried
         The best constants first; empty if none were looked for.
+    told : StaticMap, optional
+        The amplitude's, if that does not show beyond doubt that there is an optimum.
     """
 
     cost: Cost
     maps: dict[float, StaticMap]
     tried: list[Tried]
+    told: StaticMap | None = None
 
     @property
     def usable(self) -> dict[float, StaticMap]:
-        """Those with an optimum inside."""
-        return {omega: found for omega, found in self.maps.items() if found.interior}
+        """Those with an optimum inside; in doubt, those that lead to where the amplitude does."""
+        told = self.told
+        return {
+            omega: found
+            for omega, found in self.maps.items()
+            if found.interior
+            or (told is not None and not found.flat and abs(found.best() - told.best()) < NEAR)
+        }
 
     @property
     def gain(self) -> float:
@@ -87,6 +98,8 @@ class Seen:
         In which theta shows most.
     costs : list of Judged
         Of each candidate.
+    doubt : str
+        What is not sure about the optimum, in words; empty if it is.
     """
 
     scale: Scale
@@ -95,6 +108,7 @@ class Seen:
     period: float
     feature: str
     costs: list[Judged]
+    doubt: str = ""
 
 
 @dataclass(frozen=True)
@@ -216,13 +230,20 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
             found = static_map(stays, own, sense)
             if found.clarity > CLEARER * told.clarity:
                 told = found
-    inside = 0 < int(np.argmin(sense * told.mean)) < stays.u.size - 1
-    if not told.interior and (told.flat or not inside):
+    if told.flat and not told.interior:
         raise refusal(seen, rig, told)
-    if not told.interior and not any(_settles(judged, told) for judged in seen.costs):
-        raise refusal(seen, rig, told)
-    if not any(judged.usable for judged in seen.costs):
-        best = max(judged.gain for judged in seen.costs)
+    if not told.interior and not any(_settles(one, told) for one in judged):
+        if valley.best_end(sense * told.mean, told.error) is not None:
+            raise refusal(seen, rig, told)
+        seen = replace(seen, costs=[replace(one, told=told) for one in judged], doubt=doubt(told))
+    if not any(one.usable for one in seen.costs):
+        seen = replace(
+            seen,
+            costs=[replace(one, told=told) for one in judged],
+            doubt=seen.doubt or "no cost shows the optimum of the amplitude beyond doubt",
+        )
+    if not any(one.usable for one in seen.costs):
+        best = max(one.gain for one in seen.costs)
         raise NoOptimum(
             "drowned",
             f"the amplitude of {feature} has an optimum near {_best_theta(seen):.4g}, but no cost "
@@ -231,6 +252,17 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
             seen,
         )
     return seen
+
+
+def doubt(found: StaticMap) -> str:
+    """Return in words what a map without a clear optimum leaves open."""
+    low = valley.shape(found.sense * found.mean, found.error).rising
+    span, error = float(np.ptp(found.mean)), float(np.median(found.error))
+    return (
+        f"the amplitude changes by {100 * math.expm1(span):.2g} %, but whether it gets worse again "
+        f"towards theta_{'min' if low else 'max'} is not sure (errors of {100 * error:.2g} %): if "
+        "not, theta will stay near that limit"
+    )
 
 
 def _settles(judged: Judged, amplitude: StaticMap) -> bool:
@@ -247,7 +279,6 @@ def _best_theta(seen: Seen) -> float:
 
 def refusal(seen: Seen, rig: RigFile, found: StaticMap) -> NoOptimum:
     """Return why a map has no optimum inside, and what to record next."""
-    span = float(np.ptp(found.mean))
     error = float(np.median(found.error))
     if found.flat:
         return NoOptimum(
@@ -258,20 +289,11 @@ def refusal(seen: Seen, rig: RigFile, found: StaticMap) -> NoOptimum:
             seen,
         )
     end = int(np.argmin(found.sense * found.mean))
-    low = 2 * end < found.u.size
-    name, value = ("theta_min", rig.theta_min) if low else ("theta_max", rig.theta_max)
-    if end in (0, found.u.size - 1):
-        return NoOptimum(
-            "monotone",
-            f"the amplitude of {seen.feature} is best at {name} = {value:g}, the limit: there is "
-            f"nothing to seek; leave theta there, or record with a {name} beyond it",
-            seen,
-        )
+    name, value = ("theta_min", rig.theta_min) if end == 0 else ("theta_max", rig.theta_max)
     return NoOptimum(
-        "unsure",
-        f"the amplitude of {seen.feature} changes by {100 * math.expm1(span):.2g} %, but whether "
-        f"it gets worse again towards {name} is not sure (errors of {100 * error:.2g} %): record "
-        "longer stays (more 'time') or a wider range",
+        "monotone",
+        f"the amplitude of {seen.feature} is best at {name} = {value:g}, the limit: there is "
+        f"nothing to seek; leave theta there, or record with a {name} beyond it",
         seen,
     )
 
@@ -399,21 +421,26 @@ def tune(
     times = fit_times(loaded, seen.stays, seen.amplitude, seen.scale, rig.dt)
     times = times._replace(usual=times.usual + math.log(slower))
     middle = [times.tau(float(a), up) for a in seen.amplitude.mean for up in (False, True)]
-    time = float(max(middle)) + 2.0 * seen.period + rig.dt * (wander(seen.stays, 1.0) / 0.15) ** 2
+    time = float(max(middle)) + 2.0 * seen.period
     wanted = sorted((j for j in seen.costs if j.usable), key=lambda j: -j.gain)
     chosen = wanted[:CANDIDATES]
     chosen += [j for j in wanted[CANDIDATES:] if j.cost.name == "raw"]
     searched = []
     tasks = {}
     for judged in chosen:
-        task = task_of(loaded, seen, judged, times, time, rig, seed)
-        name, share = judged.cost.name, 1.0 / len(chosen)
+        name, share = judged.cost.name, 1.0 / (len(chosen) * len(LONGER))
 
         def told(part: float, name: str = name, share: float = share) -> None:
             said(name, part * share)
 
-        tried = search(task, effort, seed, told, workers)
-        tasks[name] = task
+        tried: list[Tried] = []
+        for longer in LONGER:  # as short as it can be, as long as it must
+            task = task_of(loaded, seen, judged, times, longer * time, rig, seed)
+            again = search(task, effort, seed, told, workers)
+            if not tried or again[0].rank < tried[0].rank - math.log(AS_GOOD):
+                tried, tasks[name] = again, task
+            if tried[0].score < math.log(GOOD):
+                break
         searched.append(replace(judged, tried=tried))
     searched.sort(key=lambda j: j.tried[0].score)
     best, why = choose(searched)
@@ -429,7 +456,7 @@ def tune(
         top,
         task,
         times,
-        time,
+        task.time,
         BELIEVED * largest,
         predict(task, top, seen, seed + 1),
         why,

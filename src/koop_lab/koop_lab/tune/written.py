@@ -54,8 +54,10 @@ def as_words(found: Tuning) -> str:
     s = found.task.any
     span = "of log theta's range" if s.logarithmic else "of theta's range"
     better = "down" if found.task.sense > 0 else "up"
+    doubt = [f"in doubt: {found.seen.doubt}"] if found.seen.doubt else []
     return "\n".join(
         [
+            *doubt,
             f"cost {found.chosen.cost.name}: {found.why}",
             f"law {c.law}, omega_h {c.omega_h:.3g} rad/s, omega_l {c.omega_l:.3g} rad/s, "
             f"dwell {c.dwell:.3g} s, tau_f {c.tau_f:.3g} s",

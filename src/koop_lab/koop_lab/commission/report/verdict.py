@@ -17,7 +17,6 @@ NEXT = {
     "again",
     "flat": "See with koop check whether theta reaches the rig, then record wider limits or "
     "longer stays (a larger 'time' in the rig file)",
-    "unsure": "Record longer stays (a larger 'time' in the rig file) or a wider range",
     "drowned": "Record longer stays (a larger 'time' in the rig file), or measure where the "
     "oscillation is stronger",
 }
@@ -96,10 +95,11 @@ def _of_controller(g: Gathered) -> str:
     if not g.found:
         return "No cost and no constants are chosen yet."
     p = g.tuned["predicted"]
+    doubt = f" In doubt: {g.tuned['doubt']}." if g.tuned["doubt"] else ""
     return (
         f"The cost {g.tuned['cost']} with the law {g.tuned['constants']['law']} is predicted to "
         f"come near that within {told(p['converges'])} s and to stay within a factor of "
-        f"{told(p['excess'])} of it."
+        f"{told(p['excess'])} of it.{doubt}"
     )
 
 
