@@ -106,4 +106,4 @@ def damped(rig, found, seed, end):
     esc = search.esc_of(task, constants, rig.theta_initial)
     controller = Controller(search.lifter_of(task, constants), esc, found.chosen.cost.model)
     noise = verification.noise_of(rig, task.steps, seed)
-    return verification.close(rig, controller, end, noise, seed)[0]
+    return verification.close(rig, controller, end, noise, seed).ratio

@@ -31,6 +31,7 @@ ERRORS = 2.0  # standard errors that a band is widened by
 LATER = 1.2  # than the band, a loop may converge
 TWICE = 2.0  # times the time to converge, that the loop is closed; its second half counts
 MOST_SLOWER = 4.0  # times, that a rig is taken to be after one round
+ROUNDS = 3  # of tuning and verifying
 LEAST = 0.25  # of the prediction's runs, that it is closed at least
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_lab.commission import check, new, progress, rig_file, time_scale, verify
-from koop_lab.commission.closed_loop import slower
+from koop_lab.commission.closed_loop import ROUNDS, slower
 from koop_lab.commission.excite import ending, excite
 from koop_lab.commission.hand import note_of
 from koop_lab.commission.rig_file import RigFile
@@ -20,7 +20,6 @@ from koop_lab.tune.command import tune_folders
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 
-ROUNDS = 3  # of tuning and verifying
 NAME, RIG = "commission.json", "rig.yaml"
 RECORDINGS = Path("recordings")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,34 +86,49 @@ def noise_of(rig: Rig, steps: int, seed: int) -> Noise:
     return Noise(numbers, math.sqrt(float((amplitude[steps // 2 :] ** 2).mean())))
 
 
-def close(
-    rig: Rig, controller: Controller, end: int, noise: Noise, seed: int
-) -> tuple[float, float]:
-    """Close the loop from an end of theta's range.
+class Closed(NamedTuple):
+    """A loop that was closed from an end of theta's range.
 
-    Returns
-    -------
+    Attributes
+    ----------
     ratio : float
         True amplitude of the second half over that at the best fixed theta with the same noise (its
         inverse where it is to be large).
     converged : float
         Share of the run after which L(theta) is within 1.5 times the best one; 2 if never.
+    x : ndarray, shape (M, n)
+        What was measured.
+    theta : ndarray, shape (M,)
+        The controller's.
     """
+
+    ratio: float
+    converged: float
+    x: NDArray[np.float64]
+    theta: NDArray[np.float64]
+
+
+def close(rig: Rig, controller: Controller, end: int, noise: Noise, seed: int) -> Closed:
+    """Close the loop from an end of theta's range."""
     p, rig = rig.params, from_end(rig, end)
     esc = replace(controller.esc, theta_initial=rig.theta_initial, epsilon_initial=1 if end else -1)
     model = controller.model
     lifting = cost.no_lifting() if model is None else model.lifting()
     source = cost.RAW if model is None else cost.LIFTED
     power, excess = np.empty(BLOCKS), np.empty(BLOCKS)
+    steps = noise.numbers.shape[0]
+    x, theta = np.empty((steps, rig.channels)), np.empty(steps)
     _close(
         exposed(p), source, lifting, cost.workspace(lifting), controller.lifter.detector_params(),
-        esc.params(), esc.initial(), rig.initial(seed), noise.numbers, power, excess,
+        esc.params(), esc.initial(), rig.initial(seed), noise.numbers, power, excess, x, theta,
     )  # fmt: skip
     ratio = math.sqrt(float(power[BLOCKS // 2 :].mean())) / noise.best
     inside = np.flatnonzero(excess <= math.log(GOOD))
-    return (
+    return Closed(
         ratio if p.sense > 0.0 else 1.0 / max(ratio, 1e-9),
         float(inside[0] + 1) / BLOCKS if inside.size else 2.0,
+        x,
+        theta,
     )
 
 
@@ -129,19 +145,23 @@ def _close(
     noise: NDArray[np.float64],
     power: NDArray[np.float64],
     excess: NDArray[np.float64],
+    measured: NDArray[np.float64],
+    theta: NDArray[np.float64],
 ) -> None:
     """Fill in each block's mean square of the amplitude, and mean of log L(theta) over the best."""
     steps, blocks = noise.shape[0], power.shape[0]
-    x, seen = np.empty(p.offset.shape[0]), cost.initial()
+    seen = cost.initial()
     power[:] = 0.0
     excess[:] = 0.0
     share = blocks / steps
     for k in range(steps):
         i = k * blocks // steps
+        x = measured[k]
         oscillator.measure(p, state, k, noise[k, 2:], x)
         arrival = Arrival.NEXT if k > 0 else Arrival.JOIN
         r, _, settling, seen = cost.answer(source, lifting, detector, seen, arrival, k + 1, x, work)
         command, _, _ = relay.answer(limits, command, arrival, False, settling, r, False)
+        theta[k] = command.output
         power[i] += (state.re * state.re + state.im * state.im) * share
         if k % EVERY == 0:
             settled = oscillator.level(p, oscillator.position(p, command.output), k * p.dt)
