@@ -20,7 +20,7 @@ from koop_view import protocol
 from koop_view.access import Access, Refusal, page_headers
 from koop_view.config import ViewConfig
 from koop_view.protocol import Channel, Service
-from koop_view.session import Budget, Session
+from koop_view.session import Session, Shared
 from koop_view.source import Source
 
 LONGEST_MESSAGE = 256 * 1024  # [B] of a client
@@ -56,8 +56,7 @@ class ViewServer:
         self._page = (files("koop_view") / "page" / "index.html").read_bytes()
         self._sessions: set[Session] = set()
         self._connections = 0
-        self._reads = Budget(50.0, 50.0)
-        self._refusals = Budget(1.0, 5.0)
+        self._shared = Shared()
         self._server: Server | None = None
         self._check: asyncio.Task[None] | None = None
         source.listener = self
@@ -155,9 +154,9 @@ class ViewServer:
         if refused is None:
             connection.operates = right is True  # type: ignore[attr-defined]
             return None
-        if self._refusals.take():
-            whence = f", origin {origin[:100]!r}" if origin else ""
-            self._source.log(f"refused: {connection.remote_address[0]}{whence}: {refused.reason}")
+        peer = (connection.remote_address or "?")[0]
+        whence = f", origin {origin[:100]!r}" if origin else ""
+        self._shared.log(self._source, f"refused: {peer}{whence}: {refused.reason}")
         return _response(refused.status, [], (refused.reason + "\n").encode())
 
     def _give_page(self, path: str, host: str) -> Response:
@@ -168,7 +167,7 @@ class ViewServer:
     async def _serve_client(self, connection: ServerConnection) -> None:
         operates = bool(getattr(connection, "operates", False))
         limit = round(self._config.backlog * 1e6)
-        session = Session(connection, self._source, operates, limit, self._reads)
+        session = Session(connection, self._source, operates, limit, self._shared)
         if len(self._sessions) >= self._config.clients:  # several have come at once
             await connection.close(1013, "too many clients")
             return

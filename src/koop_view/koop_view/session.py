@@ -17,7 +17,7 @@ from koop_view.source import Refused, Source
 
 CALLS = 8  # that may wait for their answers
 TOO_SLOW, TOO_MANY = 1008, 1008  # "policy violation", RFC 6455 section 7.4.1
-PATIENCE = 2.0  # [s] for a client that is dropped to take the reason
+PATIENCE = 5.0  # [s] for a client that is dropped to take the reason
 
 
 class Budget:
@@ -38,6 +38,24 @@ class Budget:
         return True
 
 
+class Shared:
+    """What clients that only read may cost the loop, all of them together."""
+
+    def __init__(self) -> None:
+        self.calls = Budget(50.0, 50.0)  # each takes time of a node
+        self._lines = Budget(1.0, 10.0)  # the log is recorded
+        self._silent = 0
+
+    def log(self, source: Source, text: str) -> None:
+        """Log a line about a client, unless there were many; the next one says how many."""
+        if not self._lines.take():
+            self._silent += 1
+            return
+        others = f" (and {self._silent} like it)" if self._silent else ""
+        self._silent = 0
+        source.log(text + others)
+
+
 class Session:
     """A client.
 
@@ -51,12 +69,17 @@ class Session:
         Whether the client may operate.
     backlog : int
         Bytes that may wait for it.
-    reads : Budget
-        Of calls, shared by all clients that only read: each costs a node of the loop time.
+    shared : Shared
+        What all clients have together.
     """
 
     def __init__(
-        self, connection: Connection, source: Source, operates: bool, backlog: int, reads: Budget
+        self,
+        connection: Connection,
+        source: Source,
+        operates: bool,
+        backlog: int,
+        shared: Shared,
     ) -> None:
         self.operates = operates
         host, port, *_ = connection.remote_address or ("?", 0)
@@ -64,7 +87,8 @@ class Session:
         self._connection = connection
         self._source = source
         self._backlog = backlog
-        self._calls_allowed = Budget(50.0, 50.0) if operates else reads
+        self._calls_allowed = Budget(50.0, 50.0) if operates else shared.calls
+        self._shared = shared
         self._messages = Budget(200.0, 1000.0)
         self._subscriptions: dict[int, Channel] = {}
         self._watched: set[str] | None = set()  # None: all
@@ -119,7 +143,7 @@ class Session:
         if self._dropped:
             return
         self._dropped = True
-        self._source.log(f"dropped: {self.peer}: {reason}")
+        self._shared.log(self._source, f"dropped: {self.peer}: {reason}")
         self.close()
         transport = self._connection.transport
         asyncio.get_running_loop().call_later(PATIENCE, transport.abort)
@@ -230,7 +254,7 @@ class Session:
 
     def _refusal(self, what: str) -> str:
         reason = f"may only read: to {what} takes the token that 'koop serve --operate' prints"
-        self._source.log(f"refused: {self.peer} {reason}")
+        self._shared.log(self._source, f"refused: {self.peer} {reason}")
         return reason
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:

@@ -17,6 +17,8 @@ from koop_view.protocol import SUBPROTOCOLS
 from koop_view.server import ViewServer
 from koop_view.source import Source
 
+TIMEOUT = 60.0  # [s]; nothing takes this long if all is well
+
 
 @contextmanager
 def running(source: Source, token: str = "", **given: Any) -> Iterator[int]:
@@ -53,7 +55,7 @@ def client(port: int, token: str = "", **options: Any) -> ClientConnection:
 def heard(connection: ClientConnection, operation: str) -> dict[str, Any]:
     """Return the next message of an operation; pass over others."""
     while True:
-        message = connection.recv(10)
+        message = connection.recv(TIMEOUT)
         if isinstance(message, str) and json.loads(message)["op"] == operation:
             return json.loads(message)
 

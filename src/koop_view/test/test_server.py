@@ -3,6 +3,7 @@
 import asyncio
 import json
 import struct
+import time
 import urllib.request
 from contextlib import suppress
 from http.client import HTTPConnection
@@ -157,9 +158,8 @@ def test_a_client_that_does_not_keep_up_is_dropped_and_told_why(port, loop):
     with client(port, max_queue=1) as slow:
         tell(slow, "subscribe", subscriptions=[{"id": 1, "channelId": 1}])
         slow.recv(10)
-        loop.logged.clear()
-        while not any("too slow" in line for line in loop.logged):
-            pass
+        while not loop.task.cancelled():  # without reading
+            time.sleep(0.01)
         code, reason = closed_with(slow)
     assert code == 1008
     assert "too slow" in reason
@@ -174,11 +174,11 @@ def test_there_are_no_more_clients_than_allowed_and_no_message_is_too_long(port)
         connection.close()
 
 
-def test_who_asks_without_end_is_dropped(port, loop):
+def test_who_asks_without_end_is_dropped(port):
     with client(port) as greedy, suppress(ConnectionClosed):
         for _ in range(100_000):
             greedy.send("{}")
-    assert any("too many messages" in line for line in loop.logged)
+        pytest.fail("it was not dropped")
 
 
 def test_a_recording_comes_whole_and_in_its_order(tmp_path):

@@ -1,0 +1,347 @@
+"""``koop serve`` over a real loop: hostile clients, another's client, a browser; the recording."""
+
+import json
+import os
+import random
+import re
+import shutil
+import socket
+import struct
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from chromium import Chromium
+from koop_view_running import client, heard, tell
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from websockets.exceptions import WebSocketException
+from websockets.frames import Frame, Opcode
+
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
+from koop_lab.live.process import NodeProcess
+
+HERE = Path(__file__).parent
+NO_NETWORK = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ECONNRESET|ETIMEDOUT|ENETUNREACH")
+FRAMES = int(os.environ.get("KOOP_FRAMES", "10000"))  # by hand: 100 000
+LOST_CLIENTS = 300
+TIMEOUT = 60.0  # [s]
+LEVEL = "document.querySelector('#health [data-node=\"/koopman_lifter\"]')?.dataset.level"
+ACT = "document.querySelector('#acts li')"
+
+
+def until(condition, what):
+    deadline = time.monotonic() + TIMEOUT
+    while not (found := condition()):
+        assert time.monotonic() < deadline, f"timed out: {what}"
+        time.sleep(0.01)
+    return found
+
+
+@pytest.fixture(scope="module")
+def story(module_start, tmp_path_factory):
+    """Live through all that a server may meet, over one loop; return what was seen."""
+    folder = tmp_path_factory.mktemp("view")
+    run = folder / "run"
+    recorder = module_start("recorder", output=run)
+    module_start("vdp_plant", pace="realtime", duration=0.0, recorders=1)
+    module_start("relay_esc", recorders=1)
+    lifter = module_start("koopman_lifter", recorders=1)
+    words = ["serve", "--port", "0", "--operate"]
+    view = NodeProcess("view", words, folder / "view.log", [sys.executable, "-m", "koop_lab"])
+    module_start.running.append(view)
+    log = view.log
+    found = until(
+        lambda: re.search(r"(http://127.0.0.1:(\d+)/#token=(\S+))", log.read_text()), "the server"
+    )
+    seen = SimpleNamespace(folder=folder, run=run, log=log, url=found[1])
+    seen.port, seen.token = int(found[2]), found[3]
+    seen.viewer, seen.messages = viewer(seen.port)
+    seen.refused = without_token(seen.port)
+    seen.answer = hold(seen.port, seen.token, True)
+    hold(seen.port, seen.token, False)
+    seen.listened = listened(seen.port, folder)
+    seen.before = len(seen.messages)
+    hostile(seen.port)
+    lost_clients(seen.port)
+    receive(seen, 200)
+    seen.browser = browsed(seen, lifter, lambda: module_start("koopman_lifter", recorders=1))
+    seen.viewer.close()
+    assert view.poll() is None
+    for process in reversed(module_start.running):
+        if process is not recorder and process is not lifter:
+            assert process.stop() == 0, process.last_lines()
+    assert recorder.stop() == 0
+    return seen
+
+
+def viewer(port):
+    """Return a client that looks at the loop's topics, and the list of what it has got."""
+    connection = client(port)
+    topics = {"/state", "/cost", "/theta"}
+    offered = {}
+    while topics - offered.keys():
+        channels = heard(connection, "advertise")["channels"]
+        offered |= {item["topic"]: item["id"] for item in channels}
+    pairs = [{"id": n, "channelId": offered[topic]} for n, topic in enumerate(sorted(topics))]
+    tell(connection, "subscribe", subscriptions=pairs)
+    return connection, []
+
+
+def receive(seen, count):
+    """Receive as many messages more."""
+    wanted = len(seen.messages) + count
+    while len(seen.messages) < wanted:
+        message = seen.viewer.recv(TIMEOUT)
+        if isinstance(message, bytes):
+            seen.messages.append(message)
+
+
+def service(connection, name):
+    """Return the number of a service, None if it is not offered."""
+    for _ in range(20):
+        offered = {s["name"]: s["id"] for s in heard(connection, "advertiseServices")["services"]}
+        if name in offered:
+            return offered[name]
+    raise AssertionError(f"{name} is not offered")
+
+
+def called(connection, number, payload):
+    """Call a service; return its answer, or why it failed."""
+    connection.send(struct.pack("<BIII", 2, number, 1, 3) + b"cdr" + payload)
+    while True:
+        message = connection.recv(TIMEOUT)
+        if isinstance(message, bytes) and message[0] == 3:
+            return message[16:]
+        if isinstance(message, str) and json.loads(message)["op"] == "serviceCallFailure":
+            return json.loads(message)["message"]
+
+
+def hold(port, token, held):
+    """Hold theta, or let it go."""
+    with client(port, token) as operator:
+        answer = called(operator, service(operator, "/relay_esc/hold"), b"\0\1\0\0" + bytes([held]))
+        assert isinstance(answer, bytes), answer
+        return answer
+
+
+def without_token(port):
+    """Try to operate without the right; return what was said."""
+    with client(port) as reader:
+        number = service(reader, "/relay_esc/describe_parameters")
+        said = [called(reader, n, b"\0\1\0\0\1") for n in range(max(number - 40, 1), number + 40)]
+    return [text for text in said if isinstance(text, str) and "may only read" in text]
+
+
+def hostile(port):
+    """Send damaged messages, and frames that are none."""
+    draw = random.Random(1)
+    seeds = [
+        json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": 1}]}).encode(),
+        json.dumps({"op": "setParameters", "parameters": [{"name": "/a.b", "value": 1}]}).encode(),
+        json.dumps({"op": "getParameters", "parameterNames": []}).encode(),
+        b"[" * 5000,
+        struct.pack("<BIII", 2, 9, 1, 3) + b"cdr\0\1\0\0\xff\xff\xff\xff",
+        struct.pack("<BIII", 2, 9, 1, 0xFFFFFFFF) + b"cdr",
+        b"\1\0\0\0\0",
+        b"",
+    ]
+
+    def frame():
+        data = bytearray(draw.choice(seeds))
+        for _ in range(draw.randrange(3) if data else 0):
+            data[draw.randrange(len(data)) : draw.randrange(len(data) + 1)] = draw.randbytes(3)
+            data = data or bytearray(b"x")
+        kind = Opcode.BINARY if draw.random() < 0.4 else Opcode.TEXT
+        if kind is Opcode.TEXT:  # what is not UTF-8 ends a connection at once
+            data = bytearray(data.decode("utf-8", "replace").encode())
+        return Frame(kind, bytes(data)).serialize(mask=True)
+
+    blobs = [b"".join(frame() for _ in range(1000)) for _ in range(10)]
+    for number in range(FRAMES // 1000):
+        blob = bytearray(blobs[number % len(blobs)])
+        if number % 10 == 0:  # no frames at all
+            for _ in range(100):
+                blob[draw.randrange(len(blob))] = draw.randrange(256)
+        mute = client(port, max_queue=None, close_timeout=1.0)
+        with suppress(OSError, WebSocketException), mute as connection:
+            connection.socket.sendall(blob)
+
+
+def lost_clients(port):
+    """Connect, say half a sentence or nothing, and stay."""
+    several = []
+    for number in range(LOST_CLIENTS):
+        with suppress(OSError):
+            connection = socket.create_connection(("127.0.0.1", port), 1.0)
+            connection.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n" * (number % 2))
+            several.append(connection)
+    for connection in several:
+        connection.close()
+
+
+def listened(port, folder):
+    """Return what the reference client prints, or why it could not be had."""
+    if not (shutil.which("node") and shutil.which("npm")):
+        return "the reference client needs Node.js and npm, which are not installed"
+    for name in ("package.json", "listen.mjs"):
+        shutil.copy(HERE / "foxglove" / name, folder)
+    install = ["npm", "install", "--no-audit", "--no-fund", "--no-package-lock", "--ignore-scripts",
+               "--prefer-offline"]  # fmt: skip
+    done = subprocess.run(install, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode and NO_NETWORK.search(done.stderr):
+        return "npm could not install the reference client: there is no network"
+    assert done.returncode == 0, done.stderr
+    listen = ["node", "listen.mjs", f"ws://127.0.0.1:{port}/", "200"]
+    done = subprocess.run(
+        listen, cwd=folder, capture_output=True, text=True, check=True, timeout=60
+    )
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def browsed(seen, lifter, restart):
+    """Look at the loop in a browser, hold it, kill and restart its lifter."""
+    try:
+        browser = Chromium(seen.folder, seen.url)
+    except pytest.skip.Exception as missing:
+        return str(missing)
+    with browser as page:
+        page.wait(f"{LEVEL} == 'ok'")
+        page.wait("(koop.raw('y_out')?.v.length ?? 0) > 300")
+        drawn = {name: page.value(f"koop.raw('{name}')") for name in ("y_out", "theta")}
+        clicked = page.value("document.querySelector('#hold').click(), Date.now()")
+        page.wait(f"{ACT}?.dataset.outcome == 'done'")
+        page.value(
+            "document.querySelector('#theta-min').value = '50';"
+            "document.querySelector('#theta-min').dispatchEvent(new Event('input'));"
+            "document.querySelector('#set-limits').click()"
+        )
+        page.wait("document.querySelector('#confirm').open")
+        page.value("document.querySelector('#confirm-yes').click()")
+        page.wait(f"{ACT}.dataset.outcome == 'refused'")
+        reason = page.value(f"{ACT}.textContent")
+        lifter.process.kill()
+        begin = time.monotonic()
+        page.wait(f"{LEVEL} == 'stale'")
+        stale = time.monotonic() - begin
+        restart()
+        page.wait(f"{LEVEL} == 'ok'")
+        result = SimpleNamespace(
+            drawn=drawn, clicked=clicked, reason=reason, stale=stale, errors=page.errors
+        )
+    lifter.process.wait()
+    return result
+
+
+@pytest.fixture(scope="module")
+def bag(story):
+    """Return the recording's columns of the loop, by topic."""
+    fields = {"/state": ["step"], "/ground_truth": ["step"], "/cost": ["step", "y_out"],
+              "/theta": ["step", "theta", "holding", "log_time"]}  # fmt: skip
+    with BagReader(story.run) as reader:
+        return {name: read_columns(reader, name, given) for name, given in fields.items()}
+
+
+def test_nothing_of_the_loop_was_lost_to_hostile_and_to_lost_clients(story, bag):
+    for topic in ("/state", "/ground_truth"):
+        assert set(np.diff(bag[topic]["step"])) == {1}, topic
+    killed = np.flatnonzero(np.diff(bag["/cost"]["step"]) != 1)
+    whole = bag["/cost"]["step"][: killed[0] + 1] if killed.size else []
+    if isinstance(story.browser, str):
+        assert not killed.size
+    else:  # the browser's tale ends with the death of the lifter
+        assert set(np.diff(whole)) == {1}
+    assert "Traceback" not in story.log.read_text()
+    assert len(story.messages) >= 200  # and who looked on all the while went on seeing
+
+
+def test_who_has_no_token_is_refused_every_service_that_moves_the_rig(story):
+    assert len(story.refused) >= 3 * 4  # of each node: two of parameters, change_state, ...
+    assert all("koop serve --operate" in text for text in story.refused)
+
+
+def test_an_act_of_operating_is_in_the_recording_and_in_the_log(story, bag):
+    assert b"theta held at" in story.answer
+    held = bag["/theta"]["holding"].astype(bool)
+    assert held.any()
+    assert not held[0]
+    with AnyReader(
+        [story.run / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)
+    ) as reader:
+        rosout = [c for c in reader.connections if c.topic == "/rosout"]
+        said = [reader.deserialize(raw, c.msgtype).msg for c, _, raw in reader.messages(rosout)]
+    acts = [text for text in said if "operates: /relay_esc/hold(data=True): success=True" in text]
+    assert acts
+    assert acts[0] in story.log.read_text()
+    assert any("may only read: to call /relay_esc" in text for text in said)
+
+
+def test_a_client_of_others_reads_all_channels_as_they_were_recorded(story):
+    if isinstance(story.listened, str):
+        pytest.skip(story.listened)
+    by_topic = {}
+    for item in story.listened:
+        by_topic.setdefault(item["topic"], []).append(item["message"])
+    assert {"/state", "/cost", "/theta", "/ground_truth", "/diagnostics"} <= by_topic.keys()
+    with AnyReader([story.run / "bag"]) as reader:
+        for topic, found in by_topic.items():
+            connections = [c for c in reader.connections if c.topic == topic]
+            recorded = [
+                plain(reader.deserialize(raw, c.msgtype))
+                for c, _, raw in reader.messages(connections)
+            ]
+            for message in found:
+                assert message in recorded, topic
+    ahead = [message["step"] for message in by_topic["/cost"]]
+    assert ahead == sorted(set(ahead))
+
+
+def plain(value):
+    """Return a message of `rosbags` as the other client prints it."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return {"nan": "NaN", "inf": "Infinity", "-inf": "-Infinity"}[str(value)]
+    if hasattr(value, "__dataclass_fields__"):
+        names = [name for name in value.__dataclass_fields__ if name != "__msgtype__"]
+        return {name: plain(getattr(value, name)) for name in names}
+    return value
+
+
+def test_what_the_page_draws_is_what_was_recorded(story, bag):
+    drawn = browser_of(story).drawn
+    for name, topic in (("y_out", "/cost"), ("theta", "/theta")):
+        recorded = bag[topic].values[name].tolist()
+        values = drawn[name]["v"]
+        first = next(k for k in range(len(recorded)) if recorded[k : k + 20] == values[:20])
+        assert recorded[first : first + len(values)] == values, name
+
+
+def test_a_click_holds_theta_and_a_refusal_says_why(story, bag):
+    page = browser_of(story)
+    held = bag["/theta"]["holding"].astype(bool)
+    since = bag["/theta"]["log_time"][held] * 1e-6 - page.clicked
+    assert (since > 0).any()
+    print(f"theta held {since[since > 0].min():.0f} ms after the click")
+    assert "theta_min" in page.reason
+
+
+def test_a_dead_lifter_shows_and_recovers_and_the_console_is_silent(story):
+    page = browser_of(story)
+    print(f"stale {page.stale:.1f} s after the lifter was killed")
+    assert page.errors == []
+
+
+def browser_of(story):
+    """Return what was seen in the browser."""
+    if isinstance(story.browser, str):
+        pytest.skip(story.browser)
+    return story.browser
