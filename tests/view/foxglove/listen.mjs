@@ -1,12 +1,12 @@
-// node listen.mjs URL COUNT: print messages of all channels, decoded, until state, cost and theta have come COUNT times.
+// node listen.mjs URL COUNTS: print the messages of all channels, decoded, until each of some topics has come so many times.
 import { parse } from "@foxglove/rosmsg";
 import { MessageReader } from "@foxglove/rosmsg2-serialization";
 import protocol from "@foxglove/ws-protocol";
 import WebSocket from "ws";
 
 const { FoxgloveClient } = protocol;
-const [url, count] = process.argv.slice(2);
-const wanted = new Map(["/state", "/cost", "/theta", "/diagnostics"].map((topic) => [topic, topic === "/diagnostics" ? 3 : Number(count)]));
+const [url, counts] = process.argv.slice(2);
+const wanted = new Map(Object.entries(JSON.parse(counts)));
 const client = new FoxgloveClient({ ws: new WebSocket(url, [FoxgloveClient.SUPPORTED_SUBPROTOCOL]) });
 const readers = new Map();
 
