@@ -9,8 +9,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
@@ -48,6 +47,7 @@ class Client:
         self._executor: Any = EventsExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._services: dict[str, Any] = {}
+        self._signals = _Signals()
 
     def __enter__(self: Own) -> Own:
         return self
@@ -62,6 +62,7 @@ class Client:
 
     def close(self) -> None:
         """Leave the domain."""
+        self._signals.close()
         self._executor.remove_node(self.node)
         self.node.destroy_node()
         self._executor.shutdown()
@@ -72,7 +73,7 @@ class Client:
 
         Ctrl-C and its like come after that: within a callback, rclpy would print where it was.
         """
-        with _after():
+        with self._signals:
             self._executor.spin_once(timeout_sec=seconds)
 
     def wait_for(
@@ -188,22 +189,49 @@ class Client:
         return int(self.node.count_publishers(topic))
 
 
-@contextmanager
-def _after() -> Iterator[None]:
-    """Let the handlers of signals that end a program run at the end of the context."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    came: list[tuple[int, FrameType | None]] = []
-    before = {number: signal.signal(number, lambda *it: came.append(it)) for number in ENDS}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    for came_number, frame in came:
-        handler = before[signal.Signals(came_number)]
-        if callable(handler):
-            handler(came_number, frame)
-        elif handler == signal.SIG_DFL:
-            signal.raise_signal(came_number)
+class _Signals:
+    """Keeps back the signals that end a program while a client is in a callback.
+
+    Set once a client: to set three handlers and to put them back takes as long as a message.
+    """
+
+    def __init__(self) -> None:
+        self._busy = False
+        self._came: list[tuple[int, FrameType | None]] = []
+        self._before: dict[int, Any] = {}
+        self._main = threading.main_thread().ident
+        if threading.get_ident() != self._main:  # only there can handlers be set
+            return
+        for number in ENDS:
+            before = signal.getsignal(number)
+            if before is not None and before != signal.SIG_IGN:
+                self._before[number] = before
+                signal.signal(number, self._on_signal)
+
+    def __enter__(self) -> None:
+        self._busy = threading.get_ident() == self._main
+
+    def __exit__(self, *error: object) -> None:
+        self._busy = False
+        while self._came:
+            self._pass_on(*self._came.pop(0))
+
+    def close(self) -> None:
+        """Put back the handlers that were there, unless others were set since."""
+        for number, before in self._before.items():
+            if signal.getsignal(number) == self._on_signal:
+                signal.signal(number, before)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self._busy:
+            self._came.append((number, frame))
+        else:
+            self._pass_on(number, frame)
+
+    def _pass_on(self, number: int, frame: FrameType | None) -> None:
+        before = self._before[number]
+        if callable(before):
+            before(number, frame)
+        else:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
