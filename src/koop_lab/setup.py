@@ -44,6 +44,7 @@ setup(
             "commission = koop_lab.commission.command:register",
             "demo = koop_lab.live.demo:register",
             "excite = koop_lab.commission.excite:register",
+            "fleet = koop_lab.live.fleet_command:register",
             "inspect = koop_lab.identify.command:register",
             "params = koop_lab.cli.params:register",
             "replay = koop_lab.replay.command:register",

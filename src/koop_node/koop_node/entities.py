@@ -99,6 +99,8 @@ class Entities:
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._publishers: list[Publisher] = []
         self._open = True
+        self._schedule = schedule.current()
+        self._look: Callable[[], object] = self._schedule.look if self._schedule else bool
 
     def publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
         """Create a publisher."""
@@ -141,9 +143,12 @@ class Entities:
     ) -> Subscription:
         """Create a subscription."""
 
+        look = self._look
+
         def deliver(message: Any) -> None:
             if self._open:
                 callback(message)
+                look()
 
         return self._subscription(kind, topic, deliver, qos, raw)
 
@@ -164,11 +169,14 @@ class Entities:
         qos: QoSProfile,
         raw: bool,
     ) -> Subscription:
+        look = self._look
+
         def deliver(*given: Any) -> None:
             # the EventsExecutor of rclpy 7.1 gives message and info as one tuple
             message, info = given if len(given) == 2 else given[0]
             if self._open:
                 callback(message, info["source_timestamp"] * 1e-9)
+                look()
 
         deliver.__signature__ = _TWO  # type: ignore[attr-defined]  # what rclpy goes by
         return self._subscription(kind, topic, deliver, qos, raw)
@@ -186,9 +194,8 @@ class Entities:
             if self._open:
                 callback()
 
-        running = schedule.current()
-        if running is not None:
-            scheduled = running.timer(period, tick)
+        if self._schedule is not None:
+            scheduled = self._schedule.timer(period, tick)
             self._stack.callback(scheduled.cancel)
             return scheduled
         made = self._node.create_timer(period, tick, clock=self._steady)

@@ -13,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 
+from koop_node import schedule
 from koop_node.config import NodeConfig
 from koop_node.entities import Entities, WithoutEvents
 from koop_node.fields import check_type
@@ -110,6 +111,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     ) -> None:
         super().__init__(name, **options)
         self.exit_code: int | None = None
+        self._schedule = schedule.current()
         self.was_shut_down = False
         self.run: RunT | None = None
         self._make_run = make_run
@@ -158,6 +160,8 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     def finish(self, exit_code: int = 0) -> None:
         """End the process after the current callback; in a container, end the work."""
         self.exit_code = exit_code
+        if self._schedule is not None:
+            self._schedule.interrupt()
 
     def close(self) -> None:
         """Go back to the first state before the process ends; called once, also after a signal."""

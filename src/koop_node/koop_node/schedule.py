@@ -3,6 +3,10 @@
 rclpy's EventsExecutor gives every clock a thread that waits and then wakes the one that runs the
 callbacks: two switches a tick, and two threads a node. Here the loop that runs the executor lets it
 wait until the next timer is due.
+
+Messages come before timers: a step that is under way ends before the next one begins, and where
+there is too much to do, ticks are dropped, not messages kept waiting. A timer that is overdue all
+the same interrupts the messages.
 """
 
 from __future__ import annotations
@@ -15,6 +19,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Protocol
+
+GRACE = 0.02  # [s] that a timer waits for messages
 
 
 class Timer(Protocol):
@@ -55,10 +61,20 @@ class Schedule:
     ----------
     clock : callable
         Returns a steady time [s].
+
+    Attributes
+    ----------
+    interrupt : callable
+        Lets the executor return after the callback that it runs; not to be called by a handler of
+        signals.
+    asked : bool
+        Whether it is to return as soon as may be; set by handlers of signals.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
+        self.interrupt: Callable[[], object] = bool
+        self.asked = False
         self._number = itertools.count()
         self._heap: list[tuple[float, int, ScheduledTimer]] = []
 
@@ -73,6 +89,11 @@ class Schedule:
         if not self._heap:
             return most
         return min(max(self._heap[0][0] - self.clock(), 0.0), most)
+
+    def look(self) -> None:
+        """Interrupt the executor if a timer is overdue; called after every message."""
+        if self.asked or (self._heap and self.clock() - self._heap[0][0] > GRACE):
+            self.interrupt()
 
     def run_due(self) -> None:
         """Call what is due, each once: periods that are past are dropped, not made up for."""

@@ -20,11 +20,17 @@ class Ticks:
     ----------
     period : float
         Between two ticks [s].
+
+    Attributes
+    ----------
+    behind : float
+        How much later than its time the last tick was [s].
     """
 
     def __init__(self, period: float) -> None:
         self._period = period
         self._due = math.inf
+        self.behind = 0.0
 
     def start(self, now: float) -> None:
         """Begin at a steady time [s]; the first tick is due a period later."""
@@ -32,7 +38,8 @@ class Ticks:
 
     def tick(self, now: float) -> int:
         """Take note of a tick; return how many others it has taken the place of."""
-        late = max(math.floor((now - self._due) / self._period), 0)
+        self.behind = now - self._due
+        late = max(math.floor(self.behind / self._period), 0)
         self._due += (late + 1) * self._period
         return late
 

@@ -1,56 +1,137 @@
-"""``koop bench realtime``: does the loop keep 200 Hz, and how evenly?"""
+"""``koop bench realtime``: ticks and state -> theta at 200 Hz and above, as usual and in real time.
+
+Each round is a composed loop, started as usual, with real-time priority and locked memory, or with
+these and on one processor. What a collection of garbage takes is measured beside it.
+"""
 
 from __future__ import annotations
 
 import argparse
-import tempfile
-from pathlib import Path
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from koop_lab.live.fleet import processors
+from koop_lab.live.fleet_command import measure
+from koop_lab.live.fleet_report import FleetReport
 
-from koop_lab.live.demo import run_with_progress
-from koop_lab.recorded.run import read_run
-from koop_loop.parameters import make
+RATES = (200.0, 500.0, 1000.0)  # [Hz]
+PRIORITY = 50
+COLUMNS = (
+    "   Hz                       missed ticks   ticks behind [ms]       state -> theta [ms]\n"
+    f"{'':44}p99  p99.9   most     p50    p99  p99.9   most   CPU"
+)
+BUSY = "while True: pass"
+COLLECTIONS = """
+import gc, time
+import koopman_lifter.node, relay_esc.node, vdp_plant.node
+from koop_node.housekeeping import Housekeeping
 
-EDGES = np.array([0.0, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, np.inf])  # [ms] off the nominal period
+def timed():
+    begin = time.perf_counter()
+    gc.collect()
+    return time.perf_counter() - begin
+
+timed()
+before = min(timed() for _ in range(5))
+Housekeeping(0.0)
+made = [[number] for number in range(2000)]  # what a second leaves behind
+print(before, min(timed() for _ in range(5)))
+"""
 
 
 def register(benchmarks: Any) -> None:
     """Add the benchmark to the subparsers of ``koop bench``."""
-    parser = benchmarks.add_parser("realtime", help="count, losses and jitter at 200 Hz")
-    parser.add_argument("--duration", type=float, default=60.0, metavar="S")
+    parser = benchmarks.add_parser(
+        "realtime", help="missed ticks, jitter and latency at 200 Hz, 500 Hz, 1 kHz and above"
+    )
+    parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="of each round")
+    parser.add_argument("--rates", type=float, nargs="+", default=RATES, metavar="HZ")
+    parser.add_argument(
+        "--search", action="store_true", help="double the highest rate while no tick is missed"
+    )
+    parser.add_argument(
+        "--busy", action="store_true", help="a program that never waits on every processor"
+    )
+    parser.add_argument(
+        "--variants",
+        nargs="+",
+        choices=tuple(VARIANTS),
+        default=("usual", "priority"),
+        help="(default: usual priority)",
+    )
     parser.set_defaults(func=main)
+
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "usual": {},
+    "priority": {"priority": PRIORITY, "lock_memory": True},
+    "pinned": {"priority": PRIORITY, "lock_memory": True, "pinned": True},
+}
 
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
-    parameters = make({"vdp_plant": {"duration": args.duration, "pace": "realtime"}})
-    dt = parameters.plant.dt
-    with tempfile.TemporaryDirectory() as folder:
-        run_with_progress(Path(folder), parameters)
-        run = read_run(Path(folder) / "bag")
-    expected = run.duration / dt + 1
+    load = "with every processor busy" if args.busy else "nothing else is started"
+    print(f"one composed loop, {args.duration:g} s a round, {load}")
+    before, after = collections()
     print(
-        f"states: {run.counts['state']} in {run.duration:.3f} s, {expected:.1f} expected at "
-        f"{1 / dt:g} Hz"
+        f"a collection of garbage: {before * 1e3:.1f} ms as Python does it, in mid-tick; "
+        f"{after * 1e3:.2f} ms between ticks, of what is new\n\n{COLUMNS}",
+        flush=True,
     )
-    print("lost by step: " + ", ".join(f"{topic} {count}" for topic, count in run.lost.items()))
-    print(histogram(np.diff(run.state_time) - dt))
+    with _busy(args.busy):
+        for variant in args.variants:
+            rates = list(args.rates)
+            while rates:
+                rate = rates.pop(0)
+                found = round_of(rate, args.duration, variant)
+                print(line(rate, variant, found), flush=True)
+                if args.search and not rates and not found.late:
+                    rates.append(rate * 1.25)
     return 0
 
 
-def histogram(deviation: NDArray[np.float64]) -> str:
-    """Return the distribution of |interval - dt|, given in seconds, as text."""
-    off = np.abs(deviation) * 1e3
-    counts, _ = np.histogram(off, EDGES)
-    lines = ["|interval - dt| between states as received [ms]"]
-    for low, high, count in zip(EDGES, EDGES[1:], counts, strict=False):
-        share = count / off.size
-        label = f"{low:g} to {high:g}" if np.isfinite(high) else f"above {low:g}"
-        lines.append(f"  {label:<12}{count:>8}  {share:6.1%}  {'#' * round(50 * share)}")
-    lines.append(
-        f"median {np.median(off):.3f}, 99 % {np.quantile(off, 0.99):.3f}, max {off.max():.3f} ms"
+def collections() -> tuple[float, float]:
+    """Return what a collection of garbage takes [s]: of everything, and as the nodes do it."""
+    done = subprocess.run(
+        [sys.executable, "-c", COLLECTIONS], check=True, capture_output=True, text=True
     )
-    return "\n".join(lines)
+    before, after = map(float, done.stdout.split())
+    return before, after
+
+
+def round_of(rate: float, duration: float, variant: str) -> FleetReport:
+    """Run a composed loop at a rate [Hz] for a time [s]."""
+    own = argparse.Namespace(
+        rate=rate,
+        duration=duration,
+        containers=1,
+        params_file=None,
+        **{"pinned": False, "priority": 0, "lock_memory": False} | VARIANTS[variant],
+    )
+    return measure(1, own)
+
+
+def line(rate: float, variant: str, found: FleetReport) -> str:
+    """Return a line of the table."""
+    shares = (0.5, 0.99, 0.999, 1.0)
+    behind = " ".join(f"{found.behind.quantile(s) * 1e3:6.2f}" for s in shares[1:])
+    trips = " ".join(f"{found.p(s) * 1e3:6.2f}" for s in shares)
+    missed = f"{found.late} of {found.steps + found.late}"
+    return f"{rate:7.0f} {variant:12}{missed:>20}  {behind}  {trips} {found.cpu:5.1%}"
+
+
+@contextmanager
+def _busy(wanted: bool) -> Iterator[None]:
+    """Keep every processor busy."""
+    command = [sys.executable, "-c", BUSY]
+    started = [subprocess.Popen(command) for _ in processors()] if wanted else []
+    try:
+        yield
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()

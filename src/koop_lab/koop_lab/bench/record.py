@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import random
 import re
 import signal
@@ -25,6 +24,7 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
 from koop_bag.recorder.config import LOOP_TOPICS
+from koop_lab.live.fleet_report import processor_time
 from koop_lab.live.process import NodeProcess, TiedProcess
 from koop_node.errors import LiveError
 
@@ -136,7 +136,7 @@ def record_load(
     load = _start_load(rate, seconds, farewell)
     try:
         last = _progress_to(load, rate)  # the first second is left out
-        begin, used = time.monotonic(), _cpu_time(recorder)
+        begin, used = time.monotonic(), processor_time(recorder.process.pid)
         if stall:
             recorder.process.send_signal(signal.SIGSTOP)
             last = _progress_to(load, min(last["sent"] + stall * rate, rate * seconds))
@@ -145,7 +145,7 @@ def record_load(
         while said := _progress(load):
             last = said
             if "elapsed" not in said:
-                cpu = (_cpu_time(recorder) - used) / (time.monotonic() - begin)
+                cpu = (processor_time(recorder.process.pid) - used) / (time.monotonic() - begin)
         load.wait()
         code = recorder.stop()
     finally:
@@ -244,13 +244,6 @@ def _progress_to(load: TiedProcess, steps: float) -> dict[str, float]:
 def _end(load: TiedProcess) -> None:
     load.kill()
     load.communicate()
-
-
-def _cpu_time(node: NodeProcess) -> float:
-    """Processor time that a node has used [s]."""
-    stat = Path(f"/proc/{node.process.pid}/stat").read_text()
-    user, system = stat.rpartition(")")[2].split()[11:13]  # fields 14 and 15, the name is the 2nd
-    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
 
 
 def _wait_for_messages(run: Path) -> None:

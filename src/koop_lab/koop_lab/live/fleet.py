@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from koop_lab.live.fleet_report import Snapshot, snapshot
 from koop_lab.live.process import START_TIMEOUT, NodeProcess, uninterrupted
 from koop_loop.parameters import COMPONENTS
 from koop_node import parameter_file
@@ -111,6 +112,8 @@ class FleetMonitor(Client):
     ----------
     values : dict
         By the node's full name, such as ``/loop0/vdp_plant``.
+    said : dict
+        When it said so, by its own clock [s].
     findings : dict
         By the node's full name, of those that are not OK.
     """
@@ -120,18 +123,20 @@ class FleetMonitor(Client):
 
         super().__init__("koop_fleet")
         self.values: dict[str, dict[str, str]] = {}
+        self.said: dict[str, float] = {}
         self.findings: dict[str, str] = {}
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 1000)
 
-    def watch(self, seconds: float, check: Callable[[], object]) -> Iterator[float]:
-        """Listen, and yield the time that has passed, about once a second."""
-        begin = told = time.monotonic()
-        while (now := time.monotonic()) - begin < seconds:
+    def listen(self, seconds: float, check: Callable[[], object]) -> None:
+        """Listen for a time; ``check`` is called meanwhile and may raise."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
             self.spin(0.2)
             check()
-            if now - told >= 1.0:
-                told = now
-                yield now - begin
+
+    def snapshots(self, fleet: Fleet) -> list[Snapshot]:
+        """Return what each loop last said."""
+        return [snapshot(name, self.values, self.said) for name in fleet.namespaces]
 
     def wait_until_running(self, fleet: Fleet, steps: int = 1) -> None:
         """Wait until every plant of a fleet has done so many steps.
@@ -156,9 +161,11 @@ class FleetMonitor(Client):
             ) from None
 
     def _on_message(self, message: Any) -> None:
+        stamp = message.header.stamp
         for status in message.status:
             name = status.name.split(":")[0]
             self.values[name] = {item.key: item.value for item in status.values}
+            self.said[name] = stamp.sec + 1e-9 * stamp.nanosec
             self.findings.pop(name, None)
             if level := status.level[0]:
                 self.findings[name] = f"{LEVELS[level]}: {status.message}"

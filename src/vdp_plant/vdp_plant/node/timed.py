@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from koop_node.durations import Durations
 from koop_node.managed import OK, WARN, Entities, ManagedNode
 from koop_node.qos import NEWEST
 from koop_node.schedule import Timer
@@ -28,6 +29,7 @@ class TimedRun(PlantRun):
         self._ticks = Ticks(self._period)
         self._late_before = self._k_before = 0
         self._timer: Timer | None = None
+        self._behind, self._round_trips = Durations(), Durations()
         self._command = "waiting"
         self._answered = -1  # step of the latest theta
 
@@ -38,7 +40,12 @@ class TimedRun(PlantRun):
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
         late, self._late_before = self.late - self._late_before, self.late
         ticks, self._k_before = self._k - self._k_before, self._k
-        values = {"late_ticks": self.late, "command": self._command}
+        values = {
+            "late_ticks": self.late,
+            "ticks_behind": self._behind.text(),
+            "round_trips": self._round_trips.text(),
+            "command": self._command,
+        }
         if self._command == "safe":
             safe = self._node.parameters[PaceConfig].theta_safe
             return WARN, f"theta_safe = {safe:g} acts", values
@@ -49,6 +56,7 @@ class TimedRun(PlantRun):
     def _tick(self) -> None:
         now = time.monotonic()
         self.late += self._ticks.tick(now)
+        self._behind.add(self._ticks.behind)
         self._publish()
         theta, self._command = self._node.parameters[PaceConfig].command(
             self._theta, self._input.age(now)
@@ -60,3 +68,4 @@ class TimedRun(PlantRun):
     def on_theta(self, message: Any, written: float) -> None:
         if self._usable(message):
             self._theta, self._answered = message.theta, message.step
+            self._round_trips.add(self._round_trip)
