@@ -111,6 +111,31 @@ def test_the_loop_is_closed_on_a_leash_and_goes_on_where_it_was_stopped(
     assert found["verdict"] in capfd.readouterr().out
 
 
+def test_the_best_round_is_kept_where_none_is_as_predicted(tuned, tmp_path, capsys):
+    run = {"time_to_converge": 1.0, "distance": 0.1, "amplitude_before": 1.0, "amplitude": 0.3,
+           "error": 0.0, "reduction": 3.0, "theta": BEST, "swing": 0.1, "start": 0.0,
+           "bag": ""}  # fmt: skip
+    rounds = [
+        {"round": i + 1, "agrees": False, "says": "worse", "prediction": TUNED["predicted"],
+         "runs": [{**run, "excess": 1.1}, {**run, "excess": worst}]}
+        for i, worst in enumerate((3.0, 1.45, 2.0))
+    ]  # fmt: skip
+    verified = {"rounds": rounds, "damped": False, "verdict": ""}
+    progress.write_whole(tuned / "verify.json", verified)
+    for old in ("tuned-1", "tuned-2"):
+        (tuned / old).mkdir()
+        for name in ("tune.json", "controller.yaml"):
+            (tuned / old / name).write_bytes((tuned / "tuned" / name).read_bytes())
+    (tuned / "tuned-2" / "mark").write_text("the second")
+    words = ["commission", str(tmp_path / "rig.yaml"), "--out", str(tuned), "--time-scale", "1"]
+    for _ in range(2):  # the same command says the same
+        assert main(words) == 1
+        assert (tuned / "tuned/mark").read_text() == "the second"
+        assert (tuned / "tuned-3/controller.yaml").exists()
+        assert "1.1 and 1.45 times the best" in capsys.readouterr().out
+    assert json.loads((tuned / "verify.json").read_text())["damped"]
+
+
 def test_a_folder_is_run_by_its_name_and_may_be_moved(tuned, tmp_path):
     for folder in (tuned, tuned / "tuned"):
         assert file_of(folder)[0] == tuned / "tuned/controller.yaml"

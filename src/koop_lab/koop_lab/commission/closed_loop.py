@@ -247,6 +247,16 @@ def slower(rounds: Sequence[dict[str, Any]]) -> float:
     return found
 
 
+def best_round(rounds: Sequence[dict[str, Any]]) -> int:
+    """Return which of some rounds damped the rig best from its worse start; the first is 0.
+
+    >>> best_round([{"runs": [{"excess": 1.2}, {"excess": 3.0}]}, {"runs": [{"excess": 1.4}]}])
+    1
+    """
+    worst = [max(float(run["excess"]) for run in item["runs"]) for item in rounds]
+    return worst.index(min(worst))
+
+
 def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
     """Return the three sentences that a verification ends with.
 

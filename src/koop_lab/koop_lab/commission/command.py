@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_lab.commission import check, new, progress, rig_file, time_scale, verify
-from koop_lab.commission.closed_loop import ROUNDS, slower
+from koop_lab.commission.closed_loop import ROUNDS, best_round, slower
 from koop_lab.commission.excite import ending, excite
 from koop_lab.commission.hand import note_of
 from koop_lab.commission.rig_file import RigFile
@@ -116,6 +116,9 @@ class Commissioning:
                 return 1
             _head(f"verify, round {len(rounds) + 1}")
             print(verify.shown(verify.verify(self._rig, self._folder, self._watch)))
+        if not passed:
+            self._keep(best_round(rounds) + 1, len(rounds))
+            found = verify.judge(self._rig, self._folder, best_round(rounds))
         print("\n" + found["verdict"])
         return 0 if passed else 1
 
@@ -170,6 +173,15 @@ class Commissioning:
         old = self._folder / f"{TUNED}-{number}"
         if not old.exists():
             (self._folder / TUNED).rename(old)
+
+    def _keep(self, best: int, last: int) -> None:
+        """Put the controller of the best round, which was set aside, in the last one's place."""
+        old = self._folder / f"{TUNED}-{best}"
+        if best == last or not old.exists():
+            return
+        print(f"\nround {best} damped the rig best: its controller is kept")
+        self._set_aside(last)
+        old.rename(self._folder / TUNED)
 
 
 def _head(what: str) -> None:

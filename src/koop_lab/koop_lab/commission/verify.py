@@ -121,12 +121,29 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> dict[str, Any]:
         run = closed_from(start, rig, folder, now["round"], aim, watch, settle)
         now["runs"].append(run)
         save(found, folder)
-    measured = [_measured(run) for run in now["runs"]]
-    worse = [text for run in measured for text in disagreements(aim, run)]
+    worse = [text for run in now["runs"] for text in disagreements(aim, _measured(run))]
     now["agrees"], now["says"] = not worse, "; ".join(worse) or "as predicted, or better"
+    save(found, folder)
+    return judge(rig, folder, len(rounds) - 1)
+
+
+def judge(rig: RigFile, folder: Path, which: int) -> dict[str, Any]:
+    """Write the verdict on the controller of ``tuned`` into verify.json, and return what is there.
+
+    Parameters
+    ----------
+    rig : RigFile
+        The rig.
+    folder : Path
+        Of the excitation.
+    which : int
+        The round in which that controller was verified; the first is 0.
+    """
+    found, aim = load(folder), read_aim(folder / TUNED / FIGURES, rig)
+    measured = [_measured(run) for run in found["rounds"][which]["runs"]]
     found["damped"] = all(run.damped for run in measured)
     found["feature"] = aim.name
-    found["verdict"] = verdict(aim, measured, len(rounds), str(folder))
+    found["verdict"] = verdict(aim, measured, len(found["rounds"]), str(folder))
     save(found, folder)
     return found
 

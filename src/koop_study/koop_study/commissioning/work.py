@@ -12,7 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.commission.closed_loop import ROUNDS, aim_of, disagreements, measure, slower
+from koop_lab.commission.closed_loop import (
+    ROUNDS,
+    aim_of,
+    best_round,
+    disagreements,
+    measure,
+    slower,
+)
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.tune import figures
 from koop_lab.tune.search import esc_of, lifter_of
@@ -132,7 +139,8 @@ def commissioned(
     The recordings of the loops are not learned from, only how slow they say that the rig is.
     """
     rounds: list[dict[str, Any]] = []
-    while True:
+    tried: list[tuple[Tuning, Row]] = []
+    while len(rounds) < ROUNDS and not (rounds and rounds[-1]["agrees"]):
         found = tune(recorded.loaded, file, training_of(rig), recorded.progress.how,
                      seed + len(rounds), effort, slower=slower(rounds), workers=1)  # fmt: skip
         watch.lap("tune")
@@ -143,17 +151,17 @@ def commissioned(
         measured = [measure(aim, loop.x[: BEFORE * aim.how.length], loop.x, loop.theta)
                     for loop in closed]  # fmt: skip
         agrees = all(run.damped and not disagreements(aim, run) for run in measured)
-        result = {"ratio": [loop.ratio for loop in closed],
-                  "converged": [loop.converged for loop in closed]}  # fmt: skip
         rounds.append({"agrees": agrees, "prediction": aim.predicted,
                        "runs": [asdict(run) for run in measured]})  # fmt: skip
+        result = {"ratio": [loop.ratio for loop in closed],
+                  "converged": [loop.converged for loop in closed]}  # fmt: skip
+        tried.append((found, result))
         watch.lap("verify")
-        if len(rounds) == 1:
-            row["runs"] = {"first": result}
-        row["runs"]["tuned"] = result
-        row |= {"rounds": len(rounds), "damped_as_predicted": agrees}
-        if agrees or len(rounds) == ROUNDS:
-            return found
+    passed = rounds[-1]["agrees"]
+    found, result = tried[-1 if passed else best_round(rounds)]
+    row |= {"runs": {"first": tried[0][1], "tuned": result}, "rounds": len(rounds),
+            "damped_as_predicted": passed}  # fmt: skip
+    return found
 
 
 class _Loops:
