@@ -378,4 +378,5 @@ window.koop = {
     return found;
   },
   counts: () => Object.fromEntries(counts),
+  newest: () => newest,
 };

@@ -1,0 +1,96 @@
+"""The page in real Chromium over a long run that is fed fast: memory, console, a phone's width."""
+
+import asyncio
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from chromium import Chromium
+from koop_view_running import running
+from websockets.exceptions import ConnectionClosed
+
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
+from koop_view.recorded import RecordedSource
+
+GOLDEN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
+PERIOD = 50_000_000  # [ns] between two steps: a run of hours in seconds
+EARLY, ALL = 20_000, 40_000  # steps
+LONG = 120.0  # [s] that a busy machine may take
+BEGIN = 10**9  # [s]
+GROWTH = 1_000_000  # [B], 17 for each message between the two looks
+NEWEST = "(window.koop?.newest() ?? 0)"
+OUTSIDE = """[...document.querySelectorAll('body *')].filter((element) => {
+  const { left, right, width } = element.getBoundingClientRect();
+  return width && (right > innerWidth + 1 || left < -1);
+}).map((element) => element.outerHTML.slice(0, 80))"""
+
+
+class Long(RecordedSource):
+    """The golden bag over and over, as a loop that runs: restarted every 2000 steps.
+
+    It goes on where it was, should a busy machine cost the page its connection.
+    """
+
+    mode = "live"
+    _sent = 0
+
+    async def _send(self, client, left):
+        with BagReader(GOLDEN) as bag:
+            wanted = {"/state", "/cost", "/theta"}
+            messages = [(m.topic, m.data) for m in bag.messages(sorted(wanted & left.keys()))]
+        with suppress(ConnectionClosed):
+            while self._sent < 3 * ALL:
+                topic, data = messages[self._sent % len(messages)]
+                time = BEGIN * 10**9 + self._sent // 3 * PERIOD
+                await client.deliver_slowly(left[topic], time, data)
+                self._sent += 1
+                if self._sent % 60 == 0:
+                    await asyncio.sleep(0)
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """Let the run pass by on a desk, then look at it on a phone; return what was seen."""
+    folder = tmp_path_factory.mktemp("page")
+    with running(Long(GOLDEN)) as port, Chromium(folder, f"http://127.0.0.1:{port}/") as page:
+        page.wait(f"{NEWEST} >= {BEGIN + (EARLY - 1) * PERIOD * 1e-9}", LONG)
+        early = page.memory(), page.value("document.querySelectorAll('*').length")
+        page.wait(f"{NEWEST} >= {BEGIN + (ALL - 1) * PERIOD * 1e-9}", LONG)
+        late = page.memory(), page.value("document.querySelectorAll('*').length")
+        columns = page.value("koop.columns('x[0]', 0)")
+        widths = {}
+        for width in (320, 390, 768, 1400):
+            page.resize(width, 850)
+            page.wait("[...document.querySelectorAll('.uplot')].every((plot) => "
+                      "Math.abs(plot.clientWidth - plot.parentNode.clientWidth) < 2)")  # fmt: skip
+            widths[width] = page.value("document.documentElement.scrollWidth"), page.value(OUTSIDE)
+        return SimpleNamespace(
+            early=early, late=late, columns=columns, widths=widths, errors=page.errors
+        )
+
+
+def test_memory_stays_flat_however_long_the_run(seen):
+    print(f"{seen.early[0]} B after {EARLY} steps, {seen.late[0]} B after {ALL}")
+    assert seen.late[0] - seen.early[0] < GROWTH
+    assert abs(seen.late[1] - seen.early[1]) < 50  # elements
+
+
+def test_the_whole_run_is_there_as_columns(seen):
+    t, low, high = (seen.columns[name] for name in ("t", "low", "high"))
+    assert len(t) <= 4096
+    assert t[-1] - t[0] == pytest.approx(ALL * PERIOD * 1e-9, rel=0.01)
+    with BagReader(GOLDEN) as bag:
+        x = read_columns(bag, "/state", ["x[0]"])["x[0]"]
+    assert (min(low), max(high)) == (x.min(), x.max())
+
+
+def test_no_width_needs_to_be_scrolled_sideways(seen):
+    for width, (needed, outside) in seen.widths.items():
+        assert needed <= width, (width, outside)
+        assert not outside, width
+
+
+def test_the_console_is_silent(seen):
+    assert seen.errors == []
