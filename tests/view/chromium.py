@@ -67,9 +67,20 @@ class Chromium:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def wait(self, expression: str) -> Any:
+    def wait(self, expression: str, timeout: float = TIMEOUT) -> Any:
         """Wait until an expression is true, and return it."""
-        return self._until(lambda: self.value(expression), expression)
+        return self._until(lambda: self.value(expression), expression, timeout)
+
+    def memory(self) -> int:
+        """Return the bytes that the page's script holds, after a collection."""
+        self._command("HeapProfiler.collectGarbage")
+        used = self._command("Runtime.getHeapUsage")
+        return int(used["usedSize"] + used.get("backingStorageSize", 0))
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the page another size."""
+        self._command("Emulation.setDeviceMetricsOverride", width=width, height=height,
+                      deviceScaleFactor=1, mobile=width < 500)  # fmt: skip
 
     def picture(self, path: Path) -> None:
         """Save what the page looks like."""
@@ -97,10 +108,10 @@ class Chromium:
             self.errors.append(json.dumps(content["args"])[:500])
 
     @staticmethod
-    def _until(condition: Any, what: str) -> Any:
-        deadline = time.monotonic() + TIMEOUT
+    def _until(condition: Any, what: str, timeout: float = TIMEOUT) -> Any:
+        deadline = time.monotonic() + timeout
         while not (found := condition()):
             if time.monotonic() > deadline:
-                pytest.fail(f"timed out after {TIMEOUT:g} s: {what}")
+                pytest.fail(f"timed out after {timeout:g} s: {what}")
             time.sleep(0.02)
         return found

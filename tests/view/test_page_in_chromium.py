@@ -16,10 +16,10 @@ from koop_view.recorded import RecordedSource
 
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
 PERIOD = 50_000_000  # [ns] between two steps: a run of hours in seconds
-EARLY, ALL = 20_000, 40_000  # steps
+EARLY, ALL = 18_000, 32_000  # steps
 LONG = 120.0  # [s] that a busy machine may take
 BEGIN = 10**9  # [s]
-GROWTH = 1_000_000  # [B], 17 for each message between the two looks
+GROWTH = 1_000_000  # [B], 24 for each message between the two looks
 NEWEST = "(window.koop?.newest() ?? 0)"
 OUTSIDE = """[...document.querySelectorAll('body *')].filter((element) => {
   const { left, right, width } = element.getBoundingClientRect();
