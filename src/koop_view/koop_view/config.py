@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from koop_node.config import ConfigError, parameter, validate
 
+ADDRESS = "the page: "  # how the line begins that says where it is
+
 
 @dataclass(frozen=True)
 class ViewConfig:

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from typing import Any
 
 from koop_node.config import ConfigError
-from koop_view.config import ViewConfig
+from koop_view.config import ADDRESS, ViewConfig
 from koop_view.source import Source
 
 TOKEN = "KOOP_VIEW_TOKEN"  # environment variable: neither a command line nor a parameter is secret
@@ -83,7 +83,7 @@ async def serve(source: Source, config: ViewConfig, work: Coroutine[Any, Any, No
     try:
         async with ViewServer(source, config, token, version("koop_view")) as server:
             page = address(config, server.port)
-            print(f"the page: {page}{f'#token={token}' if token else ''}")
+            print(f"{ADDRESS}{page}{f'#token={token}' if token else ''}")
             if token:
                 print(f"who has that address may operate the loop; {page} reads only")
             if not is_loopback(config.host):

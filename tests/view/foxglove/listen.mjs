@@ -17,7 +17,7 @@ const plain = (key, value) => {
   return value;
 };
 
-client.on("error", (error) => { console.error(String(error)); process.exit(1); });
+client.on("error", (error) => { console.error(String(error)); process.exitCode = 1; });
 client.on("advertise", (channels) => {
   for (const channel of channels) {
     const definitions = parse(channel.schema, { ros2: true });
@@ -31,4 +31,3 @@ client.on("message", ({ subscriptionId, timestamp, data }) => {
   if (wanted.has(topic)) wanted.set(topic, wanted.get(topic) - 1);
   if ([...wanted.values()].every((left) => left <= 0)) client.close();
 });
-client.on("close", () => process.exit(0));

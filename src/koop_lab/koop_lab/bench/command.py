@@ -4,9 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from koop_lab.bench import bags, fleet, identify, loop, memory, offline, realtime, record, training
+from koop_lab.bench import (
+    bags,
+    fleet,
+    identify,
+    loop,
+    memory,
+    offline,
+    realtime,
+    record,
+    serve,
+    training,
+)
 
-BENCHMARKS = (bags, fleet, identify, loop, memory, offline, realtime, record, training)
+BENCHMARKS = (bags, fleet, identify, loop, memory, offline, realtime, record, serve, training)
 
 
 def register(commands: Any) -> None:

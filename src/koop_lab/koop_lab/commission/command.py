@@ -15,6 +15,7 @@ from koop_lab.commission.hand import note_of
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.commission.session import Ended, Watch
 from koop_lab.commission.staircase import unknown_twice
+from koop_lab.live.served import add_serve_option, served
 from koop_lab.live.up import CONTROLLER, TUNED
 from koop_lab.tune.command import tune_folders
 from koop_node.config import ConfigError
@@ -46,6 +47,7 @@ def register(commands: Any) -> None:
         help="of the search for constants, in units of the usual one",
     )  # fmt: skip
     time_scale.add_to(parser)
+    add_serve_option(parser)
     parser.set_defaults(func=main)
 
 
@@ -63,7 +65,8 @@ def main(args: argparse.Namespace) -> int:
     watch = Watch(time_scale.of(args), note_of(args.rig))
     again = f"to go on: koop commission {args.rig} --out {folder}"
     try:
-        code = Commissioning(rig, Path(args.rig), folder, watch, args.effort).run()
+        with served(args.serve, folder / "logs"):
+            code = Commissioning(rig, Path(args.rig), folder, watch, args.effort).run()
     except Ended as error:
         raise LiveError(f"{error}. theta is back at {rig.theta_safe:g}; {again}") from None
     except KeyboardInterrupt:

@@ -17,6 +17,7 @@ from koop_lab.cli.options import loop_parameters as finite
 from koop_lab.cli.table import metrics_table, rig_table
 from koop_lab.live.loop import LiveLoop
 from koop_lab.live.monitor import Progress
+from koop_lab.live.served import add_serve_option, served
 from koop_lab.recorded.report import rig_metrics_of
 from koop_lab.recorded.run import RecordedRun, closed_loop
 from koop_lab.recorded.signals import loop_signals
@@ -50,6 +51,7 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="folder of the run (default: recordings/TIME-demo)"
     )
+    add_serve_option(parser)
     parser.set_defaults(func=main)
 
 
@@ -65,7 +67,8 @@ def main(args: argparse.Namespace) -> int:
         f"{parameters.pace.duration:g} s of the {parameters.lifter.cost} cost at pace "
         f"{parameters.pace.pace}: {nodes}"
     )
-    wall, notes = run_with_progress(folder, parameters, recorder, composed=not args.processes)
+    with served(args.serve, folder / "logs"):
+        wall, notes = run_with_progress(folder, parameters, recorder, composed=not args.processes)
     dt = parameters.plant.dt
     columns, signals = loop_signals(folder / "bag", "/", dt)
     run = closed_loop(columns, folder)

@@ -12,6 +12,7 @@ from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.plan import ALL_NODES, ARGUMENTS, Plan, plan
 from koop_lab.live.loop import LiveNodes
 from koop_lab.live.monitor import Progress
+from koop_lab.live.served import add_serve_option, served
 from koop_lab.recorded.report import run_figures
 from koop_node import parameter_file
 from koop_node.config import ConfigError
@@ -48,6 +49,7 @@ def register(commands: Any) -> None:
         if argument.name not in LEFT_OUT:
             option = f"--{argument.name.replace('_', '-')}"
             parser.add_argument(option, metavar="VALUE", help=argument.meaning)
+    add_serve_option(parser)
     parser.set_defaults(func=main)
 
 
@@ -68,7 +70,7 @@ def main(args: argparse.Namespace) -> int:
         planned.composed,
     )
     try:
-        with nodes:
+        with nodes, served(args.serve, folder / "logs"):
             try:
                 nodes.run(status.show)
             except KeyboardInterrupt:

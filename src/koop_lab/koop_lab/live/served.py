@@ -1,0 +1,61 @@
+"""``--serve``: the page of a loop that a command runs, in a process of its own."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from koop_lab.live.process import START_TIMEOUT, NodeProcess
+from koop_view.config import ADDRESS, ViewConfig
+
+
+def add_serve_option(parser: argparse.ArgumentParser) -> None:
+    """Add ``--serve`` to a command that runs a loop."""
+    parser.add_argument(
+        "--serve",
+        metavar="PORT",
+        nargs="?",
+        type=int,
+        const=ViewConfig().port,
+        help="show the loop on a page meanwhile, as koop serve --operate does; whoever has the "
+        f"printed address may operate it (PORT: {ViewConfig().port} by default, 0: any)",
+    )
+
+
+@contextmanager
+def served(port: int | None, folder: Path) -> Iterator[None]:
+    """Serve the loops of the ROS domain while the context lasts; with None, do nothing.
+
+    A page that fails ends no run.
+    """
+    if port is None:
+        yield
+        return
+    ViewConfig(port=port)  # refuses one that cannot be
+    folder.mkdir(parents=True, exist_ok=True)
+    words = ["serve", "--operate", "--port", str(port)]
+    command = [sys.executable, "-m", "koop_lab"]
+    process = NodeProcess("view", words, folder / "view.log", command)
+    try:
+        print(said(process), flush=True)
+        yield
+    finally:
+        process.stop()
+
+
+def said(process: NodeProcess) -> str:
+    """Return where the page is, or why there is none."""
+    deadline = time.monotonic() + START_TIMEOUT
+    while time.monotonic() < deadline:
+        lines = process.log.read_text(errors="replace").splitlines()
+        found = next((line for line in lines if line.startswith(ADDRESS)), None)
+        if found is not None:
+            return found
+        if process.poll() is not None:
+            break
+        time.sleep(0.05)
+    return f"note: the page is not served: {process.last_lines(1)}"
