@@ -39,7 +39,9 @@ def served(port: int | None, folder: Path) -> Iterator[None]:
     folder.mkdir(parents=True, exist_ok=True)
     words = ["serve", "--operate", "--port", str(port)]
     command = [sys.executable, "-m", "koop_lab"]
-    process = NodeProcess("view", words, folder / "view.log", command)
+    log = folder / "view.log"
+    log.touch(mode=0o600)  # it holds the token
+    process = NodeProcess("view", words, log, command)
     try:
         print(said(process), flush=True)
         yield
