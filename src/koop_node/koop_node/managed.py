@@ -287,7 +287,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
             **own_values,
         }
         for monitor in run.inputs:
-            publishers = self.count_publishers(monitor.topic)
+            publishers = self._publishers_of(monitor.topic)
             if self.active:
                 findings += monitor.findings(now, publishers)
             values |= monitor.values(now, time.time(), publishers)
@@ -307,6 +307,13 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+    def _publishers_of(self, topic: str) -> int:
+        """Return how many publish what this node hears; who asks the graph looks at the fleet."""
+        for subscription in self.subscriptions:
+            if subscription.topic == topic:
+                return int(subscription.get_publisher_count())
+        return int(self.count_publishers(topic))
 
     def _without_time(self) -> bool:
         """Return True if stamps are 0 because simulated time has not begun."""
