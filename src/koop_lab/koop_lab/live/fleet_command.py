@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -104,11 +105,11 @@ def measure(loops: int, args: argparse.Namespace, out: Path | None = None) -> Fl
         ):
             monitor.wait_until_running(fleet)
             monitor.listen(SETTLED, fleet.check)
-            before, used = monitor.snapshots(fleet), _used(fleet)
+            before, used, begin = monitor.snapshots(fleet), _used(fleet), time.monotonic()
             monitor.listen(args.duration, fleet.check)
-            after, used = monitor.snapshots(fleet), _used(fleet) - used
-    elapsed = max(b.time for b in after) - max(a.time for a in before)
-    return report(before, after, used / elapsed)
+            cpu = (_used(fleet) - used) / (time.monotonic() - begin)
+            after = monitor.snapshots(fleet)
+    return report(before, after, cpu)
 
 
 def _used(fleet: Fleet) -> float:
