@@ -100,6 +100,7 @@ export interface Situation {
   lostFor: number; // [s]
   mode: string; // live or recorded
   loop: boolean; // whether there is a loop to look at
+  gone: boolean; // whether none of its nodes is left
   rows: { node: Node; judgement: Judgement }[];
   holding: boolean;
   settling: boolean;
@@ -128,6 +129,7 @@ export function verdict(s: Situation): Judgement {
     return { level: "off", text: `A recorded run, complete: it ended with ${theta}, r = ${s.number(s.r)}.${end}` };
   }
   if (!s.loop) return { level: "off", text: "No loop is running yet; the page shows it when there is one." };
+  if (s.gone) return { level: "stale", text: `This loop has gone: none of its nodes is left. Last: ${theta}, r = ${s.number(s.r)}.` };
   const level = worst(s.rows.map((row) => row.judgement.level));
   const guilty = s.rows.filter((row) => row.judgement.level === level);
   const within = s.limits ? ` in [${s.number(s.limits[0])}, ${s.number(s.limits[1])}]` : "";

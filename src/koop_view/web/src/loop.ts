@@ -5,6 +5,7 @@ import type { LoopNames } from "./link";
 import { CostMap } from "./map";
 import { Stream } from "./stream";
 
+const FORGOTTEN = 60; // [s] without a report, after which a node that the loop does not need is taken for ended
 const MOST_FLIPS = 4000, MOST_INTERVALS = 400, MOST_EVENTS = 200;
 
 /** A time in which something held; `to` is open while it lasts. */
@@ -50,6 +51,7 @@ export class Loop {
   gradient = NaN;
   noise = NaN;
   confidence = NaN;
+  gone = false; // no node of it is left
   stamp = NaN; // of the newest state's header [s]; 0: the rig sets none
   private epsilon = 0;
   private heard = { state: heard(), cost: heard(), theta: heard() };
@@ -154,7 +156,11 @@ export class Loop {
     if (lifter) nodes.push({ name: lifter, role: "lifter", report: reports.get(lifter), output: h.cost, input: h.state, topic: cost ?? "" });
     if (controller) nodes.push({ name: controller, role: "controller", report: reports.get(controller), output: h.theta, input: h.cost, topic: theta ?? "" });
     const own = new Set([plant, lifter, controller]);
-    for (const [name, report] of reports) if (!own.has(name)) nodes.push({ name, role: "other", report });
+    for (const [name, report] of reports) {
+      if (own.has(name)) continue;
+      if (seen === "live" && now - report.at > FORGOTTEN) reports.delete(name);
+      else nodes.push({ name, role: "other", report });
+    }
     return nodes.map((node) => ({ node, judgement: seen === "live" ? judge(node, now) : seen === "recorded" ? said(node) : UNKNOWN }));
   }
 

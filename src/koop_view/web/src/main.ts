@@ -146,6 +146,7 @@ function takeServer(state: ServerState): void {
     if (known) known.rename(names);
     else loops.set(names.namespace, new Loop(names));
   }
+  for (const [namespace, l] of loops) l.gone = !state.loops.some((names) => names.namespace === namespace);
   if (!loops.has(chosen)) chosen = [...loops.keys()][0] ?? chosen;
   showLoops();
   listen();
@@ -312,7 +313,7 @@ function slow(): void {
   const now = seconds(), l = loop(), rows = l?.rows(now, recorded() ? "recorded" : connection === "open" ? "live" : "unknown") ?? [];
   const bounds = limits();
   const found = verdict({
-    connection, lostFor: now - lostAt, mode: server?.mode ?? "live", loop: l !== undefined, rows, holding: l?.holding ?? false,
+    connection, lostFor: now - lostAt, mode: server?.mode ?? "live", loop: l !== undefined, gone: l?.gone ?? false, rows, holding: l?.holding ?? false,
     settling: l?.settling ?? false, costUsable: Number.isFinite(l?.r ?? NaN), saturated: l?.saturated ?? false, theta: l?.value ?? NaN,
     limits: bounds && [bounds.low, bounds.high], r: l?.r ?? NaN, rate: l?.rate(now) ?? 0,
     reading: recorded() && !complete ? [...counts.values()].reduce((a, b) => a + b, 0) : undefined, number: short,

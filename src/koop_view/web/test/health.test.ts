@@ -51,7 +51,7 @@ test("losses are added up over the inputs, ages are the oldest", () => {
 });
 
 const healthy: Situation = {
-  connection: "open", lostFor: 0, mode: "live", loop: true, rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
+  connection: "open", lostFor: 0, mode: "live", loop: true, gone: false, rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
   holding: false, settling: false, costUsable: true, saturated: false, theta: -2.5, limits: [-5, 5], r: 0.01, rate: 200, reading: undefined, number: String,
 };
 
@@ -62,6 +62,7 @@ test("the verdict names what comes first", () => {
   const fault = { ...stale, rows: [...stale.rows, { node: lifter({ role: "rig" }), judgement: { level: "error" as const, text: "diverged" } }] };
   assert.deepEqual(verdict(fault), { level: "error", text: "Fault: rig – diverged." });
   assert.match(verdict({ ...fault, connection: "lost", lostFor: 3 }).text, /^No connection to koop serve for 3 s/);
+  assert.match(verdict({ ...fault, gone: true }).text, /^This loop has gone: none of its nodes is left/);
   assert.match(verdict({ ...healthy, loop: false, rows: [] }).text, /^No loop is running/);
 });
 
