@@ -27,6 +27,7 @@ from koop_lab.tune.surrogate import Surrogate, Times, fit_times, high_passed
 PERIODS = 4.0  # of the oscillation, in a window
 SURROGATES = 6
 UNSURE = 0.35  # standard deviation of the logarithm of tau
+SLIGHT = 0.1  # of the amplitude: whoever sees no optimum in less sees none
 DECIDES, NEAR = 3.0, 0.2  # a cost that decides is so much surer, and so near [u]
 CLEARER = 2.0  # a contrast's map is taken for the amplitude's if it stands out so much more
 LEARNED = 65536  # samples that models are learned from, spread over the recording
@@ -230,7 +231,7 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
             found = static_map(stays, own, sense)
             if found.clarity > CLEARER * told.clarity:
                 told = found
-    if told.flat and not told.interior:
+    if not told.interior and (told.flat or float(np.ptp(told.mean)) < SLIGHT):
         raise refusal(seen, rig, told)
     if not told.interior and not any(_settles(one, told) for one in judged):
         if valley.best_end(sense * told.mean, told.error) is not None:
@@ -279,12 +280,13 @@ def _best_theta(seen: Seen) -> float:
 
 def refusal(seen: Seen, rig: RigFile, found: StaticMap) -> NoOptimum:
     """Return why a map has no optimum inside, and what to record next."""
-    error = float(np.median(found.error))
-    if found.flat:
+    span, error = float(np.ptp(found.mean)), float(np.median(found.error))
+    if found.flat or span < SLIGHT:
         return NoOptimum(
             "flat",
-            f"theta does nothing to the amplitude of {seen.feature} that {100 * error:.2g} % of "
-            "error would show: see with koop check whether theta reaches the rig and what hides "
+            f"over theta's range the amplitude of {seen.feature} differs by "
+            f"{100 * math.expm1(span):.2g} %, with errors of {100 * error:.2g} %, and shows no "
+            "optimum: see with koop check whether theta reaches the rig and what hides "
             "the oscillation, then record wider limits or longer stays (more 'time')",
             seen,
         )
