@@ -115,22 +115,29 @@ def watching(folder: Path, pages: int) -> Iterator[Watched]:
         if found is None:
             raise LiveError(f"the server did not start: {process.last_lines()}")
         watched = Watched(process)
-        loop = asyncio.new_event_loop()
-        thread = threading.Thread(target=loop.run_forever, daemon=True)
+        over = threading.Event()
+        work = _look_on(int(found[1]), pages, watched, over)
+        thread = threading.Thread(target=lambda: asyncio.run(work))
         thread.start()
-        tasks = [
-            asyncio.run_coroutine_threadsafe(_look(int(found[1]), watched), loop)
-            for _ in range(pages)
-        ]
-        yield watched
-        for task in tasks:
-            if task.done():
-                task.result()  # one that was dropped says why
-            task.cancel()
-        loop.call_soon_threadsafe(loop.stop)
-        thread.join()
+        try:
+            yield watched
+        finally:
+            over.set()
+            thread.join()
     finally:
         process.stop()
+
+
+async def _look_on(port: int, pages: int, watched: Watched, over: threading.Event) -> None:
+    """Look with several clients until it is over."""
+    tasks = [asyncio.create_task(_look(port, watched)) for _ in range(pages)]
+    while not over.is_set():
+        await asyncio.sleep(0.1)
+    for task in tasks:
+        task.cancel()
+    for failed in await asyncio.gather(*tasks, return_exceptions=True):
+        if not isinstance(failed, asyncio.CancelledError):
+            print(f"note: a page was closed: {failed}", flush=True)
 
 
 async def _look(port: int, watched: Watched) -> None:
