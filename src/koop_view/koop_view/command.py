@@ -63,7 +63,7 @@ def main(args: argparse.Namespace) -> int:
     from koop_view.recorded import RecordedSource
     from koop_view.serving import serve
 
-    asyncio.run(serve(RecordedSource(args.run), config, None))
+    asyncio.run(serve(RecordedSource(args.run), config))
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import os
 from collections.abc import Mapping
@@ -66,6 +67,8 @@ class ViewServer:
             self._server = await self._listen()
         except OSError as error:
             where = f"{self._config.host} port {self._config.port}"
+            if error.errno == errno.EADDRINUSE:
+                raise OSError(f"{where} is taken: choose another one, or 0 for any") from None
             raise OSError(f"cannot listen on {where}: {error.strerror or error}") from None
         self._check = asyncio.create_task(self._watch_backlogs())
         return self

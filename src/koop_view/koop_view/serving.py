@@ -9,7 +9,7 @@ import re
 import secrets
 import signal
 import socket
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from importlib.metadata import version
 from typing import Any
 
@@ -59,7 +59,9 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-async def serve(source: Source, config: ViewConfig, work: Coroutine[Any, Any, None] | None) -> None:
+async def serve(
+    source: Source, config: ViewConfig, work: Callable[[], Coroutine[Any, Any, None]] | None = None
+) -> None:
     """Serve a source until SIGINT, SIGTERM or SIGHUP.
 
     Parameters
@@ -68,17 +70,22 @@ async def serve(source: Source, config: ViewConfig, work: Coroutine[Any, Any, No
         What is shown.
     config : ViewConfig
         Where and to whom.
-    work : coroutine, optional
+    work : callable, optional
         Follows what is shown; its failure ends the server.
     """
-    from koop_view.server import ViewServer
+    try:
+        from koop_view.server import ViewServer
+    except ImportError as error:  # what Ubuntu 24.04 has is too old
+        raise ConfigError(
+            f"the page needs websockets 14 or newer ({error}): pip install websockets"
+        ) from None
 
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, stop.set)
     token = token_of(config)
-    following = asyncio.create_task(work) if work is not None else None
+    following = asyncio.create_task(work()) if work is not None else None
     stopping = asyncio.create_task(stop.wait())
     try:
         async with ViewServer(source, config, token, version("koop_view")) as server:
