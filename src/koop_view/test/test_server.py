@@ -158,7 +158,7 @@ def test_a_client_that_does_not_keep_up_is_dropped_and_told_why(port, loop):
     with client(port, max_queue=1) as slow:
         tell(slow, "subscribe", subscriptions=[{"id": 1, "channelId": 1}])
         slow.recv(10)
-        while not loop.task.cancelled():  # without reading
+        while not (loop.task and loop.task.cancelled()):  # without reading
             time.sleep(0.01)
         code, reason = closed_with(slow)
     assert code == 1008
