@@ -52,6 +52,6 @@ def _end(kind: MessageType, data: bytes, at: int, depth: int) -> int:
 def _length(data: bytes, at: int) -> tuple[int, int]:
     at += -(at - HEAD) % 4
     length = int.from_bytes(data[at : at + 4], "little")
-    if at + 4 > len(data) or length > len(data) - at:
+    if at + 4 > len(data):
         raise CdrError("cut short")
     return length, at + 4

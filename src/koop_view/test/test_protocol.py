@@ -31,7 +31,7 @@ CALLS = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(MESSAGES | JSON.map(json.dumps) | st.text() | CALLS | st.binary())
 def test_any_message_is_a_request_or_is_refused(message):
     with suppress(ProtocolError):
