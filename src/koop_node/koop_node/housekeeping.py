@@ -11,8 +11,8 @@ from __future__ import annotations
 import ctypes
 import gc
 import re
-import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 PERIOD = 1.0  # [s] between two collections
@@ -41,7 +41,6 @@ class Housekeeping:
         gc.unfreeze()
         gc.collect()
         gc.freeze()
-        release_compiler()
 
     def tidy(self, now: float, room: float) -> None:
         """Collect if it is time and there is room until the next timer [s]."""
@@ -61,15 +60,19 @@ def release_compiler() -> None:
     Some 60 MB of every process, of a library of 130 MB, that no tick needs. They stay in the
     system's page cache: what is called again is mapped again.
     """
-    if sys.platform != "linux":
-        return
+    for start, end in _compiler():
+        ctypes.CDLL(None).madvise(
+            ctypes.c_void_p(start), ctypes.c_size_t(end - start), _MADV_DONTNEED
+        )
+
+
+@cache
+def _compiler() -> list[tuple[int, int]]:
+    """Return where the compiler is, which does not change once it is there."""
     try:
-        maps = Path("/proc/self/smaps").read_text()
-    except OSError:
-        return
-    advise = ctypes.CDLL(None).madvise
-    for start, end in clean_mappings(maps, COMPILER):
-        advise(ctypes.c_void_p(start), ctypes.c_size_t(end - start), _MADV_DONTNEED)
+        return list(clean_mappings(Path("/proc/self/smaps").read_text(), COMPILER))
+    except OSError:  # not Linux
+        return []
 
 
 def clean_mappings(maps: str, library: str) -> Iterator[tuple[int, int]]:

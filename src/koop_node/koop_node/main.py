@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import inspect
 import os
 import signal
@@ -117,8 +116,8 @@ def _spin(
     executor: Any = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
-    house: Housekeeping | None = None
-    """From when all nodes are active."""
+    house = Housekeeping(time.monotonic())  # before the first tick, for it takes a while
+    asked = False
     code = 0
     try:
         going = bool(nodes)
@@ -127,10 +126,9 @@ def _spin(
             timers.interrupt = partial(interrupted.set_result, None)
             timers.run_due()
             wait = timers.wait(POLL)
-            if house is not None:
-                house.tidy(time.monotonic(), wait)
-            elif all(node.active for node in nodes):
-                house = Housekeeping(time.monotonic())
+            house.tidy(time.monotonic(), wait)
+            if not asked and all(node.active for node in nodes):
+                asked = True
                 for problem in realtime.apply(wanted):
                     nodes[0].get_logger().warning(problem)
             # spin() would hang in the Jazzy wheels, spin_once() costs 4 us for every callback
@@ -140,14 +138,11 @@ def _spin(
                 code = code or nodes[ended].exit_code or 0
                 going = len(nodes) > 1 and (keep_going or nodes[ended].was_shut_down)
                 if going:
-                    _take_out(nodes, ended, executor)
-                    if house is not None:
-                        house.settle()
+                    _take_out(nodes, ended, executor, timers, house)
         for node in reversed(nodes):  # speakers end before those who listen to them
             node.close()
     finally:
-        if house is not None:
-            house.end()
+        house.end()
         # Under a launch file Ctrl-C comes twice, and the interpreter, when it ends, puts back the
         # default handler, which would kill the process; an ignored signal stays ignored.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -168,7 +163,13 @@ def _ended(nodes: list[ManagedNode[Any]]) -> int | None:
     return None
 
 
-def _take_out(nodes: list[ManagedNode[Any]], index: int, executor: Any) -> None:
+def _take_out(
+    nodes: list[ManagedNode[Any]],
+    index: int,
+    executor: Any,
+    timers: schedule.Schedule,
+    house: Housekeeping,
+) -> None:
     """End one of several nodes; the others go on."""
     node = nodes.pop(index)
     name, code = node.get_fully_qualified_name(), node.exit_code
@@ -180,8 +181,8 @@ def _take_out(nodes: list[ManagedNode[Any]], index: int, executor: Any) -> None:
     node.destroy_node()
     del node
     # a node and what it made refer to each other; as long as it is there it is seen
-    gc.unfreeze()
-    gc.collect()
+    timers.purge()
+    house.settle()
 
 
 def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:

@@ -17,6 +17,7 @@ from koop_node import schedule
 from koop_node.config import NodeConfig
 from koop_node.entities import Entities, WithoutEvents
 from koop_node.fields import check_type
+from koop_node.housekeeping import release_compiler
 from koop_node.parameters import Parameters
 from koop_node.rclpy_internals import RefusingLifecycleNode
 from koop_node.report import ERROR, OK, STALE, WARN, Finding, News, summary
@@ -192,6 +193,8 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         def configure() -> None:
             self.run = self._make_run(self, entities)
             self._while_configured = entities
+            if self._schedule is not None:  # the process is that of such nodes
+                release_compiler()
 
         return self._attempt(configure, entities)
 

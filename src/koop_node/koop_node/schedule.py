@@ -108,6 +108,11 @@ class Schedule:
             self.push(timer)
             timer.callback()
 
+    def purge(self) -> None:
+        """Forget the timers that were cancelled, and with them whom they would call."""
+        self._heap = [entry for entry in self._heap if entry[0] == entry[2].due]
+        heapq.heapify(self._heap)
+
     def push(self, timer: ScheduledTimer) -> None:
         """Take note of when a timer is due."""
         heapq.heappush(self._heap, (timer.due, next(self._number), timer))
