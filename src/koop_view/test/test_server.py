@@ -178,7 +178,8 @@ def test_who_asks_without_end_is_dropped(port):
     with client(port) as greedy, suppress(ConnectionClosed):
         for _ in range(100_000):
             greedy.send("{}")
-        pytest.fail("it was not dropped")
+        while True:  # what was sent may wait on its way
+            greedy.recv(10)
 
 
 def test_a_recording_comes_whole_and_in_its_order(tmp_path):
