@@ -31,6 +31,17 @@ def test_simulate_writes_signals_metrics_and_a_plot(tmp_path, capsys):
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
+def test_loops_of_several_seeds_are_those_of_each(capsys):
+    given = ["--duration", "120", "--cost", "raw", "--json"]
+    assert main(["simulate", *given, "--seed", "3", "--seeds", "2"]) == 0
+    both = json.loads(capsys.readouterr().out)
+    for seed, found in zip(("3", "4"), both, strict=True):
+        assert main(["simulate", *given, "--seed", seed]) == 0
+        one = json.loads(capsys.readouterr().out)
+        assert found == one | {"e_r_ss": None}  # r* is of one loop
+    assert both[0] != both[1]
+
+
 def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys):
     path = tmp_path / "model.npz"
     given = ["--trajectories", "5", "--duration", "10", "--modes", "6", "--out", str(path)]
@@ -55,6 +66,8 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
         (["simulate", "--theta-initial", "9"], "relay_esc: theta_initial = 9 must lie within"),
         (["simulate", "--duration", "-1"], "duration = -1: must be 0 to 1e+09 s"),
         (["simulate", "--duration", "0"], "--duration must cover at least two steps"),
+        (["simulate", "--seeds", "0"], "--seeds 0: must be at least 1"),
+        (["simulate", "--seeds", "2", "--plot", "x.png"], "--out and --plot are of one loop"),
         (["demo", "--duration", "0"], "--duration must cover at least two steps"),
         (["demo", "--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
         (["demo", "--time-scale", "2"], "--time-scale needs --pace scaled"),

@@ -97,19 +97,41 @@ def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[floa
     t = k * h
     eps0 = damping(p, t)
     force0 = forcing(p, t)
-    k1x = y
-    k1y = acceleration(p, eps0, force0, x, y, theta)
     if p.integrator == EULER:
-        return x + h * k1x, y + h * k1y
+        return x + h * y, y + h * acceleration(p, eps0, force0, x, y, theta)
     half = 0.5 * h
     eps1 = damping(p, t + half)
     force1 = forcing(p, t + half)
+    eps2 = damping(p, t + h)
+    force2 = forcing(p, t + h)
+    return runge_kutta(p, eps0, force0, eps1, force1, eps2, force2, x, y, theta)
+
+
+@njit()
+def runge_kutta(
+    p: PlantParams,
+    eps0: float,
+    force0: float,
+    eps1: float,
+    force1: float,
+    eps2: float,
+    force2: float,
+    x: float,
+    y: float,
+    theta: float,
+) -> tuple[float, float]:
+    """Integrate one step by the classical method, given what depends on time alone.
+
+    ``eps0`` and ``force0`` are of the step's begin, 1 of its middle, 2 of its end.
+    """
+    h = p.dt
+    half = 0.5 * h
+    k1x = y
+    k1y = acceleration(p, eps0, force0, x, y, theta)
     k2x = y + half * k1y
     k2y = acceleration(p, eps1, force1, x + half * k1x, k2x, theta)
     k3x = y + half * k2y
     k3y = acceleration(p, eps1, force1, x + half * k2x, k3x, theta)
-    eps2 = damping(p, t + h)
-    force2 = forcing(p, t + h)
     k4x = y + h * k3y
     k4y = acceleration(p, eps2, force2, x + h * k3x, k4x, theta)
     sixth = h / 6.0
