@@ -160,6 +160,14 @@ def test_a_theta_that_moves_slowly_does_not_rest_on_its_way():
     assert [(b - a) // 16 for _, a, b in found] == [62] * 9
 
 
+def test_rests_of_a_loop_do_not_join_the_values_of_the_excitation():
+    values = [*np.linspace(0.0, 1.0, 9), *np.arange(0.0, 1.0, 0.015)]
+    theta = np.repeat(values, 100)
+    u, _ = rests(loaded_of(theta, np.zeros((theta.size, 1))), Scale(0.0, 1.0), 16)
+    assert u.size > 9
+    assert np.diff(u).max() < 0.05
+
+
 @pytest.fixture(scope="module")
 def bagged(tmp_path_factory):
     """Record a rig that needs a model, and its rig file."""

@@ -134,7 +134,7 @@ def rests(
     ordered = sorted(value for value, _, _ in found)
     values: list[list[float]] = []
     for value in ordered:
-        if not values or value - values[-1][-1] > SAME:
+        if not values or value - values[-1][0] > SAME:  # rests of a loop would form a chain
             values.append([])
         values[-1].append(value)
     if len(values) < VALUES:
