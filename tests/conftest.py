@@ -29,7 +29,9 @@ class Probe:
         from rclpy.experimental.events_executor import EventsExecutor
 
         from koop_node.entities import WithoutEvents
+        from koop_node.main import set_dds_profile
 
+        set_dds_profile()  # else what is lost on the way is sent again seconds later
         self.context = rclpy.Context()
         self.context.init(args=[])
         self.node = WithoutEvents("probe", context=self.context)
