@@ -1,6 +1,9 @@
 """The loop over DDS: equal to the offline loop to the last bit, recorded whole, ending cleanly."""
 
 import math
+import os
+import signal
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -91,6 +94,33 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
         np.testing.assert_array_equal(getattr(run, name), getattr(result, name), name)
     assert run.lost == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
     assert np.ptp(run.theta) > 0.1  # the controller did act
+
+
+def test_a_recorder_that_is_not_scheduled_holds_the_plant_and_lacks_nothing(
+    module_domain, tmp_path
+):
+    parameters = make({"vdp_plant": {"pace": "lockstep", "duration": 150.0, "seed": 5}})
+    seen: list[int] = []  # five a second, of which the plant reports one
+    with LiveLoop(tmp_path, parameters, composed=True) as loop:
+        recorder = loop.process_ids()["recorder"]
+
+        def stall(progress):
+            if progress.step and not seen:
+                os.kill(recorder, signal.SIGSTOP)
+            if progress.step:
+                seen.append(progress.step)
+            if len(seen) > 20 and len(set(seen[-20:])) == 1:  # the plant stands still
+                os.kill(recorder, signal.SIGCONT)
+
+        try:
+            loop.run(stall)
+        finally:
+            with suppress(ProcessLookupError):  # it has ended with the run
+                os.kill(recorder, signal.SIGCONT)
+    assert 20 < len(seen)
+    run = read_run(tmp_path / "bag")
+    np.testing.assert_array_equal(run.step, np.arange(30_000))
+    assert not any(run.lost.values())
 
 
 @pytest.mark.parametrize(

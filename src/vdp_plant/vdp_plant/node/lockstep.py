@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from koop_msgs.msg import Cost
+from rclpy.duration import Duration
 
 from koop_node.managed import ERROR, OK, Entities, ManagedNode
 from koop_node.qos import RELIABLE
@@ -16,6 +17,8 @@ from vdp_plant.node.base import PlantRun
 from vdp_plant.pacing import silent_node
 
 CHECK_PERIOD = 0.05  # [s] between looks whether an answer is overdue
+WINDOW = 1000  # steps that may be on their way to a subscriber: a fifth of what a writer keeps
+HELD = 30.0  # [s] for which a subscriber that falls behind holds the plant; DDS gives up before
 
 
 class LockstepRun(PlantRun):
@@ -27,6 +30,9 @@ class LockstepRun(PlantRun):
         self._question = Resend(node.parameters[PaceConfig].theta_timeout, RESENDS)
         self._cost_seen: int | None = None
         self._probe: Entities | None = None
+        self._held_since: float | None = None
+        self._holds = True
+        """Whether the plant waits for those who fall behind."""
 
     def start(self, entities: Entities) -> None:
         entities.timer(CHECK_PERIOD, self._check_answer)
@@ -38,6 +44,7 @@ class LockstepRun(PlantRun):
 
     def deactivate(self) -> None:
         super().deactivate()
+        self._held_since = None
         self._end_probe()
 
     def parameters_changed(self, names: set[str]) -> None:
@@ -50,8 +57,36 @@ class LockstepRun(PlantRun):
         return OK, "running", {"command": "ok"}
 
     def _ask(self) -> None:
+        if self._holds and self._k % WINDOW == 0 and not self._all_keep_up(CHECK_PERIOD):
+            self._held_since = time.monotonic()
+            return
         self._publish()
         self._question.ask(time.monotonic())
+
+    def _all_keep_up(self, patience: float) -> bool:
+        """Return whether every subscriber has all that was sent, or has within a time [s].
+
+        Nothing else paces those who only listen: what a recorder that was not scheduled for a
+        while can't catch up with is lost to it.
+        """
+        outlets = self._outlets
+        return outlets is None or all(
+            writer.publisher.wait_for_all_acked(Duration(seconds=patience))
+            for writer in (outlets.state, outlets.ground_truth)
+        )
+
+    def _go_on(self, since: float) -> None:
+        """Ask again once those who fell behind at a steady time [s] have caught up."""
+        if not self._all_keep_up(0.0):
+            if time.monotonic() - since < HELD:
+                return
+            self._holds = False
+            self._node.get_logger().warning(
+                f"a subscriber of 'state' or 'ground_truth' has confirmed nothing for {HELD:g} s: "
+                "the plant goes on without waiting for it, and it may lose messages"
+            )
+        self._held_since = None
+        self._ask()
 
     def _send_again(self) -> None:
         if self._outlets is not None:
@@ -70,6 +105,9 @@ class LockstepRun(PlantRun):
             self._ask()
 
     def _check_answer(self) -> None:
+        if self._held_since is not None:
+            self._go_on(self._held_since)
+            return
         due = self._question.check(time.monotonic())
         if due is Due.WAIT or self._node.exit_code is not None:
             return
