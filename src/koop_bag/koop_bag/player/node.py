@@ -246,7 +246,7 @@ class PlayerRun(Run):
         self._clock_outlet.before(message)
         if self._gate is not None and message.topic == self._gate.topic:
             self._gate.ask(message)
-        if self._config.pace == "fast":
+        if self._config.pace in ("fast", "lockstep"):  # which nothing else slows down
             outlet.publish_acknowledged(message.data)
         else:
             outlet.publish(message.data)
