@@ -84,11 +84,11 @@ def test_the_loop_is_closed_on_a_leash_and_goes_on_where_it_was_stopped(
     assert fast_rig.theta == ONE.theta_safe
     assert_walked(fast_rig.moved, ONE)
     found = json.loads((tuned / "verify.json").read_text())
-    (only,) = found["rounds"]
-    assert only["agrees"] is True
-    assert only["prediction"] == TUNED["predicted"]
-    assert [run["start"] for run in only["runs"]] == [-1.0, 2.0]
-    for run in only["runs"]:
+    assert found["rounds"][0]["prediction"] == TUNED["predicted"]
+    last = found["rounds"][-1]  # a busy machine may need another round
+    assert last["agrees"] is True
+    assert [run["start"] for run in last["runs"]] == [-1.0, 2.0]
+    for run in last["runs"]:
         assert abs(run["theta"] - BEST) < 0.3
         # truth: the amplitude is 0.3 + (theta - 0.8)^2
         truth = 0.3 + (run["start"] - BEST) ** 2
