@@ -24,7 +24,7 @@ setup(
         "scipy",
         "tqdm",
     ],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest", "dask", "distributed"], "workers": ["dask", "distributed"]},
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

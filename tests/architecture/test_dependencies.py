@@ -35,7 +35,14 @@ MODULES = {
 }
 # rosdistro has no key for these. What needs them says `pip install` where they are missing; the
 # extra of setup.py that has them.
-OPTIONAL = {"cyclonedds": "rigs", "jsbsim": "plants", "fmpy": "plants", "pyarrow": "export"}
+OPTIONAL = {
+    "cyclonedds": "rigs",
+    "dask": "workers",
+    "distributed": "workers",
+    "fmpy": "plants",
+    "jsbsim": "plants",
+    "pyarrow": "export",
+}
 
 
 def sources(package):

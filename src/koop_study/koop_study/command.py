@@ -39,6 +39,12 @@ def register(commands: Any) -> None:
         help="processes at work (default: one a core)",
     )  # fmt: skip
     parser.add_argument(
+        "--scheduler", default="", metavar="ADDRESS",
+        help="compute on the workers of the Dask scheduler there, such as tcp://HOST:8786, in "
+        "place of processes of this machine; the same results. 'dask scheduler' and 'dask worker "
+        "ADDRESS --nthreads 1' in a ./koop shell of the same commit start them",
+    )  # fmt: skip
+    parser.add_argument(
         "--publish", type=Path, metavar="DIR",
         help="write the report there too, without intermediate results",
     )  # fmt: skip

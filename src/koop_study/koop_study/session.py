@@ -16,7 +16,7 @@ from koop_study.experiments.kinds import KINDS, Experiment, read_folder
 from koop_study.experiments.laws import LawsConfig
 from koop_study.over_dds import repeat as over_dds
 from koop_study.report import publish, summary
-from koop_study.workers.pool import WorkerLost
+from koop_study.workers.cluster import WorkerLost
 from koop_study.workers.runner import run_all
 from koop_study.workers.units import Store
 
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         return 0 if over_dds.repeat(experiments, out) else 1
     store = Store(out / "units")
     try:
-        sections = run_all(experiments, store, args.processes)
+        sections = run_all(experiments, store, args.processes, args.scheduler)
     except KeyboardInterrupt:
         print(f"stopped; the same command goes on from what is in {out}", file=sys.stderr)
         return INTERRUPTED

@@ -7,20 +7,27 @@ import json
 import multiprocessing
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
+import dask.config
 import pytest
 
 from koop_lab.cli.main import main
 from koop_lab.page.document import Column, Table
 from koop_study.experiments import stats
 from koop_study.laws.catalogue import LAWS
-from koop_study.workers import pool, units
+from koop_study.simulation.work import runs
+from koop_study.workers import cluster, units
+from koop_study.workers.cluster import WorkerLost, Workers
+from koop_study.workers.task import _check_threads
 from koop_study.workers.units import Store, Unit, write_atomically
 
 TINY = """
@@ -31,6 +38,8 @@ tau_f: [3, 10]
 seeds: {first: 0, count: 2}
 settings: {duration: 300, training.trajectories: 10, training.duration: 10}
 """
+
+SHORT = {"cost": "raw", "duration": 100.0}
 
 
 @pytest.fixture
@@ -52,6 +61,7 @@ def study(folder: Path, out: Path) -> subprocess.Popen[str]:
         stderr=subprocess.STDOUT,
         text=True,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        start_new_session=True,
     )
 
 
@@ -73,7 +83,8 @@ def wait_for(condition: Callable[[], bool], running: subprocess.Popen[str] | Non
 
 
 def children(pid: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    threads = Path(f"/proc/{pid}/task").iterdir()
+    return [int(child) for one in threads for child in (one / "children").read_text().split()]
 
 
 def ended(pid: int) -> bool:
@@ -91,6 +102,7 @@ def test_a_stopped_study_goes_on_and_a_second_run_gives_the_same_bytes(
     killed = study(folder, one)
     wait_for(lambda: results(one) >= 2, killed)
     workers = children(killed.pid)
+    assert len(workers) >= 2  # and multiprocessing's tracker
     killed.kill()
     killed.communicate()
     wait_for(lambda: all(ended(worker) for worker in workers))  # they end with their parent
@@ -99,7 +111,7 @@ def test_a_stopped_study_goes_on_and_a_second_run_gives_the_same_bytes(
 
     stopped = study(folder, one)
     wait_for(lambda: results(one) > kept, stopped)
-    stopped.send_signal(signal.SIGINT)
+    os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does, to the workers too
     text = stopped.communicate(timeout=60)[0]
     assert stopped.returncode == 130
     assert f"16 units of work, {kept} of them there already" in text
@@ -115,13 +127,12 @@ def test_a_stopped_study_goes_on_and_a_second_run_gives_the_same_bytes(
     assert len(outcome(one)) >= 3
 
 
-def test_a_killed_worker_ends_the_study_with_an_error_and_keeps_what_was_done(
+def test_workers_killed_again_and_again_end_the_study_with_an_error_and_keep_what_was_done(
     tmp_path: Path,
 ) -> None:
     store = Store(tmp_path)
-    settings = {"cost": "raw", "duration": 100.0}
     # the second one would take minutes
-    units = [Unit("runs", {"settings": settings, "seeds": [*range(n)]}) for n in (1, 100_000)]
+    units = [Unit("runs", {"settings": SHORT, "seeds": [*range(n)]}) for n in (1, 100_000)]
 
     def kill() -> None:
         wait_for(lambda: store.has(units[0]))
@@ -130,19 +141,96 @@ def test_a_killed_worker_ends_the_study_with_an_error_and_keeps_what_was_done(
 
     killer = threading.Thread(target=kill)
     killer.start()
-    with pytest.raises(pool.WorkerLost, match="fewer --processes"), pool.Workers(store, 1) as w:
-        w.results(units)
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        pytest.raises(WorkerLost, match="too little memory"),
+        Workers(store, 1) as workers,
+    ):
+        workers.results(units)
     killer.join()
     assert store.has(units[0])
     assert not store.has(units[1])
     assert multiprocessing.active_children() == []
 
 
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """Return a function that starts a part of a Dask cluster, which ends with the test."""
+    with ExitStack() as stack:
+
+        def process(part: str, *arguments: str) -> subprocess.Popen[bytes]:
+            command = [sys.executable, "-m", f"distributed.cli.dask_{part}", *arguments]
+            log = stack.enter_context((tmp_path / "log").open("ab"))
+            started = stack.enter_context(subprocess.Popen(command, stdout=log, stderr=log))
+            stack.callback(started.kill)
+            return started
+
+        yield process
+
+
+def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results(
+    tmp_path: Path,
+    start: Callable[..., subprocess.Popen[bytes]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    file = tmp_path / "scheduler.json"
+    scheduler = start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+                      "--scheduler-file", str(file))  # fmt: skip
+    options = ("--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard")
+    worker, _ = (start("worker", *options) for _ in range(2))
+    wait_for(file.exists)
+    store, address = Store(tmp_path / "units"), json.loads(file.read_text())["address"]
+    settings = {**SHORT, "duration": 500.0}
+    every = [Unit("runs", {"settings": settings, "seeds": [n, n + 1]}) for n in range(33)]
+    units, further, other = every[:16], every[16:32], every[32]
+
+    def kill(process: subprocess.Popen[bytes], units: list[Unit], left: list[int]) -> None:
+        wait_for(lambda: any(map(store.has, units)))
+        process.kill()
+        left.append(sum(not store.has(unit) for unit in units))
+
+    with ThreadPoolExecutor(1) as thread, Workers(store, 1, address) as workers:
+        left: list[int] = []
+        killed = thread.submit(kill, worker, units, left)
+        found = workers.results(units)
+        killed.result()
+        assert worker.wait() == -signal.SIGKILL
+        assert left[0] > 1
+        assert found == [runs(**unit.arguments) for unit in units]
+        with monkeypatch.context() as patch:  # another study than what the workers are made of
+            patch.setattr("koop_study.workers.units.fingerprint", lambda *_: "other")
+            with pytest.raises(ValueError, match="has other code"):
+                workers.results([other])
+        thread.submit(kill, scheduler, further, left)
+        with pytest.raises(WorkerLost, match="scheduler has gone"):
+            workers.results(further)
+        assert any(map(store.has, further))
+
+
+def test_a_worker_of_several_threads_is_refused() -> None:
+    with pytest.raises(ValueError, match="--nthreads 1"):
+        _check_threads("tcp://other:1", 2)
+
+
+def test_where_no_scheduler_is_that_is_said(
+    folder: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE", 0.1)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    given = ["--scheduler", f"tcp://127.0.0.1:{port}"]
+    assert main([*arguments(folder, tmp_path / "out"), *given]) == 2
+    assert f"127.0.0.1:{port}: no Dask scheduler there" in capsys.readouterr().err
+
+
 def test_what_the_store_has_is_not_computed_again(tmp_path: Path, monkeypatch) -> None:
     store, unit = Store(tmp_path), Unit("runs", {"settings": {}, "seeds": [1]})
     store.save(unit, [{"iae": 1.5}])
-    monkeypatch.setattr(pool.Workers, "_compute", lambda *_: pytest.fail("computed"))
-    with pool.Workers(store, 1) as workers:
+    monkeypatch.setattr(Workers, "_compute", lambda *_: pytest.fail("computed"))
+    with Workers(store, 1) as workers:
         assert workers.results([unit, unit]) == [[{"iae": 1.5}], [{"iae": 1.5}]]
 
 

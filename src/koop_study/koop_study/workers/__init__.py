@@ -1,1 +1,1 @@
-"""Units of work, computed on all cores, kept on disk."""
+"""Units of work, computed by workers, kept on disk."""

@@ -7,26 +7,29 @@ from typing import Any
 
 from koop_lab.page.document import Section
 from koop_study.experiments.kinds import Experiment
-from koop_study.workers.pool import Workers
+from koop_study.workers.cluster import Workers
 from koop_study.workers.units import Store, Unit
 
 
-def run_all(experiments: Sequence[Experiment], store: Store, processes: int) -> list[Section]:
+def run_all(
+    experiments: Sequence[Experiment], store: Store, processes: int, scheduler: str = ""
+) -> list[Section]:
     """Return one section an experiment, in their order.
 
-    Experiments ask for units in stages; all that are at the same stage share the processes.
+    Experiments ask for units in stages; all that are at the same stage share the workers:
+    ``processes`` of this machine, or those of the Dask scheduler at an address.
 
     Raises
     ------
     KeyboardInterrupt
         On Ctrl-C; every result that was complete is in the store.
-    koop_study.workers.pool.WorkerLost
-        If a worker process was killed; so it is then.
+    koop_study.workers.cluster.WorkerLost
+        If workers were killed again and again; so it is then.
     """
     sections: dict[int, Section] = {}
     steps = {i: experiment.steps() for i, experiment in enumerate(experiments)}
     asked: dict[int, list[Unit]] = {i: next(step) for i, step in steps.items()}
-    with Workers(store, processes) as workers:
+    with Workers(store, processes, scheduler) as workers:
         while asked:
             results = iter(workers.results([unit for wanted in asked.values() for unit in wanted]))
             following: dict[int, list[Unit]] = {}
