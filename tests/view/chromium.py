@@ -67,9 +67,9 @@ class Chromium:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def wait(self, expression: str, timeout: float = TIMEOUT) -> Any:
-        """Wait until an expression is true, and return it."""
-        return self._until(lambda: self.value(expression), expression, timeout)
+    def wait(self, expression: str, timeout: float = TIMEOUT, pause: float = 0.02) -> Any:
+        """Look every so often [s] until an expression is true, and return it."""
+        return self._until(lambda: self.value(expression), expression, timeout, pause)
 
     def memory(self) -> int:
         """Return the bytes that the page's script holds, after a collection."""
@@ -108,10 +108,10 @@ class Chromium:
             self.errors.append(json.dumps(content["args"])[:500])
 
     @staticmethod
-    def _until(condition: Any, what: str, timeout: float = TIMEOUT) -> Any:
+    def _until(condition: Any, what: str, timeout: float = TIMEOUT, pause: float = 0.02) -> Any:
         deadline = time.monotonic() + timeout
         while not (found := condition()):
             if time.monotonic() > deadline:
                 pytest.fail(f"timed out after {timeout:g} s: {what}")
-            time.sleep(0.02)
+            time.sleep(pause)
         return found

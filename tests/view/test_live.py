@@ -5,6 +5,7 @@ import os
 import random
 import re
 import shutil
+import signal
 import socket
 import struct
 import subprocess
@@ -33,6 +34,9 @@ HERE = Path(__file__).parent
 GOLDEN = HERE.parents[1] / "recordings" / "golden" / "run"
 NO_NETWORK = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ECONNRESET|ETIMEDOUT|ENETUNREACH")
 FRAMES = int(os.environ.get("KOOP_FRAMES", "10000"))  # by hand: 100 000
+MINUTES = int(os.environ.get("KOOP_MINUTES", "0"))  # that the page stays open; by hand: 10
+FILLED = 2  # minutes after which what is kept of a loop grows only with what happens to it
+GROWTH = 3_000_000  # [B] from then on
 LOST_CLIENTS = 300
 TIMEOUT = 60.0  # [s]
 LEVEL = "document.querySelector('#health [data-node=\"/koopman_lifter\"]')?.dataset.level"
@@ -64,7 +68,7 @@ def story(module_start, tmp_path_factory, reference):
         lambda: re.search(r"(http://127.0.0.1:(\d+)/#token=(\S+))", log.read_text()), "the server"
     )
     seen = SimpleNamespace(folder=folder, run=run, log=log, url=found[1])
-    seen.port, seen.token = int(found[2]), found[3]
+    seen.port, seen.token, seen.pid = int(found[2]), found[3], view.process.pid
     seen.viewer, seen.messages = viewer(seen.port)
     seen.refused = without_token(seen.port)
     seen.answer = hold(seen.port, seen.token, True)
@@ -75,7 +79,9 @@ def story(module_start, tmp_path_factory, reference):
     seen.before = len(seen.messages)
     hostile(seen.port)
     lost_clients(seen.port)
+    stop_for_a_while(seen.pid)
     receive(seen, 200)
+    lose_mailboxes(seen.pid)
     seen.browser = browsed(seen, lifter, lambda: module_start("koopman_lifter", recorders=1))
     seen.viewer.close()
     assert view.poll() is None
@@ -179,6 +185,26 @@ def hostile(port):
             connection.socket.sendall(blob)
 
 
+def stop_for_a_while(process):
+    """Stop a process for longer than Fast DDS takes a mailbox in shared memory for healthy."""
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(1.5)  # beside a loop at full rate
+    os.kill(process, signal.SIGCONT)
+
+
+def lose_mailboxes(process):
+    """Do away with the mailboxes in shared memory that a process has, as Fast DDS may under load.
+
+    Who has one open writes to it still; who comes later makes another, at which nobody listens.
+    """
+    for descriptor in Path(f"/proc/{process}/fd").iterdir():
+        link = ""
+        with suppress(FileNotFoundError):  # closed by now
+            link = os.readlink(descriptor)
+        if re.fullmatch(r"/dev/shm/fastrtps_port\d+_el", link):  # the lock of who listens there
+            Path(link.removesuffix("_el")).unlink(missing_ok=True)
+
+
 def lost_clients(port):
     """Connect, say half a sentence or nothing, and stay."""
     several = []
@@ -239,6 +265,7 @@ def browsed(seen, lifter, restart):
         page.wait(f"{LEVEL} == 'ok'")
         page.wait("(koop.raw('y_out')?.v.length ?? 0) > 300")
         drawn = {name: page.value(f"koop.raw('{name}')") for name in ("y_out", "theta")}
+        held = stay(page, seen.pid)
         clicked = page.value("document.querySelector('#hold').click(), Date.now()")
         page.wait(f"{ACT}?.dataset.outcome == 'done'")
         page.value(
@@ -257,10 +284,24 @@ def browsed(seen, lifter, restart):
         restart()
         page.wait(f"{LEVEL} == 'ok'")
         result = SimpleNamespace(
-            drawn=drawn, clicked=clicked, reason=reason, stale=stale, errors=page.errors
+            drawn=drawn, clicked=clicked, reason=reason, stale=stale, errors=page.errors, held=held
         )
     lifter.process.wait()
     return result
+
+
+def stay(page, server):
+    """Leave the page open; return the bytes that page and server hold, minute by minute."""
+    held = []
+    while len(held) <= MINUTES:
+        pages = Path(f"/proc/{server}/statm").read_text().split()[1]
+        held.append((page.memory(), int(pages) * os.sysconf("SC_PAGE_SIZE")))
+        print("after {} min: the page holds {:.1f} MB, the server {:.1f} MB".format(
+            len(held) - 1, *(size * 1e-6 for size in held[-1])), flush=True)  # fmt: skip
+        if len(held) <= MINUTES:
+            due = page.value("koop.newest()") + 60.0
+            page.wait(f"koop.newest() >= {due!r}", 120.0, pause=2.0)
+    return held
 
 
 @pytest.fixture(scope="module")
@@ -365,6 +406,14 @@ def test_a_dead_lifter_shows_and_recovers_and_the_console_is_silent(story):
     page = browser_of(story)
     print(f"stale {page.stale:.1f} s after the lifter was killed")
     assert page.errors == []
+
+
+def test_memory_stays_flat_while_the_page_is_open(story):
+    page = browser_of(story)
+    if MINUTES <= FILLED:
+        pytest.skip("takes minutes: KOOP_MINUTES=10 ./koop test tests/view/test_live.py")
+    for early, late in zip(page.held[FILLED], page.held[-1], strict=True):
+        assert late - early < GROWTH
 
 
 def browser_of(story):

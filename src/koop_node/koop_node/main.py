@@ -29,15 +29,24 @@ from koop_node.managed import ManagedNode
 
 USAGE = f"a node takes {ARGUMENTS}; --help lists its parameters"
 QUEUED = 100  # callbacks that an executor may have to do before it knows of a change
+PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # environment variable of Fast DDS
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
 
 
-def set_dds_profile() -> None:
+def set_dds_profile(guest: bool = False) -> None:
     """Let Fast DDS notice a loss in 10 ms and never wait for a lost host.
 
-    To be called before DDS starts in this process.
+    To be called before DDS starts in this process. A file of the user's stays.
+
+    Parameters
+    ----------
+    guest : bool
+        Whether the process only looks on: what is sent to it then comes by UDP, not through shared
+        memory, which under load may be lost for good.
     """
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(files("koop_node") / "fastdds.xml"))
+    own = Path(str(files("koop_node")))
+    if Path(os.environ.get(PROFILE, own / "none")).parent == own:  # none, or a parent's
+        os.environ[PROFILE] = str(own / ("fastdds_guest.xml" if guest else "fastdds.xml"))
 
 
 def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> int:

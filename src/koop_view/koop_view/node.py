@@ -59,7 +59,7 @@ def run(args: list[str] | None = None) -> int:
         print(help_text("ros2 run koop_view server", PURPOSE, (ViewConfig,)))
         return 0
     end_with_parent()
-    set_dds_profile()
+    set_dds_profile(guest=True)
     os.nice(NICE)
     executor: Any = None
     try:

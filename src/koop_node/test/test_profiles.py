@@ -1,0 +1,45 @@
+"""The profiles of Fast DDS, and which of them a process gets."""
+
+import os
+import xml.etree.ElementTree as ET
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from koop_node.main import PROFILE, set_dds_profile
+
+OWN = Path(str(files("koop_node")))
+
+
+def test_a_guests_profile_differs_from_the_nodes_in_how_it_is_sent_to_only():
+    nodes, guests = (ET.parse(OWN / name) for name in ("fastdds.xml", "fastdds_guest.xml"))
+    participant = next(item for item in guests.iter() if item.tag.endswith("}rtps"))
+    (address,) = [item for item in participant if item.tag.endswith("}defaultUnicastLocatorList")]
+    assert [item.tag.rpartition("}")[2] for item in address.iter()][1:] == ["locator", "udpv4"]
+    participant.remove(address)
+    texts = [ET.tostring(item.getroot(), encoding="unicode") for item in (nodes, guests)]
+    plain = [ET.canonicalize(text, strip_text=True) for text in texts]
+    assert plain[0] == plain[1]
+
+
+@pytest.mark.parametrize(
+    ("given", "guest", "expected"),
+    [
+        (None, False, OWN / "fastdds.xml"),
+        (None, True, OWN / "fastdds_guest.xml"),
+        (OWN / "fastdds.xml", True, OWN / "fastdds_guest.xml"),  # of the command that started it
+        (OWN / "fastdds_guest.xml", False, OWN / "fastdds.xml"),
+        ("/etc/rig/dds.xml", True, "/etc/rig/dds.xml"),
+        ("", False, ""),
+    ],
+)
+def test_a_profile_of_the_users_stays_and_one_of_a_parent_does_not(
+    monkeypatch, given, guest, expected
+):
+    monkeypatch.delenv(PROFILE, raising=False)
+    if given is not None:
+        monkeypatch.setenv(PROFILE, str(given))
+    set_dds_profile(guest)
+    assert os.environ[PROFILE] == str(expected)
+    monkeypatch.setenv(PROFILE, os.environ[PROFILE])  # to be undone
