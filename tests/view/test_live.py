@@ -37,6 +37,7 @@ FRAMES = int(os.environ.get("KOOP_FRAMES", "10000"))  # by hand: 100 000
 MINUTES = int(os.environ.get("KOOP_MINUTES", "0"))  # that the page stays open; by hand: 10
 FILLED = 2  # minutes after which what is kept of a loop grows only with what happens to it
 GROWTH = 3_000_000  # [B] from then on
+pytestmark = pytest.mark.timeout(300 + 120 * MINUTES)
 LOST_CLIENTS = 300
 TIMEOUT = 60.0  # [s]
 LEVEL = "document.querySelector('#health [data-node=\"/koopman_lifter\"]')?.dataset.level"

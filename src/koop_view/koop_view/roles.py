@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 
 from koop_view.source import Loop
 
+GONE = 3.0  # [s] without any of its nodes: the loop has ended
 STATE, COST, THETA = (f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput"))
 
 
@@ -49,7 +50,24 @@ def _last_is_own(item: tuple[str, str]) -> tuple[bool, str]:
     return item[0].endswith(("/theta", "/cost", "/state")), item[0]
 
 
-def joined(before: Loop | None, now: Loop) -> Loop:
+class Known:
+    """The loops of a domain: a dead node keeps its place in its loop until the last one is gone."""
+
+    def __init__(self) -> None:
+        self.loops: dict[str, Loop] = {}
+        self._seen: dict[str, float] = {}
+
+    def see(self, found: Mapping[str, Loop], now: float) -> bool:
+        """Take in the loops that are there; return whether it is news."""
+        before = self.loops
+        self._seen |= dict.fromkeys(found, now)
+        joined = before | {name: _joined(before.get(name), loop) for name, loop in found.items()}
+        self.loops = {name: it for name, it in joined.items() if now - self._seen[name] <= GONE}
+        self._seen = {name: self._seen[name] for name in self.loops}
+        return self.loops != before
+
+
+def _joined(before: Loop | None, now: Loop) -> Loop:
     """Return a loop with what is known of it from before: a node that died has the same name."""
     known = {} if before is None else asdict(before)
     return Loop(**{**known, **{k: v for k, v in asdict(now).items() if v is not None}})

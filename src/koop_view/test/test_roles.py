@@ -1,7 +1,7 @@
 """Which nodes and topics make a loop, and which still wait for it."""
 
 from koop_view.live.starting import SILENCE, STRANGER, Starting
-from koop_view.roles import COST, STATE, THETA, joined, loops
+from koop_view.roles import COST, GONE, STATE, THETA, Known, loops
 from koop_view.source import Loop
 
 
@@ -19,11 +19,18 @@ def test_loops_are_told_apart_by_namespace_and_by_what_their_nodes_publish():
     assert found["/rig"] == Loop("/rig", lifter="/rig/lifter", state="/rig/state", cost="/rig/cost")
 
 
-def test_a_node_that_has_gone_keeps_its_place():
-    before = Loop("/", lifter="/lifter", cost="/cost")
-    assert joined(before, Loop("/", controller="/esc")) == Loop(
-        "/", lifter="/lifter", controller="/esc", cost="/cost"
-    )
+def test_a_node_that_has_gone_keeps_its_place_as_long_as_its_loop_has_another():
+    known = Known()
+    assert known.see({"/": Loop("/", lifter="/lifter", cost="/cost")}, 0.0)
+    assert known.see({"/": Loop("/", controller="/esc")}, 1.0)
+    both = Loop("/", lifter="/lifter", controller="/esc", cost="/cost")
+    assert known.loops == {"/": both}
+    assert not known.see({"/": Loop("/", controller="/esc")}, 100.0)
+    assert not known.see({}, 100.0 + GONE)  # it may be restarted
+    assert known.see({"/rig": Loop("/rig")}, 100.1 + GONE)
+    assert known.loops == {"/rig": Loop("/rig")}
+    assert known.see({"/": Loop("/", cost="/cost")}, 200.0)
+    assert known.loops == {"/": Loop("/", cost="/cost")}
 
 
 def test_nobody_listens_to_a_node_that_waits_for_those_who_listen():

@@ -7,6 +7,7 @@ import math
 import time
 from array import array
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -26,7 +27,7 @@ from koop_view.live.services import Caller, load, packed, unpacked
 from koop_view.live.starting import Starting
 from koop_view.live.topic import ViewedTopic
 from koop_view.protocol import WARNING, Channel, Service
-from koop_view.roles import joined, loops
+from koop_view.roles import Known, loops
 from koop_view.source import Client, Refused, Source
 
 POLL = 0.02  # [s] between looks for messages while somebody looks
@@ -62,6 +63,7 @@ class LiveSource(Source):
         self._caller = Caller(node)
         self._collector = ParameterCollector(node, "/")
         self._starting = Starting()
+        self._known = Known()
         self._publishers: dict[str, set[str]] = {}  # nodes by topic
         self._types: dict[str, str] = {}  # of topics and services that were looked at
         self._topics: dict[str, ViewedTopic] = {}
@@ -156,11 +158,8 @@ class LiveSource(Source):
         self._starting.see(managed, now)
         self._take_parameters(served)
         self._take_channels()
-        found = {
-            name: joined(self.loops.get(name), loop) for name, loop in loops(published).items()
-        }
-        if len(self.loops) < MOST and {**self.loops, **found} != self.loops:
-            self.loops.update(found)
+        if self._known.see(dict(islice(loops(published).items(), MOST)), now):
+            self.loops = self._known.loops
             self._tell("news_of_loops")
         self._take_services(served)
         self._choose(now)
