@@ -101,6 +101,9 @@ def test_every_foxglove_panel_stands_in_the_layout():
     for tab in panels["Tab!main"]["tabs"]:
         walk(tab["layout"])
     assert sorted(shown) == sorted(set(panels) - {"Tab!main"})
+    for name in shown:  # Foxglove and Lichtblick each read a title of their own
+        titles = [panels[name][f"{viewer}PanelTitle"] for viewer in ("foxglove", "lichtblick")]
+        assert titles[0] == titles[1], name
 
 
 def test_the_layouts_are_installed():
