@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from websockets.sync.client import connect
 
-TIMEOUT = 30.0  # [s]
+TIMEOUT = 120.0  # [s]; on a busy machine a node takes a minute to start
 
 
 class Chromium:
@@ -51,7 +51,7 @@ class Chromium:
         self._connection = connect(page["webSocketDebuggerUrl"], max_size=None, proxy=None)
         for domain in ("Runtime", "Log", "Page"):
             self._command(f"{domain}.enable")
-        self._command("Page.navigate", url=url)
+        self.open(url)
 
     def __enter__(self) -> Chromium:
         return self
@@ -60,6 +60,10 @@ class Chromium:
         self._connection.close()
         self._process.terminate()
         self._process.wait(TIMEOUT)
+
+    def open(self, url: str) -> None:
+        """Leave the page for another one."""
+        self._command("Page.navigate", url=url)
 
     def value(self, expression: str) -> Any:
         """Return the value of an expression of JavaScript."""

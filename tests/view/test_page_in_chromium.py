@@ -1,7 +1,9 @@
 """The page in real Chromium over a long run that is fed fast: memory, console, a phone's width."""
 
 import asyncio
-from contextlib import suppress
+import threading
+from contextlib import contextmanager, suppress
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -25,6 +27,14 @@ OUTSIDE = """[...document.querySelectorAll('body *')].filter((element) => {
   const { left, right, width } = element.getBoundingClientRect();
   return width && (right > innerWidth + 1 || left < -1);
 }).map((element) => element.outerHTML.slice(0, 80))"""
+
+
+TRIES = """(address => {
+  const socket = new WebSocket(address, ["foxglove.sdk.v1"]);
+  window.told = "";
+  socket.onopen = () => (window.told = "open");
+  socket.onerror = () => (window.told = "refused");
+})"""
 
 
 class Long(RecordedSource):
@@ -66,9 +76,36 @@ def seen(tmp_path_factory):
             page.wait("[...document.querySelectorAll('.uplot')].every((plot) => "
                       "Math.abs(plot.clientWidth - plot.parentNode.clientWidth) < 2)")  # fmt: skip
             widths[width] = page.value("document.documentElement.scrollWidth"), page.value(OUTSIDE)
+        errors = list(page.errors)
+        told = [told_by(page, port)]
+        with (
+            another_server() as other
+        ):  # on this machine too: of a page from afar browsers see to it
+            page.open(f"http://127.0.0.1:{other}/")
+            page.wait(f"location.port == '{other}' && document.readyState == 'complete'")
+            told.append(told_by(page, port))
         return SimpleNamespace(
-            early=early, late=late, columns=columns, widths=widths, errors=page.errors
+            early=early, late=late, columns=columns, widths=widths, errors=errors, told=told
         )
+
+
+def told_by(page, port):
+    """Let the page connect; return what came of it."""
+    page.value(f"{TRIES}('ws://127.0.0.1:{port}/')")
+    return page.wait("window.told")
+
+
+@contextmanager
+def another_server():
+    """Serve nothing but an error message; give the port."""
+    with HTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield server.server_port
+        finally:
+            server.shutdown()
+            thread.join()
 
 
 def test_memory_stays_flat_however_long_the_run(seen):
@@ -90,6 +127,10 @@ def test_no_width_needs_to_be_scrolled_sideways(seen):
     for width, (needed, outside) in seen.widths.items():
         assert needed <= width, (width, outside)
         assert not outside, width
+
+
+def test_a_page_of_another_server_is_refused(seen):
+    assert seen.told == ["open", "refused"]
 
 
 def test_the_console_is_silent(seen):
