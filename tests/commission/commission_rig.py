@@ -35,9 +35,10 @@ class FastRig:
         Commanded last.
     moved : list of (float, float)
         Every command with its time [s].
-    applied, dead, silent, spike : bool
-        Whether theta has an effect, the second channel and all of it say nothing, the first channel
-        is beyond all limits.
+    applied, silent, spike : bool
+        Whether theta has an effect, the rig says nothing, the first channel is beyond all limits.
+    dead : int or None
+        Channel that does not change.
     """
 
     def __init__(self):
@@ -48,7 +49,8 @@ class FastRig:
         from koop_node.entities import WithoutEvents
 
         self.theta, self.moved = RIG.theta_start, []
-        self.applied, self.dead, self.silent, self.spike = True, False, False, False
+        self.applied, self.silent, self.spike = True, False, False
+        self.dead: int | None = None
         self._context = rclpy.Context()
         self._context.init(args=[])
         self._node = WithoutEvents("fast_rig", context=self._context)
@@ -85,6 +87,9 @@ class FastRig:
             size += DT / 0.03 * (aim - size)
             x = size * math.sin(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
             y = size * math.cos(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
-            self._message.data = [99.0 if self.spike else x, 0.5 if self.dead else y]
+            said = [99.0 if self.spike else x, y]
+            if self.dead is not None:
+                said[self.dead] = 0.5
+            self._message.data = said
             if not self.silent:
                 self._publisher.publish(self._message)

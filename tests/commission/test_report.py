@@ -29,6 +29,7 @@ def excitation(folder, rig):
     dt, loaded = rig.params.dt, loaded_of(theta, x)
     how = bands(x, round(8.0 / rig.frequency / dt), dt)
     visits = []
+    values = staircase.values(file.theta_min, file.theta_max)
     for level, begin, end in rests(loaded, Scale(file.theta_min, file.theta_max), how.length)[1]:
         series = np.array([features(x[k : k + how.length], how)
                            for k in range(begin, end, how.length)])  # fmt: skip
@@ -36,7 +37,7 @@ def excitation(folder, rig):
         visits.append(staircase.Visit(level, tuple(judged.mean.tolist()),
                                       tuple(judged.error.tolist()), judged.skip * how.length * dt,
                                       (end - begin) * dt))  # fmt: skip
-    state = progress.Progress(0, how, visits, [], theta.size * dt, ["part-1"], True)
+    state = progress.Progress(0, values, how, visits, [], theta.size * dt, ["part-1"], True)
     progress.save(state, file, folder)
     rig_file.write(file, folder / "rig.yaml")
     return file

@@ -26,7 +26,7 @@ from koop_lab.tune.fluctuation import fluctuation
 from koop_lab.tune.static_map import StaticMap
 from koop_lab.tune.stays import Scale, Stay, Stays, period_by_theta, rests
 from koop_lab.tune.surrogate import fit_times
-from koop_lab.tune.tuning import NoOptimum, look, tune
+from koop_lab.tune.tuning import NoOptimum, cliff_of, look, tune
 from koop_loop import parameters
 from koop_study.commissioning.excitation import training_of
 from koopman_lifter.model import load
@@ -147,6 +147,34 @@ def test_an_optimum_in_doubt_is_tuned_for_and_said():
     found = look(replace(loaded, x=noisy), file, training)
     assert "towards theta_min is not sure" in found.doubt
     assert any(judged.usable for judged in found.costs)
+
+
+def cliff_map(values, edge, calm_once=False):
+    """The map of a rig that gets better up to an edge and oscillates beyond it."""
+    u = Scale(0.5, 60.0).u(np.array(values))
+    visits = [np.full(2, -2.0 * own if theta < edge else 4.0)
+              for own, theta in zip(u, values, strict=True)]  # fmt: skip
+    if calm_once:  # the first value beyond, when it was come to from below
+        i = int(np.argmax(np.array(values) >= edge))
+        visits[i] = np.array([-2.0 * u[i], 4.0])
+    mean = np.array([own.mean() for own in visits])
+    return StaticMap(u, mean, np.full(u.size, 0.05), 1.0, visits)
+
+
+def test_theta_is_kept_away_from_a_cliff_that_is_known_and_the_rig_may_start_from():
+    rig = replace(file_of(rig_of(3)), theta_min=0.5, theta_max=60.0, theta_start=1.0,
+                  theta_safe=1.0, objective="minimise")  # fmt: skip
+    values = [0.5, 0.91, 1.66, 3.01, 5.48, 9.97, 11.6, 13.4, 18.1, 33.0, 60.0]
+    scale = Scale(0.5, 60.0)
+    for calm_once in (False, True):
+        found = cliff_of(cliff_map(values, 13.0, calm_once), scale, rig)
+        assert found.low == 0.5
+        assert 9.0 < found.high < 11.6
+        assert "theta_max" in found.why
+    assert cliff_of(cliff_map(values, 70.0), scale, rig) is None  # there is none
+    coarse = [v for v in values if v not in (11.6, 13.4)]  # the optimum may be anywhere before it
+    assert cliff_of(cliff_map(coarse, 13.0), scale, rig) is None
+    assert cliff_of(cliff_map(values, 13.0), scale, replace(rig, theta_start=30.0)) is None
 
 
 def test_a_theta_that_moves_slowly_does_not_rest_on_its_way():

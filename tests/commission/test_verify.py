@@ -1,6 +1,8 @@
 """``koop verify`` and ``koop commission``: the loop is closed on a leash, whoever fails."""
 
 import json
+import resource
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +14,7 @@ from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_lab.cli.main import main
 from koop_lab.commission import progress, rig_file, staircase
+from koop_lab.commission.excite import mend
 from koop_lab.commission.features import Bands
 from koop_lab.commission.staircase import Visit
 from koop_lab.commission.verify import CONTROLLER
@@ -36,6 +39,7 @@ TUNED = {
         "reduction": {"low": 2.5, "middle": 5.0, "high": 12.0},
     },
 }  # fmt: skip
+BAND = ("low", "middle", "high")
 CONSTANTS = {
     "koopman_lifter": {
         "cost": "raw", "dt": DT, "omega_h": 100.0, "omega_l": 20.0, "input_fields": ONE.measured,
@@ -49,6 +53,24 @@ CONSTANTS = {
 }  # fmt: skip
 
 
+def sensor_dies(rig, process):
+    rig.dead = 0
+
+
+def disk_fills(rig, process):
+    """Let the recorder write no more, as on a full disk."""
+    words = ["pgrep", "-P", str(process.pid), "-f", "recorder"]
+    (pid,) = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
+    _, hard = resource.prlimit(int(pid), resource.RLIMIT_FSIZE)
+    resource.prlimit(int(pid), resource.RLIMIT_FSIZE, (1, hard))
+
+
+FAULTS = {
+    sensor_dies: "data[0] is 0.5 and does not change: dead sensor",
+    disk_fills: "recorder has ended: ",
+}
+
+
 @pytest.fixture
 def tuned(tmp_path):
     """A folder in which all is done but the verification."""
@@ -57,7 +79,7 @@ def tuned(tmp_path):
     rig_file.write(ONE, tmp_path / "rig.yaml")
     how = Bands(50, (1, 3, 6, 10), DT)
     visits = [Visit(level, (0.0,) * 4, (0.1,) * 4, 0.2, 1.0) for level in [*range(9), *range(9)]]
-    progress.save(progress.Progress(0, how, visits, [], 9.0, [], True), ONE, folder)
+    progress.save(progress.Progress(0, VALUES, how, visits, [], 9.0, [], True), ONE, folder)
     progress.write_whole(folder / "commission.json", {"fit": True})
     progress.write_whole(folder / "tuned/tune.json", TUNED)
     parameter_file.write(CONSTANTS, folder / "tuned/controller.yaml")
@@ -109,6 +131,27 @@ def test_the_loop_is_closed_on_a_leash_and_goes_on_where_it_was_stopped(
         assert np.mean([given[int(s)] == asked[int(s)] for s in both]) > 0.5
     assert main(words) == 0  # all is done
     assert found["verdict"] in capfd.readouterr().out
+
+
+def test_a_sensor_that_dies_or_a_full_disk_ends_the_closed_loop(fast_rig, tuned, koop):
+    slow = {**TUNED["predicted"], "duration": 300.0, "converges": dict.fromkeys(BAND, 300.0)}
+    progress.write_whole(tuned / "tuned/tune.json", {**TUNED, "predicted": slow})
+    for number, (fault, reason) in enumerate(FAULTS.items(), 1):
+        process = koop("verify", "rig.yaml", tuned)
+        wait(lambda: fast_rig.theta == -1.0, "theta at its start", process, LONG)
+        wait(lambda: fast_rig.theta > -0.5, "the closed loop", process, LONG)
+        fault(fast_rig, process)
+        out, error = process.communicate(timeout=LONG)
+        assert process.returncode == 2, error
+        assert "closing the loop from theta = -1 and 2" in out  # what was not at its end goes on
+        assert reason in error
+        assert f"theta is back at 1; to go on: koop verify rig.yaml {tuned}" in error
+        assert fast_rig.theta == ONE.theta_safe
+        fast_rig.dead = None
+        bag = tuned / f"verify-1/start-{number}/bag"
+        mend(bag)
+        whole(bag)
+    assert_walked(fast_rig.moved, ONE)
 
 
 def test_the_best_round_is_kept_where_none_is_as_predicted(tuned, tmp_path, capsys):

@@ -3,6 +3,7 @@
 import json
 import math
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from koop_lab.commission.leash import Leash, beyond
 from koop_lab.commission.reaction import order, reaction, reaction_of_rests
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.commission.staircase import Visit
+from koop_lab.tune.stays import Scale
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 
@@ -185,7 +187,8 @@ def excited(rig, length=1.0, most=400):
                 continue
             judged = staircase.judge(np.array(series), [0])
             seen = [visit.settled for visit in visits]
-            if not staircase.stays(judged, len(series), length, [0], target, seen, most):
+            if not staircase.stays(judged, len(series), length, [0], target, seen,
+                                   staircase.FEWEST, most):  # fmt: skip
                 break
         visits.append(
             Visit(level, tuple(judged.mean), tuple(judged.error), judged.skip * length,
@@ -242,13 +245,12 @@ def test_of_several_features_the_one_that_shows_theta_guides():
 
 
 def test_progress_is_what_was_saved_and_of_this_rig(tmp_path):
-    state = progress.begin(3, [1, 2])
+    state = progress.begin(3, RIG)
     assert progress.load(RIG, tmp_path) is None
     state.how = Bands(64, (1, 2, 5), DT)
     state.visits.append(Visit(4, (0.1, -2.0), (math.inf, 0.2), 1.0, 8.0))
     progress.save(state, RIG, tmp_path)
     assert progress.load(RIG, tmp_path) == state
-    from dataclasses import replace
 
     with pytest.raises(ConfigError, match=r"begun with theta_max = 3.0, the rig file says 4.0"):
         progress.load(replace(RIG, theta_max=4.0), tmp_path)
@@ -286,3 +288,51 @@ def test_more_stays_are_asked_for_where_they_decide_whether_there_is_an_optimum(
     assert valley.in_doubt(slight, error) == [0, 1]
     assert valley.in_doubt(slight[::-1], error) == [7, 8]
     assert valley.in_doubt(slight, 0.1 * error) == []
+
+
+def cliff_visits(values, edge):
+    """Visits of a map that falls with log theta up to a cliff, as JSBSim's aircraft shows one."""
+
+    def level(theta):
+        return -math.log(theta) if theta < edge else 3.0
+
+    return [
+        Visit(i, (level(theta),), (0.05,), 0.0, 8.0) for i, theta in enumerate(values)
+        for _ in range(3)
+    ]  # fmt: skip
+
+
+def test_between_the_best_value_and_a_cliff_values_are_added_until_the_cliff_is_known():
+    rig = replace(RIG, theta_min=0.5, theta_max=60.0, theta_start=1.0, theta_safe=1.0)
+    state, edge = progress.begin(0, rig), 12.9
+    at = Scale(0.5, 60.0).u
+    for _ in range(4):
+        state.visits = cliff_visits(state.values, edge)
+        found = staircase.between(state.visits, 0, 1.0, at(np.array(state.values)).tolist())
+        for level, u in found:
+            state.add(level, Scale(0.5, 60.0).theta_at(u))
+    assert found == []
+    assert state.values == sorted(state.values)
+    below = max(v for v in state.values if v < edge)
+    above = min(v for v in state.values if v > edge)
+    assert at(np.array(above)) - at(np.array(below)) <= staircase.FINEST
+    assert len(state.values) <= staircase.LEVELS + staircase.ADDED
+    level = state.values.index(below)
+    assert staircase.beside_cliff(state.visits, 0, 1.0, level, len(state.values))
+    assert not staircase.beside_cliff(state.visits, 0, 1.0, level + 1, len(state.values))
+    assert not staircase.beside_cliff(state.visits, 0, 1.0, 1, len(state.values))
+
+
+def test_a_value_that_is_added_leaves_the_visits_where_they_were():
+    state = progress.begin(0, RIG)
+    state.visits = [Visit(i, (0.0,), (0.1,), 0.0, 1.0) for i in (2, 3, 4)]
+    before = [state.values[visit.level] for visit in state.visits]
+    state.add(3, 0.5 * (state.values[2] + state.values[3]))
+    assert [state.values[visit.level] for visit in state.visits] == before
+
+
+def test_a_smooth_valley_gets_no_value_beside_its_best_one():
+    at = np.linspace(0.0, 1.0, 9).tolist()
+    visits = [Visit(i, (3.0 * (u - 0.4) ** 2,), (0.05,), 0.0, 8.0)
+              for i, u in enumerate(at) for _ in range(2)]  # fmt: skip
+    assert staircase.between(visits, 0, 1.0, at) == []

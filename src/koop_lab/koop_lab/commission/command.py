@@ -147,7 +147,7 @@ class Commissioning:
             known = found.progress
         else:
             print("done before")
-        if unknown_twice(known.visits):
+        if unknown_twice(known.visits, len(known.values)):
             print(
                 f"\ntheta was not at each value twice in {self._rig.time:g} s: set a longer "
                 "'time' in the rig file; then the same command goes on"

@@ -99,7 +99,7 @@ def main(args: argparse.Namespace) -> int:
     print("\n" + ending(rig, folder, result))
     print(reported(folder))
     print(f"now: ./koop tune {args.rig} {folder}")
-    return 1 if staircase.unknown_twice(result.progress.visits) else 0
+    return 1 if staircase.unknown_twice(result.progress.visits, len(result.progress.values)) else 0
 
 
 def ending(rig: RigFile, folder: Path, result: Result) -> str:
@@ -163,8 +163,7 @@ def excite(
     known = progress_file.load(rig, folder)
     if known is not None and known.done:
         raise ConfigError(f"{folder}: the map is known already: choose another --out")
-    middle = 0.5 * (rig.theta_min + rig.theta_max)
-    state = known or progress_file.begin(seed, staircase.passes(rig.theta_start <= middle))
+    state = known or progress_file.begin(seed, rig)
     refuse_small_disk(rig, folder, rig.time - state.elapsed)
     for part in state.parts:
         mend(folder / part / "bag")
@@ -354,7 +353,7 @@ class Excitation:
         stays = [visit.stay for visit in state.visits]
         stay = float(np.mean(stays)) if stays else GUESS * length
         visits = self._survey.visits_left
-        travel = visits * rig.span / rig.theta_rate / (staircase.LEVELS - 1) * 1.5
+        travel = visits * rig.span / rig.theta_rate / (len(state.values) - 1) * 1.5
         return min(visits * stay + travel, self._time_left)
 
     def _forecast(self) -> None:
@@ -362,8 +361,9 @@ class Excitation:
         done = len(self._state.visits)
         again = f"; {done} stays were done before" if done else ""
         print(
-            f"{staircase.LEVELS} values of theta from {rig.theta_min:g} to {rig.theta_max:g}, up "
-            f"and down, then at random{again}: about {_time(self._left() / self._scale)}, at most "
+            f"{len(self._state.values)} values of theta from {rig.theta_min:g} to "
+            f"{rig.theta_max:g}, up and down, then at random{again}: about "
+            f"{_time(self._left() / self._scale)}, at most "
             f"{_time(self._time_left / self._scale)}, and up to "
             f"{_time(home / self._scale)} back to {rig.theta_safe:g}; Ctrl-C ends it there",
             flush=True,
@@ -384,15 +384,9 @@ def shown(rig: RigFile, state: Progress) -> str:
     if not state.visits or state.how is None:
         return "no value of theta was reached"
     names = state.how.names(rig.names)
-    feature = staircase.clearest(state.visits, range(len(names)))
+    feature, points = state.map_of(range(len(names)))
     rows = []
-    for level, (value, point) in enumerate(
-        zip(
-            staircase.values(rig.theta_min, rig.theta_max),
-            staircase.static_map(state.visits, feature),
-            strict=True,
-        )
-    ):
+    for level, (value, point) in enumerate(zip(state.values, points, strict=True)):
         if point is None:
             rows.append([f"{value:.4g}", "-", "-", "0", "-"])
             continue

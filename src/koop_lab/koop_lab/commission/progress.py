@@ -6,13 +6,14 @@ import json
 import os
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from koop_lab.commission import staircase
 from koop_lab.commission.features import Bands
 from koop_lab.commission.rig_file import RigFile, as_values
-from koop_lab.commission.staircase import Visit
+from koop_lab.commission.staircase import Point, Visit
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 
@@ -27,6 +28,8 @@ class Progress:
     ----------
     seed : int
         Of the order of theta's values.
+    values : list of float
+        Of theta, rising; a visit's level is the number of one.
     how : Bands or None
         How windows are looked at, once that is known.
     visits : list of Visit
@@ -42,6 +45,7 @@ class Progress:
     """
 
     seed: int
+    values: list[float]
     how: Bands | None
     visits: list[Visit]
     queue: list[int]
@@ -49,10 +53,25 @@ class Progress:
     parts: list[str]
     done: bool = False
 
+    def add(self, level: int, value: float) -> None:
+        """Add a value of theta below the one of that number."""
+        self.values.insert(level, value)
+        self.visits = [
+            replace(visit, level=visit.level + (visit.level >= level)) for visit in self.visits
+        ]
 
-def begin(seed: int, queue: Sequence[int]) -> Progress:
-    """Return the progress of an excitation that begins."""
-    return Progress(seed, None, [], list(queue), 0.0, [])
+    def map_of(self, features: Sequence[int]) -> tuple[int, list[Point | None]]:
+        """Return the feature whose map is the clearest, and the map."""
+        count = len(self.values)
+        feature = staircase.clearest(self.visits, features, count)
+        return feature, staircase.static_map(self.visits, feature, count)
+
+
+def begin(seed: int, rig: RigFile) -> Progress:
+    """Return the progress of an excitation that begins: the values up and down, or down and up."""
+    up = rig.theta_start <= 0.5 * (rig.theta_min + rig.theta_max)
+    values = staircase.values(rig.theta_min, rig.theta_max)
+    return Progress(seed, values, None, [], staircase.passes(up), 0.0, [])
 
 
 def save(progress: Progress, rig: RigFile, folder: Path) -> None:

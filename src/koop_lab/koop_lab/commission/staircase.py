@@ -32,6 +32,11 @@ LONGER = 2.0  # than the rig was seen to need, theta stays at least
 FLOOR = 0.03  # of an amplitude: no map need be known better
 SHARE = 0.05  # of the map's span, that is good enough
 MOST_VISITS, MOST_IN_DOUBT = 6, 16
+CLIFF = 4.0  # ratio of amplitudes at the best value and at one beside it: one between is added
+CLIFF_ERRORS = 2.0  # standard errors that it is beyond
+FINEST = 0.04  # of the range, within which none is
+ADDED = 4  # values at most
+LINGER = 48  # windows that theta stays beside a cliff at least
 LEAST_ERROR = 0.003  # of an amplitude: nothing is known better
 
 
@@ -187,7 +192,7 @@ def alike(rest: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def stays(
     judged: Judged, windows: int, length: float, guide: Sequence[int], target: float,
-    seen: Sequence[float], most: int,
+    seen: Sequence[float], least: int, most: int,
 ) -> bool:  # fmt: skip
     """Return whether theta should stay where it is.
 
@@ -205,12 +210,12 @@ def stays(
         Standard error that is good enough.
     seen : sequence of float
         Times that the rig needed to settle before [s].
-    most : int
-        Windows after which theta goes on anyhow.
+    least, most : int
+        Windows before which theta does not go on, and after which it does anyhow.
     """
     if windows >= most:
         return False
-    needed = max(FEWEST, LONGER * float(np.quantile(seen, 0.75)) / length if seen else 0)
+    needed = max(least, LONGER * float(np.quantile(seen, 0.75)) / length if seen else 0)
     small = bool((judged.error[list(guide)] <= target).all())
     return windows < min(needed, most) or not judged.settled or not small
 
@@ -289,6 +294,43 @@ def in_doubt(visits: Sequence[Visit], feature: int, sense: float, count: int = L
     return [level for level in doubtful if points[level].visits < MOST_IN_DOUBT]
 
 
+def between(
+    visits: Sequence[Visit], feature: int, sense: float, at: Sequence[float]
+) -> list[tuple[int, float]]:
+    """Return where the map is too steep beside its best value for what lies between to be known.
+
+    An optimum beside a cliff is found so: what is between is halved until the cliff is known.
+
+    Parameters
+    ----------
+    visits : sequence of Visit
+        All of them.
+    feature : int
+        That tells theta best.
+    sense : float
+        +1 where little is wanted.
+    at : sequence of float
+        Positions in theta's range of its values, 0 to 1, rising.
+
+    Returns
+    -------
+    list of (int, float)
+        Number of the value above each new one, and the new one's position; the upper one first.
+    """
+    points = [p for p in static_map(visits, feature, len(at)) if p is not None]
+    if len(points) < len(at):
+        return []
+    best = min(range(len(at)), key=lambda i: sense * points[i].mean)
+    found = []
+    for above in (best + 1, best):
+        if 0 < above < len(at) and at[above] - at[above - 1] > FINEST:
+            low, high = points[above - 1], points[above]
+            steep = abs(high.mean - low.mean)
+            if steep > max(math.log(CLIFF), CLIFF_ERRORS * math.hypot(low.error, high.error)):
+                found.append((above, 0.5 * (at[above - 1] + at[above])))
+    return found[: LEVELS + ADDED - len(at)]
+
+
 def next_round(
     visits: Sequence[Visit], feature: int, seed: int, sense: float, count: int = LEVELS
 ) -> list[int]:
@@ -296,11 +338,52 @@ def next_round(
 
     The first round has all of them. ``sense`` is +1 where little is wanted.
     """
-    first = len(visits) <= len(passes(True, count))
+    first = len(visits) <= len(passes(True))
     wanted = list(range(count)) if first else unknown(visits, feature, count)
     if not first:
         wanted = sorted({*wanted, *in_doubt(visits, feature, sense, count)})
+    if count > LEVELS:  # there is a cliff: what is beyond need not be known well
+        points = static_map(visits, feature, count)
+        means = [math.inf if p is None else sense * p.mean for p in points]
+        wanted = [
+            level
+            for level in wanted
+            if points[level] is None
+            or sum(visit.level == level for visit in visits) < 2
+            or means[level] - min(means) < math.log(CLIFF)
+        ]
     random.Random(f"{seed} {len(visits)}").shuffle(wanted)
     if visits and len(wanted) > 1 and wanted[0] == visits[-1].level:
         wanted.append(wanted.pop(0))
+    if len(wanted) == 1 and visits and wanted[0] == visits[-1].level:  # a visit is an arrival
+        wanted.insert(0, wanted[0] + (1 if wanted[0] + 1 < count else -1))
     return wanted
+
+
+def beside_cliff(
+    visits: Sequence[Visit], feature: int, sense: float, level: int, count: int
+) -> bool:
+    """Return whether a value is beside a cliff next to the best one.
+
+    An oscillation that begins there grows slowly, or waits for a gust.
+    """
+    points = static_map(visits, feature, count)
+    known = {i: sense * p.mean for i, p in enumerate(points) if p is not None}
+    if count == LEVELS or not known:
+        return False
+    best = min(known, key=lambda i: known[i])
+    if level in known and known[level] - known[best] > math.log(CLIFF):
+        return False  # it has shown
+    near = [known[i] for i in (level - 1, level, level + 1) if i in known]
+    return abs(level - best) <= 2 and max(near) - min(near) > math.log(CLIFF)
+
+
+def from_both_sides(added: Sequence[int]) -> list[int]:
+    """Return the way to values that were added, from above and from below.
+
+    What a rig does beside a cliff may depend on where it comes from.
+
+    >>> from_both_sides([5])
+    [6, 5, 4, 5]
+    """
+    return [level for own in added for level in (own + 1, own, own - 1, own)]

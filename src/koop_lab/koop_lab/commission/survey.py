@@ -17,6 +17,7 @@ from koop_lab.commission.features import Bands, bands, bridged, features, window
 from koop_lab.commission.progress import Progress
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.commission.staircase import Visit
+from koop_lab.tune.stays import Scale
 
 WINDOW = 4.0  # periods of the strongest oscillation
 SLOWEST = 2.0  # periods of the slowest one, where that is longer
@@ -48,9 +49,8 @@ class Survey:
     def __init__(self, rig: RigFile, state: Progress) -> None:
         self._rig = rig
         self._state = state
-        self.values = staircase.values(rig.theta_min, rig.theta_max)
         self._level = self._next = 0
-        self._most = staircase.FEWEST
+        self._least = self._most = staircase.FEWEST
         self._guide: list[int] = []
         self._target = staircase.FLOOR
         self._series: list[NDArray[np.float64]] = []
@@ -87,23 +87,45 @@ class Survey:
         """Return where theta goes next; None once the static map is known well enough."""
         state = self._state
         if not state.queue:
-            sense = 1.0 if self._rig.objective == "minimise" else -1.0
-            state.queue = staircase.next_round(state.visits, self._feature(), state.seed, sense)
+            state.queue = self._next_round()
+            if not state.queue:
+                state.queue = staircase.from_both_sides(self._add_values())
             if not state.queue:
                 state.done = True
                 return None
-        return self.values[state.queue[0]]
+        return state.values[state.queue[0]]
+
+    def _next_round(self) -> list[int]:
+        state = self._state
+        return staircase.next_round(
+            state.visits, self._feature(), state.seed, self._sense, len(state.values)
+        )
+
+    def _add_values(self) -> list[int]:
+        """Add values of theta beside the best one where the map is steep; return their numbers."""
+        state, rig = self._state, self._rig
+        scale = Scale(rig.theta_min, rig.theta_max)
+        at = scale.u(np.array(state.values)).tolist()
+        found = staircase.between(state.visits, self._feature(), self._sense, at)
+        for level, u in found:
+            state.add(level, scale.theta_at(u))
+        levels = [level for level, _ in found]
+        return [level + sum(other < level for other in levels) for level in levels]
 
     def arrive(self, elapsed: float) -> None:
         """Begin a stay at that value, after so much of the rig's time [s]."""
         state, how = self._state, self._how
         self._level, self._series, self._next = state.queue[0], [], 0
         self._guide = self._guiding()
-        points = staircase.static_map(state.visits, self._guide[0])
+        count, guide = len(state.values), self._guide[0]
+        slow = staircase.beside_cliff(state.visits, guide, self._sense, self._level, count)
+        self._least = staircase.LINGER if slow else staircase.FEWEST
+        points = staircase.static_map(state.visits, guide, count)
         self._target = staircase.target_error(points)
         left = max(self._rig.time - elapsed, 0.0)
         fair = min(MOST_SHARE * self._rig.time, 2.0 * left / self.visits_left)
         self._most = max(staircase.FEWEST, int(fair / (how.length * how.dt)))
+        self._least = min(self._least, self._most)
 
     def take(self, x: NDArray[np.float64]) -> bool:
         """Take a window of samples, shape (length, n); return whether theta may go on."""
@@ -115,7 +137,9 @@ class Survey:
         self._next = count + 1 + int(SOON * count)
         judged = staircase.judge(np.array(self._series), self._guide)
         seen = [visit.settled for visit in state.visits]
-        if staircase.stays(judged, count, length, self._guide, self._target, seen, self._most):
+        if staircase.stays(
+            judged, count, length, self._guide, self._target, seen, self._least, self._most
+        ):
             return False
         state.queue.pop(0)
         state.visits.append(
@@ -156,4 +180,8 @@ class Survey:
     def _feature(self) -> int:
         """Return the feature that tells theta best."""
         every = len(self._how.edges) * len(self._rig.names)
-        return staircase.clearest(self._state.visits, range(every))
+        return staircase.clearest(self._state.visits, range(every), len(self._state.values))
+
+    @property
+    def _sense(self) -> float:
+        return 1.0 if self._rig.objective == "minimise" else -1.0

@@ -179,9 +179,10 @@ def nodes_of(
     given = {"params": str(file), "plant": "false", "record": "true", "output": str(own)}
     values = plan(given).parameters
     low = float(aim.scale.u(np.array(start))) <= float(aim.scale.u(np.array(aim.theta)))
-    values[ESC] |= {
+    esc = values[ESC]
+    esc |= {
         "autostart": False,
-        "theta_initial": start,
+        "theta_initial": min(max(start, esc["theta_min"]), esc["theta_max"]),
         "epsilon_initial": -1 if low else 1,
         "command_topic": "",
         "recorders": 1,

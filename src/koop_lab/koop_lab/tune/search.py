@@ -97,6 +97,8 @@ class Task:
         Sampling time [s].
     rate : float
         Largest change of theta per second.
+    low, high : float
+        Limits of the controller's theta; inside those of the rig file, or these.
     """
 
     surrogates: dict[float, list[Surrogate]]
@@ -105,6 +107,8 @@ class Task:
     time: float
     dt: float
     rate: float
+    low: float
+    high: float
 
     @property
     def any(self) -> Surrogate:
@@ -154,7 +158,7 @@ def esc_of(task: Task, c: Constants, theta: float) -> EscConfig:
     rate = task.rate
     if s.logarithmic:
         step *= math.log(s.high / s.low)
-        rate /= s.high  # of theta at its largest
+        rate /= task.high  # of theta at its largest
     else:
         step *= s.high - s.low
     return EscConfig(
@@ -164,11 +168,11 @@ def esc_of(task: Task, c: Constants, theta: float) -> EscConfig:
         step_ratio=rounded(c.step_ratio),
         dwell=rounded(c.dwell),
         tau_f=rounded(c.tau_f),
-        theta_min=s.low,
-        theta_max=s.high,
+        theta_min=task.low,
+        theta_max=task.high,
         rate_limit=rate,
         objective="minimise" if task.sense > 0.0 else "maximise",
-        theta_initial=theta,
+        theta_initial=min(max(theta, task.low), task.high),
         epsilon_initial=1,
         dt=task.dt,
     )
@@ -213,7 +217,6 @@ def try_out(
     rng = np.random.default_rng([seed, number])
     end = float(number % 2) if start is None else start
     theta = s.low * (s.high / s.low) ** end if s.logarithmic else s.low + end * (s.high - s.low)
-    theta = min(max(theta, s.low), s.high)
     every = round(s.dt / task.dt)
     steps = task.steps // every
     drift = 0.0 if number % 4 < 2 else float(rng.uniform(-DRIFT, DRIFT)) / steps
@@ -224,7 +227,7 @@ def try_out(
         detector = cost.detector_params(c.omega_h, c.omega_l, s.dt)._replace(alpha_hp=0.0)
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
     surrogate.run(
-        s, detector, esc.params(), esc.initial(), steps, drift, rng.random(1021), u, power
+        s, detector, esc.params(), esc.initial(), steps, drift, end, rng.random(1021), u, power
     )
     return outcome(task, s, u, power, steps * s.dt)
 
@@ -279,7 +282,7 @@ def draw(task: Task, count: int, seed: int) -> list[Constants]:
 def _in_units(task: Task, law: str, omega_h: float, v: dict[str, float]) -> Constants:
     t, s = task.time, task.any
     # the rate may allow less than the fastest
-    limit = task.rate / (s.high * math.log(s.high / s.low) if s.logarithmic else s.high - s.low)
+    limit = task.rate / (task.high * math.log(s.high / s.low) if s.logarithmic else s.high - s.low)
     return Constants(
         law, omega_h, v["omega_l"] / t, min(v["speed"] / t, limit), v["dwell"] * t, v["tau_f"] * t,
         v["step_ratio"],

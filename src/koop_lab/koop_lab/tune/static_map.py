@@ -13,6 +13,7 @@ from koop_lab.commission import valley
 from koop_lab.commission.staircase import LEAST_ERROR, level
 from koop_lab.tune.stays import Stays
 
+OUTLYING = 10.0  # times the median variance of a value's visits, that counts for the others at most
 SINGLE = 2.0  # chi-squared of a point about the nearest curve with one optimum
 GRID = 257  # points of a map between 0 and 1
 
@@ -117,8 +118,12 @@ def static_map(stays: Stays, windows: list[NDArray[np.float64]], sense: float) -
         own[stay.level].append(mean)
         inner[stay.level].append(error if math.isfinite(error) else float(np.ptp(values)))
     visits = [np.array(group) for group in own]
+    alike = [float(v.var(ddof=1)) for v in visits if v.size > 1]
+    # where the rig goes to and fro between two amplitudes visits differ as nowhere else
+    most = OUTLYING * float(np.median(alike)) if alike else 0.0
     spare = sum(v.size - 1 for v in visits)
-    pooled = sum(float(((v - v.mean()) ** 2).sum()) for v in visits) / max(spare, 1)
+    squares = [min(float(v.var(ddof=1)), most) * (v.size - 1) for v in visits if v.size > 1]
+    pooled = sum(squares) / max(spare, 1)
     errors = []
     for v, e in zip(visits, inner, strict=True):
         within = float(np.sqrt((np.array(e) ** 2).sum())) / v.size

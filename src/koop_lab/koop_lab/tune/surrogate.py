@@ -229,6 +229,7 @@ def run(
     state: RelayState,
     steps: int,
     drift: float,
+    start: float,
     draws: NDArray[np.float64],
     u: NDArray[np.float64],
     power: NDArray[np.float64],
@@ -245,6 +246,9 @@ def run(
         Of the run.
     drift : float
         By which the optimum moves in one step [u].
+    start : float
+        Position of theta at which the rig has settled before; the controller's own limits may be
+        narrower.
     draws : ndarray
         Random numbers of [0, 1).
     u, power : ndarray, shape (BLOCKS,)
@@ -253,7 +257,7 @@ def run(
     """
     seen = cost.initial()
     position = _position(s, state.output)
-    level, a = _at(s.levels, position), _at(s.amplitudes, position)
+    level, a = _at(s.levels, start), _at(s.amplitudes, start)
     value = _nearest(s.u, position)
     number = 0
     piece, place = _next_place(s, value, 0.0, draws, number)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from koop_lab.commission import valley
 from koop_lab.commission.features import Bands, bands, window_length
 from koop_lab.commission.rig_file import RigFile
-from koop_lab.commission.staircase import level
+from koop_lab.commission.staircase import CLIFF, level
 from koop_lab.commission.valley import SURE
 from koop_lab.identify.compare import BAND_LIMITED, Cost, costs
 from koop_lab.identify.from_bags import BagTraining
@@ -32,11 +32,15 @@ DECIDES, NEAR = 3.0, 0.2  # a cost that decides is so much surer, and so near [u
 CLEARER = 2.0  # a contrast's map is taken for the amplitude's if it stands out so much more
 LEARNED = 65536  # samples that models are learned from, spread over the recording
 LONGER = (1.0, 4.0, 16.0)  # times T, that a search is made for until its best is good
+LONGEST = 2.0  # times what the rig file allows for the excitation, a run may be beyond the first T
 CANDIDATES = 2  # costs that are searched for
 AS_GOOD = 1.1  # raw, and a short run, are taken when the best is not better by more
 RUNS = 32  # of the prediction
 BAND = (5.0, 50.0, 95.0)  # percentiles that are told
 BLOCKS_OF_TIME = 100  # in T, of coarse surrogates at least
+CLIFF_WIDTH = 0.08  # of the range, within which the amplitude changes so much at a cliff
+ALL_GOOD = 2.0  # times the least amplitude, that no visit of a good value is beyond
+MARGIN = 0.03  # of the range, that theta is kept away from the last good value before a cliff
 BELIEVED = 10.0  # times the largest y_out of the recording
 
 
@@ -87,6 +91,22 @@ class Judged:
         return max((found.gain for found in self.maps.values()), default=0.0)
 
 
+class Cliff(NamedTuple):
+    """Where the amplitude gets worse all at once, and the limits that keep theta away from it.
+
+    Attributes
+    ----------
+    low, high : float
+        Limits of the controller's theta.
+    why : str
+        In words.
+    """
+
+    low: float
+    high: float
+    why: str
+
+
 @dataclass(frozen=True)
 class Seen:
     """What the recording shows.
@@ -101,6 +121,8 @@ class Seen:
         Of each candidate.
     doubt : str
         What is not sure about the optimum, in words; empty if it is.
+    cliff : Cliff, optional
+        From which theta is kept away.
     """
 
     scale: Scale
@@ -110,6 +132,7 @@ class Seen:
     feature: str
     costs: list[Judged]
     doubt: str = ""
+    cliff: Cliff | None = None
 
 
 @dataclass(frozen=True)
@@ -243,6 +266,7 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
             costs=[replace(one, told=told) for one in judged],
             doubt=seen.doubt or "no cost shows the optimum of the amplitude beyond doubt",
         )
+    seen = replace(seen, cliff=cliff_of(amplitude, scale, rig))
     if not any(one.usable for one in seen.costs):
         best = max(one.gain for one in seen.costs)
         raise NoOptimum(
@@ -253,6 +277,42 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
             seen,
         )
     return seen
+
+
+def cliff_of(found: StaticMap, scale: Scale, rig: RigFile) -> Cliff | None:
+    """Return the cliffs beside the optimum, if there are any.
+
+    A loop that seeks goes a little beyond the optimum again and again. Beyond a cliff the cost is
+    so large that the filters forget it only slowly, and while they do theta moves on, whatever it
+    does. So theta stays MARGIN below the last value that is good. What the rig file calls its start
+    or safe stays within reach.
+    """
+    y, u = found.sense * found.mean, found.u
+    worst = [float((found.sense * own).max()) for own in found.visits]
+    limits, words = [rig.theta_min, rig.theta_max], []
+    best = int(np.argmin(y))
+    for side in (-1, 1):
+        good = best
+        while 0 <= good + side < u.size and worst[good + side] - y[best] < math.log(ALL_GOOD):
+            good += side
+        beyond = good + side
+        if not 0 <= beyond < u.size or abs(u[beyond] - u[good]) > CLIFF_WIDTH:
+            continue
+        height = worst[beyond] - y[good]
+        if height < math.log(CLIFF):
+            continue
+        limit = scale.theta_at(float(u[good]) - side * MARGIN)
+        if any((theta - limit) * side > 0.0 for theta in (rig.theta_start, rig.theta_safe)):
+            continue
+        end = 0 if side < 0 else 1
+        words.append(
+            f"theta_{'max' if end else 'min'} {limit:.3g} instead of {limits[end]:g}: from "
+            f"{scale.theta_at(float(u[good])):.3g} to {scale.theta_at(float(u[beyond])):.3g} the "
+            f"amplitude {'rises' if found.sense > 0 else 'falls'} by a factor of "
+            f"{math.exp(height):.2g} all at once"
+        )
+        limits[end] = float(f"{limit:.3g}")
+    return Cliff(limits[0], limits[1], "; ".join(words)) if words else None
 
 
 def doubt(found: StaticMap) -> str:
@@ -322,7 +382,9 @@ def task_of(
             s._replace(y=np.concatenate(blocks), begins=ends, dt=every * rig.dt, coarse=True)
             for s in drawn
         ]
-    return Task(fine, coarse, seen.amplitude.sense, time, rig.dt, rig.theta_rate)
+    cliff = seen.cliff
+    low, high = (cliff.low, cliff.high) if cliff else (rig.theta_min, rig.theta_max)
+    return Task(fine, coarse, seen.amplitude.sense, time, rig.dt, rig.theta_rate, low, high)
 
 
 class Recorded(NamedTuple):
@@ -438,6 +500,8 @@ def tune(
         tried: list[Tried] = []
         for longer in LONGER:  # as short as it can be, as long as it must
             task = task_of(loaded, seen, judged, times, longer * time, rig, seed)
+            if tried and task.steps * rig.dt > LONGEST * rig.time:
+                break  # nobody waits for it, and no rig stays as it was for so long
             again = search(task, effort, seed, told, workers)
             if not tried or again[0].rank < tried[0].rank - math.log(AS_GOOD):
                 tried, tasks[name] = again, task

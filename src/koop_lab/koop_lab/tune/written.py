@@ -55,6 +55,7 @@ def as_words(found: Tuning) -> str:
     span = "of log theta's range" if s.logarithmic else "of theta's range"
     better = "down" if found.task.sense > 0 else "up"
     doubt = [f"in doubt: {found.seen.doubt}"] if found.seen.doubt else []
+    doubt += [f"a cliff: {found.seen.cliff.why}"] if found.seen.cliff else []
     return "\n".join(
         [
             *doubt,
@@ -117,7 +118,8 @@ def reasons_of(found: Tuning, rig: RigFile) -> dict[str, dict[str, str]]:
         f"the best of a search on the rig that the recording shows, whose oscillation has a period "
         f"of {period:.3g} s and whose amplitude follows theta within about {slow:.3g} s"
     )
-    of_rig = "as the rig file says"
+    of_rig, task = "as the rig file says", found.task
+    cliff = found.seen.cliff.why if found.seen.cliff else ""
     timeout = f"{TIMEOUT:g} samples, at least {LEAST_TIMEOUT:g} s"
     return {
         "koopman_lifter": {
@@ -142,8 +144,8 @@ def reasons_of(found: Tuning, rig: RigFile) -> dict[str, dict[str, str]]:
             "step_ratio": "of the same search",
             "dwell": f"{c.dwell / time:.3g} times the rig's own time of {time:.3g} s",
             "tau_f": f"{c.tau_f / time:.3g} times the rig's own time",
-            "theta_min": of_rig,
-            "theta_max": of_rig,
+            "theta_min": of_rig if task.low == rig.theta_min else cliff,
+            "theta_max": of_rig if task.high == rig.theta_max else cliff,
             "rate_limit": "theta_rate of the rig file" + (
                 " over theta_max: the rate of log theta" if found.task.any.logarithmic else ""),
             "objective": of_rig,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_lab.commission import progress, staircase
+from koop_lab.commission import progress
 from koop_lab.commission.progress import Progress
 from koop_lab.commission.rig_file import STATE, STATE_TYPE, RigFile
 from koop_lab.commission.survey import SHORTEST, Survey
@@ -143,8 +143,7 @@ def excite(rig: Rig, file: RigFile, seed: int) -> Excitation:
     ValueError
         If no channel moves.
     """
-    first = staircase.passes(file.theta_start <= 0.5 * (file.theta_min + file.theta_max))
-    state = progress.begin(seed, first)
+    state = progress.begin(seed, file)
     survey, running = Survey(file, state), Running(rig, file.theta_rate, seed)
     heard = running.stay(math.ceil(SHORTEST / file.dt))
     while survey.listens(heard):

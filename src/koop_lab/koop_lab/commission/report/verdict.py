@@ -7,7 +7,6 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from koop_lab.commission import staircase
 from koop_lab.commission.report.gathered import Gathered
 
 DONE, OPEN, NO = "done", "missing", "no"
@@ -35,7 +34,7 @@ def stages(g: Gathered) -> Iterator[Stage]:
     folder, rig, visits = g.folder, g.file, g.excited.visits
     yield Stage("Rig", DONE, f"{', '.join(g.rig.names)} measured; theta on {g.rig.knob.topic}")
     reached = len({visit.level for visit in visits})
-    text = f"{len(visits)} stays at {reached} of {staircase.LEVELS} values of theta"
+    text = f"{len(visits)} stays at {reached} of {len(g.excited.values)} values of theta"
     if g.excitation_over:
         over = "" if g.excited.done else f"; the {g.rig.time:g} s were over"
         yield Stage("Excite", DONE, text + over)
@@ -128,10 +127,8 @@ def excited_map(g: Gathered) -> tuple[str, list[float], list[float], list[float]
     if not visits or how is None:
         return None
     names = how.names(g.rig.names)
-    feature = staircase.clearest(visits, range(len(names)))
-    values = staircase.values(g.rig.theta_min, g.rig.theta_max)
-    points = staircase.static_map(visits, feature)
-    known = [(v, p) for v, p in zip(values, points, strict=True) if p is not None]
+    feature, points = g.excited.map_of(range(len(names)))
+    known = [(v, p) for v, p in zip(g.excited.values, points, strict=True) if p is not None]
     return (
         names[feature],
         [v for v, _ in known],
