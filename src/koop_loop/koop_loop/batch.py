@@ -35,7 +35,7 @@ from vdp_plant.dynamics import PlantParams
 GROUP = 32  # loops that take a step together; with 8 the vector instructions hardly pay
 BLOCK = 512  # steps whose waves are kept at a time: they stay in the cache
 WAVES = 7
-NUMBERS, COUNTS = 19, 8  # of a detector's and a relay's state
+NUMBERS, COUNTS = 21, 8  # of a detector's and a relay's state
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,7 @@ def remember(
         m[8], m[9], m[10], m[11] = s.factor, s.stretch, s.level, s.begin
         m[12], m[13], m[14], m[15] = s.lowest, s.lowest_before, s.reference, s.noise
         m[16], m[17], m[18] = s.dip, s.turned, s.centre
+        m[19], m[20] = s.cost, s.rise
         n[5], n[6], n[7] = s.legs, s.short, s.centred
 
 
@@ -108,8 +109,9 @@ def detector_of(m: NDArray[np.float64], n: NDArray[np.int64]) -> DetectorState:
 def relay_of(m: NDArray[np.float64], n: NDArray[np.int64]) -> RelayState:
     """Return what :func:`remember` wrote of the relay."""
     swing = Swing(
-        m[8], m[9], m[10], m[11], m[12], m[13], m[14], m[15], m[16], n[5], n[6], m[17], m[18], n[7]
-    )
+        m[8], m[9], m[10], m[11], m[12], m[13], m[14], m[15], m[16], n[5], n[6], m[17], m[18], n[7],
+        m[19], m[20],
+    )  # fmt: skip
     return RelayState(m[3], n[2], m[4], m[5], n[3], n[4] != 0, m[6], m[7], swing)
 
 

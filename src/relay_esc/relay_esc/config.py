@@ -24,7 +24,7 @@ class EscConfig:
 
     law: str = parameter(
         "relay",
-        "relay: the paper's, which swings for ever; adaptive: a relay on log r that shrinks its "
+        "relay: the paper's, which swings for ever; adaptive: a relay that shrinks its "
         "step when it has arrived and opens it again when the optimum moves",
         choices=("relay", "adaptive"),
         read_only=True,

@@ -4,9 +4,10 @@
     epsilon <- -epsilon   if hp_k > 0 and the dwell time has passed since the last flip
     u_k     = clip(u_{k-1} - k g epsilon)
 
-The law ``relay`` is the paper's: x = r and g = 1. The law ``adaptive`` takes x = log r, and g and
-the dwell time from :mod:`relay_esc.swing`; a cost of 0 is unusable for it. The control input is
-theta = u, or theta = exp(u) with ``theta_scale: log``.
+The law ``relay`` is the paper's: x = r and g = 1. The law ``adaptive`` takes x = log r, though a
+wide leg turns where r rises; g, the dwell time and what is wide are :mod:`relay_esc.swing`'s. A
+cost of 0 is unusable for it. The control input is theta = u, or theta = exp(u) with
+``theta_scale: log``.
 
 The first sample only primes the filter: r_{-1} is unknown, so its difference is taken as 0 and
 theta stays. The same holds for the first sample after a hold, so that a cost that jumped in the
@@ -21,12 +22,15 @@ the cost did before its time has faded: half of its first turns would be wrong o
 from __future__ import annotations
 
 import math
+import sys
 from typing import NamedTuple
 
 from koop_node.arrival import Arrival
 from koop_node.kernels import njit
 from relay_esc.elementary import exp, log
-from relay_esc.swing import OPEN, Swing, confidence, follow, forget_leg, gain, turn, widen
+from relay_esc.swing import OPEN, WIDE, Swing, confidence, follow, forget_leg, gain, turn, widen
+
+LARGEST = sys.float_info.max
 
 
 class RelayParams(NamedTuple):
@@ -185,7 +189,8 @@ def take(p: RelayParams, state: RelayState, r: float) -> RelayState:
     swing = state.swing
     if p.adaptive:
         x = log(r)
-        swing = follow(swing, p.alpha_level, p.sense * x)
+        cost = r if p.sense > 0.0 else min(1.0 / r, LARGEST)
+        swing = follow(swing, p.alpha_level, p.sense * x, p.alpha, cost, state.primed)
     else:
         x = r
     rise = state.cost_rise_filtered
@@ -220,7 +225,9 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
     epsilon = state.epsilon
     since_flip = state.since_flip + 1
     swing = after.swing
-    if after.cost_rise_filtered > 0.0 and since_flip >= p.dwell_samples * swing.stretch:
+    wide = p.adaptive and swing.factor >= WIDE
+    rise = swing.rise if wide else after.cost_rise_filtered
+    if rise > 0.0 and since_flip >= p.dwell_samples * swing.stretch:
         epsilon = -epsilon
         if p.adaptive:
             length = since_flip / max(p.dwell_samples, 1)

@@ -1,11 +1,12 @@
 """The swing of the adaptive law: how large the relay's steps are, from what the cost shows.
 
-The adaptive law is the relay of :mod:`relay_esc.relay` on x = log r, with its step times a factor
-in [step_ratio, 1]. Differences of x do not know the unit of r, and neither does anything here. A
-leg is the way from one flip to the next. Of every leg the least level m of the cost is kept, the
-level being x behind a low-pass filter; m does not depend on how wide the swing is, as long as the
-leg passes the optimum. Its usual change from leg to leg is the noise s, what m was where the
-controller was at home the reference.
+The adaptive law is the relay of :mod:`relay_esc.relay` with its step times a factor in [step_ratio,
+1]. A wide leg turns where r rises, a narrow one where x = log r does. Neither the sign of a rise of
+r nor differences of x know the unit of r, and neither does anything here. A leg is the way from one
+flip to the next. Of every leg the least level m of the cost is kept, the level being x behind a
+low-pass filter; m does not depend on how wide the swing is, as long as the leg passes the optimum.
+Its usual change from leg to leg is the noise s, what m was where the controller was at home the
+reference.
 
     home:  m <= reference + 3 s      the optimum is where it was: the reference follows m, and after
                                      four legs that ended as soon as they could the step shrinks,
@@ -28,7 +29,11 @@ forgets c.
 
 Far from the optimum the cost of an oscillating rig has a ripple of its own, and a relay of one
 dwell time locks in with it: every leg ends at the same phase of the ripple, wherever the optimum
-is. So the dwell time of wide legs is stretched by 0 to 50 %, as the golden ratio has it.
+is. So the dwell time of wide legs is stretched by 0 to 50 %, as the golden ratio has it. Where the
+ripple is bursts with a decay by decades in between, no dwell time helps: a wide leg, which has its
+way before it, must not turn at each of them. A rise is how far a quantity is above its weighted
+mean. That of r, an arithmetic mean, remembers a large burst over small ones; that of log r, a
+geometric mean, is soon below any. So r rises only where log r does, too.
 """
 
 from __future__ import annotations
@@ -47,7 +52,7 @@ VISIBLE = 0.3  # [noise]
 DIP_RATE = 0.3  # share of the news, by leg
 STRETCH = 0.5  # largest share that a dwell time is longer
 GOLDEN = 0.6180339887498949
-WIDE = 0.7  # factor from which the dwell time is stretched
+WIDE = 0.7  # factor from which a leg is wide
 LEARNED = 3  # legs from which on the noise is a mean
 NOISE_AT_FIRST = 0.1  # 10 % of r
 NOISE_RATE, NOISE_RATE_AWAY = 0.2, 0.02  # share of the news, by leg
@@ -90,6 +95,10 @@ class Swing(NamedTuple):
         Mean u of the legs at home.
     centred : int
         Legs that it is a mean of.
+    cost : float
+        Last r, its inverse if r is maximised.
+    rise : float
+        Filtered change of ``cost``, as the relay's.
     """
 
     factor: float
@@ -106,17 +115,38 @@ class Swing(NamedTuple):
     turned: float
     centre: float
     centred: int
+    cost: float
+    rise: float
 
 
-OPEN = Swing(1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0, 0)
+OPEN = Swing(1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0, 0, 0.0, 0.0)
 """Full step, nothing known; the relay of the paper never leaves it."""
 
 
 @njit()
-def follow(swing: Swing, alpha: float, x: float) -> Swing:
-    """Take one cost x = log r into the level."""
+def follow(
+    swing: Swing, alpha_level: float, x: float, alpha: float, cost: float, primed: bool
+) -> Swing:
+    """Take one cost into the level, as x = log r, and into its rise, as r.
+
+    Parameters
+    ----------
+    swing : Swing
+        After the previous cost.
+    alpha_level : float
+        Filter coefficient of the level.
+    x : float
+        log r, its sign changed if r is maximised.
+    alpha : float
+        Filter coefficient of the rise.
+    cost : float
+        r, its inverse if r is maximised.
+    primed : bool
+        Whether there is a cost before it to take the difference from.
+    """
     first = swing.lowest == math.inf
-    level = x if first else alpha * swing.level + (1.0 - alpha) * x
+    level = x if first else alpha_level * swing.level + (1.0 - alpha_level) * x
+    rise = alpha * swing.rise + (1.0 - alpha) * (cost - swing.cost) if primed else swing.rise
     return Swing(
         swing.factor,
         swing.stretch,
@@ -132,12 +162,14 @@ def follow(swing: Swing, alpha: float, x: float) -> Swing:
         swing.turned,
         swing.centre,
         swing.centred,
+        cost,
+        rise,
     )
 
 
 @njit()
 def forget_leg(swing: Swing) -> Swing:
-    """Leave out what the cost did before a silence; the level begins with the next cost."""
+    """Leave out what the cost did before a silence: level and rise begin with the next cost."""
     return Swing(
         swing.factor,
         swing.stretch,
@@ -153,6 +185,8 @@ def forget_leg(swing: Swing) -> Swing:
         swing.turned,
         swing.centre,
         swing.centred,
+        0.0,
+        0.0,
     )
 
 
@@ -174,6 +208,8 @@ def widen(swing: Swing) -> Swing:
         swing.turned,
         swing.centre,
         swing.centred,
+        swing.cost,
+        swing.rise,
     )
 
 
@@ -255,6 +291,8 @@ def turn(swing: Swing, length: float, u: float, least: float, lost: float) -> Sw
         u,
         centre,
         centred,
+        swing.cost,
+        swing.rise,
     )
 
 

@@ -68,25 +68,39 @@ def test_it_arrives_and_swings_less_than_a_third_of_the_relay(noise):
 def test_the_swing_stays_as_wide_as_it_must_be_to_see_the_optimum_through_the_noise():
     narrow, wide = (
         np.median(seek(config(step_ratio=0.001), 3000.0, still, noise)[1][15_000:])
-        for noise in (0.2, 1.5)
+        for noise in (0.2, 5.0)
     )
-    assert narrow < 0.05 < 0.2 < wide
+    assert narrow < 0.01 < 0.9 < wide
 
 
 @pytest.mark.parametrize("noise", [0.05, 0.5])
 def test_it_opens_its_swing_again_when_the_optimum_has_moved(noise):
     theta, factor = seek(config(), 2500.0, jumping, noise)
+    narrow = 0
     for begin in (500.0, 1000.0, 1500.0, 2000.0):
         before, after = round(begin / DT), round((begin + 150.0) / DT)
         near = np.abs(theta[before + 50 : after] - jumping(begin)) < 0.3
         assert near.any(), begin
-        assert factor[before - 1] < 0.5
+        narrow += factor[before - 1] < 0.5
         assert factor[before:after].max() == 1.0
+    assert narrow >= 3  # a long leg may have opened it just before
 
 
 def test_a_ripple_of_the_cost_as_long_as_two_legs_does_not_stop_it():
     theta, _ = seek(config(), 1500.0, still, ripple=1.0)
     assert np.abs(theta[10_000:] + 3.0).mean() < 0.5
+
+
+@pytest.mark.parametrize("law", ["relay", "adaptive"])
+@pytest.mark.parametrize(("second", "turns"), [(30.0, False), (300.0, True)])
+def test_a_wide_leg_turns_at_a_burst_only_if_it_is_large_beside_the_one_before(law, second, turns):
+    esc = config(law=law)
+    p, state, r = esc.params(), esc.initial(), 1.0
+    for k in range(130):  # of the first burst a fortieth is left when the second comes
+        r = r * math.exp(-DT / LAG) + {10: 1000.0, 120: second}.get(k, 0.0)
+        arrival = int(Arrival.NEXT if k else Arrival.RESTART)
+        state, _, _ = relay.answer(p, state, arrival, False, False, r, False)
+    assert (state.epsilon == -1) == turns
 
 
 @pytest.mark.parametrize("scale", [1e-20, 0.37, 1e20])
