@@ -40,7 +40,7 @@ BAND = (5.0, 50.0, 95.0)  # percentiles that are told
 BLOCKS_OF_TIME = 100  # in T, of coarse surrogates at least
 CLIFF_WIDTH = 0.08  # of the range, within which the amplitude changes so much at a cliff
 ALL_GOOD = 2.0  # times the least amplitude, that no visit of a good value is beyond
-MARGIN = 0.03  # of the range, that theta is kept away from the last good value before a cliff
+MARGIN = 0.06  # of the range, that theta is kept away from the last good value before a cliff
 BELIEVED = 10.0  # times the largest y_out of the recording
 
 
