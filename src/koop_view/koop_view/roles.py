@@ -20,7 +20,9 @@ def namespace_of(name: str) -> str:
     return name.rpartition("/")[0] or "/"
 
 
-def loops(published: Mapping[str, Mapping[str, str]]) -> dict[str, Loop]:
+def loops(
+    published: Mapping[str, Mapping[str, str]], nameless: Mapping[str, str]
+) -> dict[str, Loop]:
     """Return the loops, by namespace.
 
     A lifter publishes a cost, a controller a control input; the plant is the node that publishes
@@ -30,6 +32,8 @@ def loops(published: Mapping[str, Mapping[str, str]]) -> dict[str, Loop]:
     ----------
     published : mapping of str to mapping
         Topics with their types, by full name of the node.
+    nameless : mapping of str to str
+        Topics with their types that are published by what is no ROS node, as some rigs are.
     """
     found: dict[str, Loop] = {}
     for node, topics in sorted(published.items()):
@@ -42,6 +46,10 @@ def loops(published: Mapping[str, Mapping[str, str]]) -> dict[str, Loop]:
         loop = found.get(space, Loop(space))
         given = {name: topic for name, topic in own.items() if topic}
         found[space] = replace(loop, **{role: node}, **given)
+    for topic, kind in sorted(nameless.items(), key=_last_is_own):
+        loop = found.get(namespace_of(topic), Loop(namespace_of(topic)))
+        if kind == STATE and (loop.state is None or loop.state in nameless):
+            found[loop.namespace] = replace(loop, state=topic)
     return found
 
 

@@ -12,11 +12,20 @@ def test_loops_are_told_apart_by_namespace_and_by_what_their_nodes_publish():
         "/relay_esc": {"/a_command": THETA, "/theta": THETA},
         "/rig/lifter": {"/rig/cost": COST, "/rig/state": STATE},  # of a rig's own message
         "/recorder": {"/rosout": "rcl_interfaces/msg/Log"},
-    })  # fmt: skip
+    }, {"/a_copy": STATE, "/rig/clock": "rosgraph_msgs/msg/Clock"})  # fmt: skip
     assert found["/"] == Loop(
         "/", "/vdp_plant", "/koopman_lifter", "/relay_esc", "/state", "/cost", "/theta"
     )
     assert found["/rig"] == Loop("/rig", lifter="/rig/lifter", state="/rig/state", cost="/rig/cost")
+
+
+def test_the_state_of_a_rig_that_is_no_ros_node_belongs_to_the_loop_of_its_namespace():
+    rig = {"/a_copy": STATE, "/state": STATE, "/rig/state": STATE}
+    found = loops({"/lifter": {"/cost": COST}}, rig)
+    assert found == {
+        "/": Loop("/", lifter="/lifter", cost="/cost", state="/state"),
+        "/rig": Loop("/rig", state="/rig/state"),
+    }
 
 
 def test_a_node_that_has_gone_keeps_its_place_as_long_as_its_loop_has_another():

@@ -158,7 +158,12 @@ class LiveSource(Source):
         self._starting.see(managed, now)
         self._take_parameters(served)
         self._take_channels()
-        if self._known.see(dict(islice(loops(published).items(), MOST)), now):
+        nameless = {
+            topic: types[0]
+            for topic, types in self._node.get_topic_names_and_types()
+            if topic not in self._publishers and self._node.count_publishers(topic)
+        }
+        if self._known.see(dict(islice(loops(published, nameless).items(), MOST)), now):
             self.loops = self._known.loops
             self._tell("news_of_loops")
         self._take_services(served)
