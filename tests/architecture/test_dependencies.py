@@ -40,9 +40,12 @@ OPTIONAL = {
     "dask": "workers",
     "distributed": "workers",
     "fmpy": "plants",
+    "fsspec": "store",
     "jsbsim": "plants",
     "pyarrow": "export",
+    "upath": "store",
 }
+PYPI = {"upath": "universal-pathlib"}  # under another name than the module's
 
 
 def sources(package):
@@ -131,8 +134,8 @@ def test_setup_py_names_what_pip_can_install(package, setup_of):
     for_tests = {python[name] for name in test & set(python)} - required
     assert set(extras.get("test", ())) - set(OPTIONAL) == for_tests, "see extras_require"
     for name in (run | test) & set(OPTIONAL):
-        assert name in extras[OPTIONAL[name]]
-        assert name not in test or name in extras["test"]
+        assert PYPI.get(name, name) in extras[OPTIONAL[name]]
+        assert name not in test or PYPI.get(name, name) in extras["test"]
 
 
 @pytest.mark.parametrize("package", OURS)

@@ -95,7 +95,8 @@ def ready(clone: Clone) -> Clone:
     code, _, err = clone.koop("setup")
     assert code == 0, err
     clone.calls()
-    plants = (clone.root / "requirements/plants.txt").read_bytes()
+    files = [clone.root / "requirements" / name for name in ("plants.txt", "store.txt")]
+    plants = b"".join(file.read_bytes() for file in files)
     (clone.root / ".venv/koop.plants").write_text(f"{sha256(plants).hexdigest()}  -")
     return clone
 
@@ -237,6 +238,19 @@ def test_tests_get_their_arguments_and_the_browser_that_is_there(ready: Clone) -
     assert (code, out, err) == (0, f"{ready.tools}/chromium -m pytest -k x\n", "")
 
 
+def test_uv_installs_where_it_is_present_and_pip_where_uv_fails(clone: Clone) -> None:
+    clone.add_tool("uv", 'echo "uv $*" >>"$CALLS"; exit "${FAIL_UV:-0}"')
+    assert clone.koop("setup", FAIL_UV="1")[0] == 0
+    uv, pip = (call for call in clone.calls() if "requirements/python.txt" in call)
+    assert uv.startswith(f"uv pip install --python {clone.root}/.venv/bin/python ")
+    assert "-m pip install" in pip
+    assert clone.koop("clean")[0] == 0
+    clone.calls()
+    assert clone.koop("setup")[0] == 0
+    (call,) = (call for call in clone.calls() if "requirements/python.txt" in call)
+    assert call == uv
+
+
 def test_tests_install_the_plants_that_they_need_once_and_fail_only_where_they_must(
     ready: Clone,
 ) -> None:
@@ -245,14 +259,19 @@ def test_tests_install_the_plants_that_they_need_once_and_fail_only_where_they_m
     fails = {"FAIL_PIP": str(ready.root)}  # which is there
     code, out, err = ready.koop("test", **fails)
     assert (code, out) == (0, f"python -m pytest {WHOLE}\n")
-    assert err.endswith("the tests that fly an aircraft or run an FMU are skipped\n")
+    assert err.endswith(
+        "the tests that fly an aircraft, run an FMU or read from an object store are skipped\n"
+    )
     code, out, err = ready.koop("test", CI="true", **fails)
     assert (code, out) == (1, "")
     assert "pip's last words" in err
     ready.calls()
     assert ready.koop("test")[:2] == (0, f"python -m pytest {WHOLE}\n")
     (call,) = ready.calls()
-    assert call.endswith("--no-deps -r " + str(ready.root / "requirements/plants.txt"))
+    assert call.endswith(
+        "--no-deps "
+        + " ".join(f"-r {ready.root}/requirements/{n}.txt" for n in ("plants", "store"))
+    )
     assert ready.koop("test")[::2] == (0, "")
     assert ready.calls() == []
 

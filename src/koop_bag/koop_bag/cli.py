@@ -23,7 +23,7 @@ def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     bag = bag_commands(commands)
     info = bag.add_parser("info", help="topics, rates, losses, model, parameters")
-    info.add_argument("bag", type=Path)
+    info.add_argument("bag", help="folder, file, or URL such as s3://BUCKET/RUN")
     info.add_argument("--parameters", action="store_true", help="print the nodes' parameters, too")
     info.add_argument("--json", action="store_true", help="everything, for a program to read")
     _set(info, _info)
@@ -91,9 +91,12 @@ def _set(parser: argparse.ArgumentParser, action: Action) -> None:
 def _info(args: argparse.Namespace) -> int:
     from koop_bag.bag.info import as_text, describe
     from koop_bag.bag.reader import BagReader
+    from koop_bag.mcap.stored_file import traffic
 
     with BagReader(args.bag) as reader:
         info = describe(reader)
+    for line in traffic():
+        print(line, file=sys.stderr)
     if args.json:
         print(json.dumps(dataclasses.asdict(info) | {"parameters": info.parameters}, indent=1))
     else:

@@ -1,12 +1,13 @@
 """Which files a bag is made of."""
 
 import re
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from itertools import groupby
 from pathlib import Path
 
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import McapFile
+from koop_bag.mcap.stored_file import reading
 
 _NAME = re.compile(r"(.*?(?:_(\d+))?)\.mcap(?:\.zstd?)?")
 
@@ -23,6 +24,11 @@ def find_files(path: Path) -> list[Path]:
     BagError
         If there is none, with what there is instead.
     """
+    with nullcontext() if isinstance(path, Path) else reading(path):
+        return _files_of(path)
+
+
+def _files_of(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.exists():

@@ -15,6 +15,7 @@ from koop_bag.bag.message_compression import MessageUnpacker, check_format
 from koop_bag.bag.metadata import Description, read_description
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, inner_places
+from koop_bag.mcap.stored_file import stored_path
 
 
 class RawMessage(NamedTuple):
@@ -45,7 +46,8 @@ class BagReader:
     Parameters
     ----------
     path : path
-        A bag folder, a folder that holds one as `bag/`, or an `.mcap` file.
+        A bag folder, a folder that holds one as `bag/`, or an `.mcap` file; or the URL of one,
+        such as s3://BUCKET/RUN.
 
     Attributes
     ----------
@@ -67,7 +69,7 @@ class BagReader:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = stored_path(path)
         self.files = find_files(self.path)
         self._topics: dict[str, Topic] = {}
         self.message_count = 0

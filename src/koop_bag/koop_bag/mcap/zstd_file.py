@@ -12,6 +12,7 @@ from typing import BinaryIO
 import zstandard
 
 from koop_bag.errors import BagError
+from koop_bag.mcap.stored_file import open_stored
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """First bytes of a zstd frame (RFC 8878)."""
@@ -31,7 +32,7 @@ def open_unpacked(path: Path) -> BinaryIO:
         If it cannot be opened, or if there is no room to unpack it.
     """
     try:
-        file = open(path, "rb")  # noqa: SIM115 - open as long as the bag
+        file = open_stored(path)
         if file.read(len(ZSTD_MAGIC)) != ZSTD_MAGIC:
             file.seek(0)
             return file

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+from koop_bag.mcap.stored_file import stored_path, traffic
 from koop_lab.cli.table import forecast_table, mode_table
 from koop_lab.identify.from_bags import BagTraining, train_from_bags
 from koop_lab.identify.samples import StateSpec
@@ -34,7 +36,10 @@ def register(commands: Any) -> None:
     default = TrainingConfig()
     parser = commands.add_parser("train")
     parser.add_argument(
-        "bags", nargs="*", type=Path, metavar="BAG", help="recordings to learn from"
+        "bags",
+        nargs="*",
+        metavar="BAG",
+        help="recordings to learn from; also URLs, such as s3://BUCKET/RUN",
     )
     parser.add_argument("--out", type=Path, default=Path("model.npz"), metavar="FILE.npz")
     parser.add_argument(
@@ -175,12 +180,15 @@ def train_main(args: argparse.Namespace) -> int:
         raise ValueError(
             f"--{option} is for training {'without a bag' if args.bags else 'on bags'}"
         )
+    args.bags = [stored_path(bag) for bag in args.bags]
     if args.compare:
         return _compare(args)
     model = train_from_bags(args.bags, _bag_training(args)) if args.bags else _simulated(args)
     model.save(args.out)
     print(describe(model))
     print(f"written to {args.out}")
+    for line in traffic():
+        print(line, file=sys.stderr)
     return 0
 
 

@@ -144,7 +144,7 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
             segmentations.append(segmentation)
             described.append(
                 {
-                    "name": Path(path).name,
+                    "name": path.name,
                     "sha256": sha256(path),
                     "pairs": gram.pairs - before,
                     **segmenter.described(),

@@ -51,7 +51,7 @@ def recorded_values(
     They stand in the bag itself, or in the run's folder while the bag is not closed.
     """
     text = bag.custom_data().get("parameters", "")
-    for folder in (Path(path), Path(path).parent):
+    for folder in (path, path.parent):
         if not text and (folder / "parameters.yaml").is_file():
             text = (folder / "parameters.yaml").read_text(encoding="utf-8")
     base, content = namespace.rstrip("/"), parse_map(text, "record of parameters")
