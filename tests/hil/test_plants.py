@@ -134,8 +134,12 @@ def test_what_an_aircraft_publishes_is_what_jsbsim_logs(flying, probe, tmp_path)
         "--noise", 0, "--log", log, "--duration", 3, "--jitter", 0, "--at", "2:throttle=0"
     )
     probe.spin_until(lambda: told.get_subscription_count() and heard, "the aircraft")
-    told.publish(Float64(data=99.0))
-    probe.spin_until(lambda: process.poll() is not None, "its end")
+
+    def ended():
+        told.publish(Float64(data=99.0))  # again: the aircraft may not know the publisher yet
+        return process.poll() is not None
+
+    probe.spin_until(ended, "its end")
     assert process.returncode == 0
     probe.spin_until(lambda: len(heard) >= 360, "the last sample")
     with log.open() as file:
