@@ -14,6 +14,7 @@ from koop_bag.mcap import stored_file
 from koop_lab.cli.main import main
 
 boto3 = pytest.importorskip("boto3", reason="the object store is not installed")
+s3fs = pytest.importorskip("s3fs", reason="the object store is not installed")
 BAG = Path(__file__).parents[2] / "recordings" / "golden" / "run" / "bag"
 URL = "s3://shelf/run"
 BLOCK = 64 << 10
@@ -42,6 +43,7 @@ def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[]
             yield path.read_text
         finally:
             store.kill()
+            s3fs.S3FileSystem.clear_instance_cache()  # which knows this store's address
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[str, str]:
@@ -76,11 +78,15 @@ def test_info_and_train_give_the_same_from_a_store_with_as_few_requests_as_they_
 def test_what_a_store_has_against_it_is_said_in_one_line(
     log: Callable[[], str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for place in ("s3://shelf/other", "s3://nowhere/run", "odd://shelf/run"):
+    nothing, strange = "there is no bag", "Unsupported filesystem"
+    for place, reason in {
+        "s3://shelf/other": nothing, "s3://nowhere/run": nothing, "odd://shelf/run": strange,
+    }.items():  # fmt: skip
         assert main(["bag", "info", place]) == 2
         error = capsys.readouterr().err
         assert error.startswith("koop bag info: error: ")
         assert place in error
+        assert reason in error
         assert error.count("\n") == 1
     monkeypatch.setitem(sys.modules, "upath", None)
     assert main(["bag", "info", URL]) == 2
