@@ -34,6 +34,11 @@ class Outlets:
             entities.publisher(Clock, "/clock", RELIABLE) if publish_clock else None
         )
 
+    def acknowledged(self, patience: float) -> bool:
+        """Return whether every subscriber has all that was sent, or has within a time [s] each."""
+        writers = (self.state, self.ground_truth)
+        return all([w.publisher.wait_for_all_acked(Duration(seconds=patience)) for w in writers])
+
 
 class PlantRun(Run):
     """A plant from its first step on; the pace is the subclass's."""
@@ -166,8 +171,7 @@ class PlantRun(Run):
 
     def _end(self) -> None:
         assert self._outlets is not None
-        for writer in (self._outlets.state, self._outlets.ground_truth):
-            writer.publisher.wait_for_all_acked(Duration(seconds=1.0))
+        self._outlets.acknowledged(1.0)
         self._node.get_logger().info(f"done: {self._k} steps, {self.late} late ticks")
         self._node.finish(0)
 

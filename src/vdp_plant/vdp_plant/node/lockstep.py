@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from koop_msgs.msg import Cost
-from rclpy.duration import Duration
 
 from koop_node.managed import ERROR, OK, Entities, ManagedNode
 from koop_node.qos import RELIABLE
@@ -64,16 +63,12 @@ class LockstepRun(PlantRun):
         self._question.ask(time.monotonic())
 
     def _all_keep_up(self, patience: float) -> bool:
-        """Return whether every subscriber has all that was sent, or has within a time [s].
+        """Return whether nobody falls behind, or catches up within a time [s].
 
         Nothing else paces those who only listen: what a recorder that was not scheduled for a
         while can't catch up with is lost to it.
         """
-        outlets = self._outlets
-        return outlets is None or all(
-            writer.publisher.wait_for_all_acked(Duration(seconds=patience))
-            for writer in (outlets.state, outlets.ground_truth)
-        )
+        return self._outlets is None or self._outlets.acknowledged(patience)
 
     def _go_on(self, since: float) -> None:
         """Ask again once those who fell behind at a steady time [s] have caught up."""
