@@ -78,7 +78,10 @@ class EscConfig:
         "minimise", "what the controller does with the cost", choices=("minimise", "maximise")
     )
     theta_initial: float = parameter(
-        2.0, "theta at the start and after a reset", low=-1e6, high=1e6
+        2.0,
+        "theta at the start and after a reset; from beyond its limits it goes there at rate_limit",
+        low=-1e6,
+        high=1e6,
     )
     epsilon_initial: int = parameter(
         1, "first relay sign: 1 moves theta down, -1 up", low=-1, high=1, read_only=True
@@ -109,15 +112,17 @@ class EscConfig:
             raise ConfigError(
                 f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"
             )
-        if not self.theta_min <= self.theta_initial <= self.theta_max:
+        inside = self.theta_min <= self.theta_initial <= self.theta_max
+        if not inside and self.rate_limit == 0.0:
             raise ConfigError(
                 f"theta_initial = {self.theta_initial:g} must lie within "
-                f"[theta_min, theta_max] = [{self.theta_min:g}, {self.theta_max:g}]"
+                f"[theta_min, theta_max] = [{self.theta_min:g}, {self.theta_max:g}], or "
+                "rate_limit be above 0 for theta to go there"
             )
-        if self.theta_scale == "log" and self.theta_min <= 0.0:
-            raise ConfigError(
-                f"theta_min = {self.theta_min:g}: must be above 0 with theta_scale log"
-            )
+        if self.theta_scale == "log":
+            for name in ("theta_min", "theta_initial"):
+                if (value := getattr(self, name)) <= 0.0:
+                    raise ConfigError(f"{name} = {value:g}: must be above 0 with theta_scale log")
         if self.epsilon_initial == 0:
             raise ConfigError("epsilon_initial = 0: must be 1 or -1")
 
@@ -152,4 +157,6 @@ class EscConfig:
 
     def initial(self) -> RelayState:
         """Return the relay's state before the first sample."""
-        return initial(self.scaled(self.theta_initial), self.epsilon_initial, self.theta_initial)
+        theta = min(max(self.theta_initial, self.theta_min), self.theta_max)
+        begin = initial(self.scaled(theta), self.epsilon_initial, self.theta_initial)
+        return begin._replace(given=self.scaled(self.theta_initial))

@@ -95,6 +95,8 @@ class EscRun(Run):
             "confidence": answer.confidence,
             "model_id": self._origin[1] if self._origin else "",
         }
+        if relay.outside(self._params, self._state):
+            return WARN, "theta is outside its limits", values
         if self._state.since_flip < 0:
             wait = -self._state.since_flip * self._node.parameters[EscConfig].dt
             return WARN, f"joined a run: holding theta, seeking in {wait:.1f} s", values

@@ -17,6 +17,9 @@ A cost that follows on no earlier one (another run, another quantity, a long sil
 filter reset. The dwell time then guards it: right after a start its sign is that of the first
 difference and says nothing. A controller that joins a run under way holds theta first, until what
 the cost did before its time has faded: half of its first turns would be wrong otherwise.
+
+Theta that is outside its limits, as where they were narrowed or the rig starts beyond them, goes to
+the nearer one at its limited rate, and the relay waits there.
 """
 
 from __future__ import annotations
@@ -274,6 +277,29 @@ def wait(p: RelayParams, state: RelayState, r: float) -> RelayState:
 
 
 @njit()
+def outside(p: RelayParams, state: RelayState) -> bool:
+    """Say whether theta is yet to reach its limits."""
+    return state.given < p.u_min or state.given > p.u_max
+
+
+@njit()
+def enter(p: RelayParams, state: RelayState, r: float) -> RelayState:
+    """Feed the filter while theta is on its way to its limits."""
+    after = wait(p, state, r)
+    return RelayState(
+        min(max(state.u, p.u_min), p.u_max),
+        state.epsilon,
+        after.cost_rise_filtered,
+        after.x_previous,
+        min(after.since_flip, 0),
+        after.primed,
+        state.given,
+        state.output,
+        after.swing,
+    )
+
+
+@njit()
 def respond(
     p: RelayParams,
     state: RelayState,
@@ -304,6 +330,8 @@ def respond(
         )
     elif arrival == Arrival.RESUME:
         state = restart(state, min(state.since_flip, 0), forget_leg(state.swing))
+    if outside(p, state) and not hold_asked:
+        return enter(p, state, r), True
     if state.since_flip < 0:
         return wait(p, state, r), True
     if hold_asked or not usable(p, r):

@@ -210,12 +210,22 @@ def test_what_is_given_out_gets_to_a_jump_at_its_limited_rate():
     for k in range(1, 4):
         state, _, _ = answer(config, state, 1.0, hold=True)
         assert state.output == pytest.approx(away.output + k * 1e-4)
-    narrow = EscConfig(rate_limit=0.02, theta_max=1.5, theta_initial=1.0)
-    state = same(config.initial())
-    for k in range(1, 4):
-        state, _, saturated = answer(narrow, state, 1.0 - k)
-        assert state.output == pytest.approx(2.0 - max(k - 1, 0) * 1e-4)  # the first only primes
-        assert saturated
+
+
+@pytest.mark.parametrize("law", ["relay", "adaptive"])
+def test_from_beyond_its_limits_theta_goes_there_and_the_relay_waits(law):
+    common = {"law": law, "rate_limit": 0.02, "theta_max": 1.9, "epsilon_initial": -1}
+    narrowed, begins = EscConfig(**common, theta_initial=1.0), EscConfig(**common)
+    for state in (EscConfig().initial(), begins.initial()):
+        for k in range(1, 1000):
+            state, holding, saturated = answer(narrowed, state, 2000.0 - k)
+            assert state.output == pytest.approx(2.0 - k * 1e-4)
+            assert holding
+            assert saturated
+        for k in range(200):
+            state, holding, _ = answer(narrowed, state, 1000.0 - k)
+        assert not holding
+        assert state.output <= 1.9
 
 
 def test_theta_changes_no_faster_than_its_rate_limit():
