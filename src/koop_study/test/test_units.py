@@ -178,7 +178,7 @@ def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results
                       "--scheduler-file", str(file))  # fmt: skip
     options = ("--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard")
     worker, _ = (start("worker", *options) for _ in range(2))
-    wait_for(file.exists)
+    wait_for(lambda: file.exists() and file.read_text().endswith("}"))  # it is written in place
     store, address = Store(tmp_path / "units"), json.loads(file.read_text())["address"]
     settings = {**SHORT, "duration": 500.0}
     every = [Unit("runs", {"settings": settings, "seeds": [n, n + 1]}) for n in range(33)]
