@@ -227,3 +227,17 @@ def test_compiled_and_plain_step_agree() -> None:
             state = oscillator.step(rig.params, state, k, rig.theta_initial, *noise[:2])
             plain = oscillator.step.py_func(rig.params, plain, k, rig.theta_initial, *noise[:2])
         assert state == pytest.approx(plain, rel=1e-9)
+
+
+def test_later_the_optimum_is_where_it_has_moved_to_and_goes_on_from_there() -> None:
+    for seed in range(5, 9):
+        rig = of("symmetric", seed, drift=(0.1, 0.1))
+        period = 1.8 / abs(rig.params.drift)  # to one end of the range, to the other, and back
+        for passed in (0.1 * period, 0.45 * period, 0.9 * period):
+            after = rig.later(passed)
+            for t in np.linspace(0.0, period, 7):
+                assert after.best(float(t)) == pytest.approx(rig.best(passed + float(t)), rel=1e-6)
+    still = of("symmetric", 5, **STILL)
+    assert still.later(1e6) == still
+    with pytest.raises(ValueError, match="jumps"):
+        of("symmetric", 5, jump=(0.3, 0.3), jump_every=(5.0, 5.0)).later(1.0)

@@ -111,9 +111,7 @@ class Closed(NamedTuple):
 def close(rig: Rig, controller: Controller, end: int, noise: Noise, seed: int) -> Closed:
     """Close the loop from an end of theta's range."""
     p, rig = rig.params, from_end(rig, end)
-    limits = controller.esc.theta_min, controller.esc.theta_max  # may be narrower than the rig's
-    start = min(max(rig.theta_initial, limits[0]), limits[1])
-    esc = replace(controller.esc, theta_initial=start, epsilon_initial=1 if end else -1)
+    esc = replace(controller.esc, theta_initial=rig.theta_initial, epsilon_initial=1 if end else -1)
     model = controller.model
     lifting = cost.no_lifting() if model is None else model.lifting()
     source = cost.RAW if model is None else cost.LIFTED

@@ -102,7 +102,8 @@ def commission_plant(
         "stays": len(recorded.progress.visits),
         "samples": int(recorded.theta.size),
     }
-    loops = _Loops(rig, seed, round(duration * own / rig.params.dt))
+    after = rig.later(recorded.progress.elapsed)  # while theta was moved the optimum moved too
+    loops = _Loops(after, seed, round(duration * own / rig.params.dt))
     found: Tuning | None = None
     seen: StaticMap | None
     try:
@@ -125,7 +126,9 @@ def commission_plant(
     if rig.has_optimum:
         model = None if found is None else found.chosen.cost.model
         noises = loops.noises
-        row["runs"] = row.get("runs", {}) | beside(rig, model, rate, noises, seed, grid, stochastic)
+        row["runs"] = row.get("runs", {}) | beside(
+            after, model, rate, noises, seed, grid, stochastic
+        )
         watch.lap("beside")
     return {**row, "seconds": watch.laps}
 

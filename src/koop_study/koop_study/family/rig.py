@@ -109,6 +109,24 @@ class Rig:
         i = int(np.argmin(p.sense * squares))
         return oscillator.theta_at(p, GRID[i]), math.sqrt(squares[i])
 
+    def later(self, t: float) -> Rig:
+        """Return the rig as it is after ``t`` [s]: its optimum is where it has moved to by then.
+
+        Raises
+        ------
+        ValueError
+            If its optimum jumps: the next one would come at another time.
+        """
+        p = self.params
+        if p.jump:
+            raise ValueError("a rig whose optimum jumps has no later")
+        if p.drift == 0.0:
+            return self
+        inside = 1.0 - 2.0 * oscillator.MARGIN
+        turned = (p.best - oscillator.MARGIN + p.drift * t) % (2.0 * inside) > inside
+        best = float(oscillator.best_position(p, t))
+        return replace(self, params=p._replace(best=best, drift=-p.drift if turned else p.drift))
+
     def initial(self, seed: int) -> RigState:
         """Return a state that has settled at ``theta_initial``, of a random phase."""
         rng = np.random.default_rng([seed, 2])
