@@ -26,7 +26,7 @@ from koop_lab.tune.fluctuation import fluctuation
 from koop_lab.tune.static_map import StaticMap
 from koop_lab.tune.stays import Scale, Stay, Stays, period_by_theta, rests
 from koop_lab.tune.surrogate import fit_times
-from koop_lab.tune.tuning import NoOptimum, cliff_of, look, tune
+from koop_lab.tune.tuning import NoOptimum, limits_of, look, tune
 from koop_loop import parameters
 from koop_study.commissioning.excitation import training_of
 from koopman_lifter.model import load
@@ -161,20 +161,46 @@ def cliff_map(values, edge, calm_once=False):
     return StaticMap(u, mean, np.full(u.size, 0.05), 1.0, visits)
 
 
-def test_theta_is_kept_away_from_a_cliff_that_is_known_and_the_rig_may_start_from():
+def test_theta_is_kept_away_from_a_cliff_that_is_known():
     rig = replace(file_of(rig_of(3)), theta_min=0.5, theta_max=60.0, theta_start=1.0,
                   theta_safe=1.0, objective="minimise")  # fmt: skip
     values = [0.5, 0.91, 1.66, 3.01, 5.48, 9.97, 11.6, 13.4, 18.1, 33.0, 60.0]
     scale = Scale(0.5, 60.0)
+
+    def limits(values, edge, calm_once=False):
+        found = cliff_map(values, edge, calm_once)
+        return limits_of(found, found, scale, rig)
+
     for calm_once in (False, True):
-        found = cliff_of(cliff_map(values, 13.0, calm_once), scale, rig)
-        assert found.low == 0.5
+        found = limits(values, 13.0, calm_once)
+        assert found.cliff
         assert 8.0 < found.high < 10.0
-        assert "theta_max" in found.why
-    assert cliff_of(cliff_map(values, 70.0), scale, rig) is None  # there is none
+        assert "theta_max" in found.why_high
+    assert not limits(values, 70.0).cliff  # there is none
     coarse = [v for v in values if v not in (11.6, 13.4)]  # the optimum may be anywhere before it
-    assert cliff_of(cliff_map(coarse, 13.0), scale, rig) is None
-    assert cliff_of(cliff_map(values, 13.0), scale, replace(rig, theta_start=30.0)) is None
+    assert not limits(coarse, 13.0).cliff
+    assert limits(coarse, 13.0).high > 13.0
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_theta_is_kept_where_the_map_is_good_and_has_room_there(sense):
+    rig = replace(file_of(rig_of(3)), theta_min=-5.0, theta_max=5.0, theta_start=2.0,
+                  theta_safe=2.0)  # fmt: skip
+    scale, u = Scale(-5.0, 5.0), np.linspace(0.0, 1.0, 21)
+
+    def limits(slope, error):
+        mean = sense * slope * np.abs(u - 0.4)
+        found = StaticMap(u, mean, np.full(u.size, error), sense, [np.full(2, y) for y in mean])
+        return limits_of(found, found, scale, rig)
+
+    found = limits(5.0, 0.01)  # twice the best at 0.4 +- log(2) / 5 and a little for the errors
+    for limit, side in ((found.low, -1), (found.high, 1)):
+        assert scale.u(np.array(limit)) == pytest.approx(0.4 + side * (0.139 + 0.1), abs=0.02)
+    assert "instead of 5" in found.why
+    unsure = limits(5.0, 0.2)  # what may be good is not left out
+    assert unsure.low < found.low
+    assert unsure.high > found.high
+    assert limits(1.0, 0.01) == (-5.0, 5.0, "", "", False)  # good everywhere
 
 
 def test_a_theta_that_moves_slowly_does_not_rest_on_its_way():
@@ -220,7 +246,8 @@ def test_a_bag_becomes_a_controller_with_its_reasons(bagged, capsys):
     assert loop.load_model().model_id == load(folder / "out/model.npz").model_id
     assert "model: model.npz" in (folder / "out/controller.yaml").read_text()
     assert (loop.esc.command_topic, loop.esc.command_field) == ("/knob", "data")
-    assert (loop.esc.theta_min, loop.esc.theta_max) == (rig.params.theta_min, rig.params.theta_max)
+    assert rig.params.theta_min <= loop.esc.theta_min < rig.best()[0]
+    assert rig.best()[0] < loop.esc.theta_max <= rig.params.theta_max
     assert loop.esc.step_size <= file_of(rig).theta_rate * rig.params.dt
     text = (folder / "out/controller.yaml").read_text()
     assert text.count("# Here: ") > 15

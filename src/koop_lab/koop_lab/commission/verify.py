@@ -182,7 +182,7 @@ def nodes_of(
     esc = values[ESC]
     esc |= {
         "autostart": False,
-        "theta_initial": min(max(start, esc["theta_min"]), esc["theta_max"]),
+        "theta_initial": start,
         "epsilon_initial": -1 if low else 1,
         "command_topic": "",
         "recorders": 1,

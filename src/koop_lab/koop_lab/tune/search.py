@@ -158,7 +158,7 @@ def esc_of(task: Task, c: Constants, theta: float) -> EscConfig:
     rate = task.rate
     if s.logarithmic:
         step *= math.log(s.high / s.low)
-        rate /= task.high  # of theta at its largest
+        rate /= s.high  # of theta at its largest
     else:
         step *= s.high - s.low
     return EscConfig(
@@ -172,7 +172,7 @@ def esc_of(task: Task, c: Constants, theta: float) -> EscConfig:
         theta_max=task.high,
         rate_limit=rate,
         objective="minimise" if task.sense > 0.0 else "maximise",
-        theta_initial=min(max(theta, task.low), task.high),
+        theta_initial=theta,
         epsilon_initial=1,
         dt=task.dt,
     )
@@ -282,7 +282,7 @@ def draw(task: Task, count: int, seed: int) -> list[Constants]:
 def _in_units(task: Task, law: str, omega_h: float, v: dict[str, float]) -> Constants:
     t, s = task.time, task.any
     # the rate may allow less than the fastest
-    limit = task.rate / (task.high * math.log(s.high / s.low) if s.logarithmic else s.high - s.low)
+    limit = task.rate / (s.high * math.log(s.high / s.low) if s.logarithmic else s.high - s.low)
     return Constants(
         law, omega_h, v["omega_l"] / t, min(v["speed"] / t, limit), v["dwell"] * t, v["tau_f"] * t,
         v["step_ratio"],

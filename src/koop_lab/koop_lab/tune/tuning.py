@@ -20,7 +20,7 @@ from koop_lab.identify.from_bags import BagTraining
 from koop_lab.identify.loaded import Loaded
 from koop_lab.identify.windows import period_of
 from koop_lab.tune.search import GOOD, HIGH, Outcome, Task, Tried, confirm, search, try_out
-from koop_lab.tune.static_map import StaticMap, static_map, weights_of
+from koop_lab.tune.static_map import GRID, StaticMap, static_map, weights_of
 from koop_lab.tune.stays import Scale, Stays, find_stays, period_by_theta, window_levels
 from koop_lab.tune.surrogate import Surrogate, Times, fit_times, high_passed
 
@@ -39,7 +39,9 @@ RUNS = 32  # of the prediction
 BAND = (5.0, 50.0, 95.0)  # percentiles that are told
 BLOCKS_OF_TIME = 100  # in T, of coarse surrogates at least
 CLIFF_WIDTH = 0.08  # of the range, within which the amplitude changes so much at a cliff
-ALL_GOOD = 2.0  # times the least amplitude, that no visit of a good value is beyond
+ALL_GOOD = 2.0  # times the least amplitude: no visit of a good value is beyond
+ROOM = 0.1  # of the range, that theta may go beyond the outermost good value
+DOUBTED = 2.0  # standard errors, by which a value may be better than it was seen
 MARGIN = 0.06  # of the range, that theta is kept away from the last good value before a cliff
 BELIEVED = 10.0  # times the largest y_out of the recording
 
@@ -91,20 +93,29 @@ class Judged:
         return max((found.gain for found in self.maps.values()), default=0.0)
 
 
-class Cliff(NamedTuple):
-    """Where the amplitude gets worse all at once, and the limits that keep theta away from it.
+class Limits(NamedTuple):
+    """Limits of the controller's theta, and why each is narrower than the rig's.
 
     Attributes
     ----------
     low, high : float
-        Limits of the controller's theta.
-    why : str
-        In words.
+        Least and largest theta.
+    why_low, why_high : str
+        In words; empty where it is the rig's.
+    cliff : bool
+        Whether one keeps away from a cliff.
     """
 
     low: float
     high: float
-    why: str
+    why_low: str = ""
+    why_high: str = ""
+    cliff: bool = False
+
+    @property
+    def why(self) -> str:
+        """Both, in words."""
+        return "; ".join(why for why in (self.why_low, self.why_high) if why)
 
 
 @dataclass(frozen=True)
@@ -121,8 +132,8 @@ class Seen:
         Of each candidate.
     doubt : str
         What is not sure about the optimum, in words; empty if it is.
-    cliff : Cliff, optional
-        From which theta is kept away.
+    limits : Limits, optional
+        Of the controller's theta.
     """
 
     scale: Scale
@@ -132,7 +143,7 @@ class Seen:
     feature: str
     costs: list[Judged]
     doubt: str = ""
-    cliff: Cliff | None = None
+    limits: Limits | None = None
 
 
 @dataclass(frozen=True)
@@ -266,7 +277,7 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
             costs=[replace(one, told=told) for one in judged],
             doubt=seen.doubt or "no cost shows the optimum of the amplitude beyond doubt",
         )
-    seen = replace(seen, cliff=cliff_of(amplitude, scale, rig))
+    seen = replace(seen, limits=limits_of(amplitude, told, scale, rig))
     if not any(one.usable for one in seen.costs):
         best = max(one.gain for one in seen.costs)
         raise NoOptimum(
@@ -279,40 +290,81 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
     return seen
 
 
-def cliff_of(found: StaticMap, scale: Scale, rig: RigFile) -> Cliff | None:
-    """Return the cliffs beside the optimum, if there are any.
+def limits_of(amplitude: StaticMap, told: StaticMap, scale: Scale, rig: RigFile) -> Limits:
+    """Return limits of the controller's theta: where the map is good, and some room.
 
-    A loop that seeks goes a little beyond the optimum again and again. Beyond a cliff the cost is
-    so large that the filters forget it only slowly, and while they do theta moves on, whatever it
-    does. So theta stays MARGIN below the last value that is good. What the rig file calls its start
-    or safe stays within reach.
+    What is far from any good value was seen once and need not be seen again: a swing that is wide
+    while the optimum is sought, or a loop that noise leads astray, ends at a limit where the rig
+    still oscillates little. Beyond the outermost value that may be good theta has ROOM, for an
+    optimum that moves.
+
+    A cliff wants more care. A loop goes a little beyond the optimum again and again; beyond a cliff
+    the cost is so large that the filters forget it only slowly, and while they do theta moves on,
+    whatever it does. So there theta stays MARGIN inside the last good value.
+
+    Parameters
+    ----------
+    amplitude, told : StaticMap
+        Of the oscillation; what shows it most clearly, which may be the same.
+    scale, rig
+        Of theta, and its own limits.
     """
+    found, why, cliff = [rig.theta_min, rig.theta_max], ["", ""], False
+    for end, side in ((0, -1), (1, 1)):
+        near = beside_cliff(amplitude, side)
+        if near is not None:
+            cliff = True
+            found[end] = float(f"{scale.theta_at(near.u - side * MARGIN):.3g}")
+            verb = "rises" if amplitude.sense > 0 else "falls"
+            reason = (
+                f"from {scale.theta_at(near.u):.3g} to {scale.theta_at(near.beyond):.3g} the "
+                f"amplitude {verb} by a factor of {math.exp(near.height):.2g} all at once"
+            )
+        else:
+            edge = outermost_good(told, side)
+            if not 0.0 < edge + side * ROOM < 1.0:
+                continue
+            found[end] = float(f"{scale.theta_at(edge + side * ROOM):.3g}")
+            reason = (
+                f"beyond {scale.theta_at(edge):.3g} the oscillation is {ALL_GOOD:g} times the best "
+                "or worse"
+            )
+        name = f"theta_{'max' if end else 'min'}"
+        own = rig.theta_max if end else rig.theta_min
+        why[end] = f"{name} {found[end]:.3g} instead of {own:g}: {reason}"
+    return Limits(found[0], found[1], why[0], why[1], cliff)
+
+
+class Edge(NamedTuple):
+    """The last good value before a cliff, the first one beyond [u], by how much log a differs."""
+
+    u: float
+    beyond: float
+    height: float
+
+
+def beside_cliff(found: StaticMap, side: int) -> Edge | None:
+    """Return the last good value before the cliff on a side (-1 or 1), if there is one."""
     y, u = found.sense * found.mean, found.u
     worst = [float((found.sense * own).max()) for own in found.visits]
-    limits, words = [rig.theta_min, rig.theta_max], []
-    best = int(np.argmin(y))
-    for side in (-1, 1):
-        good = best
-        while 0 <= good + side < u.size and worst[good + side] - y[best] < math.log(ALL_GOOD):
-            good += side
-        beyond = good + side
-        if not 0 <= beyond < u.size or abs(u[beyond] - u[good]) > CLIFF_WIDTH:
-            continue
-        height = worst[beyond] - y[good]
-        if height < math.log(CLIFF):
-            continue
-        limit = scale.theta_at(float(u[good]) - side * MARGIN)
-        if any((theta - limit) * side > 0.0 for theta in (rig.theta_start, rig.theta_safe)):
-            continue
-        end = 0 if side < 0 else 1
-        words.append(
-            f"theta_{'max' if end else 'min'} {limit:.3g} instead of {limits[end]:g}: from "
-            f"{scale.theta_at(float(u[good])):.3g} to {scale.theta_at(float(u[beyond])):.3g} the "
-            f"amplitude {'rises' if found.sense > 0 else 'falls'} by a factor of "
-            f"{math.exp(height):.2g} all at once"
-        )
-        limits[end] = float(f"{limit:.3g}")
-    return Cliff(limits[0], limits[1], "; ".join(words)) if words else None
+    good = best = int(np.argmin(y))
+    while 0 <= good + side < u.size and worst[good + side] - y[best] < math.log(ALL_GOOD):
+        good += side
+    beyond = good + side
+    if not 0 <= beyond < u.size or abs(u[beyond] - u[good]) > CLIFF_WIDTH:
+        return None
+    height = worst[beyond] - float(y[good])
+    return Edge(float(u[good]), float(u[beyond]), height) if height > math.log(CLIFF) else None
+
+
+def outermost_good(found: StaticMap, side: int) -> float:
+    """Return the position of the value furthest out on a side (-1 or 1) that may be good."""
+    curve = found.sense * found.curve(found.mean)
+    grid = np.linspace(0.0, 1.0, GRID)
+    error = np.interp(grid, found.u, found.error)
+    good = curve - DOUBTED * error < float(curve.min()) + math.log(ALL_GOOD)
+    inside = grid[good]
+    return float(inside[0] if side < 0 else inside[-1])
 
 
 def doubt(found: StaticMap) -> str:
@@ -366,6 +418,7 @@ def task_of(
     """Return the rigs that the recording may be of, for one cost and each corner frequency."""
     y_out = judged.cost.y_out
     assert y_out is not None
+    assert seen.limits is not None
     every = max(1, int(time / (BLOCKS_OF_TIME * rig.dt)))
     parts, first = pieces_of(y_out, seen.stays)
     sizes = [part.size for part in parts]
@@ -382,8 +435,7 @@ def task_of(
             s._replace(y=np.concatenate(blocks), begins=ends, dt=every * rig.dt, coarse=True)
             for s in drawn
         ]
-    cliff = seen.cliff
-    low, high = (cliff.low, cliff.high) if cliff else (rig.theta_min, rig.theta_max)
+    low, high = seen.limits[:2]
     return Task(fine, coarse, seen.amplitude.sense, time, rig.dt, rig.theta_rate, low, high)
 
 

@@ -55,7 +55,8 @@ def as_words(found: Tuning) -> str:
     span = "of log theta's range" if s.logarithmic else "of theta's range"
     better = "down" if found.task.sense > 0 else "up"
     doubt = [f"in doubt: {found.seen.doubt}"] if found.seen.doubt else []
-    doubt += [f"a cliff: {found.seen.cliff.why}"] if found.seen.cliff else []
+    limits = found.seen.limits
+    doubt += [f"narrower: {limits.why}"] if limits and limits.why else []
     return "\n".join(
         [
             *doubt,
@@ -118,8 +119,8 @@ def reasons_of(found: Tuning, rig: RigFile) -> dict[str, dict[str, str]]:
         f"the best of a search on the rig that the recording shows, whose oscillation has a period "
         f"of {period:.3g} s and whose amplitude follows theta within about {slow:.3g} s"
     )
-    of_rig, task = "as the rig file says", found.task
-    cliff = found.seen.cliff.why if found.seen.cliff else ""
+    of_rig = "as the rig file says"
+    assert found.seen.limits is not None
     timeout = f"{TIMEOUT:g} samples, at least {LEAST_TIMEOUT:g} s"
     return {
         "koopman_lifter": {
@@ -144,8 +145,8 @@ def reasons_of(found: Tuning, rig: RigFile) -> dict[str, dict[str, str]]:
             "step_ratio": "of the same search",
             "dwell": f"{c.dwell / time:.3g} times the rig's own time of {time:.3g} s",
             "tau_f": f"{c.tau_f / time:.3g} times the rig's own time",
-            "theta_min": of_rig if task.low == rig.theta_min else cliff,
-            "theta_max": of_rig if task.high == rig.theta_max else cliff,
+            "theta_min": found.seen.limits.why_low or of_rig,
+            "theta_max": found.seen.limits.why_high or of_rig,
             "rate_limit": "theta_rate of the rig file" + (
                 " over theta_max: the rate of log theta" if found.task.any.logarithmic else ""),
             "objective": of_rig,
