@@ -238,12 +238,12 @@ def test_a_run_of_the_laws_rewrites_their_sentence_and_leaves_the_results() -> N
     laws = Section("laws", "Laws", "", tables)
     begin, end = publish.LAWS
     text = f"{publish.BEGIN}\nresults\n{publish.END}\n{begin}\n{end}\n"
-    written = publish.rewrite(text, [laws], "docs/laws/report.html")
+    written = publish.rewrite(text, [laws], "docs/study/report.html")
     assert f"{publish.BEGIN}\nresults\n{publish.END}" in written
     for figures in ("51 / 52", "31 / 32", "41 / 42", "6 / 7", "61 / 62", "2.2 %", "10.3 %"):
         assert figures in written
     assert "7 fresh seeds" in written
-    assert publish.rewrite(written, [laws], "docs/laws/report.html") == written
+    assert publish.rewrite(written, [laws], "docs/study/report.html") == written
     assert publish.rewrite(text, [Section("other", "Other", "")], "r.html").endswith(
         f"{begin}\n{end}\n"
     )
