@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from koop_lab.commission import valley
 from koop_lab.commission.features import Bands, bands, window_length
 from koop_lab.commission.rig_file import RigFile
-from koop_lab.commission.staircase import CLIFF, level
+from koop_lab.commission.staircase import level
 from koop_lab.commission.valley import SURE
 from koop_lab.identify.compare import BAND_LIMITED, Cost, costs
 from koop_lab.identify.from_bags import BagTraining
@@ -38,7 +38,8 @@ AS_GOOD = 1.1  # raw, and a short run, are taken when the best is not better by 
 RUNS = 32  # of the prediction
 BAND = (5.0, 50.0, 95.0)  # percentiles that are told
 BLOCKS_OF_TIME = 100  # in T, of coarse surrogates at least
-CLIFF_WIDTH = 0.08  # of the range, within which the amplitude changes so much at a cliff
+CLIFF = 8.0  # factor by which the amplitude changes at a cliff; less is a steep side of a valley
+CLIFF_WIDTH = 0.08  # of the range, within which it does
 ALL_GOOD = 2.0  # times the least amplitude: no visit of a good value is beyond
 ROOM = 0.1  # of the range, that theta may go beyond the outermost good value
 DOUBTED = 2.0  # standard errors, by which a value may be better than it was seen
@@ -326,8 +327,8 @@ def limits_of(amplitude: StaticMap, told: StaticMap, scale: Scale, rig: RigFile)
                 continue
             found[end] = float(f"{scale.theta_at(edge + side * ROOM):.3g}")
             reason = (
-                f"beyond {scale.theta_at(edge):.3g} the oscillation is {ALL_GOOD:g} times the best "
-                "or worse"
+                f"beyond {scale.theta_at(edge):.3g} the oscillation is {GOOD:g} times the best or "
+                "worse"
             )
         name = f"theta_{'max' if end else 'min'}"
         own = rig.theta_max if end else rig.theta_min
@@ -362,7 +363,7 @@ def outermost_good(found: StaticMap, side: int) -> float:
     curve = found.sense * found.curve(found.mean)
     grid = np.linspace(0.0, 1.0, GRID)
     error = np.interp(grid, found.u, found.error)
-    good = curve - DOUBTED * error < float(curve.min()) + math.log(ALL_GOOD)
+    good = curve - DOUBTED * error < float(curve.min()) + math.log(GOOD)
     inside = grid[good]
     return float(inside[0] if side < 0 else inside[-1])
 
