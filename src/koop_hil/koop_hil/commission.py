@@ -11,6 +11,7 @@ from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import refuse_dead
 from koop_lab.commission import progress, rig_file, verify
+from koop_lab.commission.closed_loop import best_round
 from koop_lab.commission.command import Commissioning
 from koop_lab.commission.session import Watch
 from koop_lab.live.process import START_TIMEOUT
@@ -69,8 +70,10 @@ def row(scenario: Scenario, folder: Path) -> str:
     )
     if not found["verdict"]:
         return f"{first}| | | | | not verified |"
-    last = found["rounds"][-1]
-    runs, predicted = last["runs"], last["prediction"]
+    rounds = found["rounds"]
+    passed = rounds[-1]["agrees"] and found["damped"]
+    kept = rounds[-1 if passed else best_round(rounds)]  # whose controller is in the folder
+    runs, predicted = kept["runs"], kept["prediction"]
 
     def told(name: str, band: str, form: str) -> str:
         values = ", ".join("never" if r[name] is None else f"{r[name]:{form}}" for r in runs)
@@ -78,7 +81,10 @@ def row(scenario: Scenario, folder: Path) -> str:
         return f"{values} ({high['low']} to {high['high']})"
 
     ends = ", ".join(f"{run['theta']:.2f}" for run in runs)
-    verdict = "damped as predicted" if last["agrees"] and found["damped"] else last["says"]
+    verdict = (
+        "damped as predicted" if passed
+        else f"{'' if found['damped'] else 'not '}damped; {kept['says']}"
+    )  # fmt: skip
     return (
         f"{first}| {told('time_to_converge', 'converges', '.0f')} s "
         f"| {told('excess', 'excess', '.2f')} | {told('reduction', 'reduction', '.2f')} "

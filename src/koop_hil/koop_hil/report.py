@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from koop_hil.verdict import Verdict
@@ -45,7 +46,9 @@ def growth(verdict: Verdict) -> str:
     """Return how memory and latency changed, as a line."""
     slopes = ", ".join(f"{node} {slope:+.2f}" for node, slope in verdict.memory_slope.items())
     first, last = verdict.round_trip
-    return f"    memory [MB/h]: {slopes}; state to theta: {first:.2f} ms, at the end {last:.2f} ms"
+    told = math.isfinite(first) and math.isfinite(last)
+    times = f"{first:.2f} ms, at the end {last:.2f} ms" if told else "not told by this rig"
+    return f"    memory [MB/h]: {slopes}; state to theta: {times}"
 
 
 def table(verdicts: Sequence[Verdict]) -> str:

@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from koop_hil.faults import Channel
 from koop_hil.processes import Processes
 from koop_hil.scenario import find, parse, read, shipped, with_parameter, write
 from koop_hil.verdict import Verdict
+from koop_lab.commission.closed_loop import Measured
 from koop_node.config import ConfigError
 
 
@@ -160,6 +162,18 @@ def test_what_a_commissioning_came_to_is_a_row_of_a_page(tmp_path):
         '{"cost": "raw", "constants": {"law": "adaptive"}, "theta_best": 0.7}'
     )
     assert "| raw, adaptive | 0.70 (0.8) | 0 |" in commission.row(scenario, folder)
+    band = {name: {"low": 1.0, "high": 2.0} for name in ("converges", "excess", "reduction")}
+    rounds = [
+        {"agrees": False, "says": f"said {excess}", "prediction": band,
+         "runs": [asdict(Measured(None, 0.1, 3.0, 1.0, 0.1, excess, 3.0, 0.5, 0.2))]}
+        for excess in (2.4, 1.6, 3.7)
+    ]  # fmt: skip
+    (folder / "verify.json").write_text(
+        json.dumps({"rounds": rounds, "verdict": "so so", "damped": False})
+    )
+    told = commission.row(scenario, folder)  # of the round whose controller was kept
+    assert "| 3 | never (1 to 2) s | 1.60 (1.00 to 2.00) |" in told
+    assert told.endswith("| not damped; said 1.6 |")
     page = tmp_path / "page.md"
     page.write_text(f"a\n{commission.BEGIN}\nold\n{commission.END}\nb\n")
     for _ in range(2):  # once more gives the same
