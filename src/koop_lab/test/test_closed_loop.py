@@ -91,6 +91,14 @@ def test_only_what_is_worse_than_the_band_disagrees(change, message):
     assert ("not damped after 3 rounds" in said) == (worse.excess > 1.5)
 
 
+def test_a_prediction_that_allows_anything_is_not_confirmed():
+    wide = {**BANDS, "excess": {**BANDS["excess"], "high": 3.4}}
+    aim = aim_of(FIGURES | {"predicted": wide}, RIG)
+    (said,) = disagreements(aim, run(aim))
+    assert "to 3.4 times the best amplitude, is too wide to be confirmed" in said
+    assert "damped, but after 2 rounds not as predicted" in verdict(aim, [run(aim)], 2, "there")
+
+
 def test_a_rig_that_was_slower_than_predicted_is_taken_for_a_slower_one():
     def done(agrees, *took):
         runs = [{"time_to_converge": value} for value in took]

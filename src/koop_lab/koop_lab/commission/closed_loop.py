@@ -29,6 +29,7 @@ from koop_node.config import ConfigError
 SMOOTHED = 3  # windows at least, in whose mean an amplitude counts as converged
 ERRORS = 2.0  # standard errors that a band is widened by
 LATER = 1.2  # than the band, a loop may converge
+BLURRED = 3.0  # times the best amplitude, that a prediction allows which says nothing
 TWICE = 2.0  # times the time to converge, that the loop is closed; its second half counts
 MOST_SLOWER = 4.0  # times, that a rig is taken to be after one round
 ROUNDS = 3  # of tuning and verifying
@@ -206,9 +207,17 @@ def _root_mean_square(logs: NDArray[np.float64]) -> float:
 
 
 def disagreements(aim: Aim, run: Measured) -> list[str]:
-    """Return in which figures a run is worse than predicted, in words."""
+    """Return in which figures a run is worse than predicted, in words.
+
+    A prediction that allows almost anything is not confirmed by anything.
+    """
     p, widened = aim.predicted, math.exp(ERRORS * run.error)
     found = []
+    if p["excess"]["high"] > BLURRED:
+        found.append(
+            f"the prediction, {p['excess']['low']:.3g} to {p['excess']['high']:.3g} times the best "
+            "amplitude, is too wide to be confirmed"
+        )
     late, took = p["converges"]["high"], run.time_to_converge
     if late is not None and (took is None or took > LATER * late + SMOOTHED * aim.window):
         told = "did not converge" if took is None else f"took {took:.4g} s to converge"
