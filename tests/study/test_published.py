@@ -14,7 +14,6 @@ from koop_study.report import publish
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 STUDY = ROOT / "docs" / "study"
-LAWS_FOLDER = ROOT / "docs" / "laws"
 
 
 def rows(name: str) -> list[dict[str, str]]:
@@ -65,7 +64,7 @@ def test_the_report_shows_the_published_tables() -> None:
 def test_the_readmes_figures_of_laws_are_those_of_the_published_tables() -> None:
     begin, end = publish.LAWS
     block = README.split(begin)[1].split(end)[0]
-    tables = LAWS_FOLDER / "tables"
+    tables = STUDY / "tables"
     carried = set()
     for path in tables.glob("laws_*_calm.csv"), tables.glob("laws_*_jumps.csv"):
         for table in path:
