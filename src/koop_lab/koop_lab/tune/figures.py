@@ -37,7 +37,7 @@ def of_tuning(found: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any]
         "cost": found.chosen.cost.name,
         "why": found.why,
         "doubt": found.seen.doubt,
-        "limits": found.seen.limits.why if found.seen.limits else "",
+        "limits": found.seen.limits.why,
         "constants": asdict(found.best.constants),
         "score": math.exp(found.best.score),
         "time": found.time,

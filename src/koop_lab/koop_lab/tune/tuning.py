@@ -103,15 +103,12 @@ class Limits(NamedTuple):
         Least and largest theta.
     why_low, why_high : str
         In words; empty where it is the rig's.
-    cliff : bool
-        Whether one keeps away from a cliff.
     """
 
     low: float
     high: float
     why_low: str = ""
     why_high: str = ""
-    cliff: bool = False
 
     @property
     def why(self) -> str:
@@ -131,10 +128,10 @@ class Seen:
         In which theta shows most.
     costs : list of Judged
         Of each candidate.
+    limits : Limits
+        Of the controller's theta.
     doubt : str
         What is not sure about the optimum, in words; empty if it is.
-    limits : Limits, optional
-        Of the controller's theta.
     """
 
     scale: Scale
@@ -143,8 +140,8 @@ class Seen:
     period: float
     feature: str
     costs: list[Judged]
+    limits: Limits
     doubt: str = ""
-    limits: Limits | None = None
 
 
 @dataclass(frozen=True)
@@ -258,7 +255,6 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
                 levels = window_levels(filtered, stays)
                 maps[factor * omega] = static_map(stays, levels, sense)
         judged.append(Judged(cost, maps, []))
-    seen = Seen(scale, stays, amplitude, period, feature, judged)
     told = amplitude
     for one in judged:  # an interference is part of the amplitude; of a contrast it is not
         if one.cost.name.startswith("contrast") and one.cost.y_out is not None:
@@ -266,6 +262,8 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
             found = static_map(stays, own, sense)
             if found.clarity > CLEARER * told.clarity:
                 told = found
+    limits = limits_of(amplitude, told, scale, rig)
+    seen = Seen(scale, stays, amplitude, period, feature, judged, limits)
     if not told.interior and (told.flat or float(np.ptp(told.mean)) < SLIGHT):
         raise refusal(seen, rig, told)
     if not told.interior and not any(_settles(one, told) for one in judged):
@@ -278,7 +276,6 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
             costs=[replace(one, told=told) for one in judged],
             doubt=seen.doubt or "no cost shows the optimum of the amplitude beyond doubt",
         )
-    seen = replace(seen, limits=limits_of(amplitude, told, scale, rig))
     if not any(one.usable for one in seen.costs):
         best = max(one.gain for one in seen.costs)
         raise NoOptimum(
@@ -310,11 +307,10 @@ def limits_of(amplitude: StaticMap, told: StaticMap, scale: Scale, rig: RigFile)
     scale, rig
         Of theta, and its own limits.
     """
-    found, why, cliff = [rig.theta_min, rig.theta_max], ["", ""], False
+    found, why = [rig.theta_min, rig.theta_max], ["", ""]
     for end, side in ((0, -1), (1, 1)):
         near = beside_cliff(amplitude, side)
         if near is not None:
-            cliff = True
             found[end] = float(f"{scale.theta_at(near.u - side * MARGIN):.3g}")
             verb = "rises" if amplitude.sense > 0 else "falls"
             reason = (
@@ -333,7 +329,7 @@ def limits_of(amplitude: StaticMap, told: StaticMap, scale: Scale, rig: RigFile)
         name = f"theta_{'max' if end else 'min'}"
         own = rig.theta_max if end else rig.theta_min
         why[end] = f"{name} {found[end]:.3g} instead of {own:g}: {reason}"
-    return Limits(found[0], found[1], why[0], why[1], cliff)
+    return Limits(found[0], found[1], why[0], why[1])
 
 
 class Edge(NamedTuple):
@@ -419,7 +415,6 @@ def task_of(
     """Return the rigs that the recording may be of, for one cost and each corner frequency."""
     y_out = judged.cost.y_out
     assert y_out is not None
-    assert seen.limits is not None
     every = max(1, int(time / (BLOCKS_OF_TIME * rig.dt)))
     parts, first = pieces_of(y_out, seen.stays)
     sizes = [part.size for part in parts]

@@ -55,8 +55,7 @@ def as_words(found: Tuning) -> str:
     span = "of log theta's range" if s.logarithmic else "of theta's range"
     better = "down" if found.task.sense > 0 else "up"
     doubt = [f"in doubt: {found.seen.doubt}"] if found.seen.doubt else []
-    limits = found.seen.limits
-    doubt += [f"narrower: {limits.why}"] if limits and limits.why else []
+    doubt += [f"narrower: {found.seen.limits.why}"] if found.seen.limits.why else []
     return "\n".join(
         [
             *doubt,
@@ -120,7 +119,6 @@ def reasons_of(found: Tuning, rig: RigFile) -> dict[str, dict[str, str]]:
         f"of {period:.3g} s and whose amplitude follows theta within about {slow:.3g} s"
     )
     of_rig = "as the rig file says"
-    assert found.seen.limits is not None
     timeout = f"{TIMEOUT:g} samples, at least {LEAST_TIMEOUT:g} s"
     return {
         "koopman_lifter": {
