@@ -154,12 +154,12 @@ def test_a_sensor_that_dies_or_a_full_disk_ends_the_closed_loop(fast_rig, tuned,
     assert_walked(fast_rig.moved, ONE)
 
 
-def test_the_best_round_is_kept_where_none_is_as_predicted(tuned, tmp_path, capsys):
+def test_the_best_round_is_kept_where_none_damped_as_predicted(tuned, tmp_path, capsys):
     run = {"time_to_converge": 1.0, "distance": 0.1, "amplitude_before": 1.0, "amplitude": 0.3,
            "error": 0.0, "reduction": 3.0, "theta": BEST, "swing": 0.1, "start": 0.0,
            "bag": ""}  # fmt: skip
     rounds = [
-        {"round": i + 1, "agrees": False, "says": "worse", "prediction": TUNED["predicted"],
+        {"round": i + 1, "agrees": i == 2, "says": "worse", "prediction": TUNED["predicted"],
          "runs": [{**run, "excess": 1.1}, {**run, "excess": worst}]}
         for i, worst in enumerate((3.0, 1.45, 2.0))
     ]  # fmt: skip

@@ -11,7 +11,7 @@ from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import refuse_dead
 from koop_lab.commission import progress, rig_file, verify
-from koop_lab.commission.closed_loop import best_round
+from koop_lab.commission.closed_loop import as_predicted, ended, kept_round
 from koop_lab.commission.command import Commissioning
 from koop_lab.commission.session import Watch
 from koop_lab.live.process import START_TIMEOUT
@@ -68,11 +68,9 @@ def row(scenario: Scenario, folder: Path) -> str:
         f"| {tuned['cost']}, {tuned['constants']['law']} | {tuned['theta_best']:.2f} "
         f"({scenario.setting.theta_star:g}) | {len(found['rounds'])} "
     )
-    if not found["verdict"]:
+    if not (rounds := ended(found["rounds"])):
         return f"{first}| | | | | not verified |"
-    rounds = found["rounds"]
-    passed = rounds[-1]["agrees"] and found["damped"]
-    kept = rounds[-1 if passed else best_round(rounds)]  # whose controller is in the folder
+    kept = rounds[kept_round(rounds)]  # whose controller is in the folder
     runs, predicted = kept["runs"], kept["prediction"]
 
     def told(name: str, band: str, form: str) -> str:
@@ -82,7 +80,7 @@ def row(scenario: Scenario, folder: Path) -> str:
 
     ends = ", ".join(f"{run['theta']:.2f}" for run in runs)
     verdict = (
-        "damped as predicted" if passed
+        "damped as predicted" if as_predicted(kept)
         else f"{'' if found['damped'] else 'not '}damped; {kept['says']}"
     )  # fmt: skip
     return (

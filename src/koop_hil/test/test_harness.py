@@ -164,7 +164,7 @@ def test_what_a_commissioning_came_to_is_a_row_of_a_page(tmp_path):
     assert "| raw, adaptive | 0.70 (0.8) | 0 |" in commission.row(scenario, folder)
     band = {name: {"low": 1.0, "high": 2.0} for name in ("converges", "excess", "reduction")}
     rounds = [
-        {"agrees": False, "says": f"said {excess}", "prediction": band,
+        {"agrees": excess == 3.7, "says": f"said {excess}", "prediction": band,
          "runs": [asdict(Measured(None, 0.1, 3.0, 1.0, 0.1, excess, 3.0, 0.5, 0.2))]}
         for excess in (2.4, 1.6, 3.7)
     ]  # fmt: skip

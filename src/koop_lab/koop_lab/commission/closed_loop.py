@@ -256,14 +256,39 @@ def slower(rounds: Sequence[dict[str, Any]]) -> float:
     return found
 
 
-def best_round(rounds: Sequence[dict[str, Any]]) -> int:
-    """Return which of some rounds damped the rig best from its worse start; the first is 0.
+def ended(rounds: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return those rounds of a verify.json that came to their end."""
+    return [item for item in rounds if item["agrees"] is not None]
 
-    >>> best_round([{"runs": [{"excess": 1.2}, {"excess": 3.0}]}, {"runs": [{"excess": 1.4}]}])
-    1
+
+def as_predicted(item: dict[str, Any]) -> bool:
+    """Return whether a round of a verify.json damped the rig, and as it was predicted.
+
+    >>> as_predicted({"agrees": True, "runs": [{"excess": 1.2}, {"excess": 3.0}]})
+    False
     """
-    worst = [max(float(run["excess"]) for run in item["runs"]) for item in rounds]
-    return worst.index(min(worst))
+    return bool(item["agrees"]) and _worst(item) <= GOOD
+
+
+def kept_round(rounds: Sequence[dict[str, Any]]) -> int:
+    """Return which of the rounds that ended has the controller that is kept; the first is 0.
+
+    The last one's if it damped the rig as predicted, which ends the rounds; else that of the round
+    which damped the rig best from its worse start.
+
+    >>> unlike = {"agrees": False, "runs": [{"excess": 1.1}, {"excess": 1.2}]}
+    >>> kept_round([unlike, {"agrees": True, "runs": [{"excess": 1.3}]}])
+    1
+    >>> kept_round([unlike, {"agrees": True, "runs": [{"excess": 1.8}]}])
+    0
+    """
+    if as_predicted(rounds[-1]):
+        return len(rounds) - 1
+    return min(range(len(rounds)), key=lambda k: _worst(rounds[k]))
+
+
+def _worst(item: dict[str, Any]) -> float:
+    return max(float(run["excess"]) for run in item["runs"])
 
 
 def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_lab.commission import check, new, progress, rig_file, time_scale, verify
-from koop_lab.commission.closed_loop import ROUNDS, best_round, slower
+from koop_lab.commission.closed_loop import ROUNDS, as_predicted, ended, kept_round, slower
 from koop_lab.commission.excite import ending, excite
 from koop_lab.commission.hand import note_of
 from koop_lab.commission.rig_file import RigFile
@@ -109,9 +109,8 @@ class Commissioning:
                 return 1
         while True:
             found = verify.load(self._folder)
-            rounds = [item for item in found["rounds"] if item["agrees"] is not None]
-            passed = bool(rounds) and rounds[-1]["agrees"] and found["damped"]
-            if passed or len(rounds) >= ROUNDS:
+            rounds = ended(found["rounds"])
+            if rounds and (as_predicted(rounds[-1]) or len(rounds) >= ROUNDS):
                 break
             if rounds:
                 self._set_aside(len(rounds))
@@ -119,11 +118,10 @@ class Commissioning:
                 return 1
             _head(f"verify, round {len(rounds) + 1}")
             print(verify.shown(verify.verify(self._rig, self._folder, self._watch)))
-        if not passed:
-            self._keep(best_round(rounds) + 1, len(rounds))
-            found = verify.judge(self._rig, self._folder, best_round(rounds))
-        print("\n" + found["verdict"])
-        return 0 if passed else 1
+        which = kept_round(rounds)
+        self._keep(which + 1, len(rounds))
+        print("\n" + verify.judge(self._rig, self._folder, which)["verdict"])
+        return 0 if as_predicted(rounds[which]) else 1
 
     def _check(self) -> bool:
         _head("check")

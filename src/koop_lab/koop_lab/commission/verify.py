@@ -16,7 +16,15 @@ from koop_bringup.plan import plan
 from koop_lab.cli.table import table
 from koop_lab.commission import progress as progress_file
 from koop_lab.commission import rig_file, time_scale
-from koop_lab.commission.closed_loop import Aim, Measured, disagreements, measure, read_aim, verdict
+from koop_lab.commission.closed_loop import (
+    Aim,
+    Measured,
+    as_predicted,
+    disagreements,
+    measure,
+    read_aim,
+    verdict,
+)
 from koop_lab.commission.ears import Ears
 from koop_lab.commission.excite import BAR, mend, refuse_small_disk
 from koop_lab.commission.hand import note_of
@@ -75,7 +83,7 @@ def main(args: argparse.Namespace) -> int:
         return 130
     print("\n" + shown(found) + "\n\n" + found["verdict"])
     print(reported(args.folder))
-    return 0 if found["damped"] and found["rounds"][-1]["agrees"] else 1
+    return 0 if as_predicted(found["rounds"][-1]) else 1
 
 
 def verify(rig: RigFile, folder: Path, watch: Watch) -> dict[str, Any]:

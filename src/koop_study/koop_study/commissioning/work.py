@@ -15,8 +15,9 @@ import numpy as np
 from koop_lab.commission.closed_loop import (
     ROUNDS,
     aim_of,
-    best_round,
+    as_predicted,
     disagreements,
+    kept_round,
     measure,
     slower,
 )
@@ -143,7 +144,7 @@ def commissioned(
     """
     rounds: list[dict[str, Any]] = []
     tried: list[tuple[Tuning, Row]] = []
-    while len(rounds) < ROUNDS and not (rounds and rounds[-1]["agrees"]):
+    while len(rounds) < ROUNDS and not (rounds and as_predicted(rounds[-1])):
         found = tune(recorded.loaded, file, training_of(rig), recorded.progress.how,
                      seed + len(rounds), effort, slower=slower(rounds), workers=1)  # fmt: skip
         watch.lap("tune")
@@ -153,17 +154,17 @@ def commissioned(
         aim = aim_of(figures.of_tuning(found, file, None), file)
         measured = [measure(aim, loop.x[: BEFORE * aim.how.length], loop.x, loop.theta)
                     for loop in closed]  # fmt: skip
-        agrees = all(run.damped and not disagreements(aim, run) for run in measured)
+        agrees = not any(disagreements(aim, run) for run in measured)
         rounds.append({"agrees": agrees, "prediction": aim.predicted,
                        "runs": [asdict(run) for run in measured]})  # fmt: skip
         result = {"ratio": [loop.ratio for loop in closed],
                   "converged": [loop.converged for loop in closed]}  # fmt: skip
         tried.append((found, result))
         watch.lap("verify")
-    passed = rounds[-1]["agrees"]
-    found, result = tried[-1 if passed else best_round(rounds)]
+    which = kept_round(rounds)
+    found, result = tried[which]
     row |= {"runs": {"first": tried[0][1], "tuned": result}, "rounds": len(rounds),
-            "damped_as_predicted": passed}  # fmt: skip
+            "damped_as_predicted": as_predicted(rounds[which])}  # fmt: skip
     return found
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from koop_lab.commission.closed_loop import as_predicted, ended, kept_round
 from koop_lab.commission.report.gathered import Gathered
 
 DONE, OPEN, NO = "done", "missing", "no"
@@ -50,10 +51,12 @@ def stages(g: Gathered) -> Iterator[Stage]:
         how = f"./koop verify {rig} {folder}" if g.found else "needs a controller"
         yield Stage("Verify", OPEN, how)
         return
-    last = g.rounds[-1]
-    text = f"round {last['round']}: {last['says'] or 'not at its end'}"
-    open_yet = last["agrees"] is None
-    yield Stage("Verify", OPEN if open_yet else DONE if last["agrees"] else NO, text)
+    if len(rounds := ended(g.rounds)) < len(g.rounds):
+        yield Stage("Verify", OPEN, f"round {g.rounds[-1]['round']}: not at its end")
+        return
+    kept = rounds[kept_round(rounds)]
+    good = as_predicted(kept)
+    yield Stage("Verify", DONE if good else NO, f"round {kept['round']}: {kept['says']}")
 
 
 def sentences(g: Gathered) -> list[str]:
