@@ -11,7 +11,8 @@ from koop_hil import report
 from koop_hil.commission import commission_rig, publish, row
 from koop_hil.excite import record_excitation
 from koop_hil.run import run
-from koop_hil.scenario import find, read, shipped, with_parameter
+from koop_hil.scenario import find, read, shipped, with_controller, with_parameter
+from koop_lab.live.up import file_of
 from koop_loop.parameters import build
 from koop_node.config import ConfigError
 from koop_node.yaml_file import one_setting
@@ -32,6 +33,11 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
         help="in every scenario, such as relay_esc.law=adaptive; may be repeated",
+    )  # fmt: skip
+    parser.add_argument(
+        "--controller", type=Path, metavar="FILE",
+        help="in every scenario lifter and controller as this parameter file has them, in place of "
+        "its own; or the folder of 'koop tune' or 'koop commission'",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: recordings/TIME-hil")
     parser.add_argument("--table", type=Path, metavar="FILE", help="also write a Markdown table")
@@ -64,6 +70,11 @@ def main(args: argparse.Namespace) -> int:
     if not paths:
         raise ConfigError("name a scenario, or --all; --list shows them")
     scenarios = [read(path) for path in paths]  # a bad file is reported before an hour has passed
+    if args.controller is not None:
+        if args.excite is not None or args.commission is not None:
+            raise ConfigError("--controller: of a scenario, not of --excite or --commission")
+        file, _ = file_of(args.controller)
+        scenarios = [with_controller(item, file) for item in scenarios]
     for text in args.settings:
         node, parameter, value = one_setting(text, CONTROLLER)
         build({node: {parameter: value}})  # names what is wrong

@@ -13,6 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from koop_hil import faults, installed
+from koop_loop import parameters
 from koop_node.config import ConfigError, mapping, parameter, refuse_unknown, validate
 from koop_node.fields import parse_source
 from koop_node.yaml_file import read_yaml
@@ -265,6 +266,26 @@ def with_parameter(scenario: Scenario, node: str, name: str, value: Any) -> Scen
     """Return a scenario in which a node has another parameter."""
     own = {**scenario.parameters.get(node, {}), name: value}
     return replace(scenario, parameters={**scenario.parameters, node: own})
+
+
+def with_controller(scenario: Scenario, file: Path) -> Scenario:
+    """Return a scenario whose lifter and controller are those of a parameter file.
+
+    The scenario's theta at the start remains: it is the plant's, too.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the file cannot be used; names it.
+    """
+    nodes = ("koopman_lifter", "relay_esc")
+    try:
+        given = parameters.read(file, {node: parameters.NODES[node] for node in nodes})
+        parameters.build(given)
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from None
+    given.get("relay_esc", {}).pop("theta_initial", None)
+    return replace(scenario, parameters={**scenario.parameters, **given})
 
 
 def write(scenario: Scenario, path: Path) -> None:

@@ -17,7 +17,15 @@ from koop_hil.command import main, register
 from koop_hil.excite import rig_of
 from koop_hil.faults import Channel
 from koop_hil.processes import Processes
-from koop_hil.scenario import find, parse, read, shipped, with_parameter, write
+from koop_hil.scenario import (
+    find,
+    parse,
+    read,
+    shipped,
+    with_controller,
+    with_parameter,
+    write,
+)
 from koop_hil.verdict import Verdict
 from koop_lab.commission.closed_loop import Measured
 from koop_node.config import ConfigError
@@ -235,6 +243,32 @@ def test_a_scenario_runs_with_another_parameter_and_keeps_the_rest():
     assert "law" not in scenario.parameters["relay_esc"]
 
 
+def parsed(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    register(parser.add_subparsers())
+    return parser.parse_args(["hil", *words])
+
+
+def test_a_scenario_runs_with_the_controller_of_a_file(tmp_path):
+    scenario = read(find("rig-jsbsim-throttle"))
+    (tmp_path / "model.npz").write_bytes(b"")
+    (tmp_path / "controller.yaml").write_text(
+        "/**/koopman_lifter:\n  ros__parameters: {cost: lifted, model: model.npz}\n"
+        "/**/relay_esc:\n  ros__parameters: {law: adaptive, theta_initial: 5.0}\n"
+    )
+    other = with_controller(scenario, tmp_path / "controller.yaml")
+    model = str(tmp_path / "model.npz")
+    assert other.parameters["koopman_lifter"] == {"cost": "lifted", "model": model}
+    assert other.parameters["relay_esc"] == {"law": "adaptive"}  # and theta_initial of the plant
+    assert (other.setting, other.limits) == (scenario.setting, scenario.limits)
+    (tmp_path / "controller.yaml").write_text("/**/relay_esc:\n  ros__parameters: {law: wide}\n")
+    with pytest.raises(ConfigError, match=r"controller\.yaml: relay_esc: law = 'wide'"):
+        with_controller(scenario, tmp_path / "controller.yaml")
+    args = parsed("rig-paper", "--controller", str(tmp_path), "--excite", "9")
+    with pytest.raises(ConfigError, match="--controller: of a scenario"):
+        main(args)
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -243,8 +277,6 @@ def test_a_scenario_runs_with_another_parameter_and_keeps_the_rest():
     ],
 )
 def test_a_setting_for_every_scenario_that_cannot_be_used_is_named(given, message, tmp_path):
-    parser = argparse.ArgumentParser()
-    register(parser.add_subparsers())
-    args = parser.parse_args(["hil", "rig-paper", "--set", given, "--out", str(tmp_path)])
+    args = parsed("rig-paper", "--set", given, "--out", str(tmp_path))
     with pytest.raises(ConfigError, match=message):
         main(args)
