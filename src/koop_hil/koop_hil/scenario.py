@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from pathlib import Path
@@ -23,6 +24,7 @@ NODES = ("plant", "koopman_lifter", "relay_esc")
 ACTIONS = ("inject", "kill", "pause", "second_controller", "handover", "set", "cut")
 SECOND = "second_controller"  # a node of this name stands by where an event is about it
 NO_LIMIT = 1e9
+FMU = "fmu"
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,9 @@ class Setting:
     description: str = parameter("", "what is shown")
     plant: str = parameter("vdp_plant", "vdp_plant, or the name of a rig (koop_hil/rigs)")
     rig_options: str = parameter(
-        "", "further options of the rig's program, such as --at 60:throttle=1"
+        "",
+        "further options of the rig's program, such as --at 60:throttle=1; of fmu the file first, "
+        "relative to the scenario",
     )
     theta_star: float = parameter(-3.0, "optimal theta, at the end", low=-1e3, high=1e3)
     pace: str = parameter(
@@ -178,8 +182,8 @@ class Scenario:
 
 @cache
 def rigs() -> tuple[str, ...]:
-    """Return the names of the rigs that come with the package and need no file."""
-    return (*sorted(run_path(str(installed("rigs") / "physics.py"))["RIGS"]), "jsbsim")
+    """Return the names of the rigs that come with the package; FMU wants a file."""
+    return (*sorted(run_path(str(installed("rigs") / "physics.py"))["RIGS"]), "jsbsim", FMU)
 
 
 def shipped() -> list[Path]:
@@ -227,6 +231,11 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     given = {key: value for key, value in top.items() if key in setting_names}
     if given.get("model"):
         given["model"] = str((folder / str(given["model"])).resolve())
+    if given.get("plant") == FMU:
+        words = shlex.split(str(given.get("rig_options", "")))
+        if not words or words[0].startswith("-"):
+            raise ConfigError("rig_options: of fmu, a file first: MODEL.fmu --input NAME ...")
+        given["rig_options"] = shlex.join([str((folder / words[0]).resolve()), *words[1:]])
     limits = mapping(top.get("limits", {}), "limits")
     refuse_unknown(limits, [item.name for item in fields(Limits)], "key", "limits")
     parameters = mapping(top.get("parameters", {}), "parameters")

@@ -9,6 +9,7 @@ import pytest
 from koop_lab.commission.closed_loop import (
     aim_of,
     disagreements,
+    may_yet_agree,
     measure,
     read_aim,
     slower,
@@ -49,6 +50,7 @@ def run(aim, upside=False, floor=1.0, swing=0.2):
 def test_a_run_is_measured_as_its_truth_is():
     aim = aim_of(FIGURES, RIG)
     assert aim.duration == 120.0  # twice the time that the prediction allows
+    assert aim.longest == 400.0
     found = run(aim)
     # converged: within 1.5 times the best
     assert found.time_to_converge == pytest.approx(TAU * math.log(6.0), abs=3 * aim.window)
@@ -86,6 +88,8 @@ def test_only_what_is_worse_than_the_band_disagrees(change, message):
     aim = aim_of(FIGURES, RIG)
     found = disagreements(aim, replace(run(aim), error=0.01, **change))
     assert found == [] if message is None else (len(found) == 1 and message in found[0])
+    longer = message is not None and "converge" not in message  # a smaller step may still come
+    assert may_yet_agree(aim, replace(run(aim), error=0.01, **change)) == longer
     worse = replace(run(aim), **{"excess": 2.0, **change}, error=0.0)
     said = verdict(aim, [run(aim), worse], 3, "there")
     assert ("not damped after 3 rounds" in said) == (worse.excess > 1.5)
@@ -95,6 +99,7 @@ def test_a_prediction_that_allows_anything_is_not_confirmed():
     wide = {**BANDS, "excess": {**BANDS["excess"], "high": 3.4}}
     aim = aim_of(FIGURES | {"predicted": wide}, RIG)
     (said,) = disagreements(aim, run(aim))
+    assert not may_yet_agree(aim, replace(run(aim), excess=9.0))
     assert "to 3.4 times the best amplitude, is too wide to be confirmed" in said
     assert "damped, but after 2 rounds not as predicted" in verdict(aim, [run(aim)], 2, "there")
 

@@ -30,7 +30,7 @@ SMOOTHED = 3  # windows at least, in whose mean an amplitude counts as converged
 ERRORS = 2.0  # standard errors that a band is widened by
 LATER = 1.2  # than the band, a loop may converge
 BLURRED = 3.0  # times the best amplitude, that a prediction allows which says nothing
-TWICE = 2.0  # times the time to converge, that the loop is closed; its second half counts
+TWICE = 2.0  # times the time to converge, that the loop is closed at least; half of it counts
 MOST_SLOWER = 4.0  # times, that a rig is taken to be after one round
 ROUNDS = 3  # of tuning and verifying
 LEAST = 0.25  # of the prediction's runs, that it is closed at least
@@ -79,10 +79,15 @@ class Aim:
         return self.how.length * self.how.dt
 
     @property
+    def longest(self) -> float:
+        """How long the runs of the prediction were [s]: its figures are of their second half."""
+        return float(self.predicted["duration"])
+
+    @property
     def duration(self) -> float:
-        """How long the loop is closed to see whether the prediction holds [s]."""
-        whole, late = self.predicted["duration"], self.predicted["converges"]["high"]
-        return float(whole if late is None else min(max(TWICE * late, LEAST * whole), whole))
+        """How long the loop is closed at least to see whether the prediction holds [s]."""
+        whole, late = self.longest, self.predicted["converges"]["high"]
+        return whole if late is None else min(max(TWICE * late, LEAST * whole), whole)
 
     def amplitudes(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the logarithm of the amplitude in each whole window of samples, shape (M, n)."""
@@ -211,8 +216,19 @@ def disagreements(aim: Aim, run: Measured) -> list[str]:
 
     A prediction that allows almost anything is not confirmed by anything.
     """
-    p, widened = aim.predicted, math.exp(ERRORS * run.error)
-    found = []
+    return _lasting(aim, run) + _passing(aim, run)
+
+
+def may_yet_agree(aim: Aim, run: Measured) -> bool:
+    """Return whether a run disagrees only in what the same loop, closed for longer, may mend.
+
+    An adaptive law arrives with a large step and takes its time to make it small.
+    """
+    return bool(_passing(aim, run)) and not _lasting(aim, run)
+
+
+def _lasting(aim: Aim, run: Measured) -> list[str]:
+    p, found = aim.predicted, []
     if p["excess"]["high"] > BLURRED:
         found.append(
             f"the prediction, {p['excess']['low']:.3g} to {p['excess']['high']:.3g} times the best "
@@ -222,6 +238,11 @@ def disagreements(aim: Aim, run: Measured) -> list[str]:
     if late is not None and (took is None or took > LATER * late + SMOOTHED * aim.window):
         told = "did not converge" if took is None else f"took {took:.4g} s to converge"
         found.append(f"{told}, at most {late:.4g} s were predicted")
+    return found
+
+
+def _passing(aim: Aim, run: Measured) -> list[str]:
+    p, widened, found = aim.predicted, math.exp(ERRORS * run.error), []
     if run.excess > p["excess"]["high"] * widened:
         found.append(
             f"ended at {run.excess:.3g} times the best amplitude, at most "
