@@ -13,9 +13,11 @@ from scipy.linalg import expm
 from koop_lab.bench.training import STORED, peak_of_training, write_states
 from koop_lab.cli.main import main
 from koop_lab.identify import counted
-from koop_lab.identify.from_bags import BagTraining, joined, train_from_bags
+from koop_lab.identify.compare import costs
+from koop_lab.identify.from_bags import BagTraining, joined, load_bags, train_from_bags
 from koop_lab.identify.samples import Batch, StateSpec
 from koop_lab.identify.segments import WAYS, Segmentation, Segmenter
+from koop_lab.identify.windows import period_of
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import build, load
 from koopman_lifter.observables import Monomials
@@ -434,6 +436,17 @@ def test_theta_tells_the_oscillation_from_a_stronger_interference_that_comes_and
     assert model.provenance["strong_and_weak_by"] == "theta"
     assert ratio["/knob:data"] == pytest.approx(-2.0, abs=0.01)
     assert abs(ratio[None] + 2.0) > 0.1
+
+
+def test_what_is_learned_anew_of_a_candidate_is_what_was_judged(tmp_path):
+    swept = write_swept(tmp_path / "bag", 0.0)
+    given = {"dt": DT, "way": "none", "held_out": 0.0, "theta": "/knob:data"}
+    loaded, training = load_bags([swept], BagTraining(JOINTS, **given))
+    period = 2.5 * period_of(loaded, DT)
+    judged = {cost.name: cost for cost in costs(loaded, training, period)}["contrast"]
+    model = train_from_bags([swept], judged.training)
+    assert model.provenance["window"] == judged.model.provenance["window"]
+    assert model.projector == pytest.approx(judged.model.projector, rel=1e-6, abs=1e-9)
 
 
 def test_the_candidates_are_compared(tmp_path, capsys):

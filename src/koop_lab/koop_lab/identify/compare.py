@@ -213,7 +213,9 @@ def costs(
             told = None if model is None else contrasted(model, loaded, period)
         except ValueError as error:
             problem = str(error)
-        yield _of(f"contrast{words}", replace(own, contrast=True), told, loaded, problem)
+        yield _of(
+            f"contrast{words}", replace(own, contrast=True, period=period), told, loaded, problem
+        )
 
 
 def _of(

@@ -58,6 +58,8 @@ class BagTraining:
     contrast : bool
         Whether the cost is the contrast of strong and weak oscillation (koopman_lifter.contrast)
         in place of the energy of the dominant modes.
+    period : float or None
+        Of the oscillation that the contrast is of [s]; None: of what comes and goes.
     delays : int
         Samples of every channel that make up the state.
     spacing : float or None
@@ -78,6 +80,7 @@ class BagTraining:
     modes: int = 8
     names: tuple[str, ...] = ()
     contrast: bool = False
+    period: float | None = None
     delays: int = 1
     spacing: float | None = None
     theta: str | None = None
@@ -94,7 +97,12 @@ class BagTraining:
             raise ValueError(f"{self.delays} delays: at least 1, the newest sample")
         if self.spacing is not None and self.delays == 1:
             raise ValueError("--spacing is that of --delays: give both")
-        for name, value in (("dt", self.dt), ("gap", self.gap), ("spacing", self.spacing)):
+        for name, value in (
+            ("dt", self.dt),
+            ("gap", self.gap),
+            ("period", self.period),
+            ("spacing", self.spacing),
+        ):
             if value is not None and not 0.0 < value < 1e6:
                 raise ValueError(f"{name} = {value:g} s: must be positive")
 
@@ -167,7 +175,8 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     model = built(gram, training, names, provenance, delays)
     if training.contrast:
         whole = Loaded.joined(loaded)
-        model = contrasted(model, whole, period_of(whole, training.dt))
+        period = training.period or period_of(whole, training.dt)
+        model = contrasted(model, whole, period)
     if not training.held_out:
         return model
     forecast = Forecast(model, training.horizons)
