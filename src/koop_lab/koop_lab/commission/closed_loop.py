@@ -220,11 +220,12 @@ def disagreements(aim: Aim, run: Measured) -> list[str]:
 
 
 def may_yet_agree(aim: Aim, run: Measured) -> bool:
-    """Return whether a run disagrees only in what the same loop, closed for longer, may mend.
+    """Return whether a run falls short only in what the same loop, closed for longer, may mend.
 
     An adaptive law arrives with a large step and takes its time to make it small.
     """
-    return bool(_passing(aim, run)) and not _lasting(aim, run)
+    short = bool(_passing(aim, run)) or not run.damped
+    return short and not _lasting(aim, run)
 
 
 def _lasting(aim: Aim, run: Measured) -> list[str]:
