@@ -13,12 +13,13 @@ from koop_hil.supervisor import refuse_dead
 from koop_lab.commission import progress, rig_file, verify
 from koop_lab.commission.closed_loop import as_predicted, ended, kept_round
 from koop_lab.commission.command import Commissioning
-from koop_lab.commission.session import Watch
+from koop_lab.commission.session import Ended, Watch
 from koop_lab.live.process import START_TIMEOUT
 from koop_lab.page.markdown import rewrite_block
 from koop_lab.tune.command import FIGURES
 from koop_node.alone import alone
 from koop_node.config import ConfigError
+from koop_node.errors import LiveError
 
 BEGIN, END = "<!-- commissioned -->", "<!-- /commissioned -->"
 HEAD = (
@@ -39,6 +40,11 @@ def commission_rig(scenario: Scenario, folder: Path, time: float) -> int:
         Of all that is recorded and found; what was begun there goes on.
     time : float
         That theta may be moved over its range [s].
+
+    Raises
+    ------
+    koop_node.errors.LiveError
+        If the rig, a node or the disk ends it.
     """
     rig = rig_of(scenario, time)
     scenario = replace(scenario, setting=replace(scenario.setting, pace="scaled"))
@@ -52,7 +58,11 @@ def commission_rig(scenario: Scenario, folder: Path, time: float) -> int:
         watch = Watch(
             scenario.setting.time_scale, None, lambda: refuse_dead(processes), START_TIMEOUT
         )
-        return Commissioning(rig, file, folder, watch).run()
+        try:
+            return Commissioning(rig, file, folder, watch).run()
+        except Ended as error:
+            safe = f"theta is back at {rig.theta_safe:g}"
+            raise LiveError(f"{error}. {safe}; the same command goes on") from None
 
 
 def row(scenario: Scenario, folder: Path) -> str:
