@@ -28,23 +28,27 @@ def register(benchmarks: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
-    ratios: list[tuple[float, float]] = []
+    ratios: list[tuple[float, float, float]] = []
     print(
         f"{args.steps} steps a round; bare: a -> b -> c -> a, three rclpy processes, same message "
-        "types, Fast DDS as it comes; loop: plant, lifter and controller, while a recorder in a "
-        "process of its own records all topics"
+        "types, Fast DDS as it comes; raw: the same in one process, bytes in and bytes out; loop: "
+        "plant, lifter and controller, while a recorder in a process of its own records all topics"
     )
     for number in range(args.rounds):
-        bare = bare_rate(args.steps)
+        bare, raw = bare_rate(args.steps), bare_rate(args.steps, raw=True)
         apart, composed = loop_rate(args.steps, False), loop_rate(args.steps, True)
-        ratios.append((apart / bare, composed / bare))
+        ratios.append((apart / bare, composed / bare, composed / raw))
         print(
-            f"round {number + 1}: bare {bare:.0f} /s; loop in processes {apart:.0f} /s, ratio "
-            f"{apart / bare:.2f}; in one process {composed:.0f} /s, ratio {composed / bare:.2f}",
+            f"round {number + 1}: bare {bare:.0f} /s, raw {raw:.0f} /s; loop in processes "
+            f"{apart:.0f} /s, {apart / bare:.2f} of bare; in one process {composed:.0f} /s, "
+            f"{composed / bare:.2f} of bare, {composed / raw:.2f} of raw",
             flush=True,
         )
-    apart, composed = (sorted(each)[len(each) // 2] for each in zip(*ratios, strict=True))
-    print(f"median ratio {apart:.2f} in processes, {composed:.2f} in one process")
+    apart, composed, of_raw = (sorted(each)[len(each) // 2] for each in zip(*ratios, strict=True))
+    print(
+        f"median: {apart:.2f} of bare in processes, {composed:.2f} of bare and {of_raw:.2f} of raw "
+        "in one process"
+    )
     return 0
 
 
@@ -58,11 +62,12 @@ def loop_rate(steps: int, composed: bool) -> float:
     return (run.counts["state"] - 1) / run.duration
 
 
-def bare_rate(steps: int) -> float:
-    """Return the rate [1/s] of the bare chain."""
+def bare_rate(steps: int, raw: bool = False) -> float:
+    """Return the rate [1/s] of a bare chain: typed in three processes, or raw in one."""
     command = [sys.executable, "-m", "koop_lab.bench.bare_chain"]
-    others = [TiedProcess([*command, role]) for role in ("b", "c")]
-    first = TiedProcess([*command, "a", str(steps)], stdout=subprocess.PIPE)
+    words = [str(steps), *(["raw"] if raw else [])]
+    others = [] if raw else [TiedProcess([*command, role, *words]) for role in "bc"]
+    first = TiedProcess([*command, "abc" if raw else "a", *words], stdout=subprocess.PIPE)
     try:
         printed, _ = first.communicate(timeout=300)
     finally:
