@@ -19,7 +19,7 @@ from koop_lab.identify.compare import BAND_LIMITED, Cost, costs
 from koop_lab.identify.from_bags import BagTraining
 from koop_lab.identify.loaded import Loaded
 from koop_lab.identify.windows import period_of
-from koop_lab.tune.search import GOOD, HIGH, Outcome, Task, Tried, confirm, search, try_out
+from koop_lab.tune.search import GOOD, HIGH, LENGTH, Outcome, Task, Tried, confirm, search, try_out
 from koop_lab.tune.static_map import GRID, StaticMap, static_map, weights_of
 from koop_lab.tune.stays import Scale, Stays, find_stays, period_by_theta, window_levels
 from koop_lab.tune.surrogate import Surrogate, Times, fit_times, high_passed
@@ -531,9 +531,10 @@ def tune(
     said("costs", 0.0)
     seen = look(loaded, rig, training, how)
     times = fit_times(loaded, seen.stays, seen.amplitude, seen.scale, rig.dt)
-    times = times._replace(usual=times.usual + math.log(slower))
     middle = [times.tau(float(a), up) for a in seen.amplitude.mean for up in (False, True)]
-    time = float(max(middle)) + 2.0 * seen.period
+    slower = believed(slower, max(middle), rig.time)
+    times = times._replace(usual=times.usual + math.log(slower))
+    time = slower * float(max(middle)) + 2.0 * seen.period
     wanted = sorted((j for j in seen.costs if j.usable), key=lambda j: -j.gain)
     chosen = wanted[:CANDIDATES]
     chosen += [j for j in wanted[CANDIDATES:] if j.cost.name == "raw"]
@@ -575,6 +576,31 @@ def tune(
         predict(task, top, seen, seed + 1),
         why,
     )
+
+
+def believed(slower: float, tau: float, time: float) -> float:
+    """Return by how much a rig may count as slower than its stays say.
+
+    What its loops say has a limit: a run of the loop must not take longer than LONGEST times what
+    the rig file allows for the excitation.
+
+    Parameters
+    ----------
+    slower : float
+        As its loops say.
+    tau : float
+        Its slowest time, as its stays say [s].
+    time : float
+        Of the rig file [s].
+
+    Examples
+    --------
+    >>> believed(16.0, 10.0, 2000.0)  # the run is one of 80 * 10 s then
+    5.0
+    >>> believed(4.0, 10.0, 2000.0), believed(4.0, 100.0, 2000.0)
+    (4.0, 1.0)
+    """
+    return min(slower, max(LONGEST * time / (LENGTH * tau), 1.0))
 
 
 def choose(searched: list[Judged]) -> tuple[Judged, str]:
