@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points
+from itertools import pairwise
 from typing import Any
 
 from rclpy.utilities import remove_ros_args
 
+from koop_node.config import ConfigError
 from koop_node.describe import ARGUMENTS
 from koop_node.main import run_nodes
 from koop_node.managed import ManagedNode
@@ -45,6 +48,15 @@ def load(name: str, namespace: str = "") -> ManagedNode[Any]:
     return node
 
 
+def hint(words: Sequence[str], names: Sequence[str]) -> str:
+    """Return what to do where a parameter of one node was given to all of several; else nothing."""
+    pairs = pairwise(words)
+    given = [item for flag, item in pairs if flag in ("-p", "--param")]
+    if len(names) < 2 or not any(":" not in item.partition(":=")[0] for item in given):
+        return ""
+    return "; '-p NAME:=VALUE' is for all nodes of a container, '-p NODE:NAME:=VALUE' for one"
+
+
 def main() -> None:
     """Run the nodes until they are told to stop or the first one has ended."""
     parser = argparse.ArgumentParser(
@@ -70,7 +82,13 @@ def main() -> None:
     given = parser.parse_args(remove_ros_args()[1:])
 
     def make() -> list[ManagedNode[Any]]:
-        pairs = (word.partition("@")[::2] for word in given.components)
-        return [load(name, namespace) for name, namespace in pairs]
+        nodes = []
+        for word in given.components:
+            name, _, namespace = word.partition("@")
+            try:
+                nodes.append(load(name, namespace))
+            except ConfigError as error:
+                raise ConfigError(f"{name}: {error}{hint(sys.argv, given.components)}") from None
+        return nodes
 
     sys.exit(run_nodes(make, keep_going=given.keep_going))
