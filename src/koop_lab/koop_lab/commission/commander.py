@@ -197,12 +197,14 @@ class Commander:
             self.leash = self.leash.called_home(
                 f"the controller has said nothing for {self._silence:.1f} s"
             )
-        if self.leash.home and now - self._sent > max(TICK, 2.0 * self.rig.dt / self._scale):
-            # of a time without a state, as much as passes until the next tick
-            while now - self._moved > self.rig.dt and not self.leash.there:
-                self._moved += self.rig.dt
+        period = self.rig.dt / self._scale
+        gap = max(TICK, 2.0 * period)
+        if self.leash.home and now - self._sent > gap:
+            # of a time without a state, no more than passes between two ticks: theta never jumps
+            self._moved = max(self._moved, now - 2.0 * gap)
+            while now - self._moved > period and not self.leash.there:
+                self._moved += period
                 self.leash = self.leash.moved(self.rig.dt)
-            self._moved = max(self._moved, now - 2.0 * self.rig.dt)
             self._publish(now)
 
     def leave(self) -> None:
