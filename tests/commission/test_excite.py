@@ -10,20 +10,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from commission_rig import RIG
+from commission_rig import RIG, FastRig
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_lab.commission import rig_file
+from koop_lab.commission.ears import Ears, speakers
 from koop_lab.commission.excite import refuse_small_disk
-from koop_lab.commission.hand import Hand, note_of
+from koop_lab.commission.hand import Hand, left_at, note_of
+from koop_lab.commission.rig_file import THETA, THETA_TYPE
 from koop_lab.commission.session import refuse_incomplete_state
+from koop_node.client import Client
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
+from koop_node.fields import parse_field
 
 pytestmark = pytest.mark.ros
 TIMEOUT = 40.0
 LATE = 0.4  # [s] that a command may come; a jump home would be twice as far as this allows
+STEP = 0.05  # [s] of the rate that two commands may be apart, however busy the machine is
 SLOW = replace(RIG, theta_rate=2.0)
 
 
@@ -56,13 +61,18 @@ def assert_walked(moved, rig):
     ],
 )
 def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, reason):
-    with Hand(SLOW, tmp_path / "log") as hand:
-        hand.go(-1.0)
-        wait(lambda: fast_rig.theta < 0.5, "theta to move")
-        setattr(fast_rig, fault, True)
-        with pytest.raises(LiveError, match=reason):
-            wait(hand.beat, "the fault")
+    with Client("hears") as client:
+        said = Ears(client, THETA, THETA_TYPE, (parse_field("theta"),), reliable=True)
+        with Hand(SLOW, tmp_path / "log") as hand:
+            hand.go(-1.0)
+            wait(lambda: client.spin(0.02) or fast_rig.theta < -0.8, "theta to move")
+            setattr(fast_rig, fault, True)
+            with pytest.raises(LiveError, match=reason):
+                wait(hand.beat, "the fault")
+        wait(lambda: client.spin(0.02) or said.last.theta == SLOW.theta_safe, "all that was said")
     assert_walked(fast_rig.moved, SLOW)
+    # the way home does not make up for the time of the silence
+    assert np.abs(np.diff(said.samples().x[:, 0])).max() <= SLOW.theta_rate * STEP
 
 
 HOLD = """
@@ -93,8 +103,21 @@ def test_theta_goes_home_if_the_commander_itself_is_killed(fast_rig, tmp_path):
         wait(lambda: fast_rig.theta == SLOW.theta_safe, "theta to come home")
         said = process.communicate(timeout=TIMEOUT)[1]
     assert "the commander was killed by signal 9" in said
-    assert (tmp_path / "note").read_text() == "1.0\n"
     assert_walked(fast_rig.moved, SLOW)
+    # the next command goes on from there, but not if the rig was started again
+    note, topic = tmp_path / "note", SLOW.state.topic
+    with Client("looks") as client:
+        wait(lambda: client.spin(0.1) or speakers(client, topic), "the rig")
+        first = speakers(client, topic)
+        assert left_at(note, SLOW, first) == (SLOW.theta_safe, "")
+        again = FastRig()
+        try:
+            wait(lambda: client.spin(0.1) or speakers(client, topic) - first, "the other rig")
+            theta, words = left_at(note, SLOW, speakers(client, topic) - first)
+        finally:
+            again.close()
+    assert theta == SLOW.theta_start
+    assert "was started again since theta was left at 1" in words
 
 
 def whole(bag):
@@ -115,7 +138,7 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     out, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130, error
     assert "9 values of theta from -1 to 2, up and down, then at random: about" in out
-    assert f"theta is back at 1; to go on: koop excite {rig_yaml} --out run" in out
+    assert f"theta is back at 1; to go on: ./koop excite {rig_yaml} --out run" in out
     assert fast_rig.theta == RIG.theta_safe
     theta, topics = whole(tmp_path / "run/part-1/bag")
     assert {"/fast", "/fast/knob", "/state", "/cost", "/theta"} <= topics
@@ -133,7 +156,7 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     wait(lambda: (bag / "metadata.yaml").exists(), "the bag to be closed")
     whole(bag)
     assert_walked(fast_rig.moved, RIG)
-    assert note_of(rig_yaml).read_text() == "1.0\n"
+    assert left_at(note_of(rig_yaml), RIG, ()) == (RIG.theta_safe, "")
 
 
 def test_what_cannot_be_recorded_is_refused_before_theta_moves(tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 import json
 import resource
 import subprocess
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -13,14 +14,17 @@ from test_excite import TIMEOUT, assert_walked, wait, whole
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_lab.cli.main import main
-from koop_lab.commission import progress, rig_file, staircase
+from koop_lab.commission import command, progress, rig_file, staircase
+from koop_lab.commission.command import Commissioning
 from koop_lab.commission.excite import mend
 from koop_lab.commission.features import Bands
+from koop_lab.commission.session import Watch
 from koop_lab.commission.staircase import Visit
 from koop_lab.commission.verify import CONTROLLER
 from koop_lab.live.up import file_of
 from koop_node import parameter_file
 from koop_node.config import ConfigError
+from koop_node.errors import LiveError
 
 pytestmark = pytest.mark.ros
 LONG = 3.0 * TIMEOUT  # [s] for a command that starts four nodes on a busy machine
@@ -145,13 +149,47 @@ def test_a_sensor_that_dies_or_a_full_disk_ends_the_closed_loop(fast_rig, tuned,
         assert process.returncode == 2, error
         assert "closing the loop from theta = -1 and 2" in out  # what was not at its end goes on
         assert reason in error
-        assert f"theta is back at 1; to go on: koop verify rig.yaml {tuned}" in error
+        assert f"theta is back at 1; to go on: ./koop verify rig.yaml {tuned}" in error
         assert fast_rig.theta == ONE.theta_safe
         fast_rig.dead = None
         bag = tuned / f"verify-1/start-{number}/bag"
         mend(bag)
         whole(bag)
     assert_walked(fast_rig.moved, ONE)
+
+
+@contextmanager
+def full_disk():
+    """Let this process write no file, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, monkeypatch):
+    file, found = tmp_path / "rig.yaml", tuned / "commission.json"
+    with full_disk():
+        with pytest.raises(LiveError, match=r"commission.json: .*: make room"):
+            progress.write_whole(found, {"fit": False})
+        with pytest.raises(LiveError, match=r"rig.yaml: .*: make room"):
+            Commissioning(ONE, file, tmp_path / "new", Watch())
+    assert progress.noted(found) == {"fit": True}
+    whole = Commissioning(ONE, file, tmp_path / "new", Watch())
+    assert rig_file.read(tmp_path / "new/rig.yaml") == ONE
+
+    def tune(rig, folders, out, **options):
+        out.mkdir(exist_ok=True)
+        (out / "controller.yaml").touch()
+        with full_disk():
+            (out / "controller.yaml").write_text("koopman_lifter:")
+
+    monkeypatch.setattr(command, "tune_folders", tune)
+    with pytest.raises(LiveError, match=r"tuned: .*: make room"):
+        whole._tune({"rounds": []}, 0)
+    assert not (tmp_path / "new/tuned/controller.yaml").exists()
 
 
 def test_the_best_round_is_kept_where_none_damped_as_predicted(tuned, tmp_path, capsys):

@@ -24,6 +24,7 @@ from koop_lab.commission.ears import (
     Samples,
     refuse_dead,
     refuse_wrong_names,
+    speakers,
     who,
     who_else_commands,
 )
@@ -267,12 +268,14 @@ def _moved(
     note: Path | None,
 ) -> Iterator[Row]:
     """Move theta and yield whether anything reacted."""
-    a = left_at(note, rig)
+    a, words = left_at(note, rig, speakers(client, rig.state.topic))
+    if words:
+        print(f"      {words}", flush=True)
     b = away(a, rig.theta_min, rig.theta_max, QUARTER)
     row = None
     with TemporaryDirectory() as folder, ExitStack() as stack:
         log = Path(folder) / "commander.log"
-        hand = stack.enter_context(Hand(rig, log, scale=scale, note=note))
+        hand = stack.enter_context(Hand(rig, log, scale=scale, note=note, theta=a))
         try:
             for longer, stages in SERIES:
                 observe = max(64, math.ceil(longer * OBSERVE * period / rig.dt))

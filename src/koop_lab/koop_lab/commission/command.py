@@ -13,7 +13,7 @@ from koop_lab.commission.closed_loop import ROUNDS, as_predicted, ended, kept_ro
 from koop_lab.commission.excite import ending, excite
 from koop_lab.commission.hand import note_of
 from koop_lab.commission.rig_file import RigFile
-from koop_lab.commission.session import Ended, Watch
+from koop_lab.commission.session import Watch
 from koop_lab.commission.staircase import unknown_twice
 from koop_lab.live.served import add_serve_option, served
 from koop_lab.live.up import CONTROLLER, TUNED
@@ -63,12 +63,12 @@ def main(args: argparse.Namespace) -> int:
     rig = rig_file.read(args.rig)
     folder = args.out or RECORDINGS / Path(args.rig).stem
     watch = Watch(time_scale.of(args), note_of(args.rig))
-    again = f"to go on: koop commission {args.rig} --out {folder}"
+    again = f"to go on: ./koop commission {args.rig} --out {folder}{time_scale.words(args)}"
     try:
         with served(args.serve, folder / "logs"):
             code = Commissioning(rig, Path(args.rig), folder, watch, args.effort).run()
-    except Ended as error:
-        raise LiveError(f"{error}. theta is back at {rig.theta_safe:g}; {again}") from None
+    except LiveError as error:
+        raise LiveError(f"{error}; {again}") from None
     except KeyboardInterrupt:
         print(f"\ninterrupted: theta is at {rig.theta_safe:g} or was not moved; {again}")
         return 130
@@ -96,10 +96,14 @@ class Commissioning:
         self, rig: RigFile, file: Path, folder: Path, watch: Watch, effort: float = 1.0
     ) -> None:
         self._rig, self._folder, self._watch, self._effort = rig, folder, watch, effort
-        folder.mkdir(parents=True, exist_ok=True)
-        own = folder / RIG
-        if not own.exists():
-            shutil.copyfile(file, own)
+        own, new = folder / RIG, folder / f"{RIG}.new"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if not own.exists():
+                shutil.copyfile(file, new)
+                new.rename(own)
+        except OSError as error:
+            raise LiveError(progress.not_written(own, error)) from None
         progress.refuse_other_rig(own, rig_file.read(own), rig)
 
     def run(self) -> int:
@@ -164,10 +168,14 @@ class Commissioning:
         ]
         if (factor := slower(found["rounds"])) > 1.0:
             print(f"the rig counts as {factor:.3g} times as slow as its stays say")
-        return tune_folders(
-            self._rig, [self._folder, *closed], out, seed=rounds, effort=self._effort,
-            slower=factor,
-        )  # fmt: skip
+        try:
+            return tune_folders(
+                self._rig, [self._folder, *closed], out, seed=rounds, effort=self._effort,
+                slower=factor,
+            )  # fmt: skip
+        except OSError as error:
+            (out / CONTROLLER).unlink(missing_ok=True)  # the last that is written may be torn
+            raise LiveError(progress.not_written(out, error)) from None
 
     def _set_aside(self, number: int) -> None:
         """Keep what was tuned before under the number of its round."""

@@ -32,6 +32,7 @@ from typing import Any
 from koop_msgs.msg import ControlInput, MeasuredState
 from rclpy.qos import QoSProfile
 
+from koop_lab.commission.ears import speakers
 from koop_lab.commission.leash import Leash, beyond, silence
 from koop_lab.commission.rig_file import THETA, RigFile
 from koop_node.adapter import StateAdapter
@@ -92,6 +93,7 @@ class Commander:
             self._command = node.create_publisher(kind, knob.topic, NEWEST)
         self.rescue = bool(given["rescue"])
         self._note = given["note"]
+        self._speakers: set[str] = set()
         self._needed = [(self._theta, int(given["recorders"]) + (self._command is None))]
         if self._command is not None:
             self._needed.append((self._command, 1))
@@ -207,11 +209,17 @@ class Commander:
                 self.leash = self.leash.moved(self.rig.dt)
             self._publish(now)
 
+    def know_rig(self) -> None:
+        """Learn who the rig is, as long as nobody is known."""
+        if not self._speakers:
+            self._speakers = speakers(self._client, self.rig.state.topic)
+
     def leave(self) -> None:
-        """Note where theta is left: who commands it next begins there."""
+        """Note where theta of which rig is left: who commands it next begins there."""
         if self._note:
+            words = [repr(self.leash.theta), *sorted(self._speakers)]
             with suppress(OSError):
-                Path(self._note).write_text(f"{self.leash.theta!r}\n")
+                Path(self._note).write_text(" ".join(words) + "\n")
 
 
 class Lines:
@@ -304,6 +312,7 @@ def _run(client: Client, commander: Commander, lines: Lines, asked: list[int]) -
         resting = leash.there and not commander.following
         if news != told or now - when > (TELL if resting else TELL_MOVING):
             told, when = news, now
+            commander.know_rig()
             tell(theta=leash.theta, there=leash.there, target=leash.target, home=leash.home,
                  step=commander.step)  # fmt: skip
         if not leash.safe:

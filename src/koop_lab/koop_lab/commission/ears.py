@@ -189,6 +189,12 @@ def who(client: Client, topic: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     )
 
 
+def speakers(client: Client, topic: str) -> set[str]:
+    """Return who publishes a topic, by an id that is another one once it was started again."""
+    found = client.node.get_publishers_info_by_topic(topic)
+    return {bytes(info.endpoint_gid).hex() for info in found}
+
+
 UNKNOWN = "another program"
 COMMANDER = "/koop_commander"
 

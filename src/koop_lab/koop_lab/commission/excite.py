@@ -86,13 +86,11 @@ def main(args: argparse.Namespace) -> int:
     rig = rig_file.read(args.rig)
     scale = time_scale.of(args)
     folder = args.out or default_folder(Path(args.rig).stem)
-    again = f"koop excite {args.rig} --out {folder}"
+    again = f"./koop excite {args.rig} --out {folder}{time_scale.words(args)}"
     try:
         result = excite(rig, folder, scale, args.seed, note_of(args.rig))
     except Ended as error:
-        raise LiveError(
-            f"{error}. theta is back at {rig.theta_safe:g}; to go on: {again}"
-        ) from None
+        raise LiveError(f"{error}; to go on: {again}") from None
     except KeyboardInterrupt:
         print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; to go on: {again}")
         return 130

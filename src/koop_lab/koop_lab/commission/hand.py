@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -42,9 +43,11 @@ class Hand:
     recorders : int
         Recorders that must listen to theta before it moves.
     note : Path, optional
-        File that says where theta was left: it goes on from there.
+        File for where theta is left.
     follows : str
         Topic of a controller, as koop_msgs/ControlInput.
+    theta : float, optional
+        Where it is now; default: as the rig file says.
 
     Attributes
     ----------
@@ -64,8 +67,9 @@ class Hand:
         recorders: int = 0,
         note: Path | None = None,
         follows: str = "",
+        theta: float | None = None,
     ) -> None:
-        self.theta = self._target = self._begin = left_at(note, rig)
+        self.theta = self._target = rig.theta_start if theta is None else theta
         self._rig = rig
         self._log = log
         self._scale = scale
@@ -222,11 +226,30 @@ def note_of(rig_file: str | Path) -> Path:
     return path.with_name(f".{path.name}.theta")
 
 
-def left_at(note: Path | None, rig: RigFile) -> float:
-    """Return where theta is: where the last command left it, or as the rig file says."""
+def left_at(note: Path | None, rig: RigFile, speakers: Collection[str]) -> tuple[float, str]:
+    """Return where theta is, and what is to be said about it, if anything.
+
+    It is where the last command left it, unless the rig was started again since, or nobody has
+    moved it: then it is as the rig file says.
+
+    Parameters
+    ----------
+    note : Path or None
+        File that says where it was left.
+    rig : RigFile
+        The rig.
+    speakers : collection of str
+        Who says the measured channels now.
+    """
     if note is not None:
         with suppress(OSError, ValueError):
-            theta = float(note.read_text())
+            first, *known = note.read_text().split() or [""]
+            theta = float(first)
+            if known and speakers and not set(known) & set(speakers):
+                return rig.theta_start, (
+                    f"the rig was started again since theta was left at {theta:g}: it counts as "
+                    f"theta_start = {rig.theta_start:g}"
+                )
             if rig.theta_min <= theta <= rig.theta_max:
-                return theta
-    return rig.theta_start
+                return theta, ""
+    return rig.theta_start, ""

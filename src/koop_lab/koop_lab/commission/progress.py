@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 
 NAME = "excite.json"
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass
@@ -97,7 +99,13 @@ def write_whole(path: Path, values: Any) -> None:
     except OSError as error:
         with suppress(OSError):
             new.unlink()
-        raise LiveError(f"{path}: {error.strerror}") from None
+        raise LiveError(not_written(path, error)) from None
+
+
+def not_written(path: Path, error: OSError) -> str:
+    """Return why a file or a folder cannot be written, and what to do, in words."""
+    room = ": make room" if error.errno in FULL else ""
+    return f"{path}: {error.strerror or error}{room}"
 
 
 def load(rig: RigFile, folder: Path) -> Progress | None:

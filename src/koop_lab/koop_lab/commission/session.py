@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,9 +15,11 @@ from koop_lab.commission.ears import (
     Ears,
     refuse_dead,
     refuse_wrong_names,
+    speakers,
     who_else_commands,
 )
-from koop_lab.commission.hand import Hand
+from koop_lab.commission.hand import Hand, left_at
+from koop_lab.commission.leash import silence
 from koop_lab.commission.rig_file import STATE, STATE_TYPE, THETA, RigFile
 from koop_lab.live.loop import LiveNodes
 from koop_lab.live.process import START_TIMEOUT
@@ -29,7 +32,26 @@ COST = "/cost"
 
 
 class Ended(LiveError):
-    """Something ended after theta was moved, and before it was done; theta is home."""
+    """Something ended after theta was moved, and before it was done; theta went home.
+
+    Parameters
+    ----------
+    reason : str
+        What ended it.
+    rig : RigFile
+        The rig.
+    silent : bool
+        Whether the rig says nothing any more.
+    """
+
+    def __init__(self, reason: str, rig: RigFile, silent: bool) -> None:
+        safe = f"{rig.theta_safe:g}"
+        where = (
+            f"theta was sent back to {safe}, but a rig that is silent may not have heard it"
+            if silent
+            else f"theta is back at {safe}"
+        )
+        super().__init__(f"{reason}. {where}")
 
 
 @dataclass
@@ -88,6 +110,8 @@ class Session:
         for process in self.nodes.ended():
             *_, last = ["", *process.last_lines(1).splitlines()]
             words = re.sub(r"^(\[[^]]*\] )*(\[[^]]*\]: )?", "", last)
+            if not words and not shutil.disk_usage(self.nodes.folder).free:
+                words = "no space is left on the disk, not for its log either: make room"
             raise LiveError(f"{process.node} has ended: {words or 'see'} ({process.log})")
 
     def until(self, condition: Callable[[], object]) -> None:
@@ -185,15 +209,19 @@ def session(
         )  # fmt: skip
         if others := who_else_commands(client, rig.knob.topic, own=False):
             raise LiveError(f"{rig.knob.topic} is commanded by {', '.join(others)}: end that first")
+        theta, words = left_at(watch.note, rig, speakers(client, rig.state.topic))
+        if words:
+            print(words, flush=True)
         log = nodes.folder / "logs" / "commander.log"
         try:
             run.hand = last.enter_context(
-                Hand(rig, log, source, kind, watch.scale, 1, watch.note, follows)
+                Hand(rig, log, source, kind, watch.scale, 1, watch.note, follows, theta)
             )
             stack.callback(run.hand.come_home)
             yield run
         except LiveError as error:
-            raise Ended(str(error)) from error
+            silent = ears.silent > silence(rig.dt, watch.scale)
+            raise Ended(str(error), rig, silent) from error
 
 
 def refuse_incomplete_state(rig: RigFile) -> None:

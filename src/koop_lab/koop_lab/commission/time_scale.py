@@ -15,6 +15,15 @@ def add_to(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def words(args: argparse.Namespace) -> str:
+    """Return the option as it was given, for a command to be typed again; empty without it.
+
+    >>> words(argparse.Namespace(time_scale=4.0))
+    ' --time-scale 4'
+    """
+    return "" if args.time_scale == 1.0 else f" --time-scale {args.time_scale:g}"
+
+
 def of(args: argparse.Namespace) -> float:
     """Return what was given.
 

@@ -73,13 +73,11 @@ def main(args: argparse.Namespace) -> int:
 
     rig = rig_file.read(args.rig)
     watch = Watch(time_scale.of(args), note_of(args.rig))
-    again = f"koop verify {args.rig} {args.folder}"
+    again = f"./koop verify {args.rig} {args.folder}{time_scale.words(args)}"
     try:
         found = verify(rig, args.folder, watch)
     except Ended as error:
-        raise LiveError(
-            f"{error}. theta is back at {rig.theta_safe:g}; to go on: {again}"
-        ) from None
+        raise LiveError(f"{error}; to go on: {again}") from None
     except KeyboardInterrupt:
         print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; to go on: {again}")
         return 130
