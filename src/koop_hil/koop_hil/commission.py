@@ -13,7 +13,7 @@ from koop_hil.supervisor import refuse_dead
 from koop_lab.commission import progress, rig_file, verify
 from koop_lab.commission.closed_loop import as_predicted, ended, kept_round
 from koop_lab.commission.command import Commissioning
-from koop_lab.commission.session import Ended, Watch
+from koop_lab.commission.session import Watch
 from koop_lab.live.process import START_TIMEOUT
 from koop_lab.page.markdown import rewrite_block
 from koop_lab.tune.command import FIGURES
@@ -60,9 +60,8 @@ def commission_rig(scenario: Scenario, folder: Path, time: float) -> int:
         )
         try:
             return Commissioning(rig, file, folder, watch).run()
-        except Ended as error:
-            safe = f"theta is back at {rig.theta_safe:g}"
-            raise LiveError(f"{error}. {safe}; the same command goes on") from None
+        except LiveError as error:
+            raise LiveError(f"{error}; the same command goes on") from None
 
 
 def row(scenario: Scenario, folder: Path) -> str:
