@@ -19,10 +19,10 @@ from koop_node.config import ConfigError
 PLAN: dict[str, tuple[str, ...]] = {
     "loop": ("loop",),
     "realtime": (
-        "realtime --variants priority",
+        "realtime --variants bare priority --rates 200 500 1000",
         "realtime --variants priority --rates 250 --search",
         "realtime --variants usual --rates 200 1000 --duration 30",
-        "realtime --variants priority --rates 200 1000 --duration 30 --busy",
+        "realtime --variants bare priority --rates 200 1000 --duration 30 --busy",
     ),
     "fleet": ("fleet --priority 30 --duration 20 --sizes 1 10 20 30 40",),
     "start": ("start",),

@@ -1,12 +1,14 @@
 """``koop bench realtime``: ticks and state -> theta at 200 Hz and above, as usual and in real time.
 
 Each round is a composed loop, started as usual, with real-time priority and locked memory, or with
-these and on one processor. What a collection of garbage takes is measured beside it.
+these and on one processor. The baseline is a program that does nothing but wake at every tick. What
+a collection of garbage takes is measured beside it.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -23,6 +25,7 @@ COLUMNS = (
     "   Hz                       missed ticks   ticks behind [ms]       state -> theta [ms]\n"
     f"{'':44}p99  p99.9   most     p50    p99  p99.9   most   CPU"
 )
+BARE = "bare"
 BUSY = "while True: pass"
 COLLECTIONS = """
 import gc, time
@@ -59,13 +62,14 @@ def register(benchmarks: Any) -> None:
         "--variants",
         nargs="+",
         choices=tuple(VARIANTS),
-        default=("usual", "priority"),
-        help="(default: usual priority)",
+        default=("bare", "usual", "priority"),
+        help="(default: bare usual priority)",
     )
     parser.set_defaults(func=main)
 
 
 VARIANTS: dict[str, dict[str, Any]] = {
+    BARE: {},
     "usual": {},
     "priority": {"priority": PRIORITY, "lock_memory": True},
     "pinned": {"priority": PRIORITY, "lock_memory": True, "pinned": True},
@@ -87,6 +91,9 @@ def main(args: argparse.Namespace) -> int:
             rates = list(args.rates)
             while rates:
                 rate = rates.pop(0)
+                if variant == BARE:
+                    print(bare(rate, args.duration), flush=True)
+                    continue
                 found = round_of(rate, args.duration, variant)
                 print(line(rate, variant, found), flush=True)
                 if args.search and not rates and not found.late:
@@ -101,6 +108,22 @@ def collections() -> tuple[float, float]:
     )
     before, after = map(float, done.stdout.split())
     return before, after
+
+
+def bare(rate: float, duration: float) -> str:
+    """Return the line of a program that only wakes at every tick, with real-time priority."""
+    command = [sys.executable, "-m", "koop_lab.bench.bare_timer"]
+    done = subprocess.run(
+        [*command, str(rate), str(duration), str(PRIORITY)],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    said = json.loads(done.stdout)
+    behind = " ".join(f"{item * 1e3:6.2f}" for item in said["behind"])
+    missed = f"{said['late']} of {said['done'] + said['late']}"
+    notes = "".join(f"  ({problem})" for problem in said["problems"])
+    return f"{rate:7.0f} {BARE:12}{missed:>20}  {behind}{notes}"
 
 
 def round_of(rate: float, duration: float, variant: str) -> FleetReport:
