@@ -62,9 +62,13 @@ print("%d.%d" % sys.version_info[:2], int(venv), int(headers))
 EOF
 }
 
-# Set PYTHON and PYTHON_HAS: KOOP_PYTHON, else the first that lacks nothing, else the first that works at all.
+# Set PYTHON and PYTHON_HAS: KOOP_PYTHON, else that of .venv, else the first that lacks nothing, else the first that works
+# at all.
 choose_python() {
   local candidate found candidates=("${PYTHONS[@]}")
+  if found=$("$VENV/bin/python" -c 'import sys; print(sys._base_executable)' 2>/dev/null); then
+    candidates=("$found" "${candidates[@]}")
+  fi
   PYTHON='' PYTHON_HAS=''
   if [[ -n ${KOOP_PYTHON:-} ]]; then
     candidates=("$KOOP_PYTHON")

@@ -158,6 +158,20 @@ def test_changed_pins_are_installed_without_a_new_environment_or_build(ready: Cl
     assert pip.startswith("-m pip install")
 
 
+def test_changed_pins_keep_the_python_of_the_environment_whichever_is_first_on_the_path(
+    ready: Clone,
+) -> None:
+    shutil.copy(HERE / "fake_python", ready.tools / "python3.12")  # would be chosen first
+    with (ready.root / "requirements/python.txt").open("a") as file:
+        file.write("# changed\n")
+    assert ready.koop("setup")[0] == 0
+    (pip,) = ready.calls()
+    assert pip.startswith("-m pip install")
+    chosen = str(ready.tools / "python3.12")
+    assert ready.koop("setup", KOOP_PYTHON=chosen)[0] == 0
+    assert [call.split()[1] for call in ready.calls()] == ["venv", "pip", "build"]
+
+
 def test_changed_ros_wheels_make_a_new_environment_and_build(ready: Clone) -> None:
     with (ready.root / "requirements/ros.txt").open("a") as file:
         file.write("# changed\n")
