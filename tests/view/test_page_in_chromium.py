@@ -1,4 +1,4 @@
-"""The page in real Chromium over a long run that is fed fast: memory, console, a phone's width."""
+"""The page in real Chromium: a long run that is fed fast, a fleet, a server that is restarted."""
 
 import asyncio
 import threading
@@ -10,11 +10,15 @@ from types import SimpleNamespace
 import pytest
 from chromium import Chromium
 from koop_view_running import running
+from rosbags.typesys import Stores, get_typestore
 from websockets.exceptions import ConnectionClosed
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
+from koop_bag.cdr.schema import load_schema
+from koop_view.protocol import Channel
 from koop_view.recorded import RecordedSource
+from koop_view.source import Loop, Source
 
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
 PERIOD = 50_000_000  # [ns] between two steps: a run of hours in seconds
@@ -60,6 +64,47 @@ class Long(RecordedSource):
                     await asyncio.sleep(0)
 
 
+TOKENS = "the-first-token", "the-second-token"
+MODE = "document.querySelector('#mode')?.textContent"
+KIND = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+class Fleet(Source):
+    """Three loops whose lifters report; that of the second one is broken, of the third silent."""
+
+    mode = "live"
+
+    def __init__(self):
+        super().__init__()
+        self.about = "commissioning: tune, round 1"
+        self.loops = {name: Loop(name, lifter=f"{name}/lifter") for name in ("/a", "/b", "/c")}
+        self.channels = {1: Channel(1, "/diagnostics", KIND, load_schema(KIND).text)}
+        self._tasks = set()
+
+    def subscribe(self, client, wanted):
+        self._tasks.add(asyncio.get_running_loop().create_task(self._report(client, *wanted)))
+
+    def unsubscribe(self, client, subscription, channel):
+        for task in self._tasks:
+            task.cancel()
+
+    async def _report(self, client, subscription):
+        store = get_typestore(Stores.ROS2_JAZZY)
+        status_of = store.types["diagnostic_msgs/msg/DiagnosticStatus"]
+        header = store.types["std_msgs/msg/Header"](
+            store.types["builtin_interfaces/msg/Time"](0, 0), ""
+        )
+        silent = iter(["/c"])
+        while True:
+            status = [
+                status_of(level, f"{name}/lifter", "words", f"koop{name}", [])
+                for name, level in [("/a", 0), ("/b", 2), *((name, 0) for name in silent)]
+            ]
+            message = store.types[KIND](header, status)
+            client.deliver(subscription, 10**18, bytes(store.serialize_cdr(message, KIND)))
+            await asyncio.sleep(0.2)
+
+
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     """Let the run pass by on a desk, then look at it on a phone; return what was seen."""
@@ -87,6 +132,30 @@ def seen(tmp_path_factory):
         return SimpleNamespace(
             early=early, late=late, columns=columns, widths=widths, errors=errors, told=told
         )
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    """Look at a fleet, restart its server, open the new address in the old tab."""
+    folder = tmp_path_factory.mktemp("fleet")
+    with Chromium(folder, "about:blank") as page:
+        with running(Fleet(), TOKENS[0]) as port:
+            page.open(f"http://127.0.0.1:{port}/#token={TOKENS[0]}")
+            page.wait("document.querySelectorAll('#fleet button').length == 2")
+            loops = page.value("[...document.querySelectorAll('#loop option')].map(o => o.text)")
+            bad = page.value(
+                "[...document.querySelectorAll('#fleet button')].map(b => b.innerText)"
+            )
+            page.value("document.querySelector('#fleet button').click()")
+            page.wait("document.querySelector('#verdict').textContent.startsWith('Fault: lifter')")
+            about = page.value("document.querySelector('#about').textContent")
+            modes = [page.value(MODE)]
+        with running(Fleet(), TOKENS[1], port=port):
+            page.wait(f"{MODE} == 'read-only'")
+            notes = page.wait("document.querySelector('#notes').textContent")
+            page.value(f"location.hash = 'token={TOKENS[1]}'")
+            modes.append(page.wait(f"{MODE} == 'operating' && {MODE}"))
+        return SimpleNamespace(loops=loops, bad=bad, about=about, modes=modes, notes=notes)
 
 
 def told_by(page, port):
@@ -131,6 +200,17 @@ def test_no_width_needs_to_be_scrolled_sideways(seen):
 
 def test_a_page_of_another_server_is_refused(seen):
     assert seen.told == ["open", "refused"]
+
+
+def test_the_selector_says_which_loop_of_a_fleet_is_bad(fleet):
+    assert "/a: OK" in fleet.loops
+    assert fleet.bad == ["/b: ERROR", "/c: STALE"]
+    assert fleet.about == "commissioning: tune, round 1"
+
+
+def test_a_page_follows_a_restarted_server_which_has_another_token(fleet):
+    assert fleet.modes == ["operating", "operating"]
+    assert "token is not this server's" in fleet.notes
 
 
 def test_the_console_is_silent(seen):

@@ -109,7 +109,7 @@ def page_headers(page: bytes, host: str) -> list[tuple[str, str]]:
         "default-src": "'none'",
         "script-src": _hashes(page, b"script"),
         "style-src": _hashes(page, b"style"),
-        "connect-src": f"ws://{host} wss://{host}",
+        "connect-src": f"'self' ws://{host} wss://{host}",
         "img-src": "data: blob:",
         "base-uri": "'none'",
         "form-action": "'none'",

@@ -35,6 +35,10 @@ def register(commands: Any) -> None:
         "--allow-origin", metavar="ORIGIN", action="append", default=[], dest="allow_origins",
         help="let the web pages of another server connect, such as https://app.foxglove.dev",
     )  # fmt: skip
+    parser.add_argument(
+        "--about", metavar="FILE",
+        help="show the line in this file beside the loop; it may change",
+    )  # fmt: skip
     parser.set_defaults(func=main)
 
 

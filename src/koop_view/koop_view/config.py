@@ -37,6 +37,12 @@ class ViewConfig:
         "such as https://app.foxglove.dev",
         read_only=True,
     )
+    about: str = parameter(
+        "",
+        "file with a line that is shown beside the loop, such as what the command that runs it "
+        "does now; it may change",
+        read_only=True,
+    )
     clients: int = parameter(16, "clients at a time", low=1, high=100, read_only=True)
     backlog: float = parameter(
         4.0,

@@ -85,7 +85,7 @@ def run(args: list[str] | None = None) -> int:
 
 async def _serve(node: ViewNode, executor: Any) -> None:
     config = node.parameters[ViewConfig]
-    source = LiveSource(node, executor, config.rate, config.operate)
+    source = LiveSource(node, executor, config.rate, config.operate, config.about)
     await serve(source, config, source.run)
 
 

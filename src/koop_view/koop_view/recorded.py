@@ -95,7 +95,8 @@ class RecordedSource(Source):
 def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str, Loop]:
     """Return the loops as far as names and parameters tell: a bag does not say who published.
 
-    The nodes are told by parameters that only they have.
+    The nodes are told by parameters that only they have. What is a theta and nothing else is no
+    loop: what a controller said while another one commanded the rig.
     """
     known = {"omega_h": "lifter", "dwell": "controller", "theta_star": "plant"}
     kinds = {STATE: "state", COST: "cost", THETA: "theta"}
@@ -108,4 +109,4 @@ def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str
         node, _, name = full.partition(".")
         if name in known and namespace_of(node) in found:
             found[namespace_of(node)][known[name]] = node
-    return {space: Loop(space, **given) for space, given in found.items()}
+    return {space: Loop(space, **it) for space, it in found.items() if it.keys() - {"theta"}}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, replace
 
 from koop_view.source import Loop
@@ -21,12 +21,16 @@ def namespace_of(name: str) -> str:
 
 
 def loops(
-    published: Mapping[str, Mapping[str, str]], nameless: Mapping[str, str]
+    published: Mapping[str, Mapping[str, str]],
+    nameless: Mapping[str, str],
+    managed: Collection[str] = (),
 ) -> dict[str, Loop]:
     """Return the loops, by namespace.
 
     A lifter publishes a cost, a controller a control input; the plant is the node that publishes
     the state and is neither, for a lifter that reads a rig's own message publishes the state.
+    Where a commander passes on what a controller says, the controller is the one that is managed,
+    and theta is what the rig gets.
 
     Parameters
     ----------
@@ -34,9 +38,11 @@ def loops(
         Topics with their types, by full name of the node.
     nameless : mapping of str to str
         Topics with their types that are published by what is no ROS node, as some rigs are.
+    managed : collection of str
+        Nodes with a lifecycle.
     """
     found: dict[str, Loop] = {}
-    for node, topics in sorted(published.items()):
+    for node, topics in sorted(published.items(), key=lambda item: (item[0] in managed, item[0])):
         of_type = {kind: topic for topic, kind in sorted(topics.items(), key=_last_is_own)}
         own = {"state": of_type.get(STATE), "cost": of_type.get(COST), "theta": of_type.get(THETA)}
         if not any(own.values()):
@@ -45,6 +51,8 @@ def loops(
         space = namespace_of(node)
         loop = found.get(space, Loop(space))
         given = {name: topic for name, topic in own.items() if topic}
+        if loop.theta == f"{space.rstrip('/')}/theta":
+            given.pop("theta", None)
         found[space] = replace(loop, **{role: node}, **given)
     for topic, kind in sorted(nameless.items(), key=_last_is_own):
         loop = found.get(namespace_of(topic), Loop(namespace_of(topic)))

@@ -143,14 +143,15 @@ class ViewServer:
     def _decide(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a request, or let it become a WebSocket."""
         host, origin = _one(request.headers, "Host"), _one(request.headers, "Origin")
-        refused = self._access.refuse_host(host)
-        if refused is None and _one(request.headers, "Upgrade").lower() != "websocket":
-            return self._give_page(request.path, host)
-        refused = refused or self._access.refuse_origin(origin or None, host)
         right = self._access.right_of(request.path)
-        if isinstance(right, Refusal):
-            refused = refused or right
-        elif len(self._sessions) >= self._config.clients:
+        wrong = right if isinstance(right, Refusal) else None
+        refused = self._access.refuse_host(host)
+        if _one(request.headers, "Upgrade").lower() != "websocket":
+            refused = refused or wrong  # so a page learns why its WebSocket was refused
+            if refused is None:
+                return self._give_page(request.path, host)
+        refused = refused or self._access.refuse_origin(origin or None, host) or wrong
+        if len(self._sessions) >= self._config.clients:
             refused = refused or Refusal(
                 HTTPStatus.SERVICE_UNAVAILABLE, f"there are {self._config.clients} clients already"
             )
@@ -195,6 +196,7 @@ class ViewServer:
             "koop_operate": "true" if session.operates else "false",
             "koop_version": self._version,
             "koop_loops": self._source.loops_text(),
+            "koop_about": self._source.about,
         }
         return protocol.server_info("koop", capabilities, metadata, self._session_id)
 

@@ -70,6 +70,8 @@ class Source:
         """By name, such as ``/relay_esc.dwell``."""
         self.loops: dict[str, Loop] = {}
         """By namespace."""
+        self.about = ""
+        """What whoever started the loops does now, in words."""
         self.listener: Listener | None = None
 
     def loops_text(self) -> str:

@@ -28,7 +28,8 @@ def running(source: Source, token: str = "", **given: Any) -> Iterator[int]:
 
     async def work() -> None:
         found["stop"], found["loop"] = asyncio.Event(), asyncio.get_running_loop()
-        async with ViewServer(source, ViewConfig(port=0, **given), token, "0") as server:
+        config = ViewConfig(**{"port": 0, **given})
+        async with ViewServer(source, config, token, "0") as server:
             found["port"] = server.port
             ready.set()
             await found["stop"].wait()

@@ -68,7 +68,7 @@ def test_the_page_runs_its_own_script_and_speaks_with_its_own_server_only():
     rules = dict(rule.split(" ", 1) for rule in policy.split("; "))
     digests = [base64.b64encode(hashlib.sha256(s).digest()).decode() for s in (b"one()", b"two()")]
     assert rules["script-src"] == " ".join(f"'sha256-{digest}'" for digest in digests)
-    assert rules["connect-src"] == "ws://127.0.0.1:1 wss://127.0.0.1:1"
+    assert rules["connect-src"] == "'self' ws://127.0.0.1:1 wss://127.0.0.1:1"
     assert rules["default-src"] == rules["frame-ancestors"] == "'none'"
     assert "unsafe" not in policy
 

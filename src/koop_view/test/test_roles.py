@@ -28,6 +28,14 @@ def test_the_state_of_a_rig_that_is_no_ros_node_belongs_to_the_loop_of_its_names
     }
 
 
+def test_where_a_commander_passes_on_what_a_controller_says_theta_is_what_the_rig_gets():
+    commander = {"/zz_commander": {"/theta": THETA}}
+    alone = loops(commander, {})["/"]
+    assert (alone.controller, alone.theta) == ("/zz_commander", "/theta")
+    both = loops({**commander, "/esc": {"/verify/theta": THETA}}, {}, managed={"/esc"})["/"]
+    assert (both.controller, both.theta) == ("/esc", "/theta")
+
+
 def test_a_node_that_has_gone_keeps_its_place_as_long_as_its_loop_has_another():
     known = Known()
     assert known.see({"/": Loop("/", lifter="/lifter", cost="/cost")}, 0.0)
@@ -46,7 +54,6 @@ def test_nobody_listens_to_a_node_that_waits_for_those_who_listen():
     starting = Starting()
     starting.see({"/esc"}, 0.0)
     assert starting.waits("/esc", 0.0)
-    assert not starting.waits("/a_rig", 0.0)  # not managed: it waits for nobody
     assert not starting.hear("/esc", works=False, active=True, now=1.0)
     assert starting.waits("/esc", 1.0)
     assert starting.hear("/esc", works=True, active=True, now=2.0)
@@ -58,8 +65,13 @@ def test_nobody_listens_to_a_node_that_waits_for_those_who_listen():
     assert starting.waits("/esc", 20.0)
 
 
-def test_a_managed_node_of_others_that_never_reports_is_listened_to():
+def test_a_node_that_never_reports_is_listened_to_after_a_while():
     starting = Starting()
-    for now in (0.0, STRANGER + 1.0):
-        starting.see({"/camera"}, now)
-    assert not starting.waits("/camera", STRANGER + 1.0)
+    for now in (0.0, STRANGER - 1.0):
+        starting.see({"/a_rig"}, now)
+        assert starting.waits("/a_rig", now)
+    starting.see({"/a_rig"}, STRANGER + 1.0)
+    assert not starting.waits("/a_rig", STRANGER + 1.0)
+    starting.see((), 10.0)
+    starting.see({"/a_rig"}, 11.0)  # it is another one
+    assert starting.waits("/a_rig", 11.0)

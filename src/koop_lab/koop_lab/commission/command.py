@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import random
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +66,8 @@ def main(args: argparse.Namespace) -> int:
     watch = Watch(time_scale.of(args), note_of(args.rig))
     again = f"to go on: ./koop commission {args.rig} --out {folder}{time_scale.words(args)}"
     try:
-        with served(args.serve, folder / "logs"):
-            code = Commissioning(rig, Path(args.rig), folder, watch, args.effort).run()
+        with served(args.serve, folder / "logs") as tell:
+            code = Commissioning(rig, Path(args.rig), folder, watch, args.effort, tell).run()
     except LiveError as error:
         raise LiveError(f"{error}; {again}") from None
     except KeyboardInterrupt:
@@ -90,12 +91,21 @@ class Commissioning:
         How the rig is watched.
     effort : float
         Of the search for constants.
+    tell : callable
+        Is told which stage begins, besides whoever reads the output.
     """
 
     def __init__(
-        self, rig: RigFile, file: Path, folder: Path, watch: Watch, effort: float = 1.0
+        self,
+        rig: RigFile,
+        file: Path,
+        folder: Path,
+        watch: Watch,
+        effort: float = 1.0,
+        tell: Callable[[str], object] = lambda line: None,
     ) -> None:
         self._rig, self._folder, self._watch, self._effort = rig, folder, watch, effort
+        self._tell = tell
         own, new = folder / RIG, folder / f"{RIG}.new"
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -120,7 +130,7 @@ class Commissioning:
                 self._set_aside(len(rounds))
             if not self._tune(found, len(rounds)):
                 return 1
-            _head(f"verify, round {len(rounds) + 1}")
+            self._head(f"verify, round {len(rounds) + 1}")
             print(verify.shown(verify.verify(self._rig, self._folder, self._watch)))
         which = kept_round(rounds)
         self._keep(which + 1, len(rounds))
@@ -128,7 +138,7 @@ class Commissioning:
         return 0 if as_predicted(rounds[which]) else 1
 
     def _check(self) -> bool:
-        _head("check")
+        self._head("check")
         if progress.noted(self._folder / NAME).get("fit"):
             print("done before")
             return True
@@ -140,7 +150,7 @@ class Commissioning:
         return True
 
     def _excite(self) -> bool:
-        _head("excite")
+        self._head("excite")
         known = progress.load(self._rig, self._folder)
         if known is None or not (known.done or known.elapsed >= self._rig.time):
             watch = self._watch
@@ -158,7 +168,7 @@ class Commissioning:
         return True
 
     def _tune(self, found: dict[str, Any], rounds: int) -> bool:
-        _head(f"tune, round {rounds + 1}")
+        self._head(f"tune, round {rounds + 1}")
         out = self._folder / TUNED
         if (out / CONTROLLER).exists():
             print("done before")
@@ -192,6 +202,6 @@ class Commissioning:
         self._set_aside(last)
         old.rename(self._folder / TUNED)
 
-
-def _head(what: str) -> None:
-    print(f"\n== {what}", flush=True)
+    def _head(self, what: str) -> None:
+        print(f"\n== {what}", flush=True)
+        self._tell(f"commissioning: {what}")

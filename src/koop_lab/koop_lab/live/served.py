@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -27,24 +27,26 @@ def add_serve_option(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def served(port: int | None, folder: Path) -> Iterator[None]:
+def served(port: int | None, folder: Path) -> Iterator[Callable[[str], None]]:
     """Serve the loops of the ROS domain while the context lasts; with None, do nothing.
 
-    A page that fails ends no run.
+    It gives a function that shows a line beside the loop. A page that fails ends no run.
     """
     if port is None:
-        yield
+        yield lambda line: None
         return
     ViewConfig(port=port)  # refuses one that cannot be
     folder.mkdir(parents=True, exist_ok=True)
-    words = ["serve", "--operate", "--port", str(port)]
+    about = folder / "view.txt"
+    about.write_text("")
+    words = ["serve", "--operate", "--port", str(port), "--about", str(about)]
     command = [sys.executable, "-m", "koop_lab"]
     log = folder / "view.log"
     log.touch(mode=0o600)  # it holds the token
     process = NodeProcess("view", words, log, command)
     try:
         print(said(process), flush=True)
-        yield
+        yield about.write_text
     finally:
         process.stop()
 

@@ -7,7 +7,9 @@ import math
 import time
 from array import array
 from collections.abc import Mapping
+from contextlib import suppress
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -34,6 +36,7 @@ POLL = 0.02  # [s] between looks for messages while somebody looks
 IDLE = 0.1  # [s] while nobody does
 LOOK = 0.5  # [s] between looks at the graph
 EVENTS = 20  # of the executor at a time
+LINE = 200  # bytes of what is shown beside the loops
 MOST = 1000  # channels, services, loops: what a domain gone mad may cost
 DIAGNOSTICS, CHANGES = "/diagnostics", "/parameter_events"
 _SET = "rcl_interfaces/srv/SetParametersAtomically"
@@ -52,19 +55,25 @@ class LiveSource(Source):
         Messages a second of one topic [1/s].
     operates : bool
         Whether anybody may operate.
+    about : str
+        File with the line that is shown beside the loops; empty: none.
     """
 
     mode = "live"
 
-    def __init__(self, node: Node, executor: Any, rate: float, operates: bool) -> None:
+    def __init__(
+        self, node: Node, executor: Any, rate: float, operates: bool, about: str = ""
+    ) -> None:
         super().__init__()
         self._node, self._executor = node, executor
         self._rate, self._operates = rate, operates
+        self._about = about
         self._caller = Caller(node)
         self._collector = ParameterCollector(node, "/")
         self._starting = Starting()
         self._known = Known()
         self._publishers: dict[str, set[str]] = {}  # nodes by topic
+        self._nameless: set[str] = set()  # topics of what is no ROS node
         self._types: dict[str, str] = {}  # of topics and services that were looked at
         self._topics: dict[str, ViewedTopic] = {}
         self._viewers: dict[str, list[tuple[Client, int]]] = {}
@@ -99,11 +108,15 @@ class LiveSource(Source):
         self._choose(time.monotonic())
 
     def _choose(self, now: float) -> None:
-        """Listen to what somebody looks at, but to no node that still waits for its loop."""
+        """Listen to what somebody looks at, but to no node that still waits for its loop.
+
+        Nor to a topic that nobody publishes: whoever comes next may be such a node.
+        """
         wanted = {DIAGNOSTICS, CHANGES}
         for name in self._viewers:
-            nodes = () if is_common(name) else self._publishers.get(name, ())
-            if not any(self._starting.waits(node, now) for node in nodes):
+            nodes = self._publishers.get(name, ())
+            waits = any(self._starting.waits(node, now) for node in nodes)
+            if is_common(name) or name in self._nameless or (nodes and not waits):
                 wanted.add(name)
         for name in self._topics.keys() - wanted:
             self._topics.pop(name).close()
@@ -155,7 +168,7 @@ class LiveSource(Source):
             for topic in topics:
                 self._publishers.setdefault(topic, set()).add(node)
         managed = {node for node, names in served.items() if f"{node}/change_state" in names}
-        self._starting.see(managed, now)
+        self._starting.see(published, now)
         self._take_parameters(served)
         self._take_channels()
         nameless = {
@@ -163,11 +176,20 @@ class LiveSource(Source):
             for topic, types in self._node.get_topic_names_and_types()
             if topic not in self._publishers and self._node.count_publishers(topic)
         }
-        if self._known.see(dict(islice(loops(published, nameless).items(), MOST)), now):
-            self.loops = self._known.loops
+        self._nameless = set(nameless)
+        found = dict(islice(loops(published, nameless, managed).items(), MOST))
+        about = self._read_about()
+        if self._known.see(found, now) or about != self.about:
+            self.loops, self.about = self._known.loops, about
             self._tell("news_of_loops")
         self._take_services(served)
         self._choose(now)
+
+    def _read_about(self) -> str:
+        with suppress(OSError):
+            if self._about:
+                return one_line(Path(self._about).read_bytes()[:LINE].decode("utf-8", "replace"))
+        return ""
 
     def _ask_nodes(self) -> tuple[dict[str, dict[str, str]], dict[str, dict[str, str]]]:
         """Return the topics that every node publishes, and its services, with their types."""

@@ -1,16 +1,18 @@
 """Which nodes still wait for their loop. Pure.
 
-A managed node begins once as many listen to its topic as the loop has: a viewer that listens by
+A node of a loop begins once as many listen to its topic as the loop has: a viewer that listens by
 then is taken for one of them, and the first samples are lost to the recorder. So a node's topics
-are listened to only when it has said that it works.
+are listened to only when it has said that it works; those of one that never reports, as a rig or
+the commander of a commissioning, when it has been there for a while.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 SILENCE = 3.0  # [s] without a report, of which there is one a second: the node is gone
-STRANGER = 5.0  # [s] after which a managed node that never reports is one of others
+STRANGER = 5.0  # [s] after which a node that never reports has begun
 
 
 @dataclass
@@ -26,9 +28,9 @@ class Starting:
     def __init__(self) -> None:
         self._nodes: dict[str, _Known] = {}
 
-    def see(self, managed: set[str], now: float) -> None:
-        """Take in which managed nodes there are."""
-        self._nodes = {name: self._nodes.get(name, _Known(now)) for name in managed}
+    def see(self, nodes: Iterable[str], now: float) -> None:
+        """Take in which nodes there are."""
+        self._nodes = {name: self._nodes.get(name, _Known(now)) for name in nodes}
 
     def hear(self, node: str, works: bool, active: bool, now: float) -> bool:
         """Take in a node's report; return whether it has begun to work, perhaps once more."""

@@ -9,8 +9,13 @@ const REPORT_LATE = 1.8; // [s]: a node reports every second
 const LEAST_SILENCE = 1.0; // [s] without a message before a topic counts as silent
 export const LEVELS: Level[] = ["ok", "warn", "error", "stale"]; // of diagnostic_msgs/DiagnosticStatus
 
+/** How soon somebody should look: more is sooner. */
+export function urgency(level: Level): number {
+  return URGENCY.indexOf(level);
+}
+
 export function worst(levels: readonly Level[]): Level {
-  return levels.reduce((a, b) => (URGENCY.indexOf(b) > URGENCY.indexOf(a) ? b : a), "off" as Level);
+  return levels.reduce((a, b) => (urgency(b) > urgency(a) ? b : a), "off" as Level);
 }
 
 /** The newest report of a node. */
@@ -47,6 +52,12 @@ export interface Node {
 export interface Judgement {
   level: Level;
   text: string;
+}
+
+/** A node of a loop and what is thought of it. */
+export interface Row {
+  node: Node;
+  judgement: Judgement;
 }
 
 const OUTPUT = { rig: "state", lifter: "cost", controller: "theta", other: "message" };
@@ -101,8 +112,10 @@ export interface Situation {
   mode: string; // live or recorded
   loop: boolean; // whether there is a loop to look at
   gone: boolean; // whether none of its nodes is left
-  rows: { node: Node; judgement: Judgement }[];
+  about: string; // what whoever started the loop does now
+  rows: Row[];
   holding: boolean;
+  commanded: boolean; // theta is given by what is no controller
   settling: boolean;
   costUsable: boolean;
   saturated: boolean;
@@ -129,16 +142,21 @@ export function verdict(s: Situation): Judgement {
     return { level: "off", text: `A recorded run, complete: it ended with ${theta}, r = ${s.number(s.r)}.${end}` };
   }
   if (!s.loop) return { level: "off", text: "No loop is running yet; the page shows it when there is one." };
+  if (s.gone && s.about) return { level: "off", text: `No loop runs in this stage (${s.about}). Last: ${theta}, r = ${s.number(s.r)}.` };
   if (s.gone) return { level: "stale", text: `This loop has gone: none of its nodes is left. Last: ${theta}, r = ${s.number(s.r)}.` };
   const level = worst(s.rows.map((row) => row.judgement.level));
   const guilty = s.rows.filter((row) => row.judgement.level === level);
   const within = s.limits ? ` in [${s.number(s.limits[0])}, ${s.number(s.limits[1])}]` : "";
-  const figures = `${theta}${within}, r = ${s.number(s.r)}, ${Math.round(s.rate)} steps a second.`;
+  const rate = Number.isFinite(s.rate) ? `, ${Math.round(s.rate)} steps a second` : "";
+  const figures = `${theta}${within}, r = ${s.number(s.r)}${rate}.`;
   if (level === "error") return { level, text: `Fault: ${told(guilty)}` };
   if (level === "stale") return { level, text: `Not healthy: ${told(guilty)}` };
   if (!Number.isFinite(s.theta)) return { level: "off", text: "Waiting: no θ has come yet." };
-  const others = level === "warn" ? guilty.filter((row) => !(s.holding && row.node.role === "controller")) : [];
+  const others = level === "warn" ? guilty.filter((row) => !((s.holding || s.commanded) && row.node.role === "controller")) : [];
   const warning = others.length ? ` Warning: ${told(others)}` : "";
+  if (s.commanded && s.rate !== 0) {
+    return { level: warning ? "warn" : "ok", text: `Open loop: θ is commanded, not sought: ${figures}${warning}` };
+  }
   if (s.holding) {
     const why = s.settling ? "until the filters have settled" : s.costUsable ? "as asked" : "because there is no usable cost";
     return { level: "warn", text: `Holding ${why}: ${figures}${warning}` };
@@ -149,7 +167,7 @@ export function verdict(s: Situation): Judgement {
   return { level: fine ? "ok" : "warn", text: `${fine ? "Healthy, seeking" : "Seeking"}: ${figures}${edge}${warning}` };
 }
 
-function told(rows: { node: Node; judgement: Judgement }[]): string {
+function told(rows: Row[]): string {
   const words = rows.map(({ node, judgement }) => `${node.role === "other" ? shortName(node.name) : node.role} – ${judgement.text}`);
   return `${words.join("; ")}.`;
 }

@@ -7,6 +7,7 @@ import { FoxgloveClient, type Channel, type ParameterValue, type Service } from 
 const SUBPROTOCOLS = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 const FIRST_WAIT = 0.5, LONGEST_WAIT = 5; // [s] between two tries
 const ANSWER_WITHIN = 8; // [s]
+const UNAUTHORIZED = 401;
 
 export interface LoopNames {
   namespace: string;
@@ -24,6 +25,7 @@ export interface ServerState {
   version: string;
   loops: LoopNames[];
   session: string;
+  about: string; // what whoever started the loops does now
 }
 
 export interface Handlers {
@@ -78,6 +80,7 @@ export class Link {
       version: info.metadata?.["koop_version"] ?? "",
       loops: loopsOf(info.metadata?.["koop_loops"]),
       session: info.sessionId ?? "",
+      about: info.metadata?.["koop_about"] ?? "",
     }));
     client.on("status", (status) => {
       if (status.message === "recording complete") this.handlers.complete();
@@ -229,15 +232,15 @@ export class Link {
     this.calls.clear();
     this.handlers.services();
     this.handlers.closed();
-    // A browser does not say why a WebSocket was refused. Where the server answers, it was the token.
+    // A browser does not say why a WebSocket was refused; to a request the server says it.
     const again = (): void => { setTimeout(() => this.connect(), this.wait * 1000); };
     this.wait = Math.min(LONGEST_WAIT, this.wait * 1.6);
     if (!refused) {
       again();
       return;
     }
-    fetch("/", { cache: "no-store" }).then((answer) => {
-      if (answer.ok) {
+    fetch(`/?token=${encodeURIComponent(this.token)}`, { cache: "no-store" }).then((answer) => {
+      if (answer.status === UNAUTHORIZED) {
         this.token = "";
         this.handlers.tokenRefused();
       }

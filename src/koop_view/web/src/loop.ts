@@ -1,6 +1,6 @@
 // One closed loop as it is heard: what its messages say, kept for the figures. No drawing here.
 
-import { judge, silence, LEVELS, type Heard, type Judgement, type Level, type Node, type Report } from "./health";
+import { judge, silence, worst, LEVELS, type Heard, type Judgement, type Level, type Report, type Node, type Row } from "./health";
 import type { LoopNames } from "./link";
 import { CostMap } from "./map";
 import { Stream } from "./stream";
@@ -47,11 +47,12 @@ export class Loop {
   value = NaN; // theta
   holding = false;
   saturated = false;
+  commanded = false; // by what is no controller: it has no relay
   swing = NaN;
   gradient = NaN;
   noise = NaN;
   confidence = NaN;
-  gone = false; // no node of it is left
+  gone = false; // none of its nodes is left
   stamp = NaN; // of the newest state's header [s]; 0: the rig sets none
   private epsilon = 0;
   private heard = { state: heard(), cost: heard(), theta: heard() };
@@ -60,6 +61,11 @@ export class Loop {
 
   /** Take new names, but keep those of nodes that are gone: they are missing, not unknown. */
   rename(names: LoopNames): void {
+    if (this.gone) { // what comes now is another loop: nobody of the last one is missing
+      this.names = names;
+      this.gone = false;
+      return;
+    }
     const kept = { ...names };
     for (const key of ["plant", "lifter", "controller", "state", "cost", "theta"] as const) kept[key] ??= this.names[key];
     this.names = kept;
@@ -67,6 +73,14 @@ export class Loop {
 
   get topics(): string[] {
     return [this.names.state, this.names.cost, this.names.theta].filter((name): name is string => name !== null);
+  }
+
+  /** The last node has left. What was drawn stays. */
+  end(): void {
+    if (this.gone) return;
+    this.gone = true;
+    this.reports.clear();
+    this.heard = { state: heard(), cost: heard(), theta: heard() };
   }
 
   clear(): void {
@@ -124,7 +138,8 @@ export class Loop {
     this.gradient = message["gradient"] as number;
     this.noise = message["noise"] as number;
     this.confidence = message["confidence"] as number;
-    if (this.epsilon && epsilon !== this.epsilon) {
+    this.commanded = epsilon === 0;
+    if (this.epsilon && epsilon && epsilon !== this.epsilon) {
       this.flips.push({ t, theta: this.value, epsilon });
       if (this.flips.length > MOST_FLIPS) this.flips.splice(0, MOST_FLIPS / 4);
     }
@@ -132,7 +147,7 @@ export class Loop {
     lasting(this.holds, this.holding, t, this.theta.last);
     lasting(this.limited, this.saturated, t, this.theta.last);
     this.theta.push(t, Number(message["step"]), ["theta"], [this.value]);
-    if (!this.holding) this.map.push(t, this.value, this.r);
+    if (!this.holding || this.commanded) this.map.push(t, this.value, this.r);
     hear(this.heard.theta, now);
   }
 
@@ -147,7 +162,7 @@ export class Loop {
   }
 
   /** The nodes of the loop and what is thought of each. */
-  rows(now: number, seen: "live" | "recorded" | "unknown"): { node: Node; judgement: Judgement }[] {
+  rows(now: number, seen: "live" | "recorded" | "unknown"): Row[] {
     const { plant, lifter, controller, state, cost, theta } = this.names;
     const { heard: h, reports } = this;
     const nodes: Node[] = [
@@ -161,12 +176,22 @@ export class Loop {
       if (seen === "live" && now - report.at > FORGOTTEN) reports.delete(name);
       else nodes.push({ name, role: "other", report });
     }
+    if (seen === "live" && this.gone) return nodes.map((node) => ({ node, judgement: GONE }));
     return nodes.map((node) => ({ node, judgement: seen === "live" ? judge(node, now) : seen === "recorded" ? said(node) : UNKNOWN }));
   }
 
-  /** Steps a second, by what was heard last. */
+  /** How a loop does that nobody looks at: by the reports of its nodes alone. */
+  level(now: number): Level {
+    if (this.gone) return "stale";
+    const { plant, lifter, controller } = this.names;
+    const own = [plant, lifter, controller].map((name) => (name ? this.reports.get(name) : undefined));
+    const nodes = [...new Set([...own, ...this.reports.values()])].filter((report) => report !== undefined);
+    return worst(nodes.map((report) => judge({ name: "", role: "other", report }, now).level));
+  }
+
+  /** Steps a second, by what was heard last; NaN: not known yet. */
   rate(now: number): number {
-    return silence(this.heard.state, now) ? 0 : this.heard.state.rate;
+    return silence(this.heard.state, now) ? 0 : this.heard.state.rate || NaN;
   }
 
   /** Messages a second over all that was recorded. */
@@ -185,6 +210,7 @@ export function sourceName(source: number): string {
 }
 
 const UNKNOWN: Judgement = { level: "off", text: "unknown: no connection" };
+const GONE: Judgement = { level: "off", text: "has left" };
 
 /** In a recording nobody is late. */
 function said(node: Node): Judgement {

@@ -2,7 +2,7 @@
 
 import type { ParameterValue } from "@foxglove/ws-protocol";
 import { Figures, type Limits } from "./figures";
-import { inputAge, losses, silence, verdict, type Judgement, type Node } from "./health";
+import { inputAge, losses, silence, urgency, verdict, worst, type Judgement, type Level, type Node } from "./health";
 import { Link, type ServerState } from "./link";
 import { Loop, sourceName, type Status } from "./loop";
 import { Operate } from "./operate";
@@ -13,6 +13,9 @@ const MOST_NOTES = 40;
 const FRAME = 75; // [ms] between two looks at what is to be drawn
 const SLOW = 250; // [ms] between two looks at health and words
 const ASK_AGAIN = 3; // [s]
+const DISCOVERY = 4; // [s] that a server which has just begun may need to find the loops
+const MOST_BAD = 3; // loops of a fleet that are named beside the selector
+const TOKEN = "koop token"; // in the storage of the tab
 const WARNING = 30; // rcl_interfaces/msg/Log
 const WATCHED = {
   controller: ["law", "objective", "theta_min", "theta_max", "theta_initial", "theta_scale", "step_size", "dwell", "tau_f", "rate_limit", "dt"],
@@ -29,6 +32,7 @@ let chosen = decodeURIComponent(/[#&]loop=([^&]*)/.exec(location.hash)?.[1] ?? "
 let server: ServerState | undefined;
 let connection: "open" | "lost" | "connecting" = "connecting";
 let lostAt = seconds();
+let openedAt = NaN;
 let newest = NaN; // receive time of the newest message [s]
 let newestAt = NaN; // when it came, on the page's clock [s]
 let complete = false;
@@ -85,6 +89,7 @@ view.changed = () => {
 const link = new Link({
   opened() {
     connection = "open";
+    openedAt = seconds();
     watchedNames = "";
   },
   closed() {
@@ -113,7 +118,10 @@ const link = new Link({
     figures.redraw();
   },
   note: (text) => note(text, Date.now() / 1000, "warn"),
-  tokenRefused: () => note("The token was refused: read-only. Open the address that `koop serve --operate` printed.", Date.now() / 1000, "error"),
+  tokenRefused() {
+    sessionStorage.removeItem(TOKEN);
+    note("Read-only: the token is not this server's; it has perhaps been restarted. Open the address that it has printed.", Date.now() / 1000, "error");
+  },
   services: () => operate.refresh(),
 }, token);
 
@@ -123,10 +131,10 @@ const operate = new Operate({ loop, link, operate: () => server?.operate ?? fals
 function takeToken(): string {
   const found = /[#&]token=([^&]*)/.exec(location.hash)?.[1];
   if (found) {
-    sessionStorage.setItem("koop token", decodeURIComponent(found));
+    sessionStorage.setItem(TOKEN, decodeURIComponent(found));
     history.replaceState(null, "", location.pathname + location.search + (chosen ? `#loop=${encodeURIComponent(chosen)}` : ""));
   }
-  return sessionStorage.getItem("koop token") ?? "";
+  return sessionStorage.getItem(TOKEN) ?? "";
 }
 
 function takeServer(state: ServerState): void {
@@ -146,7 +154,6 @@ function takeServer(state: ServerState): void {
     if (known) known.rename(names);
     else loops.set(names.namespace, new Loop(names));
   }
-  for (const [namespace, l] of loops) l.gone = !state.loops.some((names) => names.namespace === namespace);
   if (!loops.has(chosen)) chosen = [...loops.keys()][0] ?? chosen;
   showLoops();
   listen();
@@ -173,6 +180,7 @@ function listen(): void {
 
 function choose(namespace: string): void {
   chosen = namespace;
+  showLoops();
   history.replaceState(null, "", `#loop=${encodeURIComponent(namespace)}`);
   if (recorded()) for (const l of loops.values()) l.clear();
   complete = false;
@@ -226,13 +234,37 @@ function showLoops(): void {
   byId("loop-label").hidden = names.length < 2;
   if (names.join() !== [...select.options].map((o) => o.value).join()) {
     select.replaceChildren(...names.map((name) => {
-      const option = make("option", { text: name === "/" ? "/ (no namespace)" : name }) as HTMLOptionElement;
+      const option = make("option") as HTMLOptionElement;
       option.value = name;
       return option;
     }));
   }
-  select.value = chosen;
+  if (select.value !== chosen) select.value = chosen;
 }
+
+/** How each loop of a fleet does: a word in the selector, and those that need somebody beside it. */
+function showFleet(levels: Map<string, Level>): void {
+  const name = (namespace: string): string => (namespace === "/" ? "/ (no namespace)" : namespace);
+  const word = (namespace: string, level: Level): string => (loops.get(namespace)?.gone ? "GONE" : WORDS[level]);
+  for (const option of byId<HTMLSelectElement>("loop").options) {
+    const level = recorded() || connection !== "open" ? "off" : levels.get(option.value) ?? "off";
+    say(option, level === "off" ? name(option.value) : `${name(option.value)}: ${word(option.value, level)}`);
+  }
+  const bad = loops.size < 2 || recorded() || connection !== "open" ? [] : [...levels].filter(([, level]) => urgency(level) > urgency("ok"));
+  bad.sort(([a, x], [b, y]) => urgency(y) - urgency(x) || a.localeCompare(b));
+  const shown = bad.slice(0, MOST_BAD).map(([namespace, level]) => ({ namespace, level, text: `${name(namespace)}: ${word(namespace, level)}` }));
+  const more = bad.length > shown.length ? `and ${bad.length - shown.length} more of ${loops.size}` : "";
+  const text = JSON.stringify([shown, more]);
+  if (text === fleetShown) return;
+  fleetShown = text;
+  byId("fleet").replaceChildren(...shown.map(({ namespace, level, text }) => {
+    const button = make("button", { text, title: "show this loop", data: { loop: namespace, level } });
+    button.addEventListener("click", () => choose(namespace));
+    return button;
+  }), ...(more ? [make("span", { class: "soft", text: more })] : []));
+}
+
+let fleetShown = "";
 
 function showSpans(): void {
   for (const button of document.querySelectorAll<HTMLButtonElement>("#spans button")) {
@@ -283,14 +315,14 @@ function showForce(): void {
     ["θ limits", limits() ? `[${short(limits()!.low)}, ${short(limits()!.high)}]` : ""],
     ["θ initial", value("controller.theta_initial")],
     ["θ scale", value("controller.theta_scale")],
-    ["step k", [value("controller.step_size"), l && Number.isFinite(l.swing) && l.swing !== 1 ? `× ${short(l.swing)} now` : ""].join(" ").trim()],
+    ["step k", [value("controller.step_size"), l && !l.commanded && Number.isFinite(l.swing) && l.swing !== 1 ? `× ${short(l.swing)} now` : ""].join(" ").trim()],
     ["dwell", value("controller.dwell")],
     ["τ_f", value("controller.tau_f")],
     ["rate limit", parameter("controller.rate_limit") === 0 ? "none" : value("controller.rate_limit")],
     ["ω_h, ω_l", [value("lifter.omega_h"), value("lifter.omega_l")].filter(Boolean).join(", ")],
     ["Δt", value("lifter.dt") || value("controller.dt")],
-    ["slope dr/dθ", l && Number.isFinite(l.gradient) ? short(l.gradient) : ""],
-    ["confidence", l && Number.isFinite(l.confidence) ? short(l.confidence) : ""],
+    ["slope dr/dθ", l && !l.commanded && Number.isFinite(l.gradient) ? short(l.gradient) : ""],
+    ["confidence", l && !l.commanded && Number.isFinite(l.confidence) ? short(l.confidence) : ""],
     ["stamps", l && l.stamp === 0 ? "none: the rig sets no header stamp" : ""],
     ["step", l && l.state.lastStep >= 0 ? l.state.lastStep.toLocaleString("en") : ""],
   ];
@@ -310,10 +342,14 @@ function askAgain(now: number): void {
 
 /** All that is words. */
 function slow(): void {
-  const now = seconds(), l = loop(), rows = l?.rows(now, recorded() ? "recorded" : connection === "open" ? "live" : "unknown") ?? [];
-  const bounds = limits();
+  const now = seconds(), l = loop();
+  if (connection === "open" && now - openedAt > DISCOVERY) {
+    for (const [namespace, other] of loops) if (!server?.loops.some((names) => names.namespace === namespace)) other.end();
+  }
+  const rows = l?.rows(now, recorded() ? "recorded" : connection === "open" ? "live" : "unknown") ?? [];
+  const bounds = limits(), about = server?.about ?? "";
   const found = verdict({
-    connection, lostFor: now - lostAt, mode: server?.mode ?? "live", loop: l !== undefined, gone: l?.gone ?? false, rows, holding: l?.holding ?? false,
+    connection, lostFor: now - lostAt, mode: server?.mode ?? "live", loop: l !== undefined, gone: l?.gone ?? false, about, rows, holding: l?.holding ?? false, commanded: l?.commanded ?? false,
     settling: l?.settling ?? false, costUsable: Number.isFinite(l?.r ?? NaN), saturated: l?.saturated ?? false, theta: l?.value ?? NaN,
     limits: bounds && [bounds.low, bounds.high], r: l?.r ?? NaN, rate: l?.rate(now) ?? 0,
     reading: recorded() && !complete ? [...counts.values()].reduce((a, b) => a + b, 0) : undefined, number: short,
@@ -327,7 +363,9 @@ function slow(): void {
   document.body.dataset["connection"] = connection;
   document.body.dataset["mode"] = server?.mode ?? "live";
   say(byId("mode"), connection === "connecting" ? "" : recorded() ? "recorded run" : server?.operate ? "operating" : "read-only");
+  say(byId("about"), connection === "open" ? about : "");
   showHealth(rows, now);
+  showFleet(new Map([...loops].map(([namespace, other]) => [namespace, other === l ? worst([found.level, other.level(now)]) : other.level(now)])));
   showForce();
   askAgain(now);
   operate.refresh();
@@ -350,6 +388,9 @@ byId<HTMLInputElement>("log-r").addEventListener("change", (event) => {
 for (const answer of ["yes", "no"]) {
   byId(`confirm-${answer}`).addEventListener("click", () => byId<HTMLDialogElement>("confirm").close(answer));
 }
+
+// The address of a server that was restarted, opened in the tab of the old one, loads no page by itself.
+addEventListener("hashchange", () => location.reload());
 
 showSpans();
 link.connect();

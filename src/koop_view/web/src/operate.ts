@@ -38,7 +38,8 @@ export class Operate {
     this.allow("hold", may && this.desk.link.offers(`${controller}/hold`));
     this.allow("resume", may && this.desk.link.offers(`${controller}/hold`));
     this.allow("reset", may && this.desk.link.offers(`${controller}/reset`));
-    this.allow("set-limits", may && this.desk.link.offers(`${controller}/set_parameters_atomically`));
+    const limited = this.desk.parameter("controller.theta_min") !== undefined; // a commander has no limits that can be set
+    this.allow("set-limits", may && limited && this.desk.link.offers(`${controller}/set_parameters_atomically`));
     for (const id of ["set-cost", "set-model"]) this.allow(id, may && this.desk.link.offers(`${lifter}/set_parameters_atomically`));
     const holding = loop()?.holding ?? false;
     byId("hold").classList.toggle("pressed", holding);

@@ -51,8 +51,8 @@ test("losses are added up over the inputs, ages are the oldest", () => {
 });
 
 const healthy: Situation = {
-  connection: "open", lostFor: 0, mode: "live", loop: true, gone: false, rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
-  holding: false, settling: false, costUsable: true, saturated: false, theta: -2.5, limits: [-5, 5], r: 0.01, rate: 200, reading: undefined, number: String,
+  connection: "open", lostFor: 0, mode: "live", loop: true, gone: false, about: "", rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
+  holding: false, commanded: false, settling: false, costUsable: true, saturated: false, theta: -2.5, limits: [-5, 5], r: 0.01, rate: 200, reading: undefined, number: String,
 };
 
 test("the verdict names what comes first", () => {
@@ -63,6 +63,8 @@ test("the verdict names what comes first", () => {
   assert.deepEqual(verdict(fault), { level: "error", text: "Fault: rig – diverged." });
   assert.match(verdict({ ...fault, connection: "lost", lostFor: 3 }).text, /^No connection to koop serve for 3 s/);
   assert.match(verdict({ ...fault, gone: true }).text, /^This loop has gone: none of its nodes is left/);
+  assert.equal(verdict({ ...fault, gone: true, about: "commissioning: tune, round 1" }).level, "off");
+  assert.doesNotMatch(verdict({ ...healthy, rate: NaN }).text, /steps|rest/); // not known yet
   assert.match(verdict({ ...healthy, loop: false, rows: [] }).text, /^No loop is running/);
 });
 
@@ -82,4 +84,11 @@ test("a warning does not hide what the controller does", () => {
   });
   assert.match(verdict({ ...healthy, rows: [rig], holding: true }).text, /^Holding as asked: .* Warning: rig – 27 late ticks\.$/);
   assert.deepEqual(verdict({ ...healthy, saturated: true }).level, "warn");
+});
+
+test("a theta that no controller gives is not said to be sought or held", () => {
+  const waiting = { node: lifter({ role: "controller" as const }), judgement: { level: "warn" as const, text: "not active: inactive" } };
+  const found = verdict({ ...healthy, commanded: true, holding: true, rows: [waiting] });
+  assert.deepEqual(found, { level: "ok", text: "Open loop: θ is commanded, not sought: θ = -2.5 in [-5, 5], r = 0.01, 200 steps a second." });
+  assert.match(verdict({ ...healthy, commanded: true, rate: 0 }).text, /^At rest/);
 });

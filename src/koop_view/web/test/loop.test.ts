@@ -1,0 +1,42 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Loop, type Status } from "../src/loop";
+
+const names = { namespace: "/", plant: "/rig", lifter: "/lifter", controller: "/esc", state: "/state", cost: "/cost", theta: "/theta" };
+const status = (name: string, more: Partial<Status> = {}): Status => ({ name, hardware: "koop", level: 0, message: "", values: { lifecycle_state: "active" }, ...more });
+const theta = (epsilon: number, holding: boolean): Record<string, unknown> => ({ step: 1n, theta: 0.5, epsilon, holding, saturated: false });
+
+test("a loop that nobody looks at is judged by the reports of its nodes", () => {
+  const loop = new Loop(names);
+  assert.equal(loop.level(100), "off");
+  for (const name of ["/lifter", "/esc", "/recorder"]) loop.report(status(name), 100);
+  assert.equal(loop.level(101), "ok");
+  loop.report(status("/recorder", { level: 1 }), 101);
+  assert.equal(loop.level(101), "warn");
+  for (const name of ["/esc", "/recorder"]) loop.report(status(name), 102.5);
+  assert.equal(loop.level(102.5), "stale"); // the lifter says nothing
+});
+
+test("of a loop that has left, what comes after it misses nobody", () => {
+  const loop = new Loop(names);
+  loop.report(status("/esc"), 100);
+  loop.end();
+  assert.equal(loop.level(101), "stale");
+  assert.deepEqual(new Set(loop.rows(101, "live").map((row) => row.judgement.text)), new Set(["has left"]));
+  loop.rename({ ...names, controller: null });
+  assert.deepEqual(loop.rows(200, "live").map((row) => row.judgement.level), ["off", "off"]);
+  loop.rename({ ...names, lifter: null }); // one that dies while others are there stays
+  assert.deepEqual(loop.rows(200, "live").map((row) => row.node.name), ["/rig", "/lifter", "/esc"]);
+});
+
+test("where a commander gives theta, its rests are of the map, and nothing flips", () => {
+  const loop = new Loop(names);
+  loop.take("/cost", 1, 1, { step: 1n, r: 2, y_out: 1, settling: false, source: 0, model_id: "" });
+  loop.take("/theta", 1, 1, theta(1, true));
+  assert.equal(loop.map.bins().mean.length, 0); // held: nothing is explored
+  loop.take("/theta", 2, 2, theta(0, true));
+  assert.deepEqual(loop.map.bins().mean, [2]);
+  assert.equal(loop.commanded, true);
+  loop.take("/theta", 3, 3, theta(-1, false));
+  assert.equal(loop.flips.length, 0); // between the relay of one run and that of the next
+});
