@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from koop_lab.live.process import START_TIMEOUT, NodeProcess
@@ -46,9 +46,15 @@ def served(port: int | None, folder: Path) -> Iterator[Callable[[str], None]]:
     process = NodeProcess("view", words, log, command)
     try:
         print(said(process), flush=True)
-        yield about.write_text
+        yield lambda line: show(line, about)
     finally:
         process.stop()
+
+
+def show(line: str, about: Path) -> None:
+    """Show a line; a full disk hides it and ends no run."""
+    with suppress(OSError):
+        about.write_text(line)
 
 
 def said(process: NodeProcess) -> str:
