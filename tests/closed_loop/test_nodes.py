@@ -482,7 +482,9 @@ def test_lockstep_waits_for_theta_sends_again_and_names_the_silent_node(start, p
     probe.spin_until(lambda: states[-1].step == 1, "step 1")
     probe.spin_until(lambda: process.poll() is not None, "the plant to give up")
     assert process.poll() == 1
-    assert [s.step for s in states] == [0, 1, 1, 1, 1]
+    steps = [s.step for s in states]
+    assert set(steps) == {0, 1}  # step 0 again, too, where this test's own theta comes late
+    assert steps[steps.index(1) :] == [1, 1, 1, 1]
     text = process.log.read_text()
     assert "no theta for step 1: the lifter (koopman_lifter) is silent on 'cost'" in text
 
