@@ -20,7 +20,8 @@ from koop_node.fields import parse_source
 from koop_node.yaml_file import read_yaml
 from vdp_plant.config import PlantConfig
 
-NODES = ("plant", "koopman_lifter", "relay_esc")
+CONTROLLER = ("koopman_lifter", "relay_esc")
+NODES = ("plant", *CONTROLLER)
 ACTIONS = ("inject", "kill", "pause", "second_controller", "handover", "set", "cut")
 SECOND = "second_controller"  # a node of this name stands by where an event is about it
 NO_LIMIT = 1e9
@@ -287,12 +288,11 @@ def with_controller(scenario: Scenario, file: Path) -> Scenario:
     koop_node.config.ConfigError
         If the file cannot be used; names it.
     """
-    nodes = ("koopman_lifter", "relay_esc")
+    given = parameters.read(file, {node: parameters.NODES[node] for node in CONTROLLER})
     try:
-        given = parameters.read(file, {node: parameters.NODES[node] for node in nodes})
         parameters.build(given)
     except ConfigError as error:
-        raise ConfigError(f"{file}: {str(error).removeprefix(f'{file}: ')}") from None
+        raise ConfigError(f"{file}: {error}") from None
     given.get("relay_esc", {}).pop("theta_initial", None)
     return replace(scenario, parameters={**scenario.parameters, **given})
 
