@@ -11,8 +11,9 @@ from koop_hil import report
 from koop_hil.commission import commission_rig, publish, row
 from koop_hil.excite import record_excitation
 from koop_hil.run import run
-from koop_hil.scenario import CONTROLLER, find, read, shipped, with_controller, with_parameter
+from koop_hil.scenario import find, read, shipped, with_controller, with_parameter
 from koop_lab.live.up import file_of
+from koop_lab.replay.settings import CONTROLLER
 from koop_loop.parameters import build
 from koop_node.config import ConfigError
 from koop_node.yaml_file import one_setting

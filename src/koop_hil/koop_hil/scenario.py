@@ -14,13 +14,13 @@ import yaml
 from numpy.typing import NDArray
 
 from koop_hil import faults, installed
+from koop_lab.replay.settings import CONTROLLER
 from koop_loop import parameters
 from koop_node.config import ConfigError, mapping, parameter, refuse_unknown, validate
 from koop_node.fields import parse_source
 from koop_node.yaml_file import read_yaml
 from vdp_plant.config import PlantConfig
 
-CONTROLLER = ("koopman_lifter", "relay_esc")
 NODES = ("plant", *CONTROLLER)
 ACTIONS = ("inject", "kill", "pause", "second_controller", "handover", "set", "cut")
 SECOND = "second_controller"  # a node of this name stands by where an event is about it
