@@ -61,10 +61,11 @@ class Writer:
     def __init__(self, publisher: Publisher, kind: Any) -> None:
         self.publisher = publisher
         self._encode = codec(kind).encode
+        self._send = publisher.handle.publish_raw  # its publish() guards against other threads
 
     def publish(self, message: Any) -> None:
         """Publish a message, of the codec or of the message class."""
-        self.publisher.publish(self._encode(message))
+        self._send(self._encode(message))
 
 
 class _OfRos:

@@ -17,6 +17,7 @@ from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
 from koop_node.entities import Writer
 from koop_node.fields import Source, check_fields
+from koop_node.kernels import direct
 from koop_node.main import run
 from koop_node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.qos import BEST_EFFORT, RELIABLE
@@ -76,15 +77,14 @@ class LifterRun(Run):
         self._foreign = Foreign(config.foreign, config) if config.foreign is not None else None
         self._seen = len(config.foreign.fields) if config.foreign is not None else 0
         self._candidate: KoopmanModel | None = None
+        self._source, self._detector = config.source, config.detector_params()
         self._use(load_for(config, node.parameters[ModelConfig], self._seen))
         self._state = cost.initial()
         self._answer = codec(Cost).new()
-        self._source, self._detector = config.source, config.detector_params()
         self._topic = config.foreign.topic if config.foreign is not None else "state"
         self._input = StreamMonitor(self._topic, config.state_timeout, config.dt, may_end=True)
         self.inputs = (self._input,)
         self._publisher: Writer | None = None
-        self._compile()
 
     def activate(self, entities: Entities) -> None:
         recorders = self._node.parameters[NodeConfig].recorders
@@ -168,7 +168,7 @@ class LifterRun(Run):
         x = self._taken(np.frombuffer(state.x), arrival)
         loaded = self._loaded
         answer.model_id = loaded.id
-        answer.r, answer.y_out, answer.settling, self._state = cost.answer(
+        answer.r, answer.y_out, answer.settling, self._state = self._kernel(
             self._source, loaded.lifting, self._detector, self._state, int(arrival), state.step,
             x, loaded.work,
         )  # fmt: skip
@@ -185,6 +185,7 @@ class LifterRun(Run):
                 f"{model.projector.shape[0]} modes kept"
             )
         self._node.get_logger().info(found)
+        self._compile()
 
     def _taken(self, x: NDArray[np.float64], arrival: Arrival) -> NDArray[np.float64]:
         """Return a state as the kernel takes it: NaN where it has not the run's number of values.
@@ -226,11 +227,11 @@ class LifterRun(Run):
         self._node.get_logger().error(self._input.problem, throttle_duration_sec=1.0)
 
     def _compile(self) -> None:
-        """Compile the kernel for the types that messages bring, before the first sample."""
+        """Get the kernel for the types that model and messages bring, before the next sample."""
         x = np.frombuffer(MeasuredState(x=[0.0] * (self._n or 1)).x)
-        cost.answer(
-            self._source, self._loaded.lifting, self._detector, cost.joining(self._detector),
-            int(Arrival.JOIN), 0, x, self._loaded.work,
+        self._kernel = direct(
+            cost.answer, self._source, self._loaded.lifting, self._detector,
+            cost.joining(self._detector), int(Arrival.JOIN), 0, x, self._loaded.work,
         )  # fmt: skip
         self._loaded.work.cursor[:] = 0
 

@@ -15,6 +15,7 @@ from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
 from koop_node.entities import Writer
 from koop_node.fields import check_fields, parse_field, write_field
+from koop_node.kernels import direct
 from koop_node.main import run
 from koop_node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.qos import NEWEST, RELIABLE
@@ -47,7 +48,10 @@ class EscRun(Run):
             message = message_type(config.command_type)()
             check_fields((self._field,), message)
             self._own = None if isinstance(message, ControlInput) else message
-        _compile(config)
+        # for the types that messages bring, and compiled before the first of them
+        given = (int(Arrival.RESTART), False, False, 0.0, False)
+        self._respond = direct(relay.answer, self._params, self._state, *given)
+        self._insight = direct(relay.insight, self._params, self._state)
         entities.service(Trigger, "~/reset", self._on_reset)
         entities.service(SetBool, "~/hold", self._on_hold)
 
@@ -119,7 +123,7 @@ class EscRun(Run):
         origin = (cost.source, cost.model_id)
         switched, self._origin = origin != self._origin, origin
         answer = self._answer
-        self._state, answer.holding, answer.saturated = relay.answer(
+        self._state, answer.holding, answer.saturated = self._respond(
             self._params, self._state, int(arrival), switched, cost.settling, cost.r,
             self._hold_asked,
         )  # fmt: skip
@@ -132,8 +136,7 @@ class EscRun(Run):
         answer.epsilon = state.epsilon
         answer.cost_rise_filtered = state.cost_rise_filtered
         answer.swing = state.swing.factor
-        answer.gradient = relay.gradient(self._params, state)
-        answer.noise, answer.confidence = relay.insight(self._params, state)
+        answer.gradient, answer.noise, answer.confidence = self._insight(self._params, state)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]
@@ -163,12 +166,6 @@ class EscNode(ManagedNode[EscRun]):
 
     def __init__(self, name: str = "relay_esc", **options: Any) -> None:
         super().__init__(name, EscRun, **options)
-
-
-def _compile(config: EscConfig) -> None:
-    """Compile the kernels for the types that messages bring, before the first sample."""
-    state, arrival = config.initial(), int(Arrival.RESTART)
-    relay.answer(config.params(), state, arrival, False, False, 0.0, False)
 
 
 def main() -> None:

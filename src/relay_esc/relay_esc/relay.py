@@ -144,22 +144,25 @@ def reset(state: RelayState, begin: RelayState) -> RelayState:
     )
 
 
-def gradient(p: RelayParams, state: RelayState) -> float:
-    """Return the slope of the cost over u, of log r with the adaptive law; filtered as the rise is.
+@njit()
+def insight(p: RelayParams, state: RelayState) -> tuple[float, float, float]:
+    """Return what the controller knows of the cost besides what it answers.
 
-    It is that of the cost's change by the step that theta makes, whatever causes the change.
+    Returns
+    -------
+    gradient : float
+        Slope of the cost over u, of log r with the adaptive law; filtered as the rise is. It is
+        that of the cost's change by the step that theta makes, whatever causes the change.
+    noise, confidence : float
+        Of the cost's level, and of the adaptive law; NaN with the relay, which has none.
     """
     step_size = p.step_size * gain(state.swing, state.u, state.epsilon)
-    if step_size == 0.0:
-        return 0.0
-    return -p.sense * state.epsilon * state.cost_rise_filtered / step_size
-
-
-def insight(p: RelayParams, state: RelayState) -> tuple[float, float]:
-    """Return noise of the cost's level and confidence of the adaptive law; the relay has none."""
+    gradient = 0.0
+    if step_size != 0.0:
+        gradient = -p.sense * state.epsilon * state.cost_rise_filtered / step_size
     if not p.adaptive:
-        return math.nan, math.nan
-    return state.swing.noise, confidence(state.swing, p.lost)
+        return gradient, math.nan, math.nan
+    return gradient, state.swing.noise, confidence(state.swing, p.lost)
 
 
 @njit()

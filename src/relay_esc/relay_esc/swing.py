@@ -296,6 +296,7 @@ def turn(swing: Swing, length: float, u: float, least: float, lost: float) -> Sw
     )
 
 
+@njit()
 def confidence(swing: Swing, lost: float) -> float:
     """Return how sure it is that the optimum is within the swing: 1 at the reference, 0 if lost."""
     if swing.legs < 2:

@@ -14,6 +14,7 @@ from rosgraph_msgs.msg import Clock
 
 from koop_node.arrival import Arrival
 from koop_node.config import NodeConfig
+from koop_node.kernels import direct
 from koop_node.managed import OK, Entities, ManagedNode, Run
 from koop_node.qos import RELIABLE
 from koop_node.stamps import to_seconds, to_stamp
@@ -139,7 +140,7 @@ class PlantRun(Run):
         stamp = state.header.stamp
         stamp.sec, stamp.nanosec = divmod(self._time(k), 1_000_000_000)
         state.step = k
-        state.x = dynamics.measure(params, k, x, y)
+        state.x = self._measure(params, k, x, y)
         self._sent.send(k, time.monotonic())
         outlets.state.publish(state)
         ground_truth = self._ground_truth_message
@@ -147,13 +148,13 @@ class PlantRun(Run):
         ground_truth.x = (x, y)
         ground_truth.theta_applied = self._theta_applied
         ground_truth.theta_step = self._theta_step
-        ground_truth.epsilon0 = dynamics.damping(params, k * params.dt)
+        ground_truth.epsilon0 = self._damping(params, k * params.dt)
         outlets.ground_truth.publish(ground_truth)
         if outlets.clock is not None:
             outlets.clock.publish(Clock(clock=to_stamp(round(k * params.dt * 1e9))))
 
     def _advance(self, theta: float, theta_step: int) -> None:
-        self._x, self._y, self._theta_applied = dynamics.advance(
+        self._x, self._y, self._theta_applied = self._step(
             self._params, self._k, self._x, self._y, self._theta_applied, theta, 0.0
         )
         self._theta_step = theta_step
@@ -194,8 +195,8 @@ class PlantRun(Run):
         return True
 
     def _compile(self) -> None:
-        """Compile the kernels before the first step."""
+        """Get the kernels before the first step."""
         x, y, theta = self._x, self._y, self._theta
-        dynamics.advance(self._params, 0, x, y, theta, theta, 0.0)
-        dynamics.measure(self._params, 0, x, y)
-        dynamics.damping(self._params, 0.0)
+        self._step = direct(dynamics.advance, self._params, 0, x, y, theta, theta, 0.0)
+        self._measure = direct(dynamics.measure, self._params, 0, x, y)
+        self._damping = direct(dynamics.damping, self._params, 0.0)
