@@ -16,7 +16,6 @@ from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 LITTLE = b"\x00\x01\x00\x00"
@@ -76,35 +75,16 @@ class Codec:
         self.name = message_class.__name__
         leaves = list(_leaves(message_class))
         self._leaves = leaves
-        paths = [leaf.path for leaf in leaves for _ in range(1 + (leaf.kind != "number"))]
-        self._values: Callable[[Any], tuple[Any, ...]] = attrgetter(*paths)
-        self._lengths = [
-            (index, leaf.kind == "text", leaf.format, struct.calcsize(f"<{leaf.format}"))
-            for index, leaf in _positions(leaves)
-            if leaf.kind != "number"
-        ]
+        self._count = sum(leaf.kind != "number" for leaf in leaves)
         self._layouts: dict[tuple[str, tuple[int, ...]], Layout] = {}
-        self._last = self._layout("<", (1,) * len(self._lengths))
-        self.new: Callable[[], Any]
-        self.new, self._build = _compiled(message_class, leaves)
+        self._last = self._layout("<", (1,) * self._count)
+        made = _compiled(message_class, leaves)
+        self.new: Callable[[], Any] = made["new"]
+        self._build, self._lengths, self._encode = made["build"], made["lengths"], made["encode"]
 
     def encode(self, message: Any) -> bytes:
         """Return a message, of this codec or of the message class, as DDS carries it."""
-        values = list(self._values(message))
-        lengths = []
-        for index, is_text, code, size in self._lengths:
-            given = values[index]
-            if is_text:
-                chunk = given.encode() + b"\0" if given else b"\0"
-            else:
-                chunk = array(code, given).tobytes()
-            length = len(chunk) // size
-            values[index], values[index + 1] = length, chunk
-            lengths.append(length)
-        layout = self._last
-        if layout.lengths != tuple(lengths) or layout.packer.format[0] != "<":
-            layout = self._last = self._layout("<", tuple(lengths))
-        return layout.packer.pack(LITTLE, *values)
+        return self._encode(message, self._layout)
 
     def decode(self, data: bytes) -> Any:
         """Return the message that DDS carried.
@@ -118,11 +98,9 @@ class Codec:
         if data[:4] != LITTLE or len(data) < layout.packer.size:
             layout = self._found(data)
         values = layout.packer.unpack_from(data)
-        for (index, *_), length in zip(self._lengths, layout.lengths, strict=True):
-            if values[index + 1] != length:
-                layout = self._last = self._found(data)
-                values = layout.packer.unpack_from(data)
-                break
+        if self._lengths(values) != layout.lengths:
+            layout = self._last = self._found(data)
+            values = layout.packer.unpack_from(data)
         try:
             return self._build(values, layout.packer.format[0])
         except UnicodeDecodeError as error:
@@ -174,7 +152,7 @@ class Codec:
             lengths.append(length)
             at += 4
             at += (-(at - 4) % size if length else 0) + length * size
-        if at > len(data) or len(lengths) < len(self._lengths):
+        if at > len(data) or len(lengths) < self._count:
             raise WireError(f"a {self.name} is cut short: it has {len(data)} bytes")
         return self._layout(order, tuple(lengths))
 
@@ -213,8 +191,12 @@ def _positions(leaves: list[Leaf]) -> Iterator[tuple[int, Leaf]]:
         index += 1 if leaf.kind == "number" else 2
 
 
-def _compiled(message_class: Any, leaves: list[Leaf]) -> tuple[Callable[[], Any], Any]:
-    """Return what makes an empty message, and what makes one of the values of a layout."""
+def _compiled(message_class: Any, leaves: list[Leaf]) -> dict[str, Any]:
+    """Return functions made for a type of message.
+
+    ``new()`` returns an empty one, ``build(values, order)`` the one that has the values of a layout,
+    ``lengths(values)`` what its length words say, ``encode(message, layout)`` its bytes.
+    """
     read = {
         leaf.path: {
             "number": f"v[{index + 1}]",
@@ -249,19 +231,55 @@ def _compiled(message_class: Any, leaves: list[Leaf]) -> tuple[Callable[[], Any]
 
     build = expression(message_class, "", read)
     new = expression(message_class, "", empty)
+    lengths = " ".join(f"v[{n + 1}]," for n, leaf in _positions(leaves) if leaf.kind != "number")
     source = (
         "".join(classes)
         + f"def build(v, order):\n    return {build}\n"
         + f"def new():\n    return {new}\n"
+        + f"def lengths(v):\n    return ({lengths})\n"
+        + _encoder(leaves)
     )
     space = {
+        "LITTLE": LITTLE,
         "array": array,
         "numbers": _numbers,
         "text": lambda chunk: chunk[:-1].decode() if len(chunk) > 1 else "",
     }
     # as dataclasses and namedtuple do it: a call for every field would cost as much as rclpy
     exec(compile(source, f"<codec of {message_class.__name__}>", "exec"), space)
-    return space["new"], space["build"]  # type: ignore[return-value]
+    return space
+
+
+def _encoder(leaves: list[Leaf]) -> str:
+    """Return the source of what packs a message: its text and sequences first, for the layout."""
+    lines, lengths, packed = [], [], ["LITTLE"]
+    made = {"": "m"}  # the messages in it, by path
+    for number, leaf in enumerate(leaves):
+        *outer, name = leaf.path.split(".")
+        holder = ""
+        for part in outer:
+            path = f"{holder}.{part}"
+            if path not in made:
+                label = f"m{len(made)}"
+                lines.append(f"{label} = {made[holder]}.{part}")
+                made[path] = label
+            holder = path
+        value = f"{made[holder]}.{name}"
+        if leaf.kind == "number":
+            packed.append(value)
+            continue
+        chunk, length = f"c{number}", f"n{number}"
+        if leaf.kind == "text":
+            lines.append(f"{chunk} = {value}.encode() + b'\\0'")
+            lines.append(f"{length} = len({chunk})")
+        else:
+            size = struct.calcsize(f"<{leaf.format}")
+            lines.append(f"{chunk} = array({leaf.format!r}, {value}).tobytes()")
+            lines.append(f"{length} = len({chunk}) // {size}")
+        lengths.append(f"{length},")
+        packed += [length, chunk]
+    lines.append(f"return layout('<', ({' '.join(lengths)})).packer.pack({', '.join(packed)})")
+    return "def encode(m, layout):\n" + "".join(f"    {line}\n" for line in lines)
 
 
 def _numbers(code: str, chunk: bytes, order: str) -> array[Any]:
