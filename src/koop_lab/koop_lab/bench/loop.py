@@ -21,7 +21,7 @@ from koop_node.errors import LiveError
 def register(benchmarks: Any) -> None:
     """Add the benchmark to the subparsers of ``koop bench``."""
     parser = benchmarks.add_parser("loop", help="lockstep rate against a bare rclpy chain")
-    parser.add_argument("--steps", type=int, default=20_000, help="steps of each measurement")
+    parser.add_argument("--steps", type=int, default=40_000, help="steps of each measurement")
     parser.add_argument("--rounds", type=int, default=3, help="measurements, bare and loop in turn")
     parser.set_defaults(func=main)
 

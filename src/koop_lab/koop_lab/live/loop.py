@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 from koop_bag.recorder.config import RecorderConfig
 from koop_lab.live.monitor import Monitor, Progress
 from koop_lab.live.process import START_TIMEOUT, NodeProcess, uninterrupted
+from koop_lab.live.turns import take_turns
 from koop_loop.ending import Ending, ending
 from koop_loop.parameters import COMPONENTS, EXECUTABLES, LoopParameters
 from koop_node import parameter_file
@@ -70,6 +71,8 @@ class LiveNodes:
         self._program = list(program)
         self._composed = {n: c for n, c in COMPONENTS.items() if composed and n in values}
         self._remaps = list(remaps)
+        self._in_turn = False
+        """Whether the nodes work one after the other, each in a process of its own."""
         self._nodes: dict[str, NodeProcess] = {}
         self._stack = ExitStack()
 
@@ -127,6 +130,13 @@ class LiveNodes:
             while not self._done():
                 monitor.spin(0.2)
                 on_progress(monitor.progress)
+                if self._in_turn and monitor.progress.step:
+                    self._in_turn = False
+                    pids = self.process_ids()
+                    take_turns(
+                        [pid for node, pid in pids.items() if node != "recorder"],
+                        [pid for node, pid in pids.items() if node == "recorder"],
+                    )
                 if alone_on_it and monitor.count_publishers(state) > 1:
                     alone_on_it = False
                     self._note(
@@ -210,3 +220,4 @@ class LiveLoop(LiveNodes):
             {**given, "recorder": asdict(replace(recorder, output=str(folder)))},
             composed=composed,
         )
+        self._in_turn = parameters.pace.pace == "lockstep" and not composed
