@@ -13,7 +13,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
     def show(what: str, function: Callable[[], float]) -> None:
         found = sorted(function() for _ in range(args.rounds))
         each = ", ".join(f"{item:.2f}" for item in found)
-        print(f"{what:48}{found[len(found) // 2]:6.2f} s   ({each})", flush=True)
+        print(f"{what:58}{found[len(found) // 2]:6.2f} s   ({each})", flush=True)
 
     show("a bare Python that imports rclpy", lambda: _spent([sys.executable, "-c", "import rclpy"]))
     if entry.is_file():
@@ -57,9 +56,9 @@ def main(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         at_its_end(folder / "first")  # compiles the kernels if they are not kept yet
-        for node in EXECUTABLES:
-            show(f"{node}, from start to active", partial(until_active, folder, node))
         fresh = (folder / str(number) for number in itertools.count())
+        for node in EXECUTABLES:
+            show(f"{node}, from start to its report of being active", lambda node=node: until_active(next(fresh), node))
         show("a demo, from its last step to its last process", lambda: at_its_end(next(fresh)))
         show("a demo in real time, from Ctrl-C to its end", lambda: interrupted(next(fresh)))
         whole, loop = whole_demo(next(fresh), args.demo)
@@ -76,6 +75,7 @@ def _spent(command: list[str]) -> float:
 
 def until_active(folder: Path, node: str) -> float:
     """Return the time from a node's start until it says that it is active [s]."""
+    folder.mkdir()
     words = ["--ros-args", "-p", f"output:={folder / 'alone'}"] if node == "recorder" else []
     with ExitStack() as stack:
         monitor = stack.enter_context(Monitor())
@@ -84,6 +84,8 @@ def until_active(folder: Path, node: str) -> float:
         stack.callback(process.stop)
 
         def active() -> bool:
+            if process.poll() is not None:
+                raise process.failure()
             return monitor.progress.values.get(node, {}).get("lifecycle_state") == "active"
 
         monitor.wait_for(active, START_TIMEOUT, f"{node} to be active")
