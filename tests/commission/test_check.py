@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commission_rig import RIG
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 from koop_lab.commission import check
 from koop_lab.commission.check import BAD, live
@@ -51,6 +51,14 @@ def test_what_a_user_does_wrong_is_a_line(fast_rig, probe, monkeypatch):
     rows, bad = rows_of(replace(RIG, measured_type="std_msgs/msg/Float64", measured="/fast:data",
                                 channel_max=()), moves=False)  # fmt: skip
     assert "speaks std_msgs/msg/Float64MultiArray, the file says" in rows["graph"].text
+    second = probe.node.create_publisher(Float64MultiArray, "/fast", 10)
+    rows, bad = rows_of(RIG, moves=False)
+    assert bad == ["arrival"]
+    assert re.fullmatch(
+        r"/fast is published by (/probe and /fast_rig|/fast_rig and /probe): end all but the rig",
+        rows["arrival"].text,
+    )
+    probe.node.destroy_publisher(second)
     probe.node.create_publisher(Float64, "/fast/knob", 10)
     rows, bad = rows_of(replace(RIG, dt=0.01, channel_max=(8.0, 0.1)))
     assert {"command", "arrival", "channel"} <= set(bad)

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 
@@ -14,8 +15,8 @@ from commission_rig import RIG, FastRig
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_lab.commission import rig_file
-from koop_lab.commission.ears import Ears, speakers
+from koop_lab.commission import ears, rig_file
+from koop_lab.commission.ears import Ears, refuse_two_rigs, speakers
 from koop_lab.commission.excite import refuse_small_disk
 from koop_lab.commission.hand import Hand, left_at, note_of
 from koop_lab.commission.rig_file import THETA, THETA_TYPE
@@ -118,6 +119,23 @@ def test_theta_goes_home_if_the_commander_itself_is_killed(fast_rig, tmp_path):
             again.close()
     assert theta == SLOW.theta_start
     assert "was started again since theta was left at 1" in words
+
+
+def test_two_rigs_on_one_topic_are_refused_unless_one_is_on_its_way_out(fast_rig, monkeypatch):
+    topic = RIG.state.topic
+    with Client("looks") as client:
+        other = FastRig()
+        try:
+            wait(lambda: client.spin(0.1) or len(speakers(client, topic)) == 2, "both rigs")
+            monkeypatch.setattr(ears, "GIVEN_UP", 0.5)
+            with pytest.raises(LiveError, match="published by /fast_rig and /fast_rig: end all"):
+                refuse_two_rigs(client, RIG)
+        finally:
+            leaves = threading.Timer(1.0, other.close)
+            leaves.start()
+        monkeypatch.setattr(ears, "GIVEN_UP", TIMEOUT)
+        refuse_two_rigs(client, RIG)
+        leaves.join()
 
 
 def whole(bag):

@@ -25,6 +25,7 @@ from koop_lab.commission.ears import (
     refuse_dead,
     refuse_wrong_names,
     speakers,
+    two_rigs,
     who,
     who_else_commands,
 )
@@ -131,6 +132,9 @@ def live(
             )
         else:
             yield Row(OK, "command", f"nobody else commands {rig.knob.topic}")
+        if text := two_rigs(client, rig):
+            yield Row(BAD, "arrival", text)
+            return
         if not ears.count:
             yield Row(BAD, "arrival", f"no message on {rig.state.topic} in {LISTEN:g} s")
             return

@@ -197,6 +197,7 @@ def speakers(client: Client, topic: str) -> set[str]:
 
 UNKNOWN = "another program"
 COMMANDER = "/koop_commander"
+GIVEN_UP = 21.0  # [s] after which DDS takes one for gone that was killed
 
 
 def who_else_commands(client: Client, topic: str, own: bool) -> list[str]:
@@ -213,6 +214,34 @@ def who_else_commands(client: Client, topic: str, own: bool) -> list[str]:
             names.remove(name)
             break
     return sorted(set(names))
+
+
+def two_rigs(client: Client, rig: RigFile) -> str:
+    """Say who publishes the measured topic if more than one does; else nothing."""
+    names = who(client, rig.state.topic)[0]
+    if len(names) < 2:
+        return ""
+    return f"{rig.state.topic} is published by {' and '.join(names)}: end all but the rig"
+
+
+def refuse_two_rigs(client: Client, rig: RigFile) -> None:
+    """Refuse a measured topic that more than one publish.
+
+    One that was killed counts as there until DDS gives it up; that is waited for.
+
+    Raises
+    ------
+    koop_node.errors.LiveError
+        If there are still two after that time.
+    """
+    deadline = time.monotonic() + GIVEN_UP
+    if text := two_rigs(client, rig):
+        print(f"{text}; one that was killed is forgotten in {GIVEN_UP:g} s at most", flush=True)
+    while text:
+        if time.monotonic() > deadline:
+            raise LiveError(text)
+        client.spin(0.2)
+        text = two_rigs(client, rig)
 
 
 def refuse_wrong_names(

@@ -14,8 +14,10 @@ from koop_lab.commission.ears import (
     DISCOVERY,
     Ears,
     refuse_dead,
+    refuse_two_rigs,
     refuse_wrong_names,
     speakers,
+    two_rigs,
     who_else_commands,
 )
 from koop_lab.commission.hand import Hand, left_at
@@ -147,6 +149,8 @@ class Session:
         self.check_nodes()
         self.refuse_dead()
         self._watch.check()
+        if text := two_rigs(self.client, self._rig):
+            raise LiveError(text)
         if others := who_else_commands(self.client, self._rig.knob.topic, own=True):
             raise LiveError(f"{self._rig.knob.topic} is also commanded by {', '.join(others)}")
         self.shown()
@@ -195,6 +199,7 @@ def session(
     with ExitStack() as last, ExitStack() as stack:
         client = stack.enter_context(Client(name))
         refuse_wrong_names(client, rig, watch.patience, watch.check)
+        refuse_two_rigs(client, rig)
         stack.enter_context(nodes)
         began()
         channels = ",".join(f"x[{i}]" for i in range(len(rig.names)))
