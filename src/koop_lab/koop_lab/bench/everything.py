@@ -24,7 +24,7 @@ PLAN: dict[str, tuple[str, ...]] = {
         "realtime --variants usual --rates 200 1000 --duration 30",
         "realtime --variants bare priority --rates 200 1000 --duration 30 --busy",
     ),
-    "fleet": ("fleet --priority 30 --duration 20 --sizes 1 10 20 30 40",),
+    "fleet": ("fleet --priority 30 --duration 20 --sizes 1 20 40 60 80",),
     "start": ("start",),
     "memory": ("memory",),
     "serve": ("serve --duration 20",),
