@@ -11,8 +11,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,8 @@ def main(args: argparse.Namespace) -> int:
         at_its_end(folder / "first")  # compiles the kernels if they are not kept yet
         fresh = (folder / str(number) for number in itertools.count())
         for node in EXECUTABLES:
-            show(f"{node}, from start to its report of being active", lambda node=node: until_active(next(fresh), node))
+            alone = partial(until_active, fresh, node)
+            show(f"{node}, from start to its report of being active", alone)
         show("a demo, from its last step to its last process", lambda: at_its_end(next(fresh)))
         show("a demo in real time, from Ctrl-C to its end", lambda: interrupted(next(fresh)))
         whole, loop = whole_demo(next(fresh), args.demo)
@@ -73,8 +75,9 @@ def _spent(command: list[str]) -> float:
     return time.monotonic() - begin
 
 
-def until_active(folder: Path, node: str) -> float:
+def until_active(fresh: Iterator[Path], node: str) -> float:
     """Return the time from a node's start until it says that it is active [s]."""
+    folder = next(fresh)
     folder.mkdir()
     words = ["--ros-args", "-p", f"output:={folder / 'alone'}"] if node == "recorder" else []
     with ExitStack() as stack:
