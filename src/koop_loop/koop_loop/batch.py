@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from koop_loop.kernel import Controller
 from koop_loop.loop import check_fit, controller, initial_state, simulate
 from koop_node.arrival import Arrival
-from koop_node.kernels import njit
+from koop_node.kernels import borrowed, njit
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
@@ -180,6 +180,7 @@ def run_group(
     ``z``, shape (p, loops), and ``work``, shape (5, loops), are scratch.
     """
     loops = x.shape[0]
+    m, n = borrowed(m), borrowed(n)
     c, y_out, measured_x, measured_y, output = work[0], work[1], work[2], work[3], work[4]
     for k in range(first, first + w.shape[0]):
         wave = w[k - first]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from koop_loop.kernel import Controller, Memory, control
 from koop_node.arrival import Arrival
-from koop_node.kernels import njit
+from koop_node.kernels import borrowed, njit
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
@@ -82,21 +82,21 @@ def run_kernel(
 
     Fewer than asked for are done only if the plant's state stops being finite.
     """
-    state = np.empty(2)
+    states = borrowed(measured)
     source, lifting, detector_params, relay_params = controller
+    lifting, work = cost.borrow(lifting, work)
     detector, relay = memory
     applied = relay.output
     for k in range(theta.shape[0]):
         if not (math.isfinite(x) and math.isfinite(y)):
             return k
         arrival = Arrival.RESTART if k == 0 else Arrival.NEXT
+        state = states[k]
         state[0], state[1] = dynamics.measure(plant, k, x, y)
         r[k], detector, relay = control(
             source, lifting, detector_params, relay_params, detector, relay,
             arrival, arrival, False, False, k, state, work,
         )  # fmt: skip
-        measured[k, 0] = state[0]
-        measured[k, 1] = state[1]
         ground_truth[k, 0] = x
         ground_truth[k, 1] = y
         theta[k] = relay.output

@@ -18,6 +18,7 @@ from typing import Any
 import numba
 from numba.core.caching import FunctionCache
 from numba.core.runtime import rtsys
+from numba.extending import intrinsic, overload
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
@@ -48,6 +49,31 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return compiled
 
 
+def borrowed(array):  # type: ignore[no-untyped-def]  # numba compares signatures
+    """Return an array without an owner, inside a kernel that keeps the owner alive.
+
+    References to it are not counted. Numba counts those that it cannot prove to be in vain, as
+    where functions that take arrays are inlined into the branches of a loop: two atomic operations
+    each, which together may take longer than all that the loop computes.
+    """
+    return array
+
+
+@intrinsic
+def _without_owner(typing: Any, array: Any) -> Any:
+    def made(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        view = context.make_array(array)(context, builder, arguments[0])
+        view.meminfo = view.meminfo.type(None)
+        return view._getvalue()
+
+    return array(array), made
+
+
+@overload(borrowed)
+def _borrowed(array):  # type: ignore[no-untyped-def]
+    return lambda array: _without_owner(array)
+
+
 def direct(kernel: Any, *arguments: Any) -> Callable[..., Any]:
     """Return a kernel compiled for the types of some arguments, which looks at types no more.
 
@@ -63,4 +89,4 @@ def direct(kernel: Any, *arguments: Any) -> Callable[..., Any]:
     """
     kernel(*arguments)
     compiled = kernel.overloads[tuple(numba.typeof(argument) for argument in arguments)]
-    return compiled.entry_point  # type: ignore[no-any-return]
+    return compiled.entry_point

@@ -194,7 +194,7 @@ def _positions(leaves: list[Leaf]) -> Iterator[tuple[int, Leaf]]:
 def _compiled(message_class: Any, leaves: list[Leaf]) -> dict[str, Any]:
     """Return functions made for a type of message.
 
-    ``new()`` returns an empty one, ``build(values, order)`` the one that has the values of a layout,
+    ``new()`` returns an empty one, ``build(values, order)`` the one with the values of a layout,
     ``lengths(values)`` what its length words say, ``encode(message, layout)`` its bytes.
     """
     read = {

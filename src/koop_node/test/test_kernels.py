@@ -2,6 +2,12 @@
 
 import subprocess
 import sys
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from koop_node.kernels import borrowed, direct, njit
 
 KERNELS = """
 from typing import NamedTuple
@@ -61,3 +67,43 @@ def test_a_kernel_that_was_kept_is_loaded_without_the_compiler(tmp_path):
     assert loaded == "1 False"
     assert result == again == "1.125 [2.0, 2.0, 1.5]"
     assert later == "3.1875 True"  # 1.5 + 1.125 + 0.5625
+
+
+class Pair(NamedTuple):
+    a: float
+    b: int
+
+
+@njit()
+def moved(pair, x, by):
+    x[0] += by
+    return Pair(pair.a * by, pair.b + 1), bool(by > 1.0)
+
+
+def test_a_direct_kernel_answers_as_the_kernel_does():
+    x, expected = np.zeros(2), np.zeros(2)
+    kernel = direct(moved, Pair(1.0, 2), x, 0.0)
+    for by in (0.5, 2.0, 3):  # a whole number where there was a float is one
+        found = kernel(Pair(2.0, 7), x, by)
+        assert found == moved(Pair(2.0, 7), expected, float(by))
+        assert [type(item) for item in found] == [Pair, bool]
+    assert x.tolist() == expected.tolist() == [5.5, 0.0]
+
+
+@njit()
+def filled(x, rows):
+    view = borrowed(x)
+    for i in range(view.shape[0]):
+        row = view[i]
+        if rows[i]:
+            row[:] = i
+    return view[:, 0].sum()
+
+
+@pytest.mark.parametrize("x", [np.zeros((4, 3)), np.zeros((3, 4)).T, np.zeros((8, 3))[::2]])
+def test_a_borrowed_array_is_the_owners_memory(x):
+    references = sys.getrefcount(x)
+    for _ in range(100):
+        assert filled(x, np.array([True, False, True, True])) == 5.0
+    assert x.tolist() == [[0.0] * 3, [0.0] * 3, [2.0] * 3, [3.0] * 3]
+    assert sys.getrefcount(x) == references

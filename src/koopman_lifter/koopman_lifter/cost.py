@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_node.arrival import Arrival
-from koop_node.kernels import njit
+from koop_node.kernels import borrowed, njit
 from koopman_lifter.observables import Monomials, lift_into
 
 RAW = 0
@@ -107,6 +107,20 @@ def no_lifting() -> Lifting:
     """Return a placeholder for the raw cost, which needs no model."""
     observables = Monomials(2, 1)
     return Lifting(observables.parent, observables.factor, np.zeros((1, observables.p)), 2, 2, 1)
+
+
+@njit(inline="always")
+def borrow(lifting: Lifting, work: Workspace) -> tuple[Lifting, Workspace]:
+    """Return both for a loop whose kernel has them; see :func:`koop_node.kernels.borrowed`."""
+    return (
+        Lifting(
+            borrowed(lifting.parent), borrowed(lifting.factor), borrowed(lifting.projector),
+            lifting.channels, lifting.n, lifting.every,
+        ),
+        Workspace(
+            borrowed(work.z), borrowed(work.embedded), borrowed(work.ring), borrowed(work.cursor)
+        ),
+    )  # fmt: skip
 
 
 class DetectorParams(NamedTuple):

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from koop_lab.identify.loaded import pieces
 from koop_node.arrival import Arrival
-from koop_node.kernels import njit
+from koop_node.kernels import borrowed, njit
 from koopman_lifter import cost
 from koopman_lifter.cost import Lifting, Workspace
 from koopman_lifter.model import KoopmanModel
@@ -48,9 +48,11 @@ def _energies(
     begins: NDArray[np.bool_],
     y_out: NDArray[np.float64],
 ) -> None:
+    lifting, work = cost.borrow(lifting, work)
+    states = borrowed(x)
     for k in range(y_out.shape[0]):
         arrival = Arrival.JOIN if begins[k] else Arrival.NEXT
-        y_out[k], _ = cost.energy(source, lifting, arrival, k, x[k], work)
+        y_out[k], _ = cost.energy(source, lifting, arrival, k, states[k], work)
 
 
 def band_energy(

@@ -10,7 +10,7 @@ from koop_lab.replay.recording import Recording
 from koop_loop.kernel import Controller, Memory, control, listen
 from koop_loop.loop import controller
 from koop_node.arrival import NOTHING, Arrival
-from koop_node.kernels import njit
+from koop_node.kernels import borrowed, njit
 from koopman_lifter import cost
 from koopman_lifter.cost import Workspace
 
@@ -59,6 +59,8 @@ def replay_kernel(
         After the last message.
     """
     source, lifting, detector_params, relay_params = p
+    lifting, work = cost.borrow(lifting, work)
+    states = borrowed(x)
     detector, relay = memory
     for k in range(r.shape[0]):
         if state_arrivals[k] == Arrival.LATE:
@@ -66,14 +68,14 @@ def replay_kernel(
             continue
         if cost_arrivals[k] == Arrival.LATE:  # the controller did not hear this cost
             r[k], _, _, detector = cost.answer(
-                source, lifting, detector_params, detector, state_arrivals[k], step[k], x[k],
+                source, lifting, detector_params, detector, state_arrivals[k], step[k], states[k],
                 work,
             )  # fmt: skip
             theta[k] = np.nan
             continue
         r[k], detector, relay = control(
             source, lifting, detector_params, relay_params, detector, relay,
-            state_arrivals[k], cost_arrivals[k], switched, hold[k], step[k], x[k],
+            state_arrivals[k], cost_arrivals[k], switched, hold[k], step[k], states[k],
             work,
         )  # fmt: skip
         theta[k] = relay.output

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_node.arrival import Arrival
-from koop_node.kernels import njit
+from koop_node.kernels import borrowed, njit
 from koop_study.commissioning.excitation import from_end
 from koop_study.family import oscillator
 from koop_study.family.oscillator import RigParams, RigState
@@ -150,13 +150,15 @@ def _close(
 ) -> None:
     """Fill in each block's mean square of the amplitude, and mean of log L(theta) over the best."""
     steps, blocks = noise.shape[0], power.shape[0]
+    lifting, work = cost.borrow(lifting, work)
+    states = borrowed(measured)
     seen = cost.initial()
     power[:] = 0.0
     excess[:] = 0.0
     share = blocks / steps
     for k in range(steps):
         i = k * blocks // steps
-        x = measured[k]
+        x = states[k]
         oscillator.measure(p, state, k, noise[k, 2:], x)
         arrival = Arrival.NEXT if k > 0 else Arrival.JOIN
         r, _, settling, seen = cost.answer(source, lifting, detector, seen, arrival, k + 1, x, work)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from koop_loop.kernel import classify
 from koop_node.arrival import NOTHING, Heard
-from koop_node.kernels import njit
+from koop_node.kernels import borrowed, njit
 from koop_study.controllers import perturbation
 from koop_study.controllers.perturbation import PerturbationParams, PerturbationState
 from koop_study.family import oscillator
@@ -147,9 +147,11 @@ def drive(
     """
     a, b, applied, detector, relay_state, u, states, costs = state
     n = rig.offset.shape[0] if is_rig else 2
-    x = np.empty(n)
+    owner = np.empty(n)
+    x = borrowed(owner)
     dt = rig.dt if is_rig else plant.dt
-    source, lifting, work = sensing.source, sensing.lifting, sensing.work
+    source = sensing.source
+    lifting, work = cost.borrow(sensing.lifting, sensing.work)
     low, high = plant.theta_min, plant.theta_max
     now_r = 0.0
     for k in range(first, last):
@@ -188,4 +190,5 @@ def drive(
             distance = theta[k] - displaced - plant.theta_star
             amplitude[k] = math.sqrt(1.0 + distance * distance)
             a, b, applied = dynamics.advance(plant, k, a, b, applied, theta[k], displaced)
+    owner[:] = 0.0  # there to here
     return LoopState(a, b, applied, detector, relay_state, u, states, costs)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from koop_loop.kernel import classify
 from koop_node.arrival import NOTHING
-from koop_node.kernels import njit
+from koop_node.kernels import borrowed, njit
 from koop_study.controllers import adaptive, perturbation
 from koop_study.controllers.adaptive import AdaptiveParams, AdaptiveState
 from koop_study.controllers.perturbation import PerturbationParams, PerturbationState
@@ -96,7 +96,9 @@ def run_kernel(
     source, lifting, channels, work = (
         sensing.source, sensing.lifting, sensing.channels, sensing.work
     )  # fmt: skip
-    state, sensed = np.empty(2), np.empty(channels.shape[0])
+    lifting, work = cost.borrow(lifting, work)
+    state, owner = np.empty(2), np.empty(channels.shape[0])
+    sensed = borrowed(owner)
     now_r, now_theta = 0.0, relay_state.output
     applied = now_theta
     if exposure.schedule.shape[0] > 0:  # the actuator rests where the schedule begins
@@ -146,4 +148,5 @@ def run_kernel(
             ground_truth[k, 1] = y
         displaced = exposure.displaced[k] if exposure.displaced.shape[0] > 0 else 0.0
         x, y, applied = dynamics.advance(plant, k, x, y, applied, now_theta, displaced)
+    owner[:] = 0.0  # there to here
     return theta.shape[0]
