@@ -25,10 +25,16 @@ from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
 from koop_bag.recorder.config import LOOP_TOPICS
 from koop_lab.live.fleet_report import processor_time
+from koop_lab.live.loop import LiveLoop
+from koop_lab.live.monitor import Progress
 from koop_lab.live.process import NodeProcess, TiedProcess
+from koop_loop.parameters import make
 from koop_node.errors import LiveError
 
 LIMIT = 0.2  # [s] of messages that a killed recorder may lack
+LOOP = 60.0  # [s] of a loop in real time at most
+STARTED = 2.0  # [s] of it that are left out
+DT = 0.005  # [s]
 PATIENCE = 60.0  # [s] for a recorder to start on a busy machine
 
 
@@ -52,6 +58,13 @@ def main(args: argparse.Namespace) -> int:
                 print(report.text(), flush=True)
                 kept = kept and report.missing == report.counted
                 kept = kept and (rate > 200.0 or report.missing == 0)
+        if args.duration > 0.0:
+            loop, recorder = loop_and_recorder(folder / "loop", min(args.duration, LOOP))
+            print(
+                f"a loop of 200 Hz in one process {loop:.1%}, its recorder {recorder:.1%}: "
+                f"{loop + recorder:.1%} of a core",
+                flush=True,
+            )
         if args.kills:
             lacking = np.array(kill_recorders(folder / "kills", args.kills))
             print(
@@ -107,6 +120,24 @@ class LoadReport:
             f"{self.payload:.1f} B of it payload before compression"
             + ("" if self.missing == self.counted else f"\nNOT REPORTED: {self.recorded}")
         )
+
+
+def loop_and_recorder(folder: Path, seconds: float) -> tuple[float, float]:
+    """Return the processor time of a composed loop and of its recorder as shares of a core."""
+    pace = {"pace": "realtime", "duration": STARTED + seconds}
+    marks: list[tuple[float, float, float]] = []
+    with LiveLoop(folder, make({"vdp_plant": pace}), composed=True) as live:
+        pids = live.process_ids()
+        container, recorder = pids["container"], pids["recorder"]
+
+        def look(progress: Progress) -> None:
+            if progress.step * DT >= STARTED:
+                used = processor_time(container), processor_time(recorder)
+                marks.append((time.monotonic(), *used))
+
+        live.run(look)
+    spent = np.subtract(marks[-1], marks[0])
+    return float(spent[1] / spent[0]), float(spent[2] / spent[0])
 
 
 def record_load(
