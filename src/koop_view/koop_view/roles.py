@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 from koop_view.source import Loop
 
-GONE = 3.0  # [s] without any of its nodes: the loop has ended
+GONE = 1.0  # [s] without any of its nodes: the loop has ended, before the page misses their reports
 STATE, COST, THETA = (f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput"))
 
 

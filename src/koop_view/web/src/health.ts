@@ -71,8 +71,7 @@ export function judge(node: Node, now: number): Judgement {
   if (report && reportAge > REPORT_LATE) {
     return { level: "stale", text: `no report for ${reportAge.toFixed(1)} s` };
   }
-  const inactive = report && report.values["lifecycle_state"] !== undefined && report.values["lifecycle_state"] !== "active";
-  if (inactive && (report.level === "ok" || report.level === "warn")) {
+  if (report && inactive(report) && (report.level === "ok" || report.level === "warn")) {
     return { level: "warn", text: `not active: ${report.values["lifecycle_state"]}` };
   }
   if (silent && fed && !(report && report.level === "error")) {
@@ -83,6 +82,11 @@ export function judge(node: Node, now: number): Judgement {
   if (!output) return { level: "off", text: "nothing heard yet" };
   if (!Number.isFinite(output.at)) return { level: "off", text: `no ${OUTPUT[node.role]} yet` };
   return { level: "ok", text: `sends ${OUTPUT[node.role]}` };
+}
+
+function inactive(report: Report | undefined): boolean {
+  const state = report?.values["lifecycle_state"];
+  return state !== undefined && state !== "active";
 }
 
 /** What was lost on a node's inputs, from its report: `12 missed, 1 late`; empty if nothing. */
@@ -152,7 +156,9 @@ export function verdict(s: Situation): Judgement {
   if (level === "error") return { level, text: `Fault: ${told(guilty)}` };
   if (level === "stale") return { level, text: `Not healthy: ${told(guilty)}` };
   if (!Number.isFinite(s.theta)) return { level: "off", text: "Waiting: no θ has come yet." };
-  const others = level === "warn" ? guilty.filter((row) => !((s.holding || s.commanded) && row.node.role === "controller")) : [];
+  const awaited = (row: Row): boolean => // the controller, which as long as it is not active nobody knows for one
+    ((s.holding || s.commanded) && row.node.role === "controller") || (s.commanded && row.node.role === "other" && inactive(row.node.report));
+  const others = level === "warn" ? guilty.filter((row) => !awaited(row)) : [];
   const warning = others.length ? ` Warning: ${told(others)}` : "";
   if (s.commanded && s.rate !== 0) {
     return { level: warning ? "warn" : "ok", text: `Open loop: θ is commanded, not sought: ${figures}${warning}` };

@@ -108,6 +108,7 @@ export class Loop {
     if (step < this.state.lastStep) {
       this.event(t, "restart");
       this.map.restart();
+      this.epsilon = 0; // the relay of another run
     }
     const stamp = (message["header"] as { stamp: { sec: number; nanosec: number } }).stamp;
     this.stamp = stamp.sec + stamp.nanosec / 1e9;
@@ -144,7 +145,7 @@ export class Loop {
       if (this.flips.length > MOST_FLIPS) this.flips.splice(0, MOST_FLIPS / 4);
     }
     this.epsilon = epsilon;
-    lasting(this.holds, this.holding, t, this.theta.last);
+    lasting(this.holds, this.holding && !this.commanded, t, this.theta.last); // a commander's theta moves
     lasting(this.limited, this.saturated, t, this.theta.last);
     this.theta.push(t, Number(message["step"]), ["theta"], [this.value]);
     if (!this.holding || this.commanded) this.map.push(t, this.value, this.r);

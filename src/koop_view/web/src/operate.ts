@@ -32,7 +32,7 @@ export class Operate {
   /** Show what may be done now, and in the inputs what is in force. */
   refresh(): void {
     const { loop, operate } = this.desk, names = loop()?.names;
-    const may = operate() && names !== undefined;
+    const may = operate() && names !== undefined && !loop()?.gone;
     document.body.dataset["operate"] = String(operate());
     const controller = names?.controller ?? "", lifter = names?.lifter ?? "";
     this.allow("hold", may && this.desk.link.offers(`${controller}/hold`));
@@ -40,7 +40,8 @@ export class Operate {
     this.allow("reset", may && this.desk.link.offers(`${controller}/reset`));
     const limited = this.desk.parameter("controller.theta_min") !== undefined; // a commander has no limits that can be set
     this.allow("set-limits", may && limited && this.desk.link.offers(`${controller}/set_parameters_atomically`));
-    for (const id of ["set-cost", "set-model"]) this.allow(id, may && this.desk.link.offers(`${lifter}/set_parameters_atomically`));
+    const sought = !loop()?.commanded; // what a commander's excitation is recorded with is not the operator's
+    for (const id of ["set-cost", "set-model"]) this.allow(id, may && sought && this.desk.link.offers(`${lifter}/set_parameters_atomically`));
     const holding = loop()?.holding ?? false;
     byId("hold").classList.toggle("pressed", holding);
     byId("resume").classList.toggle("wanted", holding);
@@ -96,7 +97,7 @@ export class Operate {
     if (!controller || Number.isNaN(low) || Number.isNaN(high)) return;
     const now = this.desk.loop()?.value ?? NaN, initial = Number(this.desk.parameter("controller.theta_initial") ?? NaN);
     const words = [`θ's limits become [${short(low)}, ${short(high)}].`], parameters = [number("theta_min", low), number("theta_max", high)];
-    if (now < low || now > high) words.push(`θ is outside now: it goes from ${short(now)} to ${short(Math.min(high, Math.max(low, now)))}.`);
+    if (low < high && (now < low || now > high)) words.push(`θ is outside now: it goes from ${short(now)} to ${short(Math.min(high, Math.max(low, now)))}.`);
     if (low < high && (initial < low || initial > high)) {
       const moved = Math.min(high, Math.max(low, initial));
       words.push(`The value that a reset goes to becomes ${short(moved)}; it was ${short(initial)}.`);

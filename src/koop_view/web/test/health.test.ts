@@ -90,5 +90,9 @@ test("a theta that no controller gives is not said to be sought or held", () => 
   const waiting = { node: lifter({ role: "controller" as const }), judgement: { level: "warn" as const, text: "not active: inactive" } };
   const found = verdict({ ...healthy, commanded: true, holding: true, rows: [waiting] });
   assert.deepEqual(found, { level: "ok", text: "Open loop: θ is commanded, not sought: θ = -2.5 in [-5, 5], r = 0.01, 200 steps a second." });
+  const report = { at: 10, level: "ok" as const, message: "", values: { lifecycle_state: "inactive" } };
+  const unknown = { node: lifter({ name: "/esc", role: "other" as const, report }), judgement: waiting.judgement }; // it has published nothing yet
+  assert.equal(verdict({ ...healthy, commanded: true, rows: [unknown] }).level, "ok");
+  assert.equal(verdict({ ...healthy, rows: [unknown] }).level, "warn");
   assert.match(verdict({ ...healthy, commanded: true, rate: 0 }).text, /^At rest/);
 });

@@ -37,6 +37,7 @@ test("where a commander gives theta, its rests are of the map, and nothing flips
   loop.take("/theta", 2, 2, theta(0, true));
   assert.deepEqual(loop.map.bins().mean, [2]);
   assert.equal(loop.commanded, true);
+  assert.deepEqual(loop.holds, [{ from: 1, to: 1 }]); // what a commander moves is not held
   loop.take("/theta", 3, 3, theta(-1, false));
   assert.equal(loop.flips.length, 0); // between the relay of one run and that of the next
 });
