@@ -43,9 +43,10 @@ def served(port: int | None, folder: Path) -> Iterator[Callable[[str], None]]:
     command = [sys.executable, "-m", "koop_lab"]
     log = folder / "view.log"
     log.touch(mode=0o600)  # it holds the token
+    begin = log.stat().st_size  # what a command that goes on had printed before is over
     process = NodeProcess("view", words, log, command)
     try:
-        print(said(process), flush=True)
+        print(said(process, begin), flush=True)
         yield lambda line: show(line, about)
     finally:
         process.stop()
@@ -57,11 +58,11 @@ def show(line: str, about: Path) -> None:
         about.write_text(line)
 
 
-def said(process: NodeProcess) -> str:
-    """Return where the page is, or why there is none."""
+def said(process: NodeProcess, begin: int) -> str:
+    """Return where the page is by the log from a byte on, or why there is none."""
     deadline = time.monotonic() + START_TIMEOUT
     while time.monotonic() < deadline:
-        lines = process.log.read_text(errors="replace").splitlines()
+        lines = process.log.read_bytes()[begin:].decode(errors="replace").splitlines()
         found = next((line for line in lines if line.startswith(ADDRESS)), None)
         if found is not None:
             return found
