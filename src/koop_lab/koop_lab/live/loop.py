@@ -128,7 +128,7 @@ class LiveNodes:
         state, alone_on_it = f"{self._namespace}/state", True
         with Monitor(self._namespace) as monitor:
             while not self._done():
-                monitor.spin(0.2)
+                monitor.spin(0.05)
                 on_progress(monitor.progress)
                 if self._in_turn and monitor.progress.step:
                     self._in_turn = False
