@@ -155,8 +155,12 @@ class EscConfig:
             self.theta_max,
         )
 
+    @property
+    def beginning(self) -> float:
+        """Where theta begins to seek: its initial value, or the limit beyond which that is."""
+        return min(max(self.theta_initial, self.theta_min), self.theta_max)
+
     def initial(self) -> RelayState:
         """Return the relay's state before the first sample."""
-        theta = min(max(self.theta_initial, self.theta_min), self.theta_max)
-        begin = initial(self.scaled(theta), self.epsilon_initial, self.theta_initial)
+        begin = initial(self.scaled(self.beginning), self.epsilon_initial, self.theta_initial)
         return begin._replace(given=self.scaled(self.theta_initial))

@@ -142,7 +142,7 @@ class EscRun(Run):
         config = self._node.parameters[EscConfig]
         self._state = relay.reset(self._state, config.initial())
         response.success = True
-        response.message = f"theta is {config.theta_initial:g} again, filter and relay are reset"
+        response.message = f"theta is {config.beginning:g} again, filter and relay are reset"
         return response
 
     def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:

@@ -24,6 +24,7 @@ from koop_node.main import run
 from koop_node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
+EARLY_PERIOD, EARLY = 0.05, 5.0  # [s] at first, for a run may be over in less; and how long
 QUIET = 0.2  # [s] without a message after which a run that was stopped has said everything
 PATIENCE = 1.0  # [s] and no longer than this
 
@@ -54,7 +55,8 @@ class RecorderRun(Run):
             qos_profile_parameter_events,
         )
         entities.timer(config.poll_period, self._poll)
-        entities.timer(LOOK_PERIOD, self._look_around)
+        self._began: float | None = time.monotonic()
+        self._looks = entities.timer(EARLY_PERIOD, self._look_around)
         try:
             for name, kind in self._awaited.items():
                 if kind:  # before there are publishers: they wait for it with their first message
@@ -119,6 +121,9 @@ class RecorderRun(Run):
 
     def _look_around(self) -> None:
         """Find what is new in the graph: topics, publishers with another QoS, nodes."""
+        if self._began is not None and time.monotonic() - self._began > EARLY:
+            self._began = None
+            self._looks.restart(LOOK_PERIOD)
         if self._writer is None:
             return
         prefix = self._node.get_namespace().rstrip("/") + "/"
@@ -155,7 +160,9 @@ class RecorderRun(Run):
     def _poll(self) -> None:
         if self._writer is None:
             return
-        if self._recording:
+        if self._collector.take():
+            self._guarded(self._keep_parameters)
+        if self._writer is not None and self._recording:
             self._guarded(self._write_waiting)
         else:
             for topic in self._topics.values():

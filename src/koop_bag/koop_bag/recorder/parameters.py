@@ -57,14 +57,24 @@ class ParameterCollector:
         for name in nodes:
             if name.startswith(self._prefix) and name not in self.values | self._asked:
                 self._asked[name] = _Request(self._node, name)
+        self.take()
+        for name in self._asked.keys() - nodes:
+            self._asked.pop(name).close()
+        return len(self.values) > before
+
+    def take(self) -> bool:
+        """Take answers in and ask on; return whether all of a node's have come.
+
+        To be called often: a node that answers may end soon.
+        """
+        complete = False
         for name, request in list(self._asked.items()):
             request.advance()
             if request.values is not None:
                 self.values[name] = {k: v for k, v in request.values.items() if k != WAITED_FOR}
-            if request.values is not None or name not in nodes:
-                request.close()
-                del self._asked[name]
-        return len(self.values) > before
+                self._asked.pop(name).close()
+                complete = True
+        return complete
 
     def close(self) -> None:
         """Give up what is still asked for."""

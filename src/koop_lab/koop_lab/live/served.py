@@ -58,7 +58,7 @@ def show(line: str, about: Path) -> None:
         about.write_text(line)
 
 
-def said(process: NodeProcess, begin: int) -> str:
+def said(process: NodeProcess, begin: int = 0) -> str:
     """Return where the page is by the log from a byte on, or why there is none."""
     deadline = time.monotonic() + START_TIMEOUT
     while time.monotonic() < deadline:

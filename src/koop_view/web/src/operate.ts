@@ -82,10 +82,12 @@ export class Operate {
   }
 
   private async reset(): Promise<void> {
-    const controller = this.desk.loop()?.names.controller, initial = this.desk.parameter("controller.theta_initial");
+    const controller = this.desk.loop()?.names.controller;
+    const value = (name: string): number => Number(this.desk.parameter(`controller.${name}`) ?? NaN);
+    const initial = Math.min(value("theta_max"), Math.max(value("theta_min"), value("theta_initial")));
     const limit = Number(this.desk.parameter("controller.rate_limit") ?? 0);
     const how = limit > 0 ? `at most ${short(limit)} a second` : "at once";
-    const to = initial === undefined ? "its initial value" : short(Number(initial));
+    const to = Number.isNaN(initial) ? "its initial value" : short(initial);
     if (controller && (await confirm("Reset", `θ goes from ${this.theta} to ${to}, ${how}. Filter and relay begin again.`))) {
       await this.act("reset", `${controller}/reset`, {});
     }
