@@ -160,13 +160,15 @@ def with_model_beside(
 ) -> dict[str, dict[str, Any]]:
     """Return the values of a file, a relative path of a model being that of one beside the file.
 
-    So a folder that holds both can be moved. Where none is beside it, the path is left as it is.
+    So a folder that holds both can be moved. Where an absolute path leads nowhere, the model is the
+    one that the recorder has kept of that name. Where none is beside it, the path is left as it is.
     """
     given = values.get("koopman_lifter", {}).get("model")
-    if not isinstance(given, str) or not given or Path(given).is_absolute():
+    if not isinstance(given, str) or not given:
         return values
-    beside = Path(path).parent / given
-    if not beside.is_file():
+    named, folder = Path(given), Path(path).parent
+    beside = folder / "model" / named.name if named.is_absolute() else folder / given
+    if (named.is_absolute() and named.exists()) or not beside.is_file():
         return values
     return changed(values, ("koopman_lifter", "model", str(beside.resolve())))
 

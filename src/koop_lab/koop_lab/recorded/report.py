@@ -19,7 +19,7 @@ from koop_lab.recorded.run import LoopColumns, closed_loop
 from koop_lab.recorded.signals import Signals, Source, loop_signals, read_signals
 from koop_lab.replay.settings import Models, known_parameters, recorded_values
 from koop_loop.metrics import LOGGING_START, TAIL, TOLERANCE, Metrics, evaluate
-from koop_loop.parameters import NODES, LoopParameters, make
+from koop_loop.parameters import NODES, LoopParameters, make, with_model_beside
 from koop_loop.rig_metrics import RigMetrics, rig_metrics
 from koop_loop.static_map import performance
 from koopman_lifter.model import KoopmanModel, load
@@ -293,6 +293,8 @@ def costs_under(
     from koop_lab.replay import open_loop
 
     recorded = run.parameters.as_ros() if run.parameters is not None else {}
+    for folder in (run.path.parent, run.path):  # of a bag in its run, or of the run
+        recorded = with_model_beside(folder / "parameters.yaml", recorded)
     asked = args.model is not None or args.settings or args.params_file
     changes = list(args.settings)
     if run.model is None and not any("koopman_lifter.cost" in text for text in changes):
