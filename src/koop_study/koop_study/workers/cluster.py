@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
@@ -147,7 +147,8 @@ def on_this_machine(processes: int) -> Iterator[distributed.Client]:
             for nanny in local.workers.values():
                 nanny.auto_restart = False
                 if nanny.pid is not None:
-                    os.kill(nanny.pid, signal.SIGKILL)
+                    with suppress(ProcessLookupError):  # killed, and its nanny doesn't know yet
+                        os.kill(nanny.pid, signal.SIGKILL)
 
 
 @contextmanager
