@@ -35,7 +35,7 @@ def judged():
     # theta begins 1.5 and 1 from the optimum: one that does not move fails
     return [
         shortened("rig-other", theta_initial=0.0, duration=60.0, time_scale=6.0),
-        shortened("kill-lifter", [(4.0, 4.0)], duration=40.0),
+        shortened("kill-lifter", [(4.0, 4.0)], duration=64.0),
         shortened("handover", [(8.0, 16.0)], duration=96.0, time_scale=8.0),
     ]
 
