@@ -176,7 +176,7 @@ export class Figures {
           },
         },
         axes: [
-          axis({ size: 24, space: 80, splits: (_u: uPlot, _i: number, low: number, high: number) => this.view.ticks(low, high, width), values: (_u: uPlot, splits: number[]) => splits.map((t) => this.view.tick(t)) }),
+          axis({ size: 24, space: 80, splits: (u: uPlot, _i: number, low: number, high: number) => this.view.ticks(low, high, u.width), values: (_u: uPlot, splits: number[]) => splits.map((t) => this.view.tick(t)) }),
           axis({ label, size: 54, ...(state.log && { splits: decades, filter: (_u: uPlot, splits: number[]) => splits }) }),
         ],
         cursor: { y: false, sync: { key: "time" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 } },
