@@ -70,6 +70,15 @@ def test_without_parameters_the_defaults_are_assumed_and_it_is_said(tmp_path, ca
     assert code == 0, printed
 
 
+def test_a_node_that_was_gone_before_the_recorder_asked_it_is_named(tmp_path, capsys):
+    parameters = golden_parameters()
+    del parameters["/relay_esc"]
+    code, printed = replay(copy(tmp_path / "bag", parameters=parameters), capsys)
+    assert code == 1
+    assert "the bag contains no parameters of relay_esc: the defaults" in printed
+    assert "parameters and model are the recorded ones" not in printed
+
+
 def test_states_alone_show_what_the_controller_would_answer(tmp_path, capsys):
     code, printed = replay(copy(tmp_path / "bag", topics=["/state"]), capsys)
     assert code == 0

@@ -92,9 +92,10 @@ def make_plan(
     first = recording.first_model
     named = [recorded["koopman_lifter"], *(change.values for change in recording.changes)]
     models = Models(recording.path, *(str(values.get("model", "")) for values in named))
-    if not recording.values:
+    if lacking := [node for node in CONTROLLER if node not in recording.values]:
         notes.append(
-            "the bag contains no parameters: the defaults are assumed to be the recorded ones"
+            f"the bag contains no parameters of {' and '.join(lacking)}: the defaults are assumed "
+            "to be the recorded ones"
         )
     notes += [
         f"{name} was changed while recording; what it was before is not in the bag, and it is "
