@@ -17,7 +17,6 @@ from koop_lab.replay.compare import Comparison, compare
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import Plan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
-from koop_lab.replay.settings import CONTROLLER
 from koop_lab.replay.unheard import first_theta
 from koopman_lifter.model import load
 
@@ -138,7 +137,7 @@ def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[
     lines += [str(result) for result in results]
     if not any(result.different for result in results) or plan.differences:
         return lines
-    if recording.values.keys() >= set(CONTROLLER):
+    if not recording.without_parameters:
         lines.append("parameters and model are the recorded ones")
     if recording.in_progress:
         lines.append(

@@ -92,7 +92,7 @@ def make_plan(
     first = recording.first_model
     named = [recorded["koopman_lifter"], *(change.values for change in recording.changes)]
     models = Models(recording.path, *(str(values.get("model", "")) for values in named))
-    if lacking := [node for node in CONTROLLER if node not in recording.values]:
+    if lacking := recording.without_parameters:
         notes.append(
             f"the bag contains no parameters of {' and '.join(lacking)}: the defaults are assumed "
             "to be the recorded ones"

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from koop_bag.bag.columns import Columns, read_columns, read_tables
 from koop_bag.bag.reader import BagReader
 from koop_lab.replay.settings import (
+    CONTROLLER,
     Change,
     decoder,
     first_values,
@@ -92,6 +93,11 @@ class Recording:
     unknown: list[str]
     repeated: int
     unanswered: int
+
+    @property
+    def without_parameters(self) -> list[str]:
+        """The nodes of which the bag has no parameters."""
+        return [node for node in CONTROLLER if node not in self.values]
 
     @property
     def first_model(self) -> str:
