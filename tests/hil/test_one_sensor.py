@@ -12,6 +12,7 @@ from koop_lab.cli.main import main
 from koop_loop.training import trajectory_kernel
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
+from vdp_plant.waves import Waves, drive_of, interference_of
 
 DT = 0.02
 PLANT = PlantConfig(dt=DT)
@@ -28,12 +29,13 @@ def record(path):
         pressure, knob = (
             writer.add_connection(topic, KIND, typestore=STORE) for topic in ("/pressure", "/knob")
         )
-        states = np.empty((2, round(REST / DT)))
+        states, p = np.empty((2, round(REST / DT))), PLANT.params()
+        waves = Waves(drive_of(p, states.shape[1]), interference_of(p, states.shape[1]))
         at = 10**18
         for theta in rng.uniform(-5.0, 2.0, 40):
             message = STORE.types[KIND](data=float(theta))
             writer.write(knob, at, STORE.serialize_cdr(message, KIND))
-            assert trajectory_kernel(PLANT.params(), *rng.uniform(-3, 3, 2), theta, states)
+            assert trajectory_kernel(p, waves, *rng.uniform(-3, 3, 2), theta, states)
             for value in states[0]:
                 at += round(DT * 1e9)
                 message = STORE.types[KIND](data=float(value))

@@ -1,10 +1,10 @@
 """Many closed loops offline, side by side: the bits of one after the other, three times as fast.
 
-What depends on time alone, the plant's damping and forcing and the interference, is the same in
-all loops of a batch and is evaluated once. Loops take a step in groups: arithmetic without
-decisions (measurement, lifting, Runge-Kutta) over arrays that the compiler turns into vector
-instructions, each loop with the operations of the single one in their order; detector and relay are
-the nodes' own functions, loop by loop.
+What depends on time alone, the plant's damping and forcing and where the phases are the same the
+interference, is evaluated once for all loops of a batch. Loops take a step in groups: arithmetic
+without decisions (measurement, lifting, Runge-Kutta) over arrays that the compiler turns into
+vector instructions, each loop with the operations of the single one in their order; detector and
+relay are the nodes' own functions, loop by loop.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,19 +23,19 @@ from koop_node.arrival import Arrival
 from koop_node.kernels import borrowed, njit
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.cost import DetectorParams, DetectorState, Lifting
+from koopman_lifter.cost import DetectorState, Lifting
 from koopman_lifter.model import KoopmanModel
 from relay_esc import relay
 from relay_esc.config import EscConfig
-from relay_esc.relay import RelayParams, RelayState
+from relay_esc.relay import RelayState
 from relay_esc.swing import Swing
-from vdp_plant import dynamics
+from vdp_plant import dynamics, waves
 from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantParams
 
 GROUP = 32  # loops that take a step together; with 8 the vector instructions hardly pay
 BLOCK = 512  # steps whose waves are kept at a time: they stay in the cache
-WAVES = 7
+STATES = 2  # of the plant, both measured
 NUMBERS, COUNTS = 21, 8  # of a detector's and a relay's state
 
 
@@ -60,20 +61,30 @@ class BatchResult:
         return np.asarray(np.arange(self.theta.shape[1]) * self.dt, dtype=np.float64)
 
 
-@njit()
-def waves(p: PlantParams, first: int, w: NDArray[np.float64]) -> None:
-    """Fill ``w``, shape (M, WAVES), with what depends on time alone, from step ``first`` on.
+class Own(NamedTuple):
+    """What the N loops of a batch have each of its own, or not: then an array has length 0.
 
-    That is damping and forcing at the begin, the middle and the end of a step, and interference.
+    Attributes
+    ----------
+    projectors : ndarray, shape (rows, p, N)
+        W of the models, see :class:`koopman_lifter.cost.Lifting`.
+    interference : ndarray, shape (N, M) or (0, 0)
+        i(t_k), unless it is the same for all.
+    added : ndarray, shape (N, M, 2) or (0, 0, 0)
+        Added to the measured state.
+    displaced : ndarray, shape (M,) or (0,)
+        How far the optimum is from the plant's theta*, for all of them.
     """
-    h = p.dt
-    half = 0.5 * h
-    for i in range(w.shape[0]):
-        t = (first + i) * h
-        w[i, 0], w[i, 1] = dynamics.damping(p, t), dynamics.forcing(p, t)
-        w[i, 2], w[i, 3] = dynamics.damping(p, t + half), dynamics.forcing(p, t + half)
-        w[i, 4], w[i, 5] = dynamics.damping(p, t + h), dynamics.forcing(p, t + h)
-        w[i, 6] = dynamics.interference(p, first + i)
+
+    projectors: NDArray[np.float64]
+    interference: NDArray[np.float64]
+    added: NDArray[np.float64]
+    displaced: NDArray[np.float64]
+
+
+ALL_THE_SAME = np.empty((0, 0))
+NOTHING_ADDED = np.empty((0, 0, 0))
+NOT_DISPLACED = np.empty(0)
 
 
 @njit()
@@ -119,6 +130,7 @@ def relay_of(m: NDArray[np.float64], n: NDArray[np.int64]) -> RelayState:
 def energies(
     source: int,
     lifting: Lifting,
+    projectors: NDArray[np.float64],
     x: NDArray[np.float64],
     y: NDArray[np.float64],
     z: NDArray[np.float64],
@@ -145,13 +157,13 @@ def energies(
         else:
             for i in range(n):
                 z[j, i] = z[parent, i] * y[i]
-    for row in range(lifting.projector.shape[0]):
+    for row in range(projectors.shape[0]):
         for i in range(n):
             c[i] = 0.0
         for j in range(z.shape[0]):
-            weight = lifting.projector[row, j]
+            weights, observable = projectors[row, j], z[j]
             for i in range(n):
-                c[i] += weight * z[j, i]
+                c[i] += weights[i] * observable[i]
         for i in range(n):
             y_out[i] += c[i] * c[i]
 
@@ -159,35 +171,38 @@ def energies(
 @njit()
 def run_group(
     p: PlantParams,
-    source: int,
-    lifting: Lifting,
-    detector_params: DetectorParams,
-    relay_params: RelayParams,
+    controller: Controller,
+    own: Own,
     first: int,
-    w: NDArray[np.float64],
+    drive: NDArray[np.float64],
     x: NDArray[np.float64],
     y: NDArray[np.float64],
     applied: NDArray[np.float64],
     m: NDArray[np.float64],
     n: NDArray[np.int64],
-    z: NDArray[np.float64],
-    work: NDArray[np.float64],
     r: NDArray[np.float64],
     theta: NDArray[np.float64],
 ) -> None:
-    """Advance a group by the steps of ``w``, as :func:`koop_loop.loop.run_kernel` does one loop.
+    """Advance a group by the steps of ``drive``, as ``koop_loop.loop.run_kernel`` does one loop.
 
-    ``z``, shape (p, loops), and ``work``, shape (5, loops), are scratch.
+    Of ``own``, the interference is there, shape (steps, loops); else see :func:`run_kernel`.
     """
+    source, lifting, detector_params, relay_params = controller
     loops = x.shape[0]
+    z, work = np.empty((lifting.parent.shape[0], loops)), np.empty((5, loops))
     m, n = borrowed(m), borrowed(n)
     c, y_out, measured_x, measured_y, output = work[0], work[1], work[2], work[3], work[4]
-    for k in range(first, first + w.shape[0]):
-        wave = w[k - first]
+    for step in range(drive.shape[0]):
+        k = first + step
+        interference, d = own.interference[step], drive[step]
         for i in range(loops):
-            measured_x[i] = x[i] + wave[6]
-            measured_y[i] = y[i] + wave[6]
-        energies(source, lifting, measured_x, measured_y, z, c, y_out)
+            measured_x[i] = x[i] + interference[i]
+            measured_y[i] = y[i] + interference[i]
+        if own.added.shape[0] > 0:
+            for i in range(loops):
+                measured_x[i] += own.added[i, k, 0]
+                measured_y[i] += own.added[i, k, 1]
+        energies(source, lifting, own.projectors, measured_x, measured_y, z, c, y_out)
         arrival = Arrival.RESTART if k == 0 else Arrival.NEXT
         for i in range(loops):
             r[i, k], detector = cost.follow(
@@ -199,13 +214,13 @@ def run_group(
             )  # fmt: skip
             remember(m[i], n[i], detector, state, relay_params.adaptive)
             theta[i, k] = output[i] = state.output
+        displaced = own.displaced[k] if own.displaced.shape[0] > 0 else 0.0
         for i in range(loops):
             applied[i] = dynamics.actuate(p, applied[i], output[i])
-        eps0, force0, eps1 = wave[0], wave[1], wave[2]
-        force1, eps2, force2 = wave[3], wave[4], wave[5]
+        eps0, force0, eps1, force1, eps2, force2 = d[0], d[1], d[2], d[3], d[4], d[5]
         for i in range(loops):
             x[i], y[i] = dynamics.runge_kutta(
-                p, eps0, force0, eps1, force1, eps2, force2, x[i], y[i], applied[i]
+                p, eps0, force0, eps1, force1, eps2, force2, x[i], y[i], applied[i] - displaced
             )
 
 
@@ -213,6 +228,7 @@ def run_group(
 def run_kernel(
     p: PlantParams,
     controller: Controller,
+    own: Own,
     x: NDArray[np.float64],
     y: NDArray[np.float64],
     applied: NDArray[np.float64],
@@ -223,20 +239,31 @@ def run_kernel(
 ) -> None:
     """Run N loops; ``x``, ``y``, ``applied``, shape (N,), ``m`` and ``n`` are left as at the end.
 
-    ``r`` and ``theta``, shape (N, M), are filled. A state that is not finite stays so.
+    ``r`` and ``theta``, shape (N, M), are filled. A state that is not finite stays so. Projectors
+    are those of ``own``, not the controller's.
     """
-    source, lifting, detector_params, relay_params = controller
     loops, steps = theta.shape
-    w = np.empty((BLOCK, WAVES))
+    drives, same = np.empty((BLOCK, 6)), np.empty(BLOCK)
     for first in range(0, steps, BLOCK):
-        block = w[: min(BLOCK, steps - first)]
-        waves(p, first, block)
+        count = min(BLOCK, steps - first)
+        drive = drives[:count]
+        waves.fill_drive(p, first, drive)
+        if own.interference.shape[0] == 0:
+            waves.fill_interference(p, first, same[:count])
         for a in range(0, loops, GROUP):
             b = min(a + GROUP, loops)
-            z, work = np.empty((lifting.parent.shape[0], b - a)), np.empty((5, b - a))
+            interference = np.empty((count, b - a))
+            for i in range(b - a):
+                for k in range(count):
+                    if own.interference.shape[0] == 0:
+                        interference[k, i] = same[k]
+                    else:
+                        interference[k, i] = own.interference[a + i, first + k]
+            group = Own(
+                own.projectors[:, :, a:b].copy(), interference, own.added[a:b], own.displaced
+            )
             run_group(
-                p, source, lifting, detector_params, relay_params, first, block,
-                x[a:b], y[a:b], applied[a:b], m[a:b], n[a:b], z, work,
+                p, controller, group, first, drive, x[a:b], y[a:b], applied[a:b], m[a:b], n[a:b],
                 r[a:b], theta[a:b],
             )  # fmt: skip
 
@@ -270,21 +297,70 @@ def simulate_batch(
     ):
         raise ValueError("the plants of a batch may differ in seed and initial state only")
     check_fit(plants[0], lifter, esc, model)
-    r, theta = np.empty((len(plants), steps)), np.empty((len(plants), steps))
-    parameters = controller(lifter, esc, model)
-    delayed = parameters.lifting.n != parameters.lifting.channels
-    if p.integrator == dynamics.EULER or delayed:  # neither is worth arrays of its own
-        for i, plant in enumerate(plants):
-            one = simulate(plant, lifter, esc, model, steps)
-            r[i], theta[i] = one.r, one.theta
-        return BatchResult(p.dt, r, theta)
-    begin = np.array([initial_state(plant) for plant in plants])
-    x, y = np.ascontiguousarray(begin.T)
-    m, n = memory(esc, len(plants))
-    run_kernel(p, parameters, x, y, np.full(len(plants), esc.theta_initial), m, n, r, theta)
-    for i in np.flatnonzero(~(np.isfinite(x) & np.isfinite(y))):
+    models = [model] * len(plants)
+    if not side_by_side(plants, models):
+        done = [simulate(plant, lifter, esc, model, steps) for plant in plants]
+        return BatchResult(
+            p.dt, np.array([one.r for one in done]), np.array([one.theta for one in done])
+        )
+    r, theta, finite = run_batch(plants, lifter, esc, models, steps)
+    for i in np.flatnonzero(~finite):
         simulate(plants[i], lifter, esc, model, steps)  # says when
     return BatchResult(p.dt, r, theta)
+
+
+def side_by_side(plants: Sequence[PlantConfig], models: Sequence[KoopmanModel | None]) -> bool:
+    """Return whether loops can take their steps together.
+
+    Not with the Euler integrator or delays: neither is worth arrays of its own. Nor where the
+    models have different numbers of modes.
+    """
+    shapes = {model.projector.shape if model is not None else None for model in models}
+    delayed = any(model is not None and model.delays.n != STATES for model in models)
+    euler = any(plant.params().integrator == dynamics.EULER for plant in plants)
+    return len(shapes) == 1 and not delayed and not euler
+
+
+def run_batch(
+    plants: Sequence[PlantConfig],
+    lifter: LifterConfig,
+    esc: EscConfig,
+    models: Sequence[KoopmanModel | None],
+    steps: int,
+    interference: NDArray[np.float64] = ALL_THE_SAME,
+    added: NDArray[np.float64] = NOTHING_ADDED,
+    displaced: NDArray[np.float64] = NOT_DISPLACED,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Run closed loops that :func:`side_by_side` and ``check_fit`` let through.
+
+    Parameters
+    ----------
+    plants, models : sequence
+        One a loop. Plants may differ in seed and initial state and, where ``interference`` is
+        given, in its phases; models in their numbers.
+    lifter, esc, steps
+        See :func:`koop_loop.loop.simulate`.
+    interference, added, displaced
+        See :class:`Own`.
+
+    Returns
+    -------
+    r, theta : ndarray, shape (N, M)
+        Cost and control input.
+    finite : ndarray of bool, shape (N,)
+        Whether the plant's state was, to the end.
+    """
+    parameters = controller(lifter, esc, models[0])
+    projectors = [
+        cost.no_lifting().projector if model is None else model.projector for model in models
+    ]
+    own = Own(np.stack(projectors, axis=-1), interference, added, displaced)
+    x, y = np.ascontiguousarray(np.array([initial_state(plant) for plant in plants]).T)
+    r, theta = np.empty((len(plants), steps)), np.empty((len(plants), steps))
+    m, n = memory(esc, len(plants))
+    applied = np.full(len(plants), esc.theta_initial)
+    run_kernel(plants[0].params(), parameters, own, x, y, applied, m, n, r, theta)
+    return r, theta, np.isfinite(x) & np.isfinite(y)
 
 
 def memory(esc: EscConfig, loops: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -90,7 +90,7 @@ def evaluate(
         raise ValueError("t, theta and r must have the same length of at least 2")
     if t[-1] <= start:
         start = float(t[0])
-    logged = t >= start
+    logged = slice(int(np.searchsorted(t, start)), None)
     error = np.abs(theta[logged] - theta_star)
     dt = float(t[-1] - t[0]) / (t.size - 1)
     reached = np.flatnonzero(error < tolerance)

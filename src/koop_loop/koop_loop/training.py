@@ -17,9 +17,10 @@ from koopman_lifter.edmd import Gram
 from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
-from vdp_plant import dynamics
+from vdp_plant import waves
 from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantParams
+from vdp_plant.waves import Waves
 
 STATE_NAMES = ("x", "y")
 PLAIN = Delays(len(STATE_NAMES))  # the state as it is measured
@@ -44,7 +45,12 @@ class TrainingConfig:
 
 @njit()
 def trajectory_kernel(
-    plant: PlantParams, x: float, y: float, theta: float, states: NDArray[np.float64]
+    plant: PlantParams,
+    shared: Waves,
+    x: float,
+    y: float,
+    theta: float,
+    states: NDArray[np.float64],
 ) -> bool:
     """Fill ``states``, shape (2, M), with x'(t_k) at constant theta; False if it diverges.
 
@@ -52,8 +58,8 @@ def trajectory_kernel(
     """
     applied = min(max(theta, plant.theta_min), plant.theta_max)
     for k in range(states.shape[1]):
-        states[0, k], states[1, k] = dynamics.measure(plant, k, x, y)
-        x, y, applied = dynamics.advance(plant, k, x, y, applied, theta, 0.0)
+        states[0, k], states[1, k] = waves.measure(plant, shared, k, x, y)
+        x, y, applied = waves.advance(plant, shared, k, x, y, applied, theta, 0.0)
         if not (np.isfinite(x) and np.isfinite(y)):
             return False
     return True
@@ -73,10 +79,12 @@ def trajectories(
         plant = replace(plant, interference_amplitude_1=0.0, interference_amplitude_2=0.0)
     rng = np.random.default_rng(config.seed)
     states = np.empty((2, round(config.duration / plant.dt) + 1))
+    p, steps = plant.params(), states.shape[1]
+    shared = Waves(waves.drive_of(p, steps), waves.interference_of(p, steps))
     for _ in range(config.trajectories):
         theta = rng.uniform(config.theta_low, config.theta_high)
         x, y = rng.uniform(-3.0, 3.0, size=2)
-        yield states if trajectory_kernel(plant.params(), x, y, theta, states) else None
+        yield states if trajectory_kernel(p, shared, x, y, theta, states) else None
 
 
 def simulated_gram(

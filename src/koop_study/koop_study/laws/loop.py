@@ -31,7 +31,7 @@ from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
-from vdp_plant import dynamics
+from vdp_plant import waves
 from vdp_plant.dynamics import PlantParams
 
 HOLD, RELAY, PERTURBATION, NEWTON, LEAST_SQUARES, BOUNDED, SLIDING, STOCHASTIC, GOLDEN = range(9)
@@ -159,7 +159,7 @@ def drive(
         if is_rig:
             oscillator.measure(rig, RigState(a, b), k, noise[k, 2:], x)
         else:
-            x[0], x[1] = dynamics.measure(plant, k, a, b)
+            x[0], x[1] = waves.measure(plant, exposure.waves, k, a, b)
             if exposure.added.shape[0] > 0:
                 x[0] += exposure.added[k, 0]
                 x[1] += exposure.added[k, 1]
@@ -189,6 +189,8 @@ def drive(
             displaced = exposure.displaced[k] if exposure.displaced.shape[0] > 0 else 0.0
             distance = theta[k] - displaced - plant.theta_star
             amplitude[k] = math.sqrt(1.0 + distance * distance)
-            a, b, applied = dynamics.advance(plant, k, a, b, applied, theta[k], displaced)
+            a, b, applied = waves.advance(
+                plant, exposure.waves, k, a, b, applied, theta[k], displaced
+            )
     owner[:] = 0.0  # there to here
     return LoopState(a, b, applied, detector, relay_state, u, states, costs)

@@ -21,7 +21,7 @@ from koop_study.laws import loop
 from koop_study.laws.catalogue import LAWS, Constants
 from koop_study.laws.loop import Law, LoopState, Sensing
 from koop_study.simulation.case import Case, model_of, override, seeded
-from koop_study.simulation.scenario import Exposure, expose
+from koop_study.simulation.scenario import Exposure, expose, waves_of
 from koopman_lifter import contrast, cost
 from koopman_lifter.config import SOURCES
 from koopman_lifter.cost import Lifting
@@ -96,8 +96,10 @@ def family_of(settings: dict[str, Any]) -> FamilyConfig:
 
 COSTS_OF_RIGS = ("raw", "contrast")
 NO_NOISE = np.zeros((0, 3))
-NO_EXPOSURE = Exposure(np.empty((0, 2)), np.empty(0, np.bool_), np.empty(0), np.empty(0))
 PAPER = Case().plant.params()
+NO_EXPOSURE = Exposure(
+    np.empty((0, 2)), np.empty(0, np.bool_), np.empty(0), np.empty(0), waves_of(PAPER, 0)
+)
 
 
 @dataclass(frozen=True)

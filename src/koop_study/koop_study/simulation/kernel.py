@@ -26,7 +26,7 @@ from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, Lifting, Workspace
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
-from vdp_plant import dynamics
+from vdp_plant import waves
 from vdp_plant.dynamics import PlantParams
 
 RELAY = 0
@@ -106,7 +106,7 @@ def run_kernel(
     for k in range(theta.shape[0]):
         if not (math.isfinite(x) and math.isfinite(y)):
             return k
-        state[0], state[1] = dynamics.measure(plant, k, x, y)
+        state[0], state[1] = waves.measure(plant, exposure.waves, k, x, y)
         if exposure.added.shape[0] > 0:
             state[0] += exposure.added[k, 0]
             state[1] += exposure.added[k, 1]
@@ -147,6 +147,6 @@ def run_kernel(
             ground_truth[k, 0] = x
             ground_truth[k, 1] = y
         displaced = exposure.displaced[k] if exposure.displaced.shape[0] > 0 else 0.0
-        x, y, applied = dynamics.advance(plant, k, x, y, applied, now_theta, displaced)
+        x, y, applied = waves.advance(plant, exposure.waves, k, x, y, applied, now_theta, displaced)
     owner[:] = 0.0  # there to here
     return theta.shape[0]

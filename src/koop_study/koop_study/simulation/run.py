@@ -16,6 +16,8 @@ from koop_study.simulation.case import Case, model_of
 from koop_study.simulation.kernel import CONTROLLERS, Control, Sensing, run_kernel
 from koop_study.simulation.scenario import displacement, expose
 from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig
+from koopman_lifter.model import KoopmanModel
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,7 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: boo
         If the parts of the case do not fit together.
     """
     model = model_of(case)
-    lifter = replace(case.lifter, cost="raw" if model is None else "lifted")
-    try:
-        check_fit(case.plant, lifter, case.esc, model, case.sensing.indices.size)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+    lifter = lifter_of(case, model)
     detector = lifter.detector_params()
     if case.cost == "log":  # the limit is of the energy, before its logarithm
         detector = detector._replace(y_max=math.log(detector.y_max))
@@ -93,6 +91,22 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: boo
     )
 
 
+def lifter_of(case: Case, model: KoopmanModel | None) -> LifterConfig:
+    """Return the case's lifter with its model's cost.
+
+    Raises
+    ------
+    koop_node.config.ConfigError
+        If the parts of the case do not fit together.
+    """
+    lifter = replace(case.lifter, cost="raw" if model is None else "lifted")
+    try:
+        check_fit(case.plant, lifter, case.esc, model, case.sensing.indices.size)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    return lifter
+
+
 Row = dict[str, float | None]
 
 
@@ -112,7 +126,7 @@ def measure(case: Case, trace: Trace, r_star: float | None = None) -> Row:
             "iae": math.inf, "ise": math.inf, "t_theta": None, "e_r_ss": None,
             "tail": math.inf, "reached": 0.0, "converged": 0.0,
         }  # fmt: skip
-    displaced = displacement(case.scenario, trace.t)
+    displaced = displacement(case.scenario, trace.t.size, case.plant.dt)
     theta = trace.theta - displaced if displaced.size else trace.theta
     metrics = evaluate(trace.t, theta, trace.r, case.plant.theta_star, r_star)
     return {

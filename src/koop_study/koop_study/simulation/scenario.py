@@ -7,6 +7,7 @@ is displaced by s is the same plant fed with theta - s.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 
 from koop_node.config import parameter, validate
 from vdp_plant.config import PlantConfig
+from vdp_plant.dynamics import PlantParams
+from vdp_plant.waves import Waves, drive_of, interference_of
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,26 @@ class Exposure(NamedTuple):
         Displacement of theta* from its configured value.
     schedule : ndarray, shape (M,) or (0,)
         Control input that replaces the controller.
+    waves : Waves
+        Of the plant, for as many steps as are known beforehand.
     """
 
     added: NDArray[np.float64]
     lost: NDArray[np.bool_]
     displaced: NDArray[np.float64]
     schedule: NDArray[np.float64]
+    waves: Waves
+
+
+# what the runs of a unit share, and most units of a study: they differ in seeds and constants
+_drive = lru_cache(maxsize=2)(drive_of)
+_interference = lru_cache(maxsize=16)(interference_of)  # the seeds of a unit
+
+
+def waves_of(p: PlantParams, steps: int) -> Waves:
+    """Return what of the plant depends on time alone, kept from the runs before."""
+    without_phases = p._replace(interference_phase_1=0.0, interference_phase_2=0.0)
+    return Waves(_drive(without_phases, steps), _interference(p, steps))
 
 
 def interference(plant: PlantConfig, t: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -89,10 +106,12 @@ def second_channel(
     return config.interference_gain_y * lagged - interference(plant, t)
 
 
-def displacement(config: ScenarioConfig, t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the displacement of theta* at the times ``t`` [s]; empty if it stands still."""
+@lru_cache(maxsize=1)
+def displacement(config: ScenarioConfig, steps: int, dt: float) -> NDArray[np.float64]:
+    """Return the displacement of theta*, shape (M,), the same for all seeds; empty if at rest."""
     if config.optimum_swing == 0.0 and config.optimum_jump == 0.0:
         return np.empty(0)
+    t = np.arange(steps, dtype=np.float64) * dt
     swing = config.optimum_swing * np.sin(2.0 * np.pi * t / config.optimum_period)
     jumps = config.optimum_jump * (np.floor(t / config.jump_every) % 2.0)
     return np.asarray(swing + jumps)
@@ -125,7 +144,8 @@ def expose(
     added: NDArray[np.float64] = np.empty((0, 2))
     second = second_channel(config, plant, t)
     if config.noise > 0.0 or second.size:
-        added = rng.normal(0.0, config.noise, (steps, 2))
+        drawn = config.noise > 0.0 or config.lost > 0.0  # which is drawn after it
+        added = rng.normal(0.0, config.noise, (steps, 2)) if drawn else np.zeros((steps, 2))
         if second.size:
             added[:, 1] += second
     lost: NDArray[np.bool_] = np.empty(0, dtype=np.bool_)
@@ -133,5 +153,9 @@ def expose(
         lost = rng.random(steps) < config.lost
         lost[0] = False  # the loop begins with the first state that arrives
     return Exposure(
-        added, lost, displacement(config, t), np.empty(0) if schedule is None else schedule
+        added,
+        lost,
+        displacement(config, steps, plant.dt),
+        np.empty(0) if schedule is None else schedule,
+        waves_of(plant.params(), steps),
     )

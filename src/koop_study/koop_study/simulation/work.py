@@ -15,6 +15,7 @@ from koop_study.simulation.case import DRAWN, Case, override, seeded
 from koop_study.simulation.learning import learn
 from koop_study.simulation.run import measure, run
 from koop_study.simulation.scenario import ScenarioConfig
+from koop_study.simulation.seeds import run_seeds
 from koopman_lifter.edmd import edmd
 from koopman_lifter.modes import decompose, select
 
@@ -52,12 +53,11 @@ def check(work: str, arguments: dict[str, Any]) -> None:
 
 def runs(settings: dict[str, Any], seeds: list[int], with_r_star: bool = False) -> list[Any]:
     """Run closed loops and return the metrics of each seed."""
-    rows = []
-    for seed in seeds:
-        case = case_of(settings, seed)
-        r_star = maps.optimal_cost(case) if with_r_star else None
-        rows.append(measure(case, run(case), r_star))
-    return rows
+    cases = [case_of(settings, seed) for seed in seeds]
+    return [
+        measure(case, trace, maps.optimal_cost(case) if with_r_star else None)
+        for case, trace in zip(cases, run_seeds(cases), strict=True)
+    ]
 
 
 def modes(settings: dict[str, Any], seed: int) -> dict[str, Any]:

@@ -1,0 +1,97 @@
+"""What of the plant depends on time alone, evaluated once for all loops of a batch.
+
+Damping, forcing and interference are eight sines a step, half of the time of a loop. A step from
+these tables has the bits of :mod:`vdp_plant.dynamics`: the same functions fill them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_node.kernels import njit
+from vdp_plant import dynamics
+from vdp_plant.dynamics import PlantParams
+
+LONGEST = 1 << 20  # steps of a table: 56 MB. Those after it evaluate their own sines
+
+
+class Waves(NamedTuple):
+    """Rows of the first M steps, perhaps of none.
+
+    Attributes
+    ----------
+    drive : ndarray, shape (M, 6)
+        epsilon0(t) [-] and f(t) [1/s^2] at the begin, the middle and the end of a step.
+    interference : ndarray, shape (M,)
+        i(t) at its begin.
+    """
+
+    drive: NDArray[np.float64]
+    interference: NDArray[np.float64]
+
+
+@njit()
+def fill_drive(p: PlantParams, first: int, drive: NDArray[np.float64]) -> None:
+    """Fill ``drive``, shape (M, 6), from step ``first`` on."""
+    h = p.dt
+    half = 0.5 * h
+    for i in range(drive.shape[0]):
+        t = (first + i) * h
+        drive[i, 0], drive[i, 1] = dynamics.damping(p, t), dynamics.forcing(p, t)
+        drive[i, 2], drive[i, 3] = dynamics.damping(p, t + half), dynamics.forcing(p, t + half)
+        drive[i, 4], drive[i, 5] = dynamics.damping(p, t + h), dynamics.forcing(p, t + h)
+
+
+@njit()
+def fill_interference(p: PlantParams, first: int, interference: NDArray[np.float64]) -> None:
+    """Fill ``interference``, shape (M,), from step ``first`` on."""
+    for i in range(interference.shape[0]):
+        interference[i] = dynamics.interference(p, first + i)
+
+
+def drive_of(p: PlantParams, steps: int) -> NDArray[np.float64]:
+    """Return the drive of a run; of no step for the Euler integrator, which needs a third of it."""
+    drive = np.empty((0 if p.integrator == dynamics.EULER else min(steps, LONGEST), 6))
+    fill_drive(p, 0, drive)
+    return drive
+
+
+def interference_of(p: PlantParams, steps: int) -> NDArray[np.float64]:
+    """Return the interference of a run."""
+    interference = np.empty(min(steps, LONGEST))
+    fill_interference(p, 0, interference)
+    return interference
+
+
+@njit()
+def measure(p: PlantParams, waves: Waves, k: int, x: float, y: float) -> tuple[float, float]:
+    """Do :func:`vdp_plant.dynamics.measure`."""
+    if k >= waves.interference.shape[0]:
+        return dynamics.measure(p, k, x, y)
+    disturbance = waves.interference[k]
+    return x + disturbance, y + disturbance
+
+
+@njit()
+def advance(
+    p: PlantParams,
+    waves: Waves,
+    k: int,
+    x: float,
+    y: float,
+    applied: float,
+    theta: float,
+    displaced: float,
+) -> tuple[float, float, float]:
+    """Do :func:`vdp_plant.dynamics.advance`."""
+    if k >= waves.drive.shape[0]:
+        return dynamics.advance(p, k, x, y, applied, theta, displaced)
+    applied = dynamics.actuate(p, applied, theta)
+    d = waves.drive
+    x, y = dynamics.runge_kutta(
+        p, d[k, 0], d[k, 1], d[k, 2], d[k, 3], d[k, 4], d[k, 5], x, y, applied - displaced
+    )
+    return x, y, applied
