@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 DASHBOARD = "127.0.0.1:8787"  # Dask's usual port; another one where it is taken
 NO_DASHBOARD = "127.0.0.1:0"
 PATIENCE = 10.0  # for an answer of the scheduler [s]
+KEPT = dict.fromkeys(("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"), str(1 << 30))
+"""A worker's signals come and go by megabytes: what it freed is used again, not given back."""
 
 
 class WorkerLost(RuntimeError):
@@ -128,7 +130,7 @@ def on_this_machine(processes: int) -> Iterator[distributed.Client]:
     runs({"duration": 1.0, "training.trajectories": 2, "training.duration": 2.0}, [0])
     dashboard = importlib.util.find_spec("bokeh") is not None
     with ExitStack() as stack:
-        stack.enter_context(_environment(dict.fromkeys(THREADS, "1")))
+        stack.enter_context(_environment(dict.fromkeys(THREADS, "1") | KEPT))
         with _without_interrupt():
             local = stack.enter_context(
                 cluster(
