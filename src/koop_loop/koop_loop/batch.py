@@ -70,7 +70,7 @@ class Own(NamedTuple):
         W of the models, see :class:`koopman_lifter.cost.Lifting`.
     interference : ndarray, shape (N, M) or (0, 0)
         i(t_k), unless it is the same for all.
-    added : ndarray, shape (N, M, 2) or (0, 0, 0)
+    added : ndarray, shape (N, M, 2) or without any number
         Added to the measured state.
     displaced : ndarray, shape (M,) or (0,)
         How far the optimum is from the plant's theta*, for all of them.
@@ -198,7 +198,7 @@ def run_group(
         for i in range(loops):
             measured_x[i] = x[i] + interference[i]
             measured_y[i] = y[i] + interference[i]
-        if own.added.shape[0] > 0:
+        if own.added.size > 0:
             for i in range(loops):
                 measured_x[i] += own.added[i, k, 0]
                 measured_y[i] += own.added[i, k, 1]
@@ -297,28 +297,15 @@ def simulate_batch(
     ):
         raise ValueError("the plants of a batch may differ in seed and initial state only")
     check_fit(plants[0], lifter, esc, model)
-    models = [model] * len(plants)
-    if not side_by_side(plants, models):
-        done = [simulate(plant, lifter, esc, model, steps) for plant in plants]
-        return BatchResult(
-            p.dt, np.array([one.r for one in done]), np.array([one.theta for one in done])
-        )
-    r, theta, finite = run_batch(plants, lifter, esc, models, steps)
+    delayed = model is not None and model.delays.n != STATES
+    if p.integrator == dynamics.EULER or delayed:  # neither is worth arrays of its own
+        alone = [simulate(plant, lifter, esc, model, steps) for plant in plants]
+        r, theta = np.array([one.r for one in alone]), np.array([one.theta for one in alone])
+        return BatchResult(p.dt, r, theta)
+    r, theta, finite = run_batch(plants, lifter, esc, [model] * len(plants), steps)
     for i in np.flatnonzero(~finite):
         simulate(plants[i], lifter, esc, model, steps)  # says when
     return BatchResult(p.dt, r, theta)
-
-
-def side_by_side(plants: Sequence[PlantConfig], models: Sequence[KoopmanModel | None]) -> bool:
-    """Return whether loops can take their steps together.
-
-    Not with the Euler integrator or delays: neither is worth arrays of its own. Nor where the
-    models have different numbers of modes.
-    """
-    shapes = {model.projector.shape if model is not None else None for model in models}
-    delayed = any(model is not None and model.delays.n != STATES for model in models)
-    euler = any(plant.params().integrator == dynamics.EULER for plant in plants)
-    return len(shapes) == 1 and not delayed and not euler
 
 
 def run_batch(
@@ -331,13 +318,13 @@ def run_batch(
     added: NDArray[np.float64] = NOTHING_ADDED,
     displaced: NDArray[np.float64] = NOT_DISPLACED,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Run closed loops that :func:`side_by_side` and ``check_fit`` let through.
+    """Run closed loops of the Runge-Kutta plant, without delays, that ``check_fit`` lets through.
 
     Parameters
     ----------
     plants, models : sequence
         One a loop. Plants may differ in seed and initial state and, where ``interference`` is
-        given, in its phases; models in their numbers.
+        given, in its phases; models in their numbers, not in how many these are.
     lifter, esc, steps
         See :func:`koop_loop.loop.simulate`.
     interference, added, displaced

@@ -53,8 +53,8 @@ SEEDS_OF = {  # settings, and whether their seeds run side by side
     "adaptive": ({"cost": "raw", "controller": "adaptive"}, False),
     "one channel": ({"cost": "raw", "sensing.channels": "y"}, False),
     "delays": ({"cost": "contrast", "training.degree": 1, "sensing.delays": 4,
-                "sensing.spacing": 0.1}, True),
-    "euler": ({"cost": "raw", "plant.integrator": "euler"}, True),
+                "sensing.spacing": 0.1}, False),
+    "euler": ({"cost": "raw", "plant.integrator": "euler"}, False),
 }  # fmt: skip
 
 
@@ -63,7 +63,10 @@ def test_seeds_side_by_side_are_one_after_the_other_to_the_last_bit(name: str) -
     settings, plain = SEEDS_OF[name]
     settings = {**SHORT, "duration": 20.0, "training.duration": 2.0, **settings}
     cases = [case_of(settings, seed) for seed in range(TOGETHER + 2)]
-    assert [is_plain(case) for case in cases] == [plain] * len(cases)
+    assert is_plain(cases[0]) == plain
+    if name == "lifted":
+        models = (model_of(case) for case in cases)
+        assert len({model.projector.shape for model in models if model is not None}) > 1
     traces = list(run_seeds(cases))
     assert len({trace.r.tobytes() for trace in traces}) == len(cases)
     for case, trace in zip(cases, traces, strict=True):

@@ -6,14 +6,16 @@ the optimum; their models, the interference's phases and the noise are their own
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from koop_loop.batch import NOTHING_ADDED, STATES, run_batch, side_by_side
+from koop_loop.batch import STATES, run_batch
 from koop_study.simulation.case import Case, model_of
 from koop_study.simulation.run import Trace, lifter_of, run
 from koop_study.simulation.scenario import expose
+from koopman_lifter.model import KoopmanModel
+from vdp_plant.dynamics import RK4
 from vdp_plant.waves import LONGEST
 
 TOGETHER = 16  # loops whose signals a process holds at a time: 0.4 GB of 2500 s
@@ -29,7 +31,7 @@ def run_seeds(cases: Sequence[Case]) -> Iterator[Trace]:
     """
     for first in range(0, len(cases), TOGETHER):
         some = cases[first : first + TOGETHER]
-        yield from together(some) if is_plain(some[0]) else map(run, some)
+        yield from side_by_side(some) if is_plain(some[0]) else map(run, some)
 
 
 def is_plain(case: Case) -> bool:
@@ -39,30 +41,39 @@ def is_plain(case: Case) -> bool:
         and case.cost != "log"
         and case.scenario.lost == 0.0
         and case.sensing.indices.size == STATES
+        and case.sensing.delays == 1
+        and case.plant.params().integrator == RK4
         and case.steps <= LONGEST
     )
 
 
-def together(cases: Sequence[Case]) -> Iterable[Trace]:
-    """Run cases of :func:`is_plain`."""
-    plants, models = [case.plant for case in cases], [model_of(case) for case in cases]
-    lifters = [lifter_of(case, model) for case, model in zip(cases, models, strict=True)]
-    if not side_by_side(plants, models):
-        return map(run, cases)
+def side_by_side(cases: Sequence[Case]) -> list[Trace]:
+    """Run cases of :func:`is_plain`; those whose models have as many modes take steps together."""
+    models = [model_of(case) for case in cases]
+    groups: dict[object, list[int]] = {}
+    for i, model in enumerate(models):
+        groups.setdefault(None if model is None else model.projector.shape, []).append(i)
+    traces: dict[int, Trace] = {}
+    for members in groups.values():
+        found = together([cases[i] for i in members], [models[i] for i in members])
+        traces.update(zip(members, found, strict=True))
+    return [traces[i] for i in range(len(cases))]
+
+
+def together(cases: Sequence[Case], models: Sequence[KoopmanModel | None]) -> Iterator[Trace]:
+    """Run cases whose models have projectors of one shape."""
+    one, lifter = cases[0], lifter_of(cases[0], models[0])
     exposures = [expose(case.scenario, case.plant, case.steps, case.plant.seed) for case in cases]
-    steps, added = cases[0].steps, exposures[0].added.size > 0
     r, theta, finite = run_batch(
-        plants,
-        lifters[0],
-        cases[0].esc,
+        [case.plant for case in cases],
+        lifter,
+        one.esc,
         models,
-        steps,
+        one.steps,
         np.array([exposure.waves.interference for exposure in exposures]),
-        np.array([exposure.added for exposure in exposures]) if added else NOTHING_ADDED,
+        np.array([exposure.added for exposure in exposures]),
         exposures[0].displaced,
     )
-    t, no_truth = np.arange(steps, dtype=np.float64) * cases[0].plant.dt, np.empty((0, 2))
-    return (
-        Trace(t, r[i], theta[i], no_truth, steps) if finite[i] else run(case)
-        for i, case in enumerate(cases)
-    )
+    t, no_truth = np.arange(one.steps, dtype=np.float64) * one.plant.dt, np.empty((0, 2))
+    for i, case in enumerate(cases):
+        yield Trace(t, r[i], theta[i], no_truth, one.steps) if finite[i] else run(case)
