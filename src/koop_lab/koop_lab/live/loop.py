@@ -72,7 +72,7 @@ class LiveNodes:
         self._composed = {n: c for n, c in COMPONENTS.items() if composed and n in values}
         self._remaps = list(remaps)
         self._in_turn = False
-        """Whether the nodes work one after the other, each in a process of its own."""
+        """Whether the nodes work one after the other."""
         self._nodes: dict[str, NodeProcess] = {}
         self._stack = ExitStack()
 
@@ -220,4 +220,4 @@ class LiveLoop(LiveNodes):
             {**given, "recorder": asdict(replace(recorder, output=str(folder)))},
             composed=composed,
         )
-        self._in_turn = parameters.pace.pace == "lockstep" and not composed
+        self._in_turn = parameters.pace.pace == "lockstep"
