@@ -75,6 +75,21 @@ def test_info_and_train_give_the_same_from_a_store_with_as_few_requests_as_they_
     assert len(asked) == int(requests)
 
 
+def test_a_brief_info_reads_the_index_only(
+    log: Callable[[], str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    brief, said = run(capsys, "bag", "info", URL, "--brief")
+    ((_, requests, read, whole),) = REPORT.findall(said)
+    assert int(requests) <= 3
+    assert int(read) <= 3 * BLOCK < int(whole)
+    counts = re.compile(r"^/\S+ +\d+|^messages.*|^time.*", re.MULTILINE)
+    full, _ = run(capsys, "bag", "info", URL)
+    assert len(counts.findall(brief)) > 10
+    assert counts.findall(brief) == counts.findall(full)
+    assert "not read" in brief
+    assert "not read" not in full
+
+
 def test_what_a_store_has_against_it_is_said_in_one_line(
     log: Callable[[], str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

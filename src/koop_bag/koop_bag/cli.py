@@ -25,6 +25,12 @@ def register(commands: Any) -> None:
     info = bag.add_parser("info", help="topics, rates, losses, model, parameters")
     info.add_argument("bag", help="folder, file, or URL such as s3://BUCKET/RUN")
     info.add_argument("--parameters", action="store_true", help="print the nodes' parameters, too")
+    info.add_argument(
+        "--brief",
+        action="store_true",
+        help="read the index only, not the messages: no rates, losses, model. Two or three "
+        "requests for a bag of any size in a store",
+    )
     info.add_argument("--json", action="store_true", help="everything, for a program to read")
     _set(info, _info)
 
@@ -94,13 +100,15 @@ def _info(args: argparse.Namespace) -> int:
     from koop_bag.mcap.stored_file import traffic
 
     with BagReader(args.bag) as reader:
-        info = describe(reader)
+        info = describe(reader, args.brief)
     for line in traffic():
         print(line, file=sys.stderr)
     if args.json:
         print(json.dumps(dataclasses.asdict(info) | {"parameters": info.parameters}, indent=1))
     else:
         print(as_text(info, args.parameters))
+        if args.brief:
+            print("rates, losses and model were not read: leave out --brief")
     return 0
 
 

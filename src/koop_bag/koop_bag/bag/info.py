@@ -64,8 +64,11 @@ class BagInfo:
         }
 
 
-def describe(bag: BagReader) -> BagInfo:
-    """Read a bag through, in memory that does not grow with it."""
+def describe(bag: BagReader, brief: bool = False) -> BagInfo:
+    """Read a bag through, in memory that does not grow with it; ``brief``: its index only.
+
+    The index knows of no topic how often it came, what it lacks, or the model.
+    """
     info = BagInfo(
         str(bag.path),
         [str(path) for path in bag.files],
@@ -79,7 +82,7 @@ def describe(bag: BagReader) -> BagInfo:
     counters: dict[str, LossCounter] = {}
     fields: dict[str, list[str]] = {}
     for topic in bag.topics:
-        if topic.encoding == "cdr" and topic.definition:
+        if topic.encoding == "cdr" and topic.definition and not brief:
             fields[topic.name] = [LOG_TIME]
             if has_step(MessageSchema(topic.type_name, topic.definition, "")):
                 fields[topic.name].append("step")

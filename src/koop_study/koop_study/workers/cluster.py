@@ -100,7 +100,9 @@ class Workers:
         )
         lost = ""
         with tqdm(total=len(pending), unit="unit", smoothing=0.0, disable=None) as bar:
-            for future in as_completed(futures, loop=self._client.loop):
+            arriving = as_completed(futures, loop=self._client.loop)
+            del futures  # what the store has, no worker need keep, nor do again for one that ended
+            for future in arriving:
                 try:
                     result = future.result()
                 except KilledWorker:
