@@ -24,9 +24,6 @@ DEPTH = 1000
 """Messages that a writer keeps at least. Discovery doesn't tell a recorder the depth that was
 offered, and a player may be faster than what it replaces."""
 
-UNACKNOWLEDGED = 500
-"""Messages after which a player without a clock waits for those who listen."""
-
 STUCK = 2.0
 """A listener that has not acknowledged everything for so long [s] holds nobody up any more."""
 
@@ -62,9 +59,10 @@ class Outlet:
             )
         self.topic = topic.name
         self.count = 0
-        self.publisher = entities.publisher(
-            message_class(topic.type_name), name, qos_profile(recorded_qos(topic))
-        )
+        profile = qos_profile(recorded_qos(topic))
+        self.publisher = entities.publisher(message_class(topic.type_name), name, profile)
+        self._patience = profile.depth // 2
+        """Messages after which a player without a clock waits for those who listen."""
         self._unacknowledged = 0
         self._stuck = False
 
@@ -77,7 +75,7 @@ class Outlet:
         """Publish, and now and then wait until those who listen reliably have what was sent."""
         self.publish(data)
         self._unacknowledged += 1
-        if self._unacknowledged >= UNACKNOWLEDGED and not self._stuck:
+        if self._unacknowledged >= self._patience and not self._stuck:
             self._stuck = not self.wait_for_listeners(STUCK)
             self._unacknowledged = 0
 

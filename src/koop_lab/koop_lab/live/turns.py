@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import random
 import sys
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 
 
 def take_turns(pids: Iterable[int], listeners: Iterable[int] = ()) -> None:
@@ -31,7 +31,23 @@ def take_turns(pids: Iterable[int], listeners: Iterable[int] = ()) -> None:
     one = {random.choice(sorted(allowed))}  # several loops do not all want the first one
     for shared, group in ((one, pids), (allowed, listeners)):
         for pid in group:
-            with suppress(OSError):  # it has ended
-                for thread in map(int, os.listdir(f"/proc/{pid}/task")):
-                    os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
-                    os.sched_setaffinity(thread, shared)
+            _put(pid, shared, os.SCHED_BATCH)
+
+
+@contextmanager
+def taking_turns_with(pid: int) -> Iterator[None]:
+    """Let this process and another one take turns; this one is as it was afterwards."""
+    allowed, policy = os.sched_getaffinity(0), os.sched_getscheduler(0)
+    take_turns([os.getpid(), pid])
+    try:
+        yield
+    finally:
+        _put(os.getpid(), allowed, policy)
+
+
+def _put(pid: int, processors: set[int], policy: int) -> None:
+    """Give all threads of a process their processors and their kind of work."""
+    with suppress(OSError):  # it has ended
+        for thread in map(int, os.listdir(f"/proc/{pid}/task")):
+            os.sched_setscheduler(thread, policy, os.sched_param(0))
+            os.sched_setaffinity(thread, processors)

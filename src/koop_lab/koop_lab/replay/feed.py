@@ -12,7 +12,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +19,17 @@ from tqdm import tqdm
 
 from koop_bag.bag.reader import BagReader
 from koop_lab.live.process import START_TIMEOUT, NodeProcess, uninterrupted
+from koop_lab.live.turns import taking_turns_with
 from koop_lab.replay.plan import Plan, Stretch
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.settings import CONTROLLER
+from koop_loop.parameters import COMPONENTS
 from koop_node import parameter_file
 from koop_node.client import Client
 from koop_node.domain import free_domain
 from koop_node.errors import LiveError
 from koop_node.resend import Due, Resend
+from koop_node.wire import codec
 
 TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
 RESENDS = 2
@@ -36,7 +38,7 @@ RESENDS = 2
 def replay_live(
     recording: Recording, plan: Plan
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Replay a recording through node processes over DDS.
+    """Replay a recording through the nodes, in a process of theirs, over DDS.
 
     Returns
     -------
@@ -49,20 +51,21 @@ def replay_live(
         If a node ends, does not answer or refuses a parameter.
     """
     with tempfile.TemporaryDirectory(prefix="koop-replay-") as name:
-        nodes: dict[str, NodeProcess] = {}
+        components = [COMPONENTS[node] for node in reversed(CONTROLLER)]
         arguments = ["--ros-args", "--params-file", str(_parameter_file(Path(name), plan))]
         domain = free_domain()
+        nodes = NodeProcess(
+            "container",
+            [*components, *arguments],
+            Path(name) / "nodes.log",
+            environment={**os.environ, "ROS_DOMAIN_ID": str(domain)},
+        )
         try:
-            for node in reversed(CONTROLLER):
-                log = Path(name) / f"{node}.log"
-                there = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-                nodes[node] = NodeProcess(node, arguments, log, environment=there)
             with Feeder(nodes, domain) as feeder:
                 return feeder.run(recording, plan)
         finally:
             with uninterrupted():
-                for process in nodes.values():
-                    process.stop()
+                nodes.stop()
 
 
 def _parameter_file(folder: Path, plan: Plan) -> Path:
@@ -78,7 +81,7 @@ def _parameter_file(folder: Path, plan: Plan) -> Path:
 class Feeder(Client):
     """The plant's place in the loop, taken by a recording."""
 
-    def __init__(self, nodes: dict[str, NodeProcess], domain: int) -> None:
+    def __init__(self, nodes: NodeProcess, domain: int) -> None:
         from koop_msgs.msg import ControlInput, Cost, MeasuredState
         from rclpy.qos import QoSProfile
 
@@ -86,8 +89,9 @@ class Feeder(Client):
         self._nodes = nodes
         qos = QoSProfile(depth=100)
         self._publisher = self.node.create_publisher(MeasuredState, "state", qos)
-        self.node.create_subscription(Cost, "cost", self._on_cost, qos)
-        self.node.create_subscription(ControlInput, "theta", self._on_theta, qos)
+        self._read_cost, self._read_theta = codec(Cost).decode, codec(ControlInput).decode
+        self.node.create_subscription(Cost, "cost", self._on_cost, qos, raw=True)
+        self.node.create_subscription(ControlInput, "theta", self._on_theta, qos, raw=True)
         self._controlled = True
         self._question = Resend(TIMEOUT, RESENDS)
         self._cost: tuple[int, float] | None = None
@@ -105,6 +109,12 @@ class Feeder(Client):
         )
         if max(self.node.count_publishers(topic) for topic in ("state", "cost", "theta")) > 1:
             raise LiveError("another loop has joined the ROS domain of the replay: try again")
+        with taking_turns_with(self._nodes.process.pid):
+            return self._play(recording, plan)
+
+    def _play(
+        self, recording: Recording, plan: Plan
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         size = recording.step.size
         r, theta = np.empty(size), np.empty(size)
         begins = {stretch.begin: stretch for stretch in plan.stretches[1:]}
@@ -124,10 +134,12 @@ class Feeder(Client):
                 r[k], theta[k] = self._ask(int(recording.step[k]), message)
         return r, theta
 
-    def _on_cost(self, message: Any) -> None:
+    def _on_cost(self, data: bytes) -> None:
+        message = self._read_cost(data)
         self._cost = (message.step, message.r)
 
-    def _on_theta(self, message: Any) -> None:
+    def _on_theta(self, data: bytes) -> None:
+        message = self._read_theta(data)
         self._theta = (message.step, message.theta)
 
     def _ask(self, step: int, message: bytes) -> tuple[float, float]:
@@ -148,9 +160,7 @@ class Feeder(Client):
             elif due is Due.GIVE_UP:
                 break
         silent = CONTROLLER[0] if self._cost is None or self._cost[0] != step else CONTROLLER[1]
-        raise LiveError(
-            f"{silent} does not answer step {step}:\n{self._nodes[silent].last_lines()}"
-        )
+        raise LiveError(f"{silent} does not answer step {step}:\n{self._nodes.last_lines()}")
 
     def _change(self, stretch: Stretch) -> None:
         """Set parameters as they were set while recording."""
@@ -179,9 +189,8 @@ class Feeder(Client):
         self.call(SetBool, f"{CONTROLLER[1]}/hold", request, START_TIMEOUT, self._check_nodes)
 
     def _check_nodes(self) -> None:
-        for process in self._nodes.values():
-            if process.poll() is not None:
-                raise process.failure()
+        if self._nodes.poll() is not None:
+            raise self._nodes.failure()
 
 
 def _states(recording: Recording) -> Iterator[bytes]:
