@@ -28,7 +28,7 @@ def rows_of(rig, moves=True, seed=0):
 
 def test_a_fit_rig_reacts_and_theta_ends_at_its_safe_value(fast_rig):
     rows, bad = rows_of(RIG)
-    assert bad == []
+    assert bad == [], [rows[name].text for name in bad]
     # on a busy machine a late one is taken for a lost one now and then
     assert re.search(r"lost (none|[1-5] .*), no stamps: counted by arrival", rows["arrival"].text)
     assert "strongest at 20 Hz" in rows["spectrum"].text
