@@ -67,7 +67,7 @@ class BagInfo:
 def describe(bag: BagReader, brief: bool = False) -> BagInfo:
     """Read a bag through, in memory that does not grow with it; ``brief``: its index only.
 
-    The index knows of no topic how often it came, what it lacks, or the model.
+    The index has no rates, no losses and no models.
     """
     info = BagInfo(
         str(bag.path),

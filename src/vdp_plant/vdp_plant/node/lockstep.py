@@ -16,7 +16,7 @@ from vdp_plant.node.base import PlantRun
 from vdp_plant.pacing import silent_node
 
 CHECK_PERIOD = 0.05  # [s] between looks whether an answer is overdue
-WINDOW = 2500
+WINDOW = 2500  # steps that may be on their way to a subscriber: half of what a writer keeps
 HELD = 30.0  # [s] for which a subscriber that falls behind holds the plant; DDS gives up before
 
 
