@@ -12,7 +12,7 @@ from koop_lab.cli.main import main
 from koop_loop.training import trajectory_kernel
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
-from vdp_plant.waves import Waves, drive_of, interference_of
+from vdp_plant.waves import waves_of
 
 DT = 0.02
 PLANT = PlantConfig(dt=DT)
@@ -30,7 +30,7 @@ def record(path):
             writer.add_connection(topic, KIND, typestore=STORE) for topic in ("/pressure", "/knob")
         )
         states, p = np.empty((2, round(REST / DT))), PLANT.params()
-        waves = Waves(drive_of(p, states.shape[1]), interference_of(p, states.shape[1]))
+        waves = waves_of(p, states.shape[1])
         at = 10**18
         for theta in rng.uniform(-5.0, 2.0, 40):
             message = STORE.types[KIND](data=float(theta))

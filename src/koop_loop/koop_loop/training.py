@@ -79,8 +79,8 @@ def trajectories(
         plant = replace(plant, interference_amplitude_1=0.0, interference_amplitude_2=0.0)
     rng = np.random.default_rng(config.seed)
     states = np.empty((2, round(config.duration / plant.dt) + 1))
-    p, steps = plant.params(), states.shape[1]
-    shared = Waves(waves.drive_of(p, steps), waves.interference_of(p, steps))
+    p = plant.params()
+    shared = waves.waves_of(p, states.shape[1])
     for _ in range(config.trajectories):
         theta = rng.uniform(config.theta_low, config.theta_high)
         x, y = rng.uniform(-3.0, 3.0, size=2)

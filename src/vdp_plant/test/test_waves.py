@@ -5,7 +5,7 @@ import pytest
 
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
-from vdp_plant.waves import LONGEST, Waves, advance, drive_of, interference_of, measure
+from vdp_plant.waves import LONGEST, advance, interference_of, measure, waves_of
 
 TABLE, STEPS = 300, 400  # those after the table evaluate their own sines
 
@@ -13,7 +13,7 @@ TABLE, STEPS = 300, 400  # those after the table evaluate their own sines
 @pytest.mark.parametrize("integrator", ["rk4", "euler"])
 def test_a_run_from_tables_is_the_run_to_the_last_bit(integrator):
     p = PlantConfig(integrator=integrator, theta_rate=0.5, theta_max=2.2).params()
-    waves = Waves(drive_of(p, TABLE), interference_of(p, TABLE))
+    waves = waves_of(p, TABLE)
     assert waves.interference.size == TABLE
     assert len(waves.drive) == (TABLE if integrator == "rk4" else 0)
     theirs = ours = (1.0, 2.0, 1.5)

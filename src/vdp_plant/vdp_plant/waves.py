@@ -66,6 +66,11 @@ def interference_of(p: PlantParams, steps: int) -> NDArray[np.float64]:
     return interference
 
 
+def waves_of(p: PlantParams, steps: int) -> Waves:
+    """Return both of a run."""
+    return Waves(drive_of(p, steps), interference_of(p, steps))
+
+
 @njit()
 def measure(p: PlantParams, waves: Waves, k: int, x: float, y: float) -> tuple[float, float]:
     """Do :func:`vdp_plant.dynamics.measure`."""

@@ -21,7 +21,7 @@ from koop_study.laws import loop
 from koop_study.laws.catalogue import LAWS, Constants
 from koop_study.laws.loop import Law, LoopState, Sensing
 from koop_study.simulation.case import Case, model_of, override, seeded
-from koop_study.simulation.scenario import Exposure, expose, waves_of
+from koop_study.simulation.scenario import Exposure, expose
 from koopman_lifter import contrast, cost
 from koopman_lifter.config import SOURCES
 from koopman_lifter.cost import Lifting
@@ -32,6 +32,7 @@ from koopman_lifter.observables import Monomials
 from relay_esc.config import EscConfig
 from relay_esc.relay import RelayState
 from vdp_plant.dynamics import PlantParams
+from vdp_plant.waves import waves_of
 
 TIMEOUT = 0.5  # silence after which a stream resumes [s]
 LEVELS, REST = 16, 8.0  # of the recording that a rig's contrast is learned from; rest in its time

@@ -81,7 +81,7 @@ _drive = lru_cache(maxsize=2)(drive_of)
 _interference = lru_cache(maxsize=16)(interference_of)  # the seeds of a unit
 
 
-def waves_of(p: PlantParams, steps: int) -> Waves:
+def kept_waves(p: PlantParams, steps: int) -> Waves:
     """Return what of the plant depends on time alone, kept from the runs before."""
     without_phases = p._replace(interference_phase_1=0.0, interference_phase_2=0.0)
     return Waves(_drive(without_phases, steps), _interference(p, steps))
@@ -157,5 +157,5 @@ def expose(
         lost,
         displacement(config, steps, plant.dt),
         np.empty(0) if schedule is None else schedule,
-        waves_of(plant.params(), steps),
+        kept_waves(plant.params(), steps),
     )
