@@ -61,8 +61,8 @@ class BatchResult:
         return np.asarray(np.arange(self.theta.shape[1]) * self.dt, dtype=np.float64)
 
 
-class Own(NamedTuple):
-    """What the N loops of a batch have each of its own, or not: then an array has length 0.
+class Given(NamedTuple):
+    """What is given to the N loops of a batch, or not: then an array has length 0.
 
     Attributes
     ----------
@@ -74,17 +74,21 @@ class Own(NamedTuple):
         Added to the measured state.
     displaced : ndarray, shape (M,) or (0,)
         How far the optimum is from the plant's theta*, for all of them.
+    drive : ndarray, shape (M, 6) or (0, 6)
+        See :class:`vdp_plant.waves.Waves`, for all of them; else it is evaluated.
     """
 
     projectors: NDArray[np.float64]
     interference: NDArray[np.float64]
     added: NDArray[np.float64]
     displaced: NDArray[np.float64]
+    drive: NDArray[np.float64]
 
 
 ALL_THE_SAME = np.empty((0, 0))
 NOTHING_ADDED = np.empty((0, 0, 0))
 NOT_DISPLACED = np.empty(0)
+EVALUATED = np.empty((0, 6))
 
 
 @njit()
@@ -172,9 +176,8 @@ def energies(
 def run_group(
     p: PlantParams,
     controller: Controller,
-    own: Own,
+    given: Given,
     first: int,
-    drive: NDArray[np.float64],
     x: NDArray[np.float64],
     y: NDArray[np.float64],
     applied: NDArray[np.float64],
@@ -183,26 +186,26 @@ def run_group(
     r: NDArray[np.float64],
     theta: NDArray[np.float64],
 ) -> None:
-    """Advance a group by the steps of ``drive``, as ``koop_loop.loop.run_kernel`` does one loop.
+    """Advance a group by the steps of ``given.drive``, as ``koop_loop.loop.run_kernel`` one loop.
 
-    Of ``own``, the interference is there, shape (steps, loops); else see :func:`run_kernel`.
+    The interference is there, too, shape (steps, loops).
     """
     source, lifting, detector_params, relay_params = controller
     loops = x.shape[0]
     z, work = np.empty((lifting.parent.shape[0], loops)), np.empty((5, loops))
     m, n = borrowed(m), borrowed(n)
     c, y_out, measured_x, measured_y, output = work[0], work[1], work[2], work[3], work[4]
-    for step in range(drive.shape[0]):
+    for step in range(given.drive.shape[0]):
         k = first + step
-        interference, d = own.interference[step], drive[step]
+        interference, d = given.interference[step], given.drive[step]
         for i in range(loops):
             measured_x[i] = x[i] + interference[i]
             measured_y[i] = y[i] + interference[i]
-        if own.added.size > 0:
+        if given.added.size > 0:
             for i in range(loops):
-                measured_x[i] += own.added[i, k, 0]
-                measured_y[i] += own.added[i, k, 1]
-        energies(source, lifting, own.projectors, measured_x, measured_y, z, c, y_out)
+                measured_x[i] += given.added[i, k, 0]
+                measured_y[i] += given.added[i, k, 1]
+        energies(source, lifting, given.projectors, measured_x, measured_y, z, c, y_out)
         arrival = Arrival.RESTART if k == 0 else Arrival.NEXT
         for i in range(loops):
             r[i, k], detector = cost.follow(
@@ -214,7 +217,7 @@ def run_group(
             )  # fmt: skip
             remember(m[i], n[i], detector, state, relay_params.adaptive)
             theta[i, k] = output[i] = state.output
-        displaced = own.displaced[k] if own.displaced.shape[0] > 0 else 0.0
+        displaced = given.displaced[k] if given.displaced.shape[0] > 0 else 0.0
         for i in range(loops):
             applied[i] = dynamics.actuate(p, applied[i], output[i])
         eps0, force0, eps1, force1, eps2, force2 = d[0], d[1], d[2], d[3], d[4], d[5]
@@ -228,7 +231,7 @@ def run_group(
 def run_kernel(
     p: PlantParams,
     controller: Controller,
-    own: Own,
+    given: Given,
     x: NDArray[np.float64],
     y: NDArray[np.float64],
     applied: NDArray[np.float64],
@@ -240,30 +243,34 @@ def run_kernel(
     """Run N loops; ``x``, ``y``, ``applied``, shape (N,), ``m`` and ``n`` are left as at the end.
 
     ``r`` and ``theta``, shape (N, M), are filled. A state that is not finite stays so. Projectors
-    are those of ``own``, not the controller's.
+    are those of ``given``, not the controller's.
     """
     loops, steps = theta.shape
     drives, same = np.empty((BLOCK, 6)), np.empty(BLOCK)
     for first in range(0, steps, BLOCK):
         count = min(BLOCK, steps - first)
-        drive = drives[:count]
-        waves.fill_drive(p, first, drive)
-        if own.interference.shape[0] == 0:
+        if given.drive.shape[0] == 0:
+            drive = drives[:count]
+            waves.fill_drive(p, first, drive)
+        else:
+            drive = given.drive[first : first + count]
+        if given.interference.shape[0] == 0:
             waves.fill_interference(p, first, same[:count])
         for a in range(0, loops, GROUP):
             b = min(a + GROUP, loops)
             interference = np.empty((count, b - a))
             for i in range(b - a):
                 for k in range(count):
-                    if own.interference.shape[0] == 0:
+                    if given.interference.shape[0] == 0:
                         interference[k, i] = same[k]
                     else:
-                        interference[k, i] = own.interference[a + i, first + k]
-            group = Own(
-                own.projectors[:, :, a:b].copy(), interference, own.added[a:b], own.displaced
-            )
+                        interference[k, i] = given.interference[a + i, first + k]
+            group = Given(
+                given.projectors[:, :, a:b].copy(), interference, given.added[a:b], given.displaced,
+                drive,
+            )  # fmt: skip
             run_group(
-                p, controller, group, first, drive, x[a:b], y[a:b], applied[a:b], m[a:b], n[a:b],
+                p, controller, group, first, x[a:b], y[a:b], applied[a:b], m[a:b], n[a:b],
                 r[a:b], theta[a:b],
             )  # fmt: skip
 
@@ -317,6 +324,7 @@ def run_batch(
     interference: NDArray[np.float64] = ALL_THE_SAME,
     added: NDArray[np.float64] = NOTHING_ADDED,
     displaced: NDArray[np.float64] = NOT_DISPLACED,
+    drive: NDArray[np.float64] = EVALUATED,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Run closed loops of the Runge-Kutta plant, without delays, that ``check_fit`` lets through.
 
@@ -327,8 +335,8 @@ def run_batch(
         given, in its phases; models in their numbers, not in how many these are.
     lifter, esc, steps
         See :func:`koop_loop.loop.simulate`.
-    interference, added, displaced
-        See :class:`Own`.
+    interference, added, displaced, drive
+        See :class:`Given`.
 
     Returns
     -------
@@ -341,12 +349,12 @@ def run_batch(
     projectors = [
         cost.no_lifting().projector if model is None else model.projector for model in models
     ]
-    own = Own(np.stack(projectors, axis=-1), interference, added, displaced)
+    given = Given(np.stack(projectors, axis=-1), interference, added, displaced, drive)
     x, y = np.ascontiguousarray(np.array([initial_state(plant) for plant in plants]).T)
     r, theta = np.empty((len(plants), steps)), np.empty((len(plants), steps))
     m, n = memory(esc, len(plants))
     applied = np.full(len(plants), esc.theta_initial)
-    run_kernel(plants[0].params(), parameters, own, x, y, applied, m, n, r, theta)
+    run_kernel(plants[0].params(), parameters, given, x, y, applied, m, n, r, theta)
     return r, theta, np.isfinite(x) & np.isfinite(y)
 
 

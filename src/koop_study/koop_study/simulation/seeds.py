@@ -73,6 +73,7 @@ def together(cases: Sequence[Case], models: Sequence[KoopmanModel | None]) -> It
         np.array([exposure.waves.interference for exposure in exposures]),
         np.array([exposure.added for exposure in exposures]),
         exposures[0].displaced,
+        exposures[0].waves.drive,
     )
     t, no_truth = np.arange(one.steps, dtype=np.float64) * one.plant.dt, np.empty((0, 2))
     for i, case in enumerate(cases):
