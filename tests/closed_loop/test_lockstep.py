@@ -100,24 +100,29 @@ def test_a_recorder_that_is_not_scheduled_holds_the_plant_and_lacks_nothing(
     module_domain, tmp_path
 ):
     parameters = make({"vdp_plant": {"pace": "lockstep", "duration": 150.0, "seed": 5}})
-    seen: list[int] = []  # five a second, of which the plant reports one
+    stopped = gone_on = False
+    seen: list[int] = []  # twenty a second, of which the plant reports one
     with LiveLoop(tmp_path, parameters, composed=True) as loop:
         recorder = loop.process_ids()["recorder"]
 
         def stall(progress):
-            if progress.step and not seen:
-                os.kill(recorder, signal.SIGSTOP)
-            if progress.step:
+            nonlocal stopped, gone_on
+            if not stopped and sum(f.stat().st_size for f in tmp_path.rglob("*.mcap")) > 1_000_000:
+                os.kill(recorder, signal.SIGSTOP)  # the run takes a second or two: not by reports
+                stopped = True
+            if stopped and not gone_on and progress.step:
                 seen.append(progress.step)
-            if len(seen) > 20 and len(set(seen[-20:])) == 1:  # the plant stands still
-                os.kill(recorder, signal.SIGCONT)
+                if len(seen) > 40 and len(set(seen[-40:])) == 1:  # the plant stands still
+                    os.kill(recorder, signal.SIGCONT)
+                    gone_on = True
 
         try:
             loop.run(stall)
         finally:
             with suppress(ProcessLookupError):  # it has ended with the run
                 os.kill(recorder, signal.SIGCONT)
-    assert len(seen) > 20
+    assert gone_on
+    assert seen[-1] < 30_000
     run = read_run(tmp_path / "bag")
     np.testing.assert_array_equal(run.step, np.arange(30_000))
     assert not any(run.lost.values())
