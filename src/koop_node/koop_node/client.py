@@ -14,7 +14,7 @@ from types import FrameType, TracebackType
 from typing import Any, TypeVar
 
 from koop_node.errors import LiveError
-from koop_node.question import Question
+from koop_node.question import ASK_AGAIN, Question
 
 ANSWER = 5.0  # [s] for a node to answer a call
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -122,12 +122,18 @@ class Client:
 
         It is asked again until it is answered, see :class:`~koop_node.question.Question`.
         """
+        question = Question(self._service(service_type, name, seconds, check), request)
+        return self.wait_for(question.answer, seconds, f"an answer of {name}", check)
+
+    def _service(
+        self, service_type: Any, name: str, seconds: float, check: Callable[[], object] | None
+    ) -> Any:
+        """Return the client of a service that is ready."""
         if name not in self._services:
             self._services[name] = self.node.create_client(service_type, name)
         client = self._services[name]
         self.wait_for(client.service_is_ready, seconds, f"the service {name}", check)
-        question = Question(client, request)
-        return self.wait_for(question.answer, seconds, f"an answer of {name}", check)
+        return client
 
     def set_parameters(
         self,
@@ -177,12 +183,25 @@ class Client:
             "cleanup": (Transition.TRANSITION_CLEANUP, State.PRIMARY_STATE_UNCONFIGURED),
         }[transition]
         request = ChangeState.Request(transition=Transition(id=number))
-        if self.call(ChangeState, f"{node}/change_state", request, seconds, check).success:
-            return
-        # asked a second time, a node that has done it refuses
-        state = self.call(GetState, f"{node}/get_state", GetState.Request(), seconds, check)
-        if state.current_state.id != aim:
-            raise LiveError(f"{node} is {state.current_state.label} and cannot {transition}")
+        service = f"{node}/change_state"
+        asked = self._service(ChangeState, service, seconds, check).call_async(request)
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            # its state is asked for, not the transition again: who has done it would refuse that
+            look = time.monotonic() + ASK_AGAIN
+            while not asked.done() and time.monotonic() < look:
+                self.spin(0.05)
+                if check is not None:
+                    check()
+            if asked.done() and asked.result().success:
+                return
+            left = max(deadline - time.monotonic(), ASK_AGAIN)
+            state = self.call(GetState, f"{node}/get_state", GetState.Request(), left, check)
+            if state.current_state.id == aim:  # the answer got lost
+                return
+            if asked.done():
+                raise LiveError(f"{node} is {state.current_state.label} and cannot {transition}")
+        raise LiveError(f"{service}: timed out after {seconds:g} s")
 
     def count_publishers(self, topic: str) -> int:
         """Return how many publishers of a topic are on this domain."""

@@ -2,10 +2,18 @@
 
 import os
 import signal
+import threading
+import time
+from contextlib import contextmanager, suppress
 
 import pytest
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import TransitionCallbackReturn
 
 from koop_node.client import Client
+from koop_node.errors import LiveError
+from koop_node.rclpy_internals import RefusingLifecycleNode
 
 pytestmark = pytest.mark.ros
 
@@ -45,3 +53,43 @@ def test_a_signal_that_was_ignored_stays_so_and_a_later_handler_is_kept():
         assert came == [signal.SIGHUP]
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+class Slow(RefusingLifecycleNode):
+    """Takes longer to be configured than a client waits for an answer."""
+
+    def on_configure(self, state):
+        time.sleep(2.5)
+        return TransitionCallbackReturn.SUCCESS
+
+
+@contextmanager
+def spinning(kind, name):
+    context = rclpy.Context()
+    context.init(args=[])
+    executor = SingleThreadedExecutor(context=context)
+    node = kind(name, context=context)
+    executor.add_node(node)
+
+    def spin():
+        with suppress(ExternalShutdownException):
+            executor.spin()
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        yield
+    finally:
+        context.shutdown()
+        thread.join()
+        node.destroy_node()
+
+
+def test_a_transition_that_takes_long_is_asked_for_once_and_an_impossible_one_is_told(capfd):
+    with spinning(Slow, "slow"), Client("guest") as client:
+        client.change_state("/slow", "configure", 10.0)
+        client.change_state("/slow", "activate")
+        assert capfd.readouterr().err == ""  # where a second request would be refused
+        with pytest.raises(LiveError, match="active and cannot configure"):
+            client.change_state("/slow", "configure")
+        assert "refused: transition 1" in capfd.readouterr().err
