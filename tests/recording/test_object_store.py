@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -88,6 +89,8 @@ def test_a_brief_info_reads_the_index_only(
     assert counts.findall(brief) == counts.findall(full)
     assert "not read" in brief
     assert "not read" not in full
+    as_json, _ = run(capsys, "bag", "info", URL, "--brief", "--json")
+    assert json.loads(as_json)["index_only"] is True
 
 
 def test_what_a_store_has_against_it_is_said_in_one_line(

@@ -107,8 +107,6 @@ def _info(args: argparse.Namespace) -> int:
         print(json.dumps(dataclasses.asdict(info) | {"parameters": info.parameters}, indent=1))
     else:
         print(as_text(info, args.parameters))
-        if args.brief:
-            print("rates, losses and model were not read: leave out --brief")
     return 0
 
 

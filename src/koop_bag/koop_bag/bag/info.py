@@ -39,7 +39,10 @@ class TopicInfo:
 
 @dataclass
 class BagInfo:
-    """One bag; the attributes are those that `koop bag info` prints."""
+    """One bag; the attributes are those that `koop bag info` prints.
+
+    Rates, losses and models are unknown, not absent, where ``index_only`` is true.
+    """
 
     path: str
     files: list[str]
@@ -48,6 +51,7 @@ class BagInfo:
     start: float
     duration: float
     messages: int
+    index_only: bool = False
     topics: list[TopicInfo] = field(default_factory=list)
     complete_from: dict[str, int] = field(default_factory=dict)
     model_ids: list[str] = field(default_factory=list)
@@ -77,6 +81,7 @@ def describe(bag: BagReader, brief: bool = False) -> BagInfo:
         bag.start_time * 1e-9,
         bag.duration,
         bag.message_count,
+        brief,
         custom=bag.custom_data(),
     )
     counters: dict[str, LossCounter] = {}
@@ -146,6 +151,8 @@ def as_text(info: BagInfo, with_parameters: bool = False) -> str:
             f"{topic.name:<{width}}  {topic.count:>9}  {rate:>8}  {lost:>6}  "
             f"{topic.type_name}{_remarks(topic.steps, ends.get(topic.name, 0))}"
         )
+    if info.index_only:
+        lines += ["", "rates, losses and models were not read: leave out --brief"]
     if with_parameters:
         lines += ["", info.custom.get("parameters", "no parameters were recorded").rstrip()]
     return "\n".join(lines)
