@@ -174,9 +174,12 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
     with full_disk():
         with pytest.raises(LiveError, match=r"commission.json: .*: make room"):
             progress.write_whole(found, {"fit": False})
+        with pytest.raises(LiveError, match=r"controller.yaml: .*: make room"):
+            progress.write_text(tmp_path / "controller.yaml", "dwell: 1.0\n")
         with pytest.raises(LiveError, match=r"rig.yaml: .*: make room"):
             Commissioning(ONE, file, tmp_path / "new", Watch())
     assert progress.noted(found) == {"fit": True}
+    assert not (tmp_path / "controller.yaml").exists()  # which tune would take for its own
     whole = Commissioning(ONE, file, tmp_path / "new", Watch())
     assert rig_file.read(tmp_path / "new/rig.yaml") == ONE
 

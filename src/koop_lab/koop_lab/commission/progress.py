@@ -82,7 +82,12 @@ def save(progress: Progress, rig: RigFile, folder: Path) -> None:
 
 
 def write_whole(path: Path, values: Any) -> None:
-    """Write a JSON file that is whole at any time.
+    """Write a JSON file; as :func:`write_text`."""
+    write_text(path, json.dumps(values, indent=1) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that is whole at any time.
 
     Raises
     ------
@@ -92,7 +97,7 @@ def write_whole(path: Path, values: Any) -> None:
     new = path.with_name(f"{path.name}.new")
     try:
         with open(new, "w", encoding="utf-8") as file:
-            file.write(json.dumps(values, indent=1) + "\n")
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
         os.replace(new, path)

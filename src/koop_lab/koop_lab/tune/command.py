@@ -138,7 +138,7 @@ def tune_folders(
         train_from_bags(bags, found.chosen.cost.training).save(model)
     progress.write_whole(out / FIGURES, figures.of_tuning(found, rig, model))
     draw(found.seen, found, out / PICTURE, f"{folders[0]}: {found.chosen.cost.name}")
-    (out / PARAMETERS).write_text(written.as_parameters(found, rig, model), encoding="utf-8")
+    progress.write_text(out / PARAMETERS, written.as_parameters(found, rig, model))
     print(written.as_table(found.seen))
     print("\n" + written.as_words(found))
     print(f"\nfound in {time.monotonic() - began:.0f} s; written to {out}")
