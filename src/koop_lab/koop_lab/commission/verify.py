@@ -19,6 +19,7 @@ from koop_lab.commission import rig_file, time_scale
 from koop_lab.commission.closed_loop import (
     Aim,
     Measured,
+    agreement,
     as_predicted,
     disagreements,
     may_yet_agree,
@@ -134,7 +135,7 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> dict[str, Any]:
         now["runs"].append(run)
         save(found, folder)
     worse = [text for run in now["runs"] for text in disagreements(aim, _measured(run))]
-    now["agrees"], now["says"] = not worse, "; ".join(worse) or "as predicted, or better"
+    now["agrees"], now["says"] = not worse, "; ".join(worse) or agreement(now["runs"])
     save(found, folder)
     return judge(rig, folder, len(rounds) - 1)
 
