@@ -28,7 +28,6 @@ from koop_lab.commission.leash import way_home
 from koop_lab.commission.progress import Progress
 from koop_lab.commission.rig_file import STATE, THETA, RigFile
 from koop_lab.commission.session import (
-    Ended,
     Session,
     Watch,
     refuse_incomplete_state,
@@ -89,7 +88,7 @@ def main(args: argparse.Namespace) -> int:
     again = f"./koop excite {args.rig} --out {folder}{time_scale.words(args)}"
     try:
         result = excite(rig, folder, scale, args.seed, note_of(args.rig))
-    except Ended as error:
+    except LiveError as error:
         raise LiveError(f"{error}; to go on: {again}") from None
     except KeyboardInterrupt:
         print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; to go on: {again}")

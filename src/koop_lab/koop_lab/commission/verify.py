@@ -32,7 +32,6 @@ from koop_lab.commission.excite import BAR, mend, refuse_small_disk
 from koop_lab.commission.hand import note_of
 from koop_lab.commission.rig_file import THETA, THETA_TYPE, RigFile
 from koop_lab.commission.session import (
-    Ended,
     Session,
     Watch,
     refuse_incomplete_state,
@@ -77,7 +76,7 @@ def main(args: argparse.Namespace) -> int:
     again = f"./koop verify {args.rig} {args.folder}{time_scale.words(args)}"
     try:
         found = verify(rig, args.folder, watch)
-    except Ended as error:
+    except LiveError as error:
         raise LiveError(f"{error}; to go on: {again}") from None
     except KeyboardInterrupt:
         print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; to go on: {again}")
