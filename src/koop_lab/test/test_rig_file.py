@@ -78,6 +78,13 @@ def test_what_cannot_be_meant_is_refused_with_its_line(tmp_path, old, new, messa
         read(path)
 
 
+def test_all_that_is_missing_is_told_at_once(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text("dt: 0.01\ntheta_min: 0.0\n")
+    with pytest.raises(ConfigError, match=r"missing: measured, .*, theta_safe; koop commission"):
+        read(path)
+
+
 def test_a_number_is_one_in_any_spelling(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text(written(RIG).replace("dt: 0.01", "dt: 1e-2"))

@@ -159,9 +159,12 @@ def read(path: str | Path) -> RigFile:
     try:
         given = mapping(content, "the file")
         refuse_unknown(given, [item.name for item in fields(RigFile)], "key")
-        for item in fields(RigFile):
-            if item.name in REQUIRED and item.name not in given:
-                raise ConfigError(f"'{item.name}' is missing: {spec_of(item).description}")
+        missing = [item for item in fields(RigFile) if item.name in REQUIRED - given.keys()]
+        if len(missing) == 1:
+            raise ConfigError(f"'{missing[0].name}' is missing: {spec_of(missing[0]).description}")
+        if missing:
+            names = ", ".join(item.name for item in missing)
+            raise ConfigError(f"these are missing: {names}; koop commission --new asks for each")
         return RigFile(**given)
     except ConfigError as error:
         text = str(error)
