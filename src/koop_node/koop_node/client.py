@@ -101,10 +101,19 @@ class Client:
         LiveError
             If the condition did not become true.
         """
+        if not (found := self._spin_until(condition, seconds, check)):
+            raise LiveError(f"{what}: timed out after {seconds:g} s")
+        return found
+
+    def _spin_until(
+        self,
+        condition: Callable[[], Found],
+        seconds: float,
+        check: Callable[[], object] | None,
+    ) -> Found:
+        """Spin until a condition is true or the time is over; return what it last was."""
         deadline = time.monotonic() + seconds
-        while not (found := condition()):
-            if time.monotonic() > deadline:
-                raise LiveError(f"{what}: timed out after {seconds:g} s")
+        while not (found := condition()) and time.monotonic() <= deadline:
             self.spin(0.05)
             if check is not None:
                 check()
@@ -186,22 +195,20 @@ class Client:
         service = f"{node}/change_state"
         asked = self._service(ChangeState, service, seconds, check).call_async(request)
         deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline:
-            # its state is asked for, not the transition again: who has done it would refuse that
-            look = time.monotonic() + ASK_AGAIN
-            while not asked.done() and time.monotonic() < look:
-                self.spin(0.05)
-                if check is not None:
-                    check()
-            if asked.done() and asked.result().success:
-                return
+
+        def state() -> Any:
             left = max(deadline - time.monotonic(), ASK_AGAIN)
-            state = self.call(GetState, f"{node}/get_state", GetState.Request(), left, check)
-            if state.current_state.id == aim:  # the answer got lost
+            answer = self.call(GetState, f"{node}/get_state", GetState.Request(), left, check)
+            return answer.current_state
+
+        while not self._spin_until(asked.done, ASK_AGAIN, check):
+            # its state is asked for, not the transition again: who has done it would refuse that
+            if state().id == aim:  # the answer got lost
                 return
-            if asked.done():
-                raise LiveError(f"{node} is {state.current_state.label} and cannot {transition}")
-        raise LiveError(f"{service}: timed out after {seconds:g} s")
+            if time.monotonic() > deadline:
+                raise LiveError(f"{service}: timed out after {seconds:g} s")
+        if not asked.result().success and (now := state()).id != aim:
+            raise LiveError(f"{node} is {now.label} and cannot {transition}")
 
     def count_publishers(self, topic: str) -> int:
         """Return how many publishers of a topic are on this domain."""

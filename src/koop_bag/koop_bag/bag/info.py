@@ -81,7 +81,7 @@ def describe(bag: BagReader, brief: bool = False) -> BagInfo:
         bag.start_time * 1e-9,
         bag.duration,
         bag.message_count,
-        brief,
+        index_only=brief,
         custom=bag.custom_data(),
     )
     counters: dict[str, LossCounter] = {}

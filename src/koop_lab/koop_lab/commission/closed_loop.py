@@ -309,15 +309,16 @@ def kept_round(rounds: Sequence[dict[str, Any]]) -> int:
     return min(range(len(rounds)), key=lambda k: _worst(rounds[k]))
 
 
-def agreement(runs: Sequence[dict[str, Any]]) -> str:
+def agreement(item: dict[str, Any]) -> str:
     """Return what a round that agrees with its prediction says.
 
-    >>> agreement([{"excess": 1.2}, {"excess": 1.83}])
+    >>> agreement({"runs": [{"excess": 1.2}, {"excess": 1.83}]})
     'as predicted, or better, but 1.83 times the best of the static map: not damped'
     """
-    worst = _worst({"runs": runs})
-    short = f", but {worst:.3g} times the best of the static map: not damped"
-    return f"as predicted, or better{short if worst > GOOD else ''}"
+    said, worst = "as predicted, or better", _worst(item)
+    if worst <= GOOD:
+        return said
+    return f"{said}, but {worst:.3g} times the best of the static map: not damped"
 
 
 def _worst(item: dict[str, Any]) -> float:

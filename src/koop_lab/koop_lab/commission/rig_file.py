@@ -159,7 +159,8 @@ def read(path: str | Path) -> RigFile:
     try:
         given = mapping(content, "the file")
         refuse_unknown(given, [item.name for item in fields(RigFile)], "key")
-        missing = [item for item in fields(RigFile) if item.name in REQUIRED - given.keys()]
+        lacking = set(REQUIRED) - given.keys()
+        missing = [item for item in fields(RigFile) if item.name in lacking]
         if len(missing) == 1:
             raise ConfigError(f"'{missing[0].name}' is missing: {spec_of(missing[0]).description}")
         if missing:

@@ -134,7 +134,7 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> dict[str, Any]:
         now["runs"].append(run)
         save(found, folder)
     worse = [text for run in now["runs"] for text in disagreements(aim, _measured(run))]
-    now["agrees"], now["says"] = not worse, "; ".join(worse) or agreement(now["runs"])
+    now["agrees"], now["says"] = not worse, "; ".join(worse) or agreement(now)
     save(found, folder)
     return judge(rig, folder, len(rounds) - 1)
 
