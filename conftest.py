@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from koop_node.client import Client
 from koop_node.domain import hold_domain
 
 ROOT = Path(__file__).parent
@@ -30,8 +31,19 @@ def pytest_xdist_auto_num_workers() -> int:
     return len(os.sched_getaffinity(0)) + 1 if hasattr(os, "sched_getaffinity") else 2
 
 
+@pytest.fixture(scope="session")
+def guest() -> None:
+    """Let this process hear by UDP, whichever test is its first one: Fast DDS reads that once.
+
+    A node that a test stops may hold the lock of a mailbox in shared memory; all who send to it
+    then wait for seconds.
+    """
+    with hold_domain() as domain, Client("guest", domain):
+        pass
+
+
 @pytest.fixture(scope="module")
-def module_domain() -> Iterator[str]:
+def module_domain(guest: None) -> Iterator[str]:
     """Give the tests of a module one domain, for nodes that several of them use."""
     with hold_domain() as domain, pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(domain))
@@ -39,7 +51,7 @@ def module_domain() -> Iterator[str]:
 
 
 @pytest.fixture
-def own_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def own_domain(guest: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Give a test a domain, for nodes that only it uses."""
     with hold_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))

@@ -31,16 +31,18 @@ class Client:
         Of the node.
     domain : int, optional
         ROS domain; by default that of the environment.
+    guest : bool
+        See :func:`koop_node.main.set_dds_profile`.
     """
 
-    def __init__(self, name: str, domain: int | None = None) -> None:
+    def __init__(self, name: str, domain: int | None = None, guest: bool = True) -> None:
         import rclpy
         from rclpy.experimental.events_executor import EventsExecutor
 
         from koop_node.entities import WithoutEvents
         from koop_node.main import set_dds_profile
 
-        set_dds_profile()
+        set_dds_profile(guest)
         self._context = rclpy.Context()
         self._context.init(args=[], domain_id=domain)
         self.node = WithoutEvents(name, context=self._context)

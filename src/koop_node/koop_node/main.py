@@ -29,14 +29,18 @@ from koop_node.managed import ManagedNode
 
 USAGE = f"a node takes {ARGUMENTS}; --help lists its parameters"
 QUEUED = 100  # callbacks that an executor may have to do before it knows of a change
-PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # environment variable of Fast DDS
+PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # environment variables of Fast DDS
+TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
 
 
 def set_dds_profile(guest: bool = False) -> None:
     """Let Fast DDS notice a loss in 10 ms and never wait for a lost host.
 
-    To be called before DDS starts in this process. A file of the user's stays.
+    To be called before DDS starts in this process; what counts is the first call. A file of the
+    user's stays. Where the user's environment asks for UDP (``FASTDDS_BUILTIN_TRANSPORTS=UDPv4``),
+    what is sent to this process comes so: with the discovery range LOCALHOST, rmw_fastrtps ignores
+    that variable.
 
     Parameters
     ----------
@@ -44,6 +48,7 @@ def set_dds_profile(guest: bool = False) -> None:
         Whether the process only looks on: what is sent to it then comes by UDP, not through shared
         memory, which under load may be lost for good.
     """
+    guest = guest or os.environ.get(TRANSPORTS) == "UDPv4"
     own = Path(str(files("koop_node")))
     if Path(os.environ.get(PROFILE, own / "none")).parent == own:  # none, or a parent's
         os.environ[PROFILE] = str(own / ("fastdds_guest.xml" if guest else "fastdds.xml"))

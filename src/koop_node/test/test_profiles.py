@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from koop_node.main import PROFILE, set_dds_profile
+from koop_node.main import PROFILE, TRANSPORTS, set_dds_profile
 
 OWN = Path(str(files("koop_node")))
 
@@ -38,8 +38,20 @@ def test_a_profile_of_the_users_stays_and_one_of_a_parent_does_not(
     monkeypatch, given, guest, expected
 ):
     monkeypatch.delenv(PROFILE, raising=False)
+    monkeypatch.delenv(TRANSPORTS, raising=False)
     if given is not None:
         monkeypatch.setenv(PROFILE, str(given))
     set_dds_profile(guest)
     assert os.environ[PROFILE] == str(expected)
     monkeypatch.setenv(PROFILE, os.environ[PROFILE])  # to be undone
+
+
+@pytest.mark.parametrize(
+    ("transports", "expected"),
+    [("UDPv4", OWN / "fastdds_guest.xml"), ("SHM", OWN / "fastdds.xml"), ("", OWN / "fastdds.xml")],
+)
+def test_who_asks_fast_dds_for_udp_is_sent_to_by_udp(monkeypatch, transports, expected):
+    monkeypatch.setenv(PROFILE, str(OWN / "fastdds.xml"))
+    monkeypatch.setenv(TRANSPORTS, transports)
+    set_dds_profile()
+    assert os.environ[PROFILE] == str(expected)
