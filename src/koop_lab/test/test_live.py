@@ -38,6 +38,17 @@ def test_ctrl_c_that_comes_again_does_not_keep_a_node_from_being_stopped(tmp_pat
     assert signal.getsignal(signal.SIGINT) is handler
 
 
+def test_a_node_is_out_of_reach_of_ctrl_c_and_shares_the_processors_with_its_starter(tmp_path):
+    node = NodeProcess("node", [ENDS_LATE], tmp_path / "node.log", [sys.executable, "-c"])
+    try:
+        assert os.getpgid(node.process.pid) != os.getpgrp()  # a terminal interrupts a group
+        if sys.version_info >= (3, 11):  # Linux shares out by session
+            assert os.getsid(node.process.pid) == os.getsid(0)
+    finally:
+        node.process.kill()
+        node.process.wait()
+
+
 # Starts a process that ends with it, from a thread that is over at once, and says its number.
 PARENT = """
 import sys, threading, time

@@ -18,7 +18,7 @@ from typing import Any
 
 from koop_lab.commission.leash import way_home
 from koop_lab.commission.rig_file import RigFile
-from koop_lab.live.process import uninterrupted
+from koop_lab.live.process import OWN_GROUP, uninterrupted
 from koop_loop.ending import told
 from koop_node.errors import LiveError
 
@@ -179,8 +179,8 @@ class Hand:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=output,
-                start_new_session=True,  # Ctrl-C reaches this process, which tells the commander
                 env=os.environ,
+                **OWN_GROUP,  # Ctrl-C reaches this process, which tells the commander
             )
         self._tell(**self._first)
         threading.Thread(target=self._listen, args=(self._process,), daemon=True).start()

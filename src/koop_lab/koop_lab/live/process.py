@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -21,6 +22,14 @@ from koop_node.lifeline import TIED
 
 START_TIMEOUT = 60.0  # [s] for imports and, the first time, for the compilation of the kernels
 STOP_TIMEOUT = 10.0  # [s] after which a node that ignores SIGINT is killed
+OWN_GROUP: dict[str, Any] = (
+    {"process_group": 0} if sys.version_info >= (3, 11) else {"start_new_session": True}
+)
+"""Options of Popen, with which Ctrl-C reaches only the parent, which ends the process in order.
+
+Not a session of its own where it can be had: Linux shares the processors out by session, and on a
+busy machine threads of such a process waited for up to 4 s (docs/hil.md, "On one host").
+"""
 
 
 def executable(node: str) -> str:
@@ -107,11 +116,7 @@ class NodeProcess:
         words = [*before, *(command or [executable(node)]), *arguments]
         with open(log, "ab") as output:
             self.process = TiedProcess(
-                words,
-                environment,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,  # Ctrl-C reaches only the parent, which stops them in order
+                words, environment, stdout=output, stderr=subprocess.STDOUT, **OWN_GROUP
             )
 
     def poll(self) -> int | None:
