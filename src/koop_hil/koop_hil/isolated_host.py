@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from koop_hil.hosts import entrance, environment
-from koop_lab.live.process import TiedProcess
+from koop_lab.live.process import OWN_GROUP, TiedProcess
 
 
 def call(command: list[str]) -> int:
@@ -14,8 +14,8 @@ def call(command: list[str]) -> int:
     koop_hil.hosts.HostsError
         If no such host can be made here.
     """
-    # in a session of its own, Ctrl-C reaches it once, from here
-    process = TiedProcess([*entrance(), *command], environment(), start_new_session=True)
+    # Ctrl-C reaches it once, from here
+    process = TiedProcess([*entrance(), *command], environment(), **OWN_GROUP)
     try:
         return process.wait()
     except BaseException:
