@@ -31,6 +31,7 @@ from koop_node.errors import LiveError
 from koop_node.fields import parse_source
 
 COST = "/cost"
+WAITING = 0.1  # [s] in which all is heard that was waiting while this process was held up
 
 
 class Ended(LiveError):
@@ -155,6 +156,17 @@ class Session:
             raise LiveError(f"{self._rig.knob.topic} is also commanded by {', '.join(others)}")
         self.shown()
 
+    def silent(self) -> bool:
+        """Return whether the rig says nothing any more, also if this process was held up itself."""
+        limit, begin = silence(self._rig.dt, self._watch.scale), time.monotonic()
+        if not self.ears.silent > limit:  # NaN if it has not begun
+            return False
+        while (passed := time.monotonic() - begin) < limit:
+            self.client.spin(0.05)
+            if self.ears.silent < passed - WAITING:
+                return False
+        return True
+
     def refuse_dead(self) -> None:
         """Raise LiveError if a channel has not changed for ``still`` samples."""
         if not 0 < self.still <= self.ears.count:
@@ -225,8 +237,7 @@ def session(
             stack.callback(run.hand.come_home)
             yield run
         except LiveError as error:
-            silent = ears.silent > silence(rig.dt, watch.scale)
-            raise Ended(str(error), rig, silent) from error
+            raise Ended(str(error), rig, run.silent()) from error
 
 
 def refuse_incomplete_state(rig: RigFile) -> None:

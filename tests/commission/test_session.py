@@ -1,0 +1,28 @@
+"""A session: whose fault a silence is."""
+
+import time
+
+import pytest
+from commission_rig import DT, RIG
+
+from koop_lab.commission.ears import Ears
+from koop_lab.commission.leash import silence
+from koop_lab.commission.session import Session, Watch
+from koop_lab.live.loop import LiveNodes
+from koop_node.client import Client
+
+pytestmark = pytest.mark.ros
+
+
+def test_a_command_that_was_held_up_does_not_call_the_rig_silent(fast_rig, tmp_path):
+    held_up = silence(DT) + 0.2
+    with Client("session") as client:
+        source = RIG.state
+        ears = Ears(client, source.topic, RIG.measured_type, source.fields)
+        run = Session(RIG, Watch(), client, LiveNodes(tmp_path, {}), ears)
+        client.wait_for(lambda: ears.count, 10.0, "the rig")
+        time.sleep(held_up)
+        assert not run.silent()
+        fast_rig.silent = True
+        time.sleep(held_up)  # what was said before it fell silent is heard only now
+        assert run.silent()
