@@ -40,7 +40,6 @@ class Rig:
     def __init__(self, probe):
         self.probe = probe
         self.resent = 0
-        self.question = Resend(TIMEOUT / 2, RESENDS)
         self.answers = probe.collect(ControlInput, "theta")
         self.costs = probe.collect(Cost, "cost")
         self.publisher = probe.node.create_publisher(MeasuredState, "state", 1000)
@@ -51,16 +50,16 @@ class Rig:
     def __call__(self, step, x):
         before = len(self.answers)
         self.send(step, x)
-        self.question.ask(time.monotonic())
+        question = Resend(TIMEOUT / 2, RESENDS)
+        question.ask(time.monotonic())
 
         def answered():
-            if self.question.check(time.monotonic()) is Due.AGAIN:
+            if question.check(time.monotonic()) is Due.AGAIN:
                 self.send(step, x)
-                self.resent += 1
             return any(answer.step == step for answer in self.answers[before:])
 
         self.probe.spin_until(answered, f"theta of step {step}")
-        self.question.close()
+        self.resent += question.resent
 
     def send(self, step, x=(1.0, 2.0)):
         self.publisher.publish(MeasuredState(step=step, x=[float(value) for value in x]))
@@ -129,7 +128,7 @@ def without_shared_memory():
 
 
 @pytest.fixture(scope="module")
-def eventful(without_shared_memory, module_start, module_probe, tmp_path_factory):
+def eventful_run(without_shared_memory, module_start, module_probe, tmp_path_factory):
     """Record everything that can happen; returns the folder and how often states were resent."""
     start, probe = module_start, module_probe
     folder = tmp_path_factory.mktemp("eventful") / "run"
@@ -191,9 +190,15 @@ def eventful(without_shared_memory, module_start, module_probe, tmp_path_factory
     return folder, 2 + rig.resent
 
 
+@pytest.fixture(scope="module")
+def eventful(eventful_run):
+    """Return the folder of that recording."""
+    return eventful_run[0]
+
+
 @pytest.mark.parametrize("how", [["--offline"], []])
-def test_an_eventful_run_is_replayed_bit_for_bit(eventful, how, capfd):
-    folder, resent = eventful
+def test_an_eventful_run_is_replayed_bit_for_bit(eventful_run, how, capfd):
+    folder, resent = eventful_run
     recording = read_recording(folder)
     assert np.ptp(recording.theta[recording.has_theta]) > 0.1
     assert recording.step[recording.late].tolist() == [85]
@@ -317,8 +322,8 @@ def test_a_run_with_delays_is_replayed_bit_for_bit_over_a_gap(start, probe, tmp_
 @pytest.mark.parametrize("kept", [(), ("relay_esc",)])
 def test_a_switch_whose_event_was_not_recorded_is_seen_in_the_costs(eventful, kept, tmp_path):
     """As in a bag of another recorder, or of one that knew the node a moment too late."""
-    whole = read_recording(eventful[0])
-    with BagReader(eventful[0]) as bag, BagWriter(tmp_path / "bag") as writer:
+    whole = read_recording(eventful)
+    with BagReader(eventful) as bag, BagWriter(tmp_path / "bag") as writer:
         writer.custom_data.update(bag.custom_data())
         channels = {}
         for message in bag.messages():
@@ -337,11 +342,11 @@ def test_a_switch_whose_event_was_not_recorded_is_seen_in_the_costs(eventful, ke
 
 def test_an_eventful_run_has_metrics_and_a_plot(eventful, tmp_path, capfd):
     """Among its states are one of one value and one of three."""
-    assert main(["bag", "metrics", str(eventful[0]), "--theta-star", "1.5"]) == 0
+    assert main(["bag", "metrics", str(eventful), "--theta-star", "1.5"]) == 0
     printed, error = capfd.readouterr()
     assert "x[1]" in printed, error
     assert "x[2]" not in printed
-    assert main(["bag", "plot", str(eventful[0]), "--out", str(tmp_path / "run.png")]) == 0
+    assert main(["bag", "plot", str(eventful), "--out", str(tmp_path / "run.png")]) == 0
 
 
 def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp_path, capfd):
@@ -371,9 +376,7 @@ def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp
 
 
 def test_what_the_user_sets_outlasts_a_recorded_change(eventful, capfd):
-    assert (
-        main(["replay", str(eventful[0]), "--offline", "--set", "koopman_lifter.cost=lifted"]) == 1
-    )
+    assert main(["replay", str(eventful), "--offline", "--set", "koopman_lifter.cost=lifted"]) == 1
     printed = capfd.readouterr().out
     assert "as recorded: koopman_lifter cost" not in printed
     assert "first at step 130" in printed
