@@ -1,16 +1,10 @@
 """What can go wrong with a bag. Each message says what happened and what to do about it."""
 
-from koop_node.config import one_line
+from koop_node.errors import KoopError
 
 
-class BagError(Exception):
-    """A bag that is absent, foreign or damaged, or a request that it cannot answer.
-
-    Its text is one line that can be printed whatever names the bag holds.
-    """
-
-    def __str__(self) -> str:
-        return one_line(super().__str__())
+class BagError(KoopError):
+    """A bag that is absent, foreign or damaged, or a request that it cannot answer."""
 
 
 class BagWriteError(BagError):

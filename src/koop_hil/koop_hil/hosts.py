@@ -14,7 +14,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from koop_node.errors import LiveError
+from koop_node.errors import KoopError, LiveError
 
 HOSTS = {"koop0": "198.18.0.1/30", "koop1": "198.18.0.2/30"}  # kept free for tests (RFC 2544)
 HERE, THERE = HOSTS
@@ -28,7 +28,7 @@ SWITCH = "ip link add switch type bridge mcast_snooping 0; ip link set switch up
 TRIAL = f"ip link add {HERE} type veth peer name {THERE}; {SWITCH}"
 
 
-class HostsError(RuntimeError):
+class HostsError(KoopError):
     """A second host cannot be made here; the message says why."""
 
 

@@ -15,26 +15,11 @@ from dataclasses import Field, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
 
-_LONGEST = 800  # characters of an error
+from koop_node.errors import InputError
 
 
-def one_line(text: str) -> str:
-    """Return a text as one line that can be printed, whatever it quotes; too long ones are cut.
-
-    >>> one_line("unknown\\n  fault '\\x1b[31m'")
-    "unknown fault '\\\\x1b[31m'"
-    """
-    if not text.isprintable():
-        words = " ".join(text.split())
-        text = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
-
-
-class ConfigError(ValueError):
+class ConfigError(InputError):
     """A configuration value that cannot be used; says which, why and what is allowed."""
-
-    def __str__(self) -> str:
-        return one_line(super().__str__())
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from koop_bag.recorder.topics import polled
-from koop_node.config import one_line
+from koop_node.errors import one_line
 from koop_node.describe import help_text
 from koop_node.entities import WithoutEvents
 from koop_node.lifeline import end_with_parent

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_node.errors import InputError
 from koopman_lifter.bootstrap import eigenvalue_spread
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.cost import Lifting
@@ -48,7 +49,7 @@ _ARRAYS = {  # entry: (dtype, shape in terms of p observables, N kept modes and 
 _WORTH = {"residuals": (np.float64, ("p",)), "spread": (np.float64, ("p",))}  # where known
 
 
-class ModelError(ValueError):
+class ModelError(InputError):
     """A model file that cannot be used; the message says why and what to do."""
 
 

@@ -18,8 +18,7 @@ from importlib.metadata import EntryPoint, entry_points
 from importlib.resources import files
 from types import FrameType
 
-from koop_bag.errors import BagError
-from koop_node.errors import LiveError
+from koop_node.errors import KoopError
 
 
 def registered() -> dict[str, list[EntryPoint]]:
@@ -85,7 +84,7 @@ def main(argv: list[str] | None = None) -> int:
     except BrokenPipeError:  # `| head` has seen enough
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
         return 0
-    except (ValueError, OSError, ArithmeticError, MemoryError, BagError, LiveError) as error:
+    except (KoopError, ValueError, OSError, ArithmeticError, MemoryError) as error:
         words = [args.command, *(getattr(args, name, "") for name in ("action", "benchmark"))]
         print(f"koop {' '.join(filter(None, words))}: error: {error}", file=sys.stderr)
         return 2

@@ -23,6 +23,7 @@ from koop_lab.tune.search import GOOD, HIGH, LENGTH, Outcome, Task, Tried, confi
 from koop_lab.tune.static_map import GRID, StaticMap, static_map, weights_of
 from koop_lab.tune.stays import Scale, Stays, find_stays, period_by_theta, window_levels
 from koop_lab.tune.surrogate import Surrogate, Times, fit_times, high_passed
+from koop_node.errors import InputError
 
 PERIODS = 4.0  # of the oscillation, in a window
 SURROGATES = 6
@@ -47,7 +48,7 @@ MARGIN = 0.06  # of the range, that theta is kept away from the last good value 
 BELIEVED = 10.0  # times the largest y_out of the recording
 
 
-class NoOptimum(ValueError):
+class NoOptimum(InputError):
     """There is nothing to be found; ``kind`` is monotone, flat or drowned."""
 
     def __init__(self, kind: str, message: str, seen: Seen) -> None:
