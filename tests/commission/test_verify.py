@@ -20,8 +20,8 @@ from koop_lab.commission.excite import mend
 from koop_lab.commission.features import Bands
 from koop_lab.commission.session import Watch
 from koop_lab.commission.staircase import Visit
-from koop_lab.commission.verify import CONTROLLER
-from koop_lab.live.up import file_of
+from koop_lab.commission.verify import THETA_ASKED
+from koop_lab.tune.folder import find_controller
 from koop_node import parameter_file
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
@@ -120,9 +120,9 @@ def test_the_loop_is_closed_on_a_leash_and_goes_on_where_it_was_stopped(
         truth = 0.3 + (run["start"] - BEST) ** 2
         assert run["amplitude_before"] == pytest.approx(truth, rel=0.1)
         theta, topics = whole(tuned / run["bag"])
-        assert {"/fast", "/fast/knob", "/state", "/cost", "/theta", CONTROLLER} <= topics
+        assert {"/fast", "/fast/knob", "/state", "/cost", "/theta", THETA_ASKED} <= topics
         with BagReader(tuned / run["bag"]) as reader:
-            said = read_columns(reader, CONTROLLER, ["step", "theta"])
+            said = read_columns(reader, THETA_ASKED, ["step", "theta"])
         begin, end = run["closed"]["steps"]
         both = np.intersect1d(theta["step"], said["step"])
         both = both[(both > begin) & (both < end)]
@@ -222,6 +222,6 @@ def test_the_best_round_is_kept_where_none_damped_as_predicted(tuned, tmp_path, 
 
 def test_a_folder_is_run_by_its_name_and_may_be_moved(tuned, tmp_path):
     for folder in (tuned, tuned / "tuned"):
-        assert file_of(folder)[0] == tuned / "tuned/controller.yaml"
-    with pytest.raises(ConfigError, match="koop tune first"):
-        file_of(tmp_path)
+        assert find_controller(folder)[0] == tuned / "tuned/controller.yaml"
+    with pytest.raises(ConfigError, match="run 'koop tune' first"):
+        find_controller(tmp_path)

@@ -12,8 +12,8 @@ from koop_hil.commission import commission_rig, publish, row
 from koop_hil.excite import record_excitation
 from koop_hil.run import run
 from koop_hil.scenario import find, read, shipped, with_controller, with_parameter
-from koop_lab.live.up import file_of
 from koop_lab.replay.settings import CONTROLLER
+from koop_lab.tune.folder import find_controller
 from koop_loop.parameters import build
 from koop_node.config import ConfigError
 from koop_node.yaml_file import one_setting
@@ -73,7 +73,7 @@ def main(args: argparse.Namespace) -> int:
     if args.controller is not None:
         if args.excite is not None or args.commission is not None:
             raise ConfigError("--controller: of a scenario, not of --excite or --commission")
-        file, _ = file_of(args.controller)
+        file, _ = find_controller(args.controller)
         scenarios = [with_controller(item, file) for item in scenarios]
     for text in args.settings:
         node, parameter, value = one_setting(text, CONTROLLER)

@@ -16,7 +16,7 @@ from koop_lab.commission.command import Commissioning
 from koop_lab.commission.session import Watch
 from koop_lab.live.process import START_TIMEOUT
 from koop_lab.page.markdown import rewrite_block
-from koop_lab.tune.command import FIGURES
+from koop_lab.tune.folder import FIGURES
 from koop_node.alone import alone
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError

@@ -17,8 +17,8 @@ from koop_lab.commission.rig_file import RigFile
 from koop_lab.commission.session import Watch
 from koop_lab.commission.staircase import unknown_twice
 from koop_lab.live.served import add_serve_option, served
-from koop_lab.live.up import CONTROLLER, TUNED
 from koop_lab.tune.command import tune_folders
+from koop_lab.tune.folder import CONTROLLER, TUNED
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 

@@ -39,14 +39,13 @@ from koop_lab.commission.session import (
 )
 from koop_lab.live.loop import LiveNodes
 from koop_lab.live.process import START_TIMEOUT
-from koop_lab.live.up import TUNED
-from koop_lab.tune.command import FIGURES, PARAMETERS
+from koop_lab.tune.folder import CONTROLLER, FIGURES, TUNED
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 from koop_node.fields import parse_field
 
 NAME = "verify.json"
-CONTROLLER = "/koop_verify/theta"  # what the controller says; the commander gives it to the rig
+THETA_ASKED = "/koop_verify/theta"  # what the controller says; the commander gives it to the rig
 BEFORE = 8  # windows before the loop is closed, and after it at the theta that it found
 LONGER = 2.0  # times as long, that a loop is closed which may agree yet
 ESC = "relay_esc"
@@ -176,9 +175,9 @@ def closed_from(
         count += 1
     nodes = LiveNodes(
         own, nodes_of(rig, folder, own, start, aim), rig=True,
-        remaps=[f"{ESC}:theta:={CONTROLLER}"],
+        remaps=[f"{ESC}:theta:={THETA_ASKED}"],
     )  # fmt: skip
-    with session("koop_verify", rig, watch, nodes, follows=CONTROLLER) as there:
+    with session("koop_verify", rig, watch, nodes, follows=THETA_ASKED) as there:
         run = Run(rig, aim, watch, there).run(start, settle)
     return {"start": start, "bag": str((own / "bag").relative_to(folder)), **run}
 
@@ -187,7 +186,7 @@ def nodes_of(
     rig: RigFile, folder: Path, own: Path, start: float, aim: Aim
 ) -> dict[str, dict[str, Any]]:
     """Return the nodes that run beside: those of ``koop up``, whose controller waits."""
-    file = folder / TUNED / PARAMETERS
+    file = folder / TUNED / CONTROLLER
     given = {"params": str(file), "plant": "false", "record": "true", "output": str(own)}
     values = plan(given).parameters
     low = float(aim.scale.u(np.array(start))) <= float(aim.scale.u(np.array(aim.theta)))

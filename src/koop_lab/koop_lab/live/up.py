@@ -14,11 +14,10 @@ from koop_lab.live.loop import LiveNodes
 from koop_lab.live.monitor import Progress
 from koop_lab.live.served import add_serve_option, served
 from koop_lab.recorded.report import run_figures
+from koop_lab.tune.folder import find_controller
 from koop_node import parameter_file
-from koop_node.config import ConfigError
 
 STATUS = 10.0  # [s] between two status lines when nothing new is to be said
-CONTROLLER, TUNED = "controller.yaml", "tuned"  # of koop tune, and where it is
 # arguments of the launch that are not options here, or another kind of option
 LEFT_OUT = ("params", "record", "output", "composed")
 
@@ -91,7 +90,7 @@ def chosen(args: argparse.Namespace) -> tuple[Plan, Path]:
     ValueError
         If the file or an option cannot be used.
     """
-    file, label = file_of(args.file)
+    file, label = find_controller(args.file)
     given = {name: value for name, value in vars(args).items() if isinstance(value, str)}
     known = {argument.name for argument in ARGUMENTS}
     told = {name: value for name, value in given.items() if name in known}
@@ -102,22 +101,6 @@ def chosen(args: argparse.Namespace) -> tuple[Plan, Path]:
     folder = Path(recorder.get("output") or default_folder(label)).expanduser()
     recorder["output"] = str(folder)
     return planned, folder
-
-
-def file_of(given: Path) -> tuple[Path, str]:
-    """Return the parameter file that is meant by itself or its folder, and a name for its runs.
-
-    Raises
-    ------
-    koop_node.config.ConfigError
-        If the folder holds none.
-    """
-    if not given.is_dir():
-        return given, given.stem
-    for file in (given / CONTROLLER, given / TUNED / CONTROLLER):
-        if file.is_file():
-            return file, given.resolve().name
-    raise ConfigError(f"{given}: has no {CONTROLLER} and no {TUNED}/{CONTROLLER}: koop tune first")
 
 
 class Status:

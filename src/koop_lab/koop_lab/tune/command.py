@@ -15,10 +15,8 @@ from koop_lab.commission.features import Bands
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.identify.from_bags import BagTraining, load_bags, train_from_bags
 from koop_lab.identify.samples import StateSpec
-from koop_lab.live.up import CONTROLLER, TUNED
+from koop_lab.tune.folder import CONTROLLER, FIGURES, MODEL, PICTURE, TUNED
 from koop_node.config import ConfigError
-
-PARAMETERS, MODEL, FIGURES, PICTURE = CONTROLLER, "model.npz", "tune.json", "tune.png"
 
 
 def register(commands: Any) -> None:
@@ -107,8 +105,8 @@ def tune_folders(
 
     began = time.monotonic()
     bags, how = bags_of(folders, rig)
-    if (out / PARAMETERS).exists():
-        raise ConfigError(f"{out / PARAMETERS} is there already: choose another --out")
+    if (out / CONTROLLER).exists():
+        raise ConfigError(f"{out / CONTROLLER} is there already: choose another --out")
     training = BagTraining(StateSpec.parse(state), dt=rig.dt, held_out=0.0, theta=theta)
     loaded, training = load_bags(bags, training)
     if loaded.x.shape[0] != len(rig.names):
@@ -138,7 +136,7 @@ def tune_folders(
         train_from_bags(bags, found.chosen.cost.training).save(model)
     progress.write_whole(out / FIGURES, figures.of_tuning(found, rig, model))
     draw(found.seen, found, out / PICTURE, f"{folders[0]}: {found.chosen.cost.name}")
-    progress.write_text(out / PARAMETERS, written.as_parameters(found, rig, model))
+    progress.write_text(out / CONTROLLER, written.as_parameters(found, rig, model))
     print(written.as_table(found.seen))
     print("\n" + written.as_words(found))
     print(f"\nfound in {time.monotonic() - began:.0f} s; written to {out}")

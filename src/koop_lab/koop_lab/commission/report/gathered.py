@@ -17,8 +17,7 @@ from koop_lab.commission.rig_file import RigFile
 from koop_lab.identify.from_bags import BagTraining, load_bags
 from koop_lab.identify.loaded import THETA, Loaded
 from koop_lab.identify.samples import StateSpec
-from koop_lab.live.up import TUNED
-from koop_lab.tune.command import FIGURES
+from koop_lab.tune.folder import FIGURES, TUNED
 from koop_lab.tune.stays import Scale
 from koop_node.config import ConfigError
 
