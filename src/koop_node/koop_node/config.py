@@ -38,6 +38,8 @@ class Spec:
         Allowed values of a string; empty for any.
     read_only : bool
         True if the value cannot change while the node runs.
+    origin : str
+        What chose the default: a study, a measurement, a standard; empty where nothing had to.
     """
 
     description: str
@@ -46,6 +48,7 @@ class Spec:
     high: float = math.inf
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    origin: str = ""
 
     @property
     def constraint(self) -> str:
@@ -71,9 +74,10 @@ def parameter(
     high: float = math.inf,
     choices: tuple[str, ...] = (),
     read_only: bool = False,
+    origin: str = "",
 ) -> Any:
     """Declare one field of a configuration dataclass; the arguments are those of :class:`Spec`."""
-    spec = Spec(description, unit, low, high, choices, read_only)
+    spec = Spec(description, unit, low, high, choices, read_only, origin)
     return field(default=default, metadata={"spec": spec})
 
 
