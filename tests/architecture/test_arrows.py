@@ -26,7 +26,9 @@ MAY_IMPORT = {
     "koop_hil": PACKAGES - LEAVES - {"koop_bringup"},
     "koop_study": PACKAGES - LEAVES - {"koop_bringup"},
 }
-PURE_GLUE = {f"koop_node.{name}" for name in ("arrival", "config", "errors", "fields", "kernels", "start")}
+PURE_GLUE = {
+    f"koop_node.{name}" for name in ("arrival", "config", "errors", "fields", "kernels", "start")
+}
 ROS = {"rclpy", "koop_msgs", "std_msgs", "std_srvs", "rosgraph_msgs", "builtin_interfaces",
        "diagnostic_msgs", "lifecycle_msgs", "rcl_interfaces", "ament_index_python"}  # fmt: skip
 

@@ -7,8 +7,6 @@ node's own default. Everything is checked here, before the first node starts.
 from __future__ import annotations
 
 import re
-import shlex
-import shutil
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -24,41 +22,15 @@ from koop_loop.parameters import (
     names_of,
     with_model_beside,
 )
+from koop_loop.rig_program import RIG, RigConfig
 from koop_node import parameter_file
-from koop_node.config import ConfigError, parameter, refuse_unknown, validate
+from koop_node.config import ConfigError, refuse_unknown
 from koop_node.parameter_file import ParameterFile
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import load_for
 
 ALL_NODES = {**NODES, **RECORDER}
 WORDS = {"true": True, "1": True, "false": False, "0": False}
-
-
-@dataclass(frozen=True)
-class RigConfig:
-    """The rig itself, as far as it is a program of this machine; no node reads it."""
-
-    command: str = parameter(
-        "",
-        "program, with its arguments, that is the rig or its driver: started with the loop, ended "
-        "with it, and its end ends the loop; empty: you start it yourself",
-    )
-
-    def __post_init__(self) -> None:
-        validate(self)
-
-    def words(self) -> tuple[str, ...]:
-        """Return program and arguments; raise ConfigError if there is no such program."""
-        try:
-            words = tuple(shlex.split(self.command))
-        except ValueError as error:
-            raise ConfigError(f"rig: command = {self.command!r}: {error}") from None
-        if words and shutil.which(words[0]) is None:
-            raise ConfigError(f"rig: command = {self.command!r}: there is no program {words[0]!r}")
-        return words
-
-
-RIG: dict[str, tuple[type, ...]] = {"rig": (RigConfig,)}
 
 
 class Argument(NamedTuple):

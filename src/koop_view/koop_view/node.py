@@ -14,9 +14,9 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from koop_bag.recorder.topics import polled
-from koop_node.errors import one_line
 from koop_node.describe import help_text
 from koop_node.entities import WithoutEvents
+from koop_node.errors import one_line
 from koop_node.lifeline import end_with_parent
 from koop_node.main import refuse_other_arguments, set_dds_profile
 from koop_node.parameters import Parameters

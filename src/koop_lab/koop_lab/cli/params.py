@@ -3,26 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from koop_bag.recorder.config import RECORDER
-from koop_bringup.plan import RIG
-from koop_loop.parameters import NODES
-from koop_node.config import ConfigError, refuse_unknown
-from koop_node.describe import parameter_file
-
-KNOWN = {**NODES, **RECORDER, **RIG}
-OF_A_RIG = ("koopman_lifter", "relay_esc", "recorder", "rig")
-HEAD = """\
-# Parameters of the nodes: each with its meaning, what it may be, and its default. Change what your
-# rig needs; what you delete stays the default. dt must be the same in every section. Start with
-#
-#   ./koop up FILE
-#   ros2 launch koop_bringup closed_loop.launch.py params:=FILE record:=true
-#   ros2 run relay_esc esc --ros-args --params-file FILE
-"""
+from koop_lab.tune.parameter_text import KNOWN, OF_A_RIG, annotated
+from koop_node.config import ConfigError
 
 
 def register(commands: Any) -> None:
@@ -49,15 +34,3 @@ def main(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.out} is there already: choose another --out") from None
     print(f"written to {args.out}")
     return 0
-
-
-def annotated(nodes: Iterable[str]) -> str:
-    """Return the file for some nodes.
-
-    Raises
-    ------
-    koop_node.config.ConfigError
-        If there is no such node.
-    """
-    refuse_unknown(nodes, KNOWN, "node")
-    return HEAD + parameter_file({node: KNOWN[node] for node in nodes})

@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 
 from koop_lab.cli.options import add_loop_options, given_values, loop_parameters
-from koop_lab.cli.table import metrics_table, table
+from koop_lab.cli.table import metrics_table
 from koop_loop.batch import GROUP, simulate_batch
 from koop_loop.loop import LoopResult, simulate
 from koop_loop.metrics import PAPER_DURATION, Metrics, evaluate
 from koop_loop.parameters import LoopParameters
 from koop_loop.static_map import performance
 from koop_node.config import ConfigError
+from koop_node.text_table import table
 
 SHARES = (0.5, 0.9, 1.0)
 

@@ -1,4 +1,4 @@
-"""Plain-text tables for the terminal."""
+"""What the commands print as tables: modes, forecasts, metrics."""
 
 from __future__ import annotations
 
@@ -7,24 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from koop_loop.metrics import PAPER, Metrics
 from koop_loop.rig_metrics import RigMetrics
+from koop_node.text_table import table
 from koopman_lifter.model import KoopmanModel
 
 if TYPE_CHECKING:
     from koop_lab.identify.merit import Merit
-
-
-def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return an aligned table; the first column is left-aligned, the others right-aligned."""
-    lines = [list(header), *map(list, rows)]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
-
-    def join(line: Sequence[str]) -> str:
-        cells = [cell.rjust(width) for cell, width in zip(line, widths, strict=True)]
-        cells[0] = line[0].ljust(widths[0])
-        return "  ".join(cells).rstrip()
-
-    rule = "  ".join("-" * width for width in widths)
-    return "\n".join([join(lines[0]), rule, *map(join, lines[1:])])
 
 
 def mode_table(model: KoopmanModel) -> str:

@@ -19,7 +19,6 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError, DiskFullError
 from koop_bag.recorder.run_folder import default_folder
-from koop_lab.cli.table import table
 from koop_lab.commission import progress as progress_file
 from koop_lab.commission import rig_file, staircase, time_scale
 from koop_lab.commission.ears import DISCOVERY
@@ -37,6 +36,7 @@ from koop_lab.commission.survey import SHORTEST, Survey
 from koop_lab.live.loop import LiveNodes
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
+from koop_node.text_table import table
 
 GUESS = 12  # windows that theta stays at a value, before any was seen
 BYTES = 250.0  # of a bag for one state, with its cost and theta

@@ -13,7 +13,6 @@ import numpy as np
 from tqdm import tqdm
 
 from koop_bringup.plan import plan
-from koop_lab.cli.table import table
 from koop_lab.commission import progress as progress_file
 from koop_lab.commission import rig_file, time_scale
 from koop_lab.commission.closed_loop import (
@@ -43,6 +42,7 @@ from koop_lab.tune.folder import CONTROLLER, FIGURES, TUNED
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
 from koop_node.fields import parse_field
+from koop_node.text_table import table
 
 NAME = "verify.json"
 THETA_ASKED = "/koop_verify/theta"  # what the controller says; the commander gives it to the rig

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_lab.cli.table import table
 from koop_lab.identify.energies import band_energy, energies
 from koop_lab.identify.from_bags import BagTraining, built, contrasted, load_bags
 from koop_lab.identify.loaded import Loaded, pieces
@@ -27,6 +26,7 @@ from koop_lab.identify.merit import (
 from koop_lab.identify.samples import state_names
 from koop_lab.identify.windows import PERIODS, SKIP, period_of, usual_rest
 from koop_lab.replay.settings import recorded_values
+from koop_node.text_table import table
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.delays import Delays, spacing_for
 from koopman_lifter.edmd import BLOCK, Gram

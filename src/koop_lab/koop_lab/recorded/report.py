@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
-from koop_lab.cli.table import metrics_table, rig_table, table
+from koop_lab.cli.table import metrics_table, rig_table
 from koop_lab.recorded.options import source_of
 from koop_lab.recorded.run import LoopColumns, closed_loop
 from koop_lab.recorded.signals import Signals, Source, loop_signals, read_signals
@@ -22,6 +22,7 @@ from koop_loop.metrics import LOGGING_START, TAIL, TOLERANCE, Metrics, evaluate
 from koop_loop.parameters import NODES, LoopParameters, make, with_model_beside
 from koop_loop.rig_metrics import RigMetrics, rig_metrics
 from koop_loop.static_map import performance
+from koop_node.text_table import table
 from koopman_lifter.model import KoopmanModel, load
 
 WHOLE = 0.99  # of the recorded time: figures that cover less say so

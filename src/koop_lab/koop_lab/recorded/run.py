@@ -14,7 +14,7 @@ from koop_bag.bag.extent import measure
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
-from koop_lab.replay.recording import MAX_STEP, STATE_TYPE, keys
+from koop_lab.identify.passes import MAX_STEP, STATE_TYPE, keys
 
 STAMP = "header.stamp"
 FIELDS = {

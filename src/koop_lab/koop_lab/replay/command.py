@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.cli.table import table
 from koop_lab.recorded.options import add_source_options, source_of
 from koop_lab.recorded.signals import Source, read_signals
 from koop_lab.replay.compare import Comparison, compare
@@ -18,6 +17,7 @@ from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import Plan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
 from koop_lab.replay.unheard import first_theta
+from koop_node.text_table import table
 from koopman_lifter.model import load
 
 SHOWN = 10  # places where a node was restarted

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.columns import Columns, read_columns, read_tables
 from koop_bag.bag.reader import BagReader
+from koop_lab.identify.passes import STATE_TYPE, keys
 from koop_lab.replay.settings import (
     CONTROLLER,
     Change,
@@ -24,13 +25,10 @@ from koop_lab.replay.settings import (
     recorded_changes,
     recorded_values,
 )
-from koop_loop.kernel import listen
-from koop_node.arrival import NOTHING, Arrival
+from koop_node.arrival import Arrival
 from koopman_lifter.config import SOURCES
 
-STATE_TYPE = "koop_msgs/msg/MeasuredState"
 NO_SOURCE = 255  # none of koop_msgs/Cost
-MAX_STEP = 2**40  # 170 years at 200 Hz; leaves room for the number of the pass in 64 bits
 FIELDS = {
     "cost": ["step", "r", "settling", "source", "model_id", "publish_time"],
     "theta": ["step", "theta", "holding", "publish_time"],
@@ -247,19 +245,3 @@ class _Messages:
         place = np.minimum(np.searchsorted(self._sorted, key), self._sorted.size - 1)
         found = self._columns[name][self._heard[place]]
         return np.where(self._sorted[place] == key, found, absent)
-
-
-def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-    """Return what a StreamMonitor says about each message, and pass and step in one number.
-
-    Raises
-    ------
-    ValueError
-        If a step is none.
-    """
-    if step.size and not 0 <= step.min() <= step.max() < MAX_STEP:
-        raise ValueError("a step is not a count: the recording is damaged")
-    kinds = np.empty(step.size, np.int8)
-    listen(step, 0.0, 0.0, NOTHING, kinds)
-    begins = (kinds == Arrival.RESTART) | (kinds == Arrival.JOIN)
-    return kinds, np.cumsum(begins) * MAX_STEP + step

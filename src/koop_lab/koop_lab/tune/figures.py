@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_lab.cli.params import KNOWN
 from koop_lab.commission.rig_file import RigFile
+from koop_lab.tune.parameter_text import KNOWN
 from koop_lab.tune.search import Outcome
 from koop_lab.tune.static_map import GRID, StaticMap, weights_of
 from koop_lab.tune.tuning import BAND, Band, Judged, NoOptimum, Seen, Tuning

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.cli.params import HEAD, KNOWN
-from koop_lab.cli.table import table
 from koop_lab.commission.rig_file import RigFile
+from koop_lab.tune.parameter_text import HEAD, KNOWN
 from koop_lab.tune.search import esc_of, lifter_of
 from koop_lab.tune.tuning import Band, Seen, Tuning
 from koop_node.describe import parameter_file
 from koop_node.fields import format_field
+from koop_node.text_table import table
 
 LEAST_TIMEOUT, TIMEOUT = 0.5, 20.0  # [s]; samples
 

@@ -1,0 +1,36 @@
+"""The rig's own program, which a parameter file may name. Pure."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from dataclasses import dataclass
+
+from koop_node.config import ConfigError, parameter, validate
+
+
+@dataclass(frozen=True)
+class RigConfig:
+    """The rig itself, as far as it is a program of this machine; no node reads it."""
+
+    command: str = parameter(
+        "",
+        "program, with its arguments, that is the rig or its driver: started with the loop, ended "
+        "with it, and its end ends the loop; empty: you start it yourself",
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+    def words(self) -> tuple[str, ...]:
+        """Return program and arguments; raise ConfigError if there is no such program."""
+        try:
+            words = tuple(shlex.split(self.command))
+        except ValueError as error:
+            raise ConfigError(f"rig: command = {self.command!r}: {error}") from None
+        if words and shutil.which(words[0]) is None:
+            raise ConfigError(f"rig: command = {self.command!r}: there is no program {words[0]!r}")
+        return words
+
+
+RIG: dict[str, tuple[type, ...]] = {"rig": (RigConfig,)}
