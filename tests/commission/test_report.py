@@ -72,7 +72,7 @@ def commissioned(tmp_path_factory):
     rig = rig_of(3, **RIG)
     file = excitation(folder, rig)
     pages = {"excited": write_report(folder).read_text()}
-    assert main(["tune", str(folder / "rig.yaml"), str(folder), "--theta", "/knob:data",
+    assert main(["tune", str(folder / "rig.yaml"), str(folder),
                  "--effort", "0.001"]) == 0  # fmt: skip
     pages["tuned"] = (folder / "report.html").read_text()
     verification(folder, rig, file)
@@ -170,7 +170,7 @@ def test_a_page_of_a_refusal_shows_the_map_and_what_to_record(tmp_path, capsys):
     folder = tmp_path / "rig"
     rig = rig_of(2, **QUICK, maps={"monotone": 1.0}, clean=1.0)
     excitation(folder, rig)
-    assert main(["tune", str(folder / "rig.yaml"), str(folder), "--theta", "/knob:data"]) == 1
+    assert main(["tune", str(folder / "rig.yaml"), str(folder)]) == 1
     assert f"report in {folder / 'report.html'}" in capsys.readouterr().out
     page = (folder / "report.html").read_text()
     first, why, then = verdict_of(page)

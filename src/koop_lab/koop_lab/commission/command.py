@@ -17,7 +17,6 @@ from koop_lab.commission.rig_file import RigFile
 from koop_lab.commission.session import Watch
 from koop_lab.commission.staircase import unknown_twice
 from koop_lab.live.served import add_serve_option, served
-from koop_lab.tune.command import tune_folders
 from koop_lab.tune.folder import CONTROLLER, TUNED
 from koop_node.config import ConfigError
 from koop_node.errors import LiveError
@@ -169,6 +168,8 @@ class Commissioning:
 
     def _tune(self, found: dict[str, Any], rounds: int) -> bool:
         self._head(f"tune, round {rounds + 1}")
+        from koop_lab.tune.tune_folders import tune_folders  # slow to import
+
         out = self._folder / TUNED
         if (out / CONTROLLER).exists():
             print("done before")
@@ -181,7 +182,7 @@ class Commissioning:
         try:
             return tune_folders(
                 self._rig, [self._folder, *closed], out, seed=rounds, effort=self._effort,
-                slower=factor,
+                slowdown=factor,
             )  # fmt: skip
         except OSError as error:
             (out / CONTROLLER).unlink(missing_ok=True)  # the last that is written may be torn

@@ -7,7 +7,7 @@ from pathlib import Path
 from koop_node.config import ConfigError
 
 TUNED = "tuned"  # subfolder of an excitation's folder
-CONTROLLER, MODEL, FIGURES, PICTURE = "controller.yaml", "model.npz", "tune.json", "tune.png"
+CONTROLLER, MODEL, FIGURES = "controller.yaml", "model.npz", "tune.json"
 
 
 def find_controller(path: Path) -> tuple[Path, str]:

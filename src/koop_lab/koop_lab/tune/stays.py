@@ -119,7 +119,7 @@ def rests(
     """
     theta = loaded.theta
     if theta is None or not np.isfinite(theta).any():
-        raise ValueError("theta is not in the recording: name it with --theta /TOPIC:FIELD")
+        raise ValueError("the recording holds no theta: record with 'koop excite'")
     u = scale.u(theta)  # NaN stays NaN
     found = []
     for piece in pieces(loaded.begins):

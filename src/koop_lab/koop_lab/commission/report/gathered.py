@@ -8,20 +8,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_lab.commission import progress
 from koop_lab.commission.features import Bands
 from koop_lab.commission.progress import Progress
 from koop_lab.commission.rig_file import RigFile
-from koop_lab.identify.from_bags import BagTraining, load_bags
-from koop_lab.identify.loaded import THETA, Loaded
-from koop_lab.identify.samples import StateSpec
+from koop_lab.identify.from_bags import load_bags
+from koop_lab.identify.loaded import Loaded
 from koop_lab.tune.folder import FIGURES, TUNED
 from koop_lab.tune.stays import Scale
+from koop_lab.tune.tune_folders import training_of
 from koop_node.config import ConfigError
 
-STATE = "/state:x"
 VERIFIED, RIG = "verify.json", "rig.yaml"
 
 
@@ -127,11 +125,7 @@ def _load(rig: RigFile, bags: Sequence[Path]) -> tuple[Loaded | None, str]:
     if not bags:
         return None, "nothing is recorded"
     try:
-        with BagReader(bags[0]) as reader:
-            own = THETA.partition(":")[0] in {topic.name for topic in reader.topics if topic.count}
-        theta = THETA if own else rig.command
-        training = BagTraining(StateSpec.parse(STATE), dt=rig.dt, held_out=0.0, theta=theta)
-        return load_bags(bags, training)[0], ""
+        return load_bags(bags, training_of(bags[0], rig))[0], ""
     except (BagError, ValueError) as error:
         return None, str(error)
 
