@@ -1,5 +1,6 @@
 """A closed loop measured: against an oscillation whose amplitude and theta are known exactly."""
 
+import json
 import math
 from dataclasses import asdict, replace
 
@@ -12,10 +13,10 @@ from koop_lab.commission.closed_loop import (
     may_yet_agree,
     measure,
     read_aim,
-    slower,
     verdict,
 )
 from koop_lab.commission.rig_file import RigFile
+from koop_lab.tune.rounds import Round, Run, Verification, find_slowdown, kept_index
 from koop_node.config import ConfigError
 
 DT, PERIOD, TAU, BEST = 0.01, 0.5, 20.0, 0.7
@@ -107,15 +108,50 @@ def test_a_prediction_that_allows_anything_is_not_confirmed():
     assert "damped, but after 2 rounds not as predicted" in verdict(aim, [run(aim)], 2, "there")
 
 
-def test_a_rig_that_was_slower_than_predicted_is_taken_for_a_slower_one():
-    def done(agrees, *took):
-        runs = [{"time_to_converge": value} for value in took]
-        return {"agrees": agrees, "prediction": BANDS, "runs": runs}
+def rounds_of(*rounds, excess=1.0):
+    """Return rounds of which each is told by whether it agrees and the times of its runs."""
+    aim = aim_of(FIGURES, RIG)
+    measured = run(aim)
+    return [
+        Round(number, aim.predicted,
+              tuple(Run(-1.0, replace(measured, time_to_converge=time, excess=excess))
+                    for time in times), agrees)
+        for number, (agrees, *times) in enumerate(rounds, 1)
+    ]  # fmt: skip
 
-    assert slower([]) == slower([done(None)]) == slower([done(True, 90.0, 90.0)]) == 1.0
-    assert slower([done(False, 30.0, 90.0)]) == 1.5
-    assert slower([done(False, 30.0, 40.0)]) == 1.0  # it was another figure
-    assert slower([done(False, 90.0, 30.0), done(False, None, 50.0)]) == 6.0
+
+def test_a_rig_that_was_slower_than_predicted_is_taken_for_a_slower_one():
+    for rounds in ([], [(None,)], [(True, 90.0, 90.0)]):
+        assert find_slowdown(rounds_of(*rounds)) == 1.0
+    assert find_slowdown(rounds_of((False, 30.0, 90.0))) == 1.5
+    assert find_slowdown(rounds_of((False, 30.0, 40.0))) == 1.0  # another figure disagreed
+    assert find_slowdown(rounds_of((False, 90.0, 30.0), (False, None, 50.0))) == 6.0
+
+
+def test_the_last_round_is_kept_if_it_damped_as_predicted_else_the_best_one():
+    (unlike,) = rounds_of((False, 1.0, 1.0), excess=1.2)
+    (damped,) = rounds_of((True, 1.0), excess=1.3)
+    (weak,) = rounds_of((True, 1.0, 1.0), excess=1.83)
+    assert damped.damped_as_predicted
+    assert not weak.damped_as_predicted
+    assert kept_index([unlike, damped]) == 1
+    assert kept_index([unlike, weak]) == 0
+    assert "but 1.83 times the best" in weak.agreement
+    assert damped.agreement == "as predicted, or better"
+
+
+def test_a_verification_is_read_as_it_was_written():
+    rounds = rounds_of((False, None, 50.0), (None,))
+    written = Verification(tuple(rounds), True, "x", "Three sentences.")
+    values = json.loads(json.dumps(written.as_json()))
+    assert values["rounds"][0]["runs"][0]["time_to_converge"] is None
+    read = Verification.from_json(values)
+    assert read.as_json() == values
+    assert read.rounds[0].prediction == rounds[0].prediction
+    assert read.finished == read.rounds[:1]
+    del values["rounds"][0]["prediction"]
+    with pytest.raises(KeyError, match="prediction"):
+        Verification.from_json(values)
 
 
 def test_a_folder_without_a_controller_is_refused(tmp_path):

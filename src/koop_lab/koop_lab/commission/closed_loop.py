@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from koop_lab.commission.features import Bands, features
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.commission.staircase import standard_error
+from koop_lab.tune.prediction import Prediction
 from koop_lab.tune.search import GOOD, PART
 from koop_lab.tune.stays import Scale
 from koop_lab.tune.surrogate import BLOCKS
@@ -58,8 +59,8 @@ class Aim:
         Logarithms of the best amplitude, and of that at which a loop counts as converged.
     time : float
         The rig's own time [s].
-    predicted : dict
-        As in tune.json.
+    predicted : Prediction
+        The tuning's.
     """
 
     how: Bands
@@ -71,7 +72,7 @@ class Aim:
     best: float
     bound: float
     time: float
-    predicted: dict[str, Any]
+    predicted: Prediction
 
     @property
     def window(self) -> float:
@@ -81,13 +82,13 @@ class Aim:
     @property
     def longest(self) -> float:
         """How long the runs of the prediction were [s]: its figures are of their second half."""
-        return float(self.predicted["duration"])
+        return self.predicted.duration
 
     @property
     def duration(self) -> float:
         """How long the loop is closed at least to see whether the prediction holds [s]."""
-        whole, late = self.longest, self.predicted["converges"]["high"]
-        return whole if late is None else min(max(TWICE * late, LEAST * whole), whole)
+        whole, late = self.longest, self.predicted.converges.high
+        return min(max(TWICE * late, LEAST * whole), whole)
 
     def amplitudes(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the logarithm of the amplitude in each whole window of samples, shape (M, n)."""
@@ -112,7 +113,8 @@ def aim_of(figures: dict[str, Any], rig: RigFile) -> Aim:
     return Aim(
         Bands(windows["length"], tuple(windows["edges"]), windows["dt"]),
         windows["feature"], figures["feature"], Scale(rig.theta_min, rig.theta_max), sense,
-        figures["theta_best"], sense * best, sense * bound, figures["time"], figures["predicted"],
+        figures["theta_best"], sense * best, sense * bound, figures["time"],
+        Prediction.from_json(figures["predicted"]),
     )  # fmt: skip
 
 
@@ -230,13 +232,13 @@ def may_yet_agree(aim: Aim, run: Measured) -> bool:
 
 def _lasting(aim: Aim, run: Measured) -> list[str]:
     p, found = aim.predicted, []
-    if p["excess"]["high"] > BLURRED:
+    if p.excess.high > BLURRED:
         found.append(
-            f"the prediction, {p['excess']['low']:.3g} to {p['excess']['high']:.3g} times the best "
+            f"the prediction, {p.excess.low:.3g} to {p.excess.high:.3g} times the best "
             "amplitude, is too wide to be confirmed"
         )
-    late, took = p["converges"]["high"], run.time_to_converge
-    if late is not None and (took is None or took > LATER * late + SMOOTHED * aim.window):
+    late, took = p.converges.high, run.time_to_converge
+    if (math.inf if took is None else took) > LATER * late + SMOOTHED * aim.window:
         told = "did not converge" if took is None else f"took {took:.4g} s to converge"
         found.append(f"{told}, at most {late:.4g} s were predicted")
     return found
@@ -244,15 +246,15 @@ def _lasting(aim: Aim, run: Measured) -> list[str]:
 
 def _passing(aim: Aim, run: Measured) -> list[str]:
     p, widened, found = aim.predicted, math.exp(ERRORS * run.error), []
-    if run.excess > p["excess"]["high"] * widened:
+    if run.excess > p.excess.high * widened:
         found.append(
             f"ended at {run.excess:.3g} times the best amplitude, at most "
-            f"{p['excess']['high']:.3g} were predicted"
+            f"{p.excess.high:.3g} were predicted"
         )
-    if run.reduction < p["reduction"]["low"] / widened:
+    if run.reduction < p.reduction.low / widened:
         found.append(
             f"changed the amplitude by a factor of {run.reduction:.3g}, at least "
-            f"{p['reduction']['low']:.3g} was predicted"
+            f"{p.reduction.low:.3g} was predicted"
         )
     return found
 
@@ -349,11 +351,7 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
         "best of the static map"
     )
     took = _list(run.time_to_converge for run in runs)
-    converges = aim.predicted["converges"]
-    second = (
-        f"It converged after {took} s; {_list([converges['middle']])} s "
-        f"({_list([converges['low']])} to {_list([converges['high']])}) were predicted"
-    )
+    second = f"It converged after {took} s; {aim.predicted.converges.as_text()} s were predicted"
     if damped and not worse:
         third = f"The rig is damped as predicted: ./koop up {where} runs it"
     elif damped:

@@ -108,8 +108,12 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> dict[str, Any]:
     aim = read_aim(folder / TUNED / FIGURES, rig)
     found = load(folder)
     rounds = found["rounds"]
-    if not rounds or rounds[-1]["agrees"] is not None or rounds[-1]["prediction"] != aim.predicted:
-        rounds.append({"round": len(rounds) + 1, "runs": [], "prediction": aim.predicted,
+    if (
+        not rounds
+        or rounds[-1]["agrees"] is not None
+        or rounds[-1]["prediction"] != aim.predicted.as_json()
+    ):
+        rounds.append({"round": len(rounds) + 1, "runs": [], "prediction": aim.predicted.as_json(),
                        "agrees": None, "says": ""})  # fmt: skip
     now = rounds[-1]
     starts = [theta for theta in (rig.theta_min, rig.theta_max)]

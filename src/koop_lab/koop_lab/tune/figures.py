@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.tune.parameter_text import KNOWN
+from koop_lab.tune.prediction import PERCENTILES
 from koop_lab.tune.search import Outcome
 from koop_lab.tune.static_map import GRID, StaticMap, weights_of
-from koop_lab.tune.tuning import BAND, Band, Judged, NoOptimum, Seen, Tuning
+from koop_lab.tune.tuning import Judged, NoOptimum, Seen, Tuning
 from koop_lab.tune.written import nodes_of, reasons_of
 from koop_node.config import spec_of
 from koop_node.describe import parameters_of
@@ -31,7 +32,6 @@ def of_refusal(no: NoOptimum) -> dict[str, Any]:
 
 def of_tuning(found: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any]:
     """Return all of it."""
-    p = found.prediction
     return {
         "verdict": "tuned",
         "cost": found.chosen.cost.name,
@@ -42,14 +42,7 @@ def of_tuning(found: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any]
         "score": math.exp(found.best.score),
         "time": found.time,
         **of_seen(found.seen, found),
-        "predicted": {
-            "duration": p.duration,
-            "runs": len(p.runs),
-            "converges": _band(p.converges),
-            "distance": _band(p.distance),
-            "excess": _band(p.excess),
-            "reduction": _band(p.reduction),
-        },
+        "predicted": found.prediction.as_json(),
         "paths": [_path(found, end) for end in (0, 1)],
         "parameters": _parameters(found, rig, model),
     }
@@ -91,7 +84,7 @@ def best_band(maps: StaticMap) -> tuple[float, float]:
         mean = maps.sense * maps.drawn(weights_of(maps, rng))
         found.append(float(grid[int(np.argmin(maps.sense * maps.curve(maps.sense * mean)))]))
         found.append(vertex(maps.u, mean))
-    low, high = np.percentile(found, [BAND[0], BAND[-1]])
+    low, high = np.percentile(found, [PERCENTILES[0], PERCENTILES[-1]])
     return float(low), float(high)
 
 
@@ -143,7 +136,7 @@ def _cost(judged: Judged, seen: Seen, found: Tuning | None) -> dict[str, Any]:
 
 def _path(found: Tuning, end: int) -> dict[str, Any]:
     """Return theta and amplitude of the predicted runs from one end of the range, as bands."""
-    scale, runs = found.seen.scale, found.prediction.runs[end::2]
+    scale, runs = found.seen.scale, found.runs[end::2]
     duration = found.prediction.duration
     blocks = runs[0].u.size
     theta = [scale.theta(np.clip(run.u, 0.0, 1.0)) for run in runs]
@@ -161,12 +154,8 @@ def _amplitude(run: Outcome) -> NDArray[np.float64]:
 
 def _bands(rows: Sequence[NDArray[np.float64]]) -> dict[str, list[float]]:
     names = ("low", "middle", "high")
-    bands = np.percentile(rows, BAND, axis=0)
+    bands = np.percentile(rows, PERCENTILES, axis=0)
     return {name: row.tolist() for name, row in zip(names, bands, strict=True)}
-
-
-def _band(band: Band) -> dict[str, float | None]:
-    return {k: v if math.isfinite(v) else None for k, v in asdict(band).items()}
 
 
 def _parameters(found: Tuning, rig: RigFile, model: Path | None) -> list[dict[str, Any]]:

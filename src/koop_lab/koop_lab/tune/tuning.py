@@ -19,6 +19,7 @@ from koop_lab.identify.compare import BAND_LIMITED, Cost, costs
 from koop_lab.identify.from_bags import BagTraining
 from koop_lab.identify.loaded import Loaded
 from koop_lab.identify.windows import period_of
+from koop_lab.tune.prediction import Band, Prediction
 from koop_lab.tune.search import GOOD, HIGH, LENGTH, Outcome, Task, Tried, confirm, search, try_out
 from koop_lab.tune.static_map import GRID, StaticMap, static_map, weights_of
 from koop_lab.tune.stays import Scale, Stays, find_stays, period_by_theta, window_levels
@@ -37,7 +38,6 @@ LONGEST = 2.0  # times what the rig file allows for the excitation, a run may be
 CANDIDATES = 2  # costs that are searched for
 AS_GOOD = 1.1  # raw, and a short run, are taken when the best is not better by more
 RUNS = 32  # of the prediction
-BAND = (5.0, 50.0, 95.0)  # percentiles that are told
 BLOCKS_OF_TIME = 100  # in T, of coarse surrogates at least
 CLIFF = 8.0  # factor by which the amplitude changes at a cliff; less is a steep side of a valley
 CLIFF_WIDTH = 0.08  # of the range, within which it does
@@ -146,49 +146,6 @@ class Seen:
 
 
 @dataclass(frozen=True)
-class Band:
-    """A figure with its band: 5 %, median, 95 % of the runs."""
-
-    low: float
-    middle: float
-    high: float
-
-    @classmethod
-    def of(cls, values: list[float]) -> Band:
-        """Return the band of values."""
-        low, middle, high = np.percentile(values, BAND, method="nearest")
-        return cls(float(low), float(middle), float(high))
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """What the loop will do.
-
-    Attributes
-    ----------
-    converges : Band
-        Time until the amplitude is near its best [s].
-    distance : Band
-        Mean distance of theta from the best [u] once it has.
-    excess : Band
-        Amplitude then over the best one (its inverse where it is to be large).
-    reduction : Band
-        Amplitude at the start over that (its inverse), from the worse end of the range.
-    duration : float
-        Of a run [s]; the second half counts as converged.
-    runs : list of Outcome
-        All of them.
-    """
-
-    converges: Band
-    distance: Band
-    excess: Band
-    reduction: Band
-    duration: float
-    runs: list[Outcome]
-
-
-@dataclass(frozen=True)
 class Tuning:
     """A controller for a rig.
 
@@ -209,7 +166,9 @@ class Tuning:
     y_out_max : float
         Largest y_out that is to be believed.
     prediction : Prediction
-        What will be.
+        Figures of the loop.
+    runs : list of Outcome
+        Runs of the prediction, from the lower and the upper end in turn.
     why : str
         Of the cost, in words.
     """
@@ -222,6 +181,7 @@ class Tuning:
     time: float
     y_out_max: float
     prediction: Prediction
+    runs: list[Outcome]
     why: str
 
 
@@ -574,7 +534,7 @@ def tune(
         times,
         task.time,
         BELIEVED * largest,
-        predict(task, top, seen, seed + 1),
+        *predict(task, top, seen, seed + 1),
         why,
     )
 
@@ -627,7 +587,7 @@ def wander(stays: Stays, samples: float) -> float:
     return float(np.median(found)) if found else 0.0
 
 
-def predict(task: Task, tried: Tried, seen: Seen, seed: int) -> Prediction:
+def predict(task: Task, tried: Tried, seen: Seen, seed: int) -> tuple[Prediction, list[Outcome]]:
     """Run what was chosen with fresh random numbers.
 
     What the amplitude of a time as long as half a run differs by itself, and the error of the best
@@ -638,11 +598,12 @@ def predict(task: Task, tried: Tried, seen: Seen, seed: int) -> Prediction:
     known = float(seen.amplitude.error[int(np.argmin(task.sense * seen.amplitude.mean))])
     rng = np.random.default_rng(seed)
     noise = np.exp(math.hypot(own, known) * rng.standard_normal(RUNS)).tolist()
-    return Prediction(
+    prediction = Prediction(
         Band.of([o.converged for o in runs]),
         Band.of([o.distance for o in runs]),
         Band.of([o.excess * e for o, e in zip(runs, noise, strict=True)]),
         Band.of([o.reduction / e for o, e in zip(runs, noise, strict=True)]),
         task.steps * task.dt,
-        runs,
+        len(runs),
     )
+    return prediction, runs

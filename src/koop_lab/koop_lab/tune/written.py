@@ -11,7 +11,7 @@ import numpy as np
 from koop_lab.commission.rig_file import RigFile
 from koop_lab.tune.parameter_text import HEAD, KNOWN
 from koop_lab.tune.search import esc_of, lifter_of
-from koop_lab.tune.tuning import Band, Seen, Tuning
+from koop_lab.tune.tuning import Seen, Tuning
 from koop_node.describe import parameter_file
 from koop_node.fields import format_field
 from koop_node.text_table import table
@@ -62,20 +62,13 @@ def as_words(found: Tuning) -> str:
             f"cost {found.chosen.cost.name}: {found.why}",
             f"law {c.law}, omega_h {c.omega_h:.3g} rad/s, omega_l {c.omega_l:.3g} rad/s, "
             f"dwell {c.dwell:.3g} s, tau_f {c.tau_f:.3g} s",
-            f"predicted, from either end of the range ({len(p.runs)} runs; median, 5 to 95 %):",
-            f"  converges in {_told(p.converges)} s",
-            f"  then |theta - theta*| is {_told(p.distance, 100.0)} % {span} on average",
-            f"  amplitude over the best one {_told(p.excess)}",
-            f"  amplitude {better} by a factor of {_told(p.reduction)}",
+            f"predicted, from either end of the range ({p.runs} runs; median, 5 to 95 %):",
+            f"  converges in {p.converges.as_text()} s",
+            f"  then |theta - theta*| is {p.distance.as_text(100.0)} % {span} on average",
+            f"  amplitude over the best one {p.excess.as_text()}",
+            f"  amplitude {better} by a factor of {p.reduction.as_text()}",
         ]
     )
-
-
-def _told(band: Band, unit: float = 1.0) -> str:
-    def say(value: float) -> str:
-        return "never" if math.isinf(value) else f"{unit * value:.3g}"
-
-    return f"{say(band.middle)} ({say(band.low)} to {say(band.high)})"
 
 
 def nodes_of(found: Tuning, rig: RigFile, model: Path | None) -> dict[str, dict[str, Any]]:

@@ -155,7 +155,7 @@ def commissioned(
         measured = [measure(aim, loop.x[: BEFORE * aim.how.length], loop.x, loop.theta)
                     for loop in closed]  # fmt: skip
         agrees = not any(disagreements(aim, run) for run in measured)
-        rounds.append({"agrees": agrees, "prediction": aim.predicted,
+        rounds.append({"agrees": agrees, "prediction": aim.predicted.as_json(),
                        "runs": [asdict(run) for run in measured]})  # fmt: skip
         result = {"ratio": [loop.ratio for loop in closed],
                   "converged": [loop.converged for loop in closed]}  # fmt: skip
