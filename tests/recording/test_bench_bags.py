@@ -1,4 +1,4 @@
-"""What the decision for a bag writer and reader of our own rests on (docs/decisions/0013)."""
+"""What the decision for a bag writer and reader of our own rests on (decision 13)."""
 
 from pathlib import Path
 

@@ -121,7 +121,7 @@ def wait_until_known(probe, folder):
 
 @pytest.fixture(scope="module")
 def without_shared_memory():
-    """Let a node that is stopped hold no lock for which the others wait (docs/decisions/0021)."""
+    """Let a node that is stopped hold no lock for which the others wait (decision 21)."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(TRANSPORTS, "UDPv4")
         yield

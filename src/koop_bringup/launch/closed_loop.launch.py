@@ -4,7 +4,7 @@
 
 With ``plant:=false`` your own rig takes the plant's place: it publishes ``state`` and listens to
 ``theta`` in the same namespace. What the arguments and the parameter file amount to is decided in
-``koop_bringup.plan``, before a node starts; what ends the launch is in docs/runs.md.
+``koop_bringup.plan``, before a node starts; what ends it: docs/reference/exit-codes.md.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """What the end of one node means for the run. Pure.
 
-The table for all commands is in docs/runs.md.
+The table for all commands is in docs/reference/exit-codes.md.
 """
 
 from __future__ import annotations

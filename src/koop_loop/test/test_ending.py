@@ -1,4 +1,4 @@
-"""What ends a run, as docs/runs.md says it."""
+"""What ends a run, as docs/reference/exit-codes.md says it."""
 
 import pytest
 

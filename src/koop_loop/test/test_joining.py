@@ -1,6 +1,6 @@
 """A node that is restarted in mid-run: how often the relay turns for nothing.
 
-The figures of docs/theory.md: `./koop test src/koop_loop/test/test_joining.py -s`.
+The figures of docs/explanation/theory.md: `./koop test src/koop_loop/test/test_joining.py -s`.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Quality of service of the topics (docs/decisions/0007-each-topic-keeps-what-is-of-use.md)."""
+"""Quality of service of the topics (docs/explanation/decisions/0007)."""
 
 from __future__ import annotations
 

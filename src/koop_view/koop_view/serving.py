@@ -94,7 +94,7 @@ async def serve(
             if token:
                 print(f"who has that address may operate the loop; {page} reads only")
             if not is_loopback(config.host):
-                print("it is open to the network, without encryption: see docs/security.md")
+                print("it is open to the network, without encryption: docs/how-to/secure-a-loop.md")
             print("Ctrl-C ends it", flush=True)
             tasks = {stopping, following} - {None}
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)  # type: ignore[type-var]

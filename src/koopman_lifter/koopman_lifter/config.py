@@ -19,7 +19,7 @@ class LifterConfig:
     """Cost and amplitude detector (paper section 3.4).
 
     The paper gives no value of the detector's corner frequencies; these are the defaults of this
-    project (docs/theory.md says how they were found).
+    project (docs/explanation/theory.md says how they were found).
 
     Raises
     ------

@@ -110,7 +110,7 @@ def _add_fit_options(parser: Any) -> None:
         choices=tuple(ESTIMATORS),
         default=default.estimator,
         help="of K: least squares, as the paper, sees damping that is not there where the "
-        "measurements are noisy; the other two do not (docs/theory.md)",
+        "measurements are noisy; the other two do not (docs/explanation/theory.md)",
     )
     parser.add_argument(
         "--select",
@@ -290,7 +290,7 @@ def describe(model: KoopmanModel) -> str:
     if variant != "lifted":
         lines.append(
             f"cost: {variant}. It is not the energy of these modes but of one direction of the "
-            "state: the one in which strong and weak oscillation differ most (docs/theory.md)"
+            "state: the one in which strong and weak oscillation differ most (see docs/explanation)"
         )
     else:
         lines.append(

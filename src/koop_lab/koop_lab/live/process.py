@@ -28,7 +28,7 @@ OWN_GROUP: dict[str, Any] = (
 """Options of Popen, with which Ctrl-C reaches only the parent, which ends the process in order.
 
 Not a session of its own where it can be had: Linux shares the processors out by session, and on a
-busy machine threads of such a process waited for up to 4 s (docs/hil.md, "On one host").
+busy machine threads of such a process waited for up to 4 s (docs/how-to/real-time.md).
 """
 
 
