@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from koop_node.client import Client
-from koop_node.domain import hold_domain
+from koop_node.client.client import Client
+from koop_node.process.domain import hold_domain
 
 ROOT = Path(__file__).parent
 ALLOWED_SKIPS = ROOT / "tests" / "allowed_skips.txt"

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from koop_lab.live.process import NodeProcess
-from koop_node.question import Question
+from koop_bringup.live.process import NodeProcess
+from koop_node.client.question import Question
 
 sys.path.insert(0, str(Path(__file__).parent))  # for browser.py
 
@@ -28,8 +28,8 @@ class Probe:
         import rclpy
         from rclpy.experimental.events_executor import EventsExecutor
 
-        from koop_node.entities import WithoutEvents
-        from koop_node.main import set_dds_profile
+        from koop_node.node.entities import WithoutEvents
+        from koop_node.node.main import set_dds_profile
 
         set_dds_profile(guest=True)  # else what is lost on the way is sent again seconds later
         self.context = rclpy.Context()
@@ -141,7 +141,7 @@ def nodes_of(process: Any) -> dict[str, int]:
         except OSError:
             continue
         names = [word.rsplit("/", 1)[-1] for word in words if "/lib/" in word]
-        if parent == process.pid and "koop_node.companion" in words:
+        if parent == process.pid and "koop_node.process.companion" in words:
             found["rig"] = int(pid)
         elif parent == process.pid and names:
             found[names[0]] = int(pid)

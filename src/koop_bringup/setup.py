@@ -1,13 +1,13 @@
 from glob import glob
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 PACKAGE = "koop_bringup"
 
 setup(
     name=PACKAGE,
     version="0.1.0",
-    packages=[PACKAGE],
+    packages=find_packages(exclude=["test"]),
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
@@ -16,7 +16,14 @@ setup(
         ("share/" + PACKAGE + "/layouts", glob("layouts/*")),
         ("share/" + PACKAGE + "/security", glob("security/*.xml")),
     ],
-    install_requires=["koop_bag", "koop_loop", "koop_node", "koopman_lifter"],
+    install_requires=[
+        "koop_bag",
+        "koop_core",
+        "koop_loop",
+        "koop_node",
+        "koop_view",
+        "koopman_lifter",
+    ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",

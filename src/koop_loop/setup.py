@@ -11,7 +11,7 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     install_requires=[
-        "koop_node",
+        "koop_core",
         "koopman_lifter",
         "relay_esc",
         "vdp_plant",

@@ -6,12 +6,21 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"koop_view": ["page/index.html"]},
+    package_data={
+        "koop_view": ["page/index.html"],
+        "koop_view.report": ["page.js", "page.css", "vendor/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["koop_bag", "koop_node", "PyYAML", "websockets"],
+    install_requires=[
+        "koop_bag",
+        "koop_core",
+        "koop_node",
+        "PyYAML",
+        "websockets",
+    ],
     extras_require={"test": ["hypothesis", "pytest", "rosbags"]},
     zip_safe=False,
     maintainer="koop maintainers",

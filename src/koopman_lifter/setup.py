@@ -11,7 +11,12 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["koop_node", "numpy", "scipy"],
+    install_requires=[
+        "koop_core",
+        "koop_node",
+        "numpy",
+        "scipy",
+    ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",

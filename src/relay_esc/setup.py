@@ -10,7 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["koop_node"],
+    install_requires=["koop_core", "koop_node"],
     extras_require={"test": ["numpy", "pytest", "scipy"]},
     zip_safe=False,
     maintainer="koop maintainers",

@@ -10,7 +10,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
     ],
-    install_requires=["koop_node", "numpy"],
+    install_requires=["koop_core", "koop_node", "numpy"],
     extras_require={"test": ["pytest", "scipy"]},
     zip_safe=False,
     maintainer="koop maintainers",

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from koop_lab.bench import everything
-from koop_lab.bench.command import BENCHMARKS
+from koop_bench import everything
+from koop_bench.command import BENCHMARKS
 from koop_lab.cli.main import main
 
 PAGE = Path(__file__).parents[2] / "docs" / "benchmarks.md"

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_lab.bench.identify import Case, check, difference, measure, recording
+from koop_bench.identify import Case, check, difference, measure, recording
 from koop_lab.cli.main import main
 
 SOURCE = Path(__file__).parents[2] / "benchmarks" / "identify.py"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_lab.bench.offline import Loop, compile_c, time_c, time_kernel
+from koop_bench.offline import Loop, compile_c, time_c, time_kernel
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import LifterConfig
 from vdp_plant.config import PlantConfig

@@ -7,7 +7,7 @@ from koop_msgs.msg import Cost, MeasuredState
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 
-from koop_lab.live.process import executable
+from koop_bringup.live.process import executable
 
 pytestmark = pytest.mark.ros
 

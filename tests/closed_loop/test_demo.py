@@ -12,8 +12,8 @@ from koop_msgs.msg import MeasuredState
 from mcap.reader import make_reader
 
 from koop_bag.bag.reader import BagReader
+from koop_identify.recording.loop import read_run
 from koop_lab.cli.main import main
-from koop_lab.recorded.run import read_run
 
 pytestmark = pytest.mark.ros
 

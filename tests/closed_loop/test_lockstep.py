@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_lab.live.loop import LiveLoop
-from koop_lab.recorded.run import RecordedRun, read_run
+from koop_bringup.live.loop import LiveLoop
+from koop_core.errors import LiveError
+from koop_identify.recording.loop import RecordedRun, read_run
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import make_plan
 from koop_lab.replay.recording import read_recording
 from koop_loop.loop import simulate
 from koop_loop.parameters import LoopParameters, make, read
 from koop_loop.training import TrainingConfig, train
-from koop_node.errors import LiveError
 from koop_study.simulation.case import Case
 from koop_study.simulation.run import run as run_case
 from koopman_lifter.config import LifterConfig

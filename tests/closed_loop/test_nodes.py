@@ -21,10 +21,10 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
 
 from koop_bag.recorder.config import RECORDER
+from koop_core.config.describe import parameters_of
 from koop_loop import parameters as loop_parameters
 from koop_loop.parameters import make
 from koop_loop.training import TrainingConfig, train
-from koop_node.describe import parameters_of
 from vdp_plant.config import PlantConfig
 
 NODES = ("vdp_plant", "koopman_lifter", "relay_esc", "recorder")

@@ -7,7 +7,7 @@ import pytest
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bringup.plan import plan
 from koop_lab.cli.main import main
-from koop_lab.tune.parameter_text import KNOWN
+from koop_tune.result.parameter_text import KNOWN
 
 NODES = ("relay_esc", "koopman_lifter", "vdp_plant", "recorder")
 LEFT_OUT = {"recorders", "autostart", "initial_state"}  # of how it is started; an empty list

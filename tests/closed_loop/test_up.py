@@ -9,10 +9,10 @@ import time
 import pytest
 
 from koop_bag.bag.reader import BagReader
+from koop_bringup.live.process import executable
 from koop_bringup.plan import plan
 from koop_lab.cli.main import main, parser
-from koop_lab.live.process import executable
-from koop_lab.live.up import chosen
+from koop_lab.commands.up import chosen
 from koop_loop.parameters import read
 
 TIMEOUT = 60.0  # [s] to start four processes on a busy machine

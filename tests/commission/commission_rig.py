@@ -5,7 +5,7 @@ import random
 import threading
 import time
 
-from koop_lab.commission.rig_file import RigFile
+from koop_tune.rig.rig_file import RigFile
 
 DT = 0.004
 OMEGA = 2.0 * math.pi * 20.0
@@ -46,7 +46,7 @@ class FastRig:
         from rclpy.experimental.events_executor import EventsExecutor
         from std_msgs.msg import Float64, Float64MultiArray
 
-        from koop_node.entities import WithoutEvents
+        from koop_node.node.entities import WithoutEvents
 
         self.theta, self.moved = RIG.theta_start, []
         self.applied, self.silent, self.spike = True, False, False

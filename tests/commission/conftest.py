@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from commission_rig import RIG, FastRig
 
-from koop_lab.commission import rig_file
+from koop_tune.rig import rig_file
 
 
 @pytest.fixture

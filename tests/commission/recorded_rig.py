@@ -4,14 +4,14 @@ import numpy as np
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
-from koop_lab.commission import staircase
-from koop_lab.identify.loaded import Loaded
-from koop_lab.tune import search
+from koop_identify.recording.loaded import Loaded
 from koop_study.commissioning import excitation, verification
 from koop_study.commissioning.verification import Controller
 from koop_study.family.config import FamilyConfig
 from koop_study.family.rig import draw
 from koop_study.laws.plants import time_of
+from koop_tune.excitation import staircase
+from koop_tune.search import search
 
 CALM = {"drift": (0.0, 0.0), "frequency": (1.0, 1.0), "log_scaled": 0.0, "maximised": 0.0}
 RATE = 0.5  # ranges of theta in the rig's own time, at most

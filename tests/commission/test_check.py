@@ -9,8 +9,8 @@ import pytest
 from commission_rig import RIG
 from std_msgs.msg import Float64, Float64MultiArray
 
-from koop_lab.commission import check
-from koop_lab.commission.check import BAD, live
+from koop_commission.stages import check
+from koop_commission.stages.check import BAD, live
 
 pytestmark = pytest.mark.ros
 

@@ -15,16 +15,17 @@ from commission_rig import RIG, FastRig
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_lab.commission import ears, rig_file
-from koop_lab.commission.ears import Ears, refuse_two_rigs, speakers
-from koop_lab.commission.excite import refuse_small_disk
-from koop_lab.commission.hand import Hand, left_at, note_of
-from koop_lab.commission.rig_file import THETA, THETA_TYPE
-from koop_lab.commission.session import refuse_incomplete_state
-from koop_node.client import Client
-from koop_node.config import ConfigError
-from koop_node.errors import LiveError
-from koop_node.fields import parse_field
+from koop_commission.rig import listener
+from koop_commission.rig.listener import Ears, refuse_two_rigs, speakers
+from koop_commission.stages.excite import refuse_small_disk
+from koop_commission.stages.session import refuse_incomplete_state
+from koop_commission.theta.commander_client import Hand, left_at, note_of
+from koop_core.config.fields import parse_field
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
+from koop_node.client.client import Client
+from koop_tune.rig import rig_file
+from koop_tune.rig.rig_file import THETA, THETA_TYPE
 
 pytestmark = pytest.mark.ros
 TIMEOUT = 40.0
@@ -79,8 +80,8 @@ def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, re
 HOLD = """
 import sys, time
 from pathlib import Path
-from koop_lab.commission.hand import Hand
-from koop_lab.commission.rig_file import read
+from koop_commission.theta.commander_client import Hand
+from koop_tune.rig.rig_file import read
 with Hand(read(sys.argv[1]), Path("log"), note=Path("note")) as hand:
     hand.go(-1.0)
     while True:
@@ -127,13 +128,13 @@ def test_two_rigs_on_one_topic_are_refused_unless_one_is_on_its_way_out(fast_rig
         other = FastRig()
         try:
             wait(lambda: client.spin(0.1) or len(speakers(client, topic)) == 2, "both rigs")
-            monkeypatch.setattr(ears, "GIVEN_UP", 0.5)
+            monkeypatch.setattr(listener, "GIVEN_UP", 0.5)
             with pytest.raises(LiveError, match="published by /fast_rig and /fast_rig: end all"):
                 refuse_two_rigs(client, RIG)
         finally:
             leaves = threading.Timer(1.0, other.close)
             leaves.start()
-        monkeypatch.setattr(ears, "GIVEN_UP", TIMEOUT)
+        monkeypatch.setattr(listener, "GIVEN_UP", TIMEOUT)
         refuse_two_rigs(client, RIG)
         leaves.join()
 

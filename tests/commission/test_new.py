@@ -9,7 +9,7 @@ import threading
 import pytest
 from std_msgs.msg import Float64, Float64MultiArray
 
-from koop_lab.commission.rig_file import read
+from koop_tune.rig.rig_file import read
 
 pytestmark = pytest.mark.ros
 

@@ -9,11 +9,12 @@ import pytest
 from browser import browse
 from recorded_rig import excited, file_of, loaded_of, rig_of, write_bag
 
+from koop_commission.report import write_report
 from koop_lab.cli.main import main
-from koop_lab.commission import progress, rig_file, staircase
-from koop_lab.commission.features import bands, features
-from koop_lab.commission.report import write_report
-from koop_lab.tune.stays import Scale, rests
+from koop_tune.excitation import progress, staircase
+from koop_tune.excitation.features import bands, features
+from koop_tune.rig import rig_file
+from koop_tune.rig_model.stays import Scale, rests
 
 QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05),
          "optimum": (0.3, 0.7), "channels": (2, 2), "noise_driven": 0.0}  # fmt: skip

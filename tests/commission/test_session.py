@@ -5,11 +5,11 @@ import time
 import pytest
 from commission_rig import DT, RIG
 
-from koop_lab.commission.ears import Ears
-from koop_lab.commission.leash import silence
-from koop_lab.commission.session import Session, Watch
-from koop_lab.live.loop import LiveNodes
-from koop_node.client import Client
+from koop_bringup.live.loop import LiveNodes
+from koop_commission.rig.listener import Ears
+from koop_commission.stages.session import Session, Watch
+from koop_commission.theta.limits import silence
+from koop_node.client.client import Client
 
 pytestmark = pytest.mark.ros
 

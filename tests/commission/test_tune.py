@@ -17,18 +17,18 @@ from recorded_rig import (
 )
 from scipy.signal import lfilter
 
+from koop_identify.recording.loaded import Loaded
 from koop_lab.cli.main import main
-from koop_lab.commission import rig_file
-from koop_lab.commission.features import Bands
-from koop_lab.commission.valley import best_end
-from koop_lab.identify.loaded import Loaded
-from koop_lab.tune.fluctuation import fluctuation
-from koop_lab.tune.static_map import StaticMap
-from koop_lab.tune.stays import Scale, Stay, Stays, period_by_theta, rests
-from koop_lab.tune.surrogate import fit_times
-from koop_lab.tune.tuning import NoOptimum, limits_of, look, tune
 from koop_loop import parameters
 from koop_study.commissioning.excitation import training_of
+from koop_tune.excitation.features import Bands
+from koop_tune.excitation.optimum_test import best_end
+from koop_tune.rig import rig_file
+from koop_tune.rig_model.fluctuation import fluctuation
+from koop_tune.rig_model.static_map import StaticMap
+from koop_tune.rig_model.stays import Scale, Stay, Stays, period_by_theta, rests
+from koop_tune.rig_model.surrogate import fit_times
+from koop_tune.search.tuning import NoOptimum, limits_of, look, tune
 from koopman_lifter.model import load
 
 QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05),

@@ -13,18 +13,20 @@ from test_excite import TIMEOUT, assert_walked, wait, whole
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
+from koop_commission import command
+from koop_commission.command import Commissioning
+from koop_commission.stages.excite import mend
+from koop_commission.stages.session import Watch
+from koop_commission.stages.verify import THETA_ASKED
+from koop_core.config import parameter_file
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
 from koop_lab.cli.main import main
-from koop_lab.commission import command, progress, rig_file, staircase
-from koop_lab.commission.command import Commissioning
-from koop_lab.commission.excite import mend
-from koop_lab.commission.features import Bands
-from koop_lab.commission.session import Watch
-from koop_lab.commission.staircase import Visit
-from koop_lab.commission.verify import THETA_ASKED
-from koop_lab.tune.folder import find_controller
-from koop_node import parameter_file
-from koop_node.config import ConfigError
-from koop_node.errors import LiveError
+from koop_tune.excitation import progress, staircase
+from koop_tune.excitation.features import Bands
+from koop_tune.excitation.staircase import Visit
+from koop_tune.folder import find_controller
+from koop_tune.rig import rig_file
 
 pytestmark = pytest.mark.ros
 LONG = 3.0 * TIMEOUT  # [s] for a command that starts four nodes on a busy machine

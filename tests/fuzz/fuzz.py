@@ -35,11 +35,11 @@ from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.recorder.config import RecorderConfig
+from koop_core.config.fields import check_fields, check_type, parse_source
+from koop_core.config.parameter import ConfigError
+from koop_core.stream.arrival import Arrival
 from koop_hil import faults, scenario
-from koop_node.adapter import StateAdapter
-from koop_node.arrival import Arrival
-from koop_node.config import ConfigError
-from koop_node.fields import check_fields, check_type, parse_source
+from koop_node.node.adapter import StateAdapter
 from koopman_lifter import cost
 from koopman_lifter.config import shipped_model
 from koopman_lifter.delays import Delays

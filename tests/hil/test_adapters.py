@@ -10,9 +10,9 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from koop_node.config import ConfigError
-from koop_node.fields import check_fields, parse_source, read_field
-from koop_node.managed import message_type
+from koop_core.config.fields import check_fields, parse_source, read_field
+from koop_core.config.parameter import ConfigError
+from koop_node.node.managed import message_type
 from koopman_lifter.config import LifterConfig
 
 

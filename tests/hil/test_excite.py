@@ -8,15 +8,15 @@ from koop_msgs.msg import MeasuredState
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
+from koop_commission.stages.excite import count_answers
+from koop_commission.theta.commander import HEARD
+from koop_core.errors import LiveError
 from koop_hil import report
 from koop_hil.excite import record_excitation, rig_of
 from koop_hil.run import run_here
 from koop_hil.scenario import find, parse, read
 from koop_hil.supervisor import Supervisor
-from koop_lab.commission.commander import HEARD
-from koop_lab.commission.excite import count_answers
-from koop_lab.commission.rig_file import read as read_rig
-from koop_node.errors import LiveError
+from koop_tune.rig.rig_file import read as read_rig
 
 pytestmark = pytest.mark.ros
 TIME = 20.0  # [s] in which theta goes to the end of its range
@@ -28,7 +28,7 @@ def scenario(tmp_path):
 
 
 def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, monkeypatch):
-    monkeypatch.setattr("koop_lab.commission.survey.LISTEN", 8.0)
+    monkeypatch.setattr("koop_tune.excitation.survey.LISTEN", 8.0)
     given = read(find("rig-galloping"))
     faster = replace(given, setting=replace(given.setting, time_scale=SCALE))
     said = record_excitation(faster, tmp_path, TIME)

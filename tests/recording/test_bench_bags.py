@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from koop_lab.bench.bags import OPERATIONS, measure, worst_loss, write_source
+from koop_bench.bags import OPERATIONS, measure, worst_loss, write_source
 
 SOURCE = Path(__file__).parents[2] / "benchmarks" / "bags.py"
 

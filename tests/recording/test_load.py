@@ -5,7 +5,7 @@ Short versions of ``koop bench record``, which takes ten minutes.
 
 import pytest
 
-from koop_lab.bench.record import record_load, reported_losses
+from koop_bench.record import record_load, reported_losses
 
 
 @pytest.mark.ros

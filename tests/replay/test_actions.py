@@ -17,11 +17,11 @@ from std_srvs.srv import SetBool, Trigger
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
+from koop_core.stream.resend import Due, Resend
 from koop_lab.cli.main import main
 from koop_lab.replay.recording import read_recording
 from koop_loop.training import TrainingConfig, train
-from koop_node.main import TRANSPORTS
-from koop_node.resend import Due, Resend
+from koop_node.node.main import TRANSPORTS
 from koopman_lifter.config import shipped_model
 from koopman_lifter.delays import Delays
 from vdp_plant.config import RESENDS, PlantConfig

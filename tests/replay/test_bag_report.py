@@ -13,12 +13,12 @@ from rosbags.highlevel import AnyReader
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
+from koop_identify.model.settled_windows import windows_of
+from koop_identify.recording.loop import read_run
 from koop_lab.cli.main import parser
-from koop_lab.cli.simulate import run as simulate
+from koop_lab.commands.simulate import run as simulate
 from koop_lab.plots.report import Cost, plot_report
 from koop_lab.recorded.report import costs_under, read
-from koop_lab.recorded.run import read_run
-from koop_lab.recorded.windows import windows_of
 from koop_loop import parameters
 from koop_loop.metrics import PAPER
 from koop_loop.parameters import make

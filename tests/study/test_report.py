@@ -16,15 +16,15 @@ import pytest
 import yaml
 from browser import browse
 
-from koop_lab.page.document import Column, Figure, Heat, Panel, Section, Series, Table
-from koop_lab.page.markdown import rewrite_block
 from koop_study.experiments import stats
 from koop_study.experiments.kinds import read, read_folder
 from koop_study.report import publish, summary
 from koop_study.report.page import render
+from koop_study.runner import run_all
 from koop_study.simulation.work import runs
-from koop_study.workers.runner import run_all
 from koop_study.workers.units import Store
+from koop_view.report.document import Column, Figure, Heat, Panel, Section, Series, Table
+from koop_view.report.markdown import rewrite_block
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 # What makes an experiment a matter of seconds; the pages and sentences are the same.

@@ -27,7 +27,7 @@ from websockets.frames import Frame, Opcode
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_lab.live.process import NodeProcess
+from koop_bringup.live.process import NodeProcess
 from koop_view.recorded import RecordedSource
 
 HERE = Path(__file__).parent

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from koop_lab.live.served import served
+from koop_bringup.live.served import served
 
 pytestmark = pytest.mark.ros
 

@@ -14,7 +14,7 @@ from typing import Any
 from koop_bag.errors import BagError
 from koop_bag.player.config import PlayerConfig
 from koop_bag.recorder.config import RecorderConfig
-from koop_node.config import spec_of
+from koop_core.config.parameter import spec_of
 
 Action = Callable[[argparse.Namespace], int]
 

@@ -1,6 +1,6 @@
 """What can go wrong with a bag. Each message says what happened and what to do about it."""
 
-from koop_node.errors import KoopError
+from koop_core.errors import KoopError
 
 
 class BagError(KoopError):

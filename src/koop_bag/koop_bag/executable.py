@@ -1,6 +1,6 @@
 """What ``ros2 run koop_bag recorder`` and ``... player`` start."""
 
-from koop_node.start import start
+from koop_node.node.start import start
 
 
 def recorder() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
-from koop_node.domain import hold_domain
+from koop_node.process.domain import hold_domain
 
 sys.path.insert(0, str(Path(__file__).parent))  # helpers of these tests; pytest adds no folder
 

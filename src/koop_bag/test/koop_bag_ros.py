@@ -20,7 +20,7 @@ from rclpy.serialization import deserialize_message
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_bag.recorder.topics import message_class
-from koop_node.question import Question
+from koop_node.client.question import Question
 
 Self = TypeVar("Self", bound="Program")
 PATIENCE = 30.0  # [s] for what should take far less

@@ -25,7 +25,7 @@ from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.player.config import PlayerConfig
 from koop_bag.recorder.config import RecorderConfig
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 from koop_bag.bag.reader import RawMessage
 from koop_bag.player.config import PlayerConfig, default_topics, parse_counts, parse_remap
 from koop_bag.player.playback import Playback, Timeline, in_time_order
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 
 BEGIN = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -24,7 +24,7 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagWriteError, DiskFullError
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])

@@ -13,6 +13,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koop_bag.recorder.config import RECORDER, RecorderConfig
+from koop_core.config import parameter_file
+from koop_core.config.parameter import ConfigError, refuse_unknown
+from koop_core.config.parameter_file import ParameterFile
 from koop_loop.parameters import (
     COMPONENTS,
     CONTAINER,
@@ -23,9 +26,6 @@ from koop_loop.parameters import (
     with_model_beside,
 )
 from koop_loop.rig_program import RIG, RigConfig
-from koop_node import parameter_file
-from koop_node.config import ConfigError, refuse_unknown
-from koop_node.parameter_file import ParameterFile
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import load_for
 

@@ -25,10 +25,10 @@ from launch.logging import get_logger, launch_config
 from launch_ros.actions import Node
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
+from koop_core.config.parameter_file import write
 from koop_loop.ending import Ending, ending, told
-from koop_node.alone import TOPICS, alone
-from koop_node.lifeline import TIED
-from koop_node.parameter_file import write
+from koop_node.client.alone import TOPICS, alone
+from koop_node.process.lifeline import TIED
 
 PLACE = ExitStack()  # of the loop in its ROS domain, held until the launch ends
 STOP_TIMEOUT = "10"  # [s] for a recorder to close its bag
@@ -82,7 +82,7 @@ def _start(context: LaunchContext) -> list:
         *(
             ExecuteProcess(
                 name="rig",
-                cmd=[sys.executable, "-m", "koop_node.companion", *words],
+                cmd=[sys.executable, "-m", "koop_node.process.companion", *words],
                 additional_env=TIED,
                 on_exit=_on_exit("rig", planned.rig, lost),
                 output="screen",

@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
+from koop_core.config.parameter import ConfigError
 from koop_loop.parameters import read
-from koop_node.config import ConfigError
 from koopman_lifter.config import shipped_model
 
 MINE = """

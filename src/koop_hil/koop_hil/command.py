@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
+from koop_core.config.parameter import ConfigError
+from koop_core.config.yaml_file import one_setting
 from koop_hil import report
 from koop_hil.commission import commission_rig, publish, row
 from koop_hil.excite import record_excitation
 from koop_hil.run import run
 from koop_hil.scenario import find, read, shipped, with_controller, with_parameter
-from koop_lab.replay.settings import CONTROLLER
-from koop_lab.tune.folder import find_controller
+from koop_identify.recording.recorded_parameters import CONTROLLER
 from koop_loop.parameters import build
-from koop_node.config import ConfigError
-from koop_node.yaml_file import one_setting
+from koop_tune.folder import find_controller
 
 SOAK = 600.0  # [s] from which on the growth of memory and latency means something
 

@@ -6,20 +6,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from koop_bringup.live.process import START_TIMEOUT
+from koop_commission.command import Commissioning
+from koop_commission.stages import verify
+from koop_commission.stages.session import Watch
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
 from koop_hil.excite import rig_of
 from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import refuse_dead
-from koop_lab.commission import progress, rig_file, verify
-from koop_lab.commission.closed_loop import as_predicted, ended, kept_round
-from koop_lab.commission.command import Commissioning
-from koop_lab.commission.session import Watch
-from koop_lab.live.process import START_TIMEOUT
-from koop_lab.page.markdown import rewrite_block
-from koop_lab.tune.folder import FIGURES
-from koop_node.alone import alone
-from koop_node.config import ConfigError
-from koop_node.errors import LiveError
+from koop_node.client.alone import alone
+from koop_tune.excitation import progress
+from koop_tune.folder import FIGURES
+from koop_tune.rig import rig_file
+from koop_tune.search.agreement import as_predicted, ended, kept_round
+from koop_view.report.markdown import rewrite_block
 
 BEGIN, END = "<!-- commissioned -->", "<!-- /commissioned -->"
 HEAD = (
@@ -43,7 +45,7 @@ def commission_rig(scenario: Scenario, folder: Path, time: float) -> int:
 
     Raises
     ------
-    koop_node.errors.LiveError
+    koop_core.errors.LiveError
         If the rig, a node or the disk ends it.
     """
     rig = rig_of(scenario, time)
@@ -104,7 +106,7 @@ def publish(rows: Sequence[str], path: Path) -> None:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If it has none.
     """
     try:

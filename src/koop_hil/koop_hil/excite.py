@@ -5,14 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from koop_bringup.live.process import START_TIMEOUT
+from koop_commission.stages import excite
 from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import refuse_dead
-from koop_lab.commission import excite, rig_file
-from koop_lab.commission.rig_file import STATE_TYPE, THETA, THETA_TYPE, RigFile
-from koop_lab.live.process import START_TIMEOUT
 from koop_loop.parameters import names_of
-from koop_node.alone import alone
+from koop_node.client.alone import alone
+from koop_tune.rig import rig_file
+from koop_tune.rig.rig_file import STATE_TYPE, THETA, THETA_TYPE, RigFile
 from relay_esc.config import EscConfig
 
 RATE = 1.0  # [1/s] of theta: what the actuators of the rigs follow
@@ -49,7 +50,7 @@ def record_excitation(scenario: Scenario, folder: Path, time: float) -> str:
 
     Raises
     ------
-    koop_node.errors.LiveError
+    koop_core.errors.LiveError
         If the plant or a node ends, or another loop runs on the domain.
     """
     rig = rig_of(scenario, time)

@@ -17,11 +17,11 @@ from typing import Any
 from koop_msgs.msg import ControlInput, MeasuredState
 from rclpy.publisher import Publisher
 
+from koop_core.config.parameter import NodeConfig, parameter, validate
 from koop_hil.faults import Channel, parse
-from koop_node.config import NodeConfig, parameter, validate
-from koop_node.main import run
-from koop_node.managed import Entities, ManagedNode, Run
-from koop_node.qos import RELIABLE
+from koop_node.node.main import run
+from koop_node.node.managed import Entities, ManagedNode, Run
+from koop_node.node.qos import RELIABLE
 
 PERIOD = 0.001  # [s] between looks for delayed messages that are due
 

@@ -20,7 +20,7 @@ import random
 from dataclasses import dataclass, field
 from typing import Any
 
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 
 DEFAULTS: dict[str, dict[str, float | str]] = {
     "ok": {},
@@ -51,7 +51,7 @@ def parse(text: str) -> Fault:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If there is no such fault or setting.
     """
     name, *words = text.split() or [""]

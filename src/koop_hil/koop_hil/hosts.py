@@ -14,7 +14,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from koop_node.errors import KoopError, LiveError
+from koop_core.errors import KoopError, LiveError
 
 HOSTS = {"koop0": "198.18.0.1/30", "koop1": "198.18.0.2/30"}  # kept free for tests (RFC 2544)
 HERE, THERE = HOSTS
@@ -124,7 +124,7 @@ def other_host() -> Iterator[OtherHost]:
 
     Raises
     ------
-    koop_node.errors.LiveError
+    koop_core.errors.LiveError
         If the system refuses.
     """
     with Namespace() as switch, Namespace() as host:

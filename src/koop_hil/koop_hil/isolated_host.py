@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from koop_bringup.live.process import OWN_GROUP, TiedProcess
 from koop_hil.hosts import entrance, environment
-from koop_lab.live.process import OWN_GROUP, TiedProcess
 
 
 def call(command: list[str]) -> int:

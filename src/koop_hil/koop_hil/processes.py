@@ -8,11 +8,11 @@ import signal
 import sys
 from pathlib import Path
 
+from koop_bringup.live.process import NodeProcess
+from koop_core.config import parameter_file
 from koop_hil import installed
 from koop_hil.hosts import OtherHost
 from koop_hil.scenario import SECOND, Scenario
-from koop_lab.live.process import NodeProcess
-from koop_node import parameter_file
 
 ORDER = (
     "recorder",

@@ -15,15 +15,15 @@ from types import FrameType
 from tqdm import tqdm
 
 from koop_bag.errors import BagError
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
 from koop_hil import isolated_host
 from koop_hil import scenario as scenarios
 from koop_hil.hosts import HostsError
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import Supervisor
 from koop_hil.verdict import Verdict, judge
-from koop_node.config import ConfigError
-from koop_node.errors import LiveError
-from koop_node.lifeline import end_with_parent
+from koop_node.process.lifeline import end_with_parent
 
 VERDICT = "verdict.json"
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
@@ -35,7 +35,7 @@ def run(scenario: Scenario, folder: Path) -> Verdict:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If the folder holds a recording already.
     """
     if (folder / "bag").exists():

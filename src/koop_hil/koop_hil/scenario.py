@@ -13,12 +13,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from koop_core.config.fields import parse_source
+from koop_core.config.parameter import ConfigError, mapping, parameter, refuse_unknown, validate
+from koop_core.config.yaml_file import read_yaml
 from koop_hil import faults, installed
-from koop_lab.replay.settings import CONTROLLER
+from koop_identify.recording.recorded_parameters import CONTROLLER
 from koop_loop import parameters
-from koop_node.config import ConfigError, mapping, parameter, refuse_unknown, validate
-from koop_node.fields import parse_source
-from koop_node.yaml_file import read_yaml
 from vdp_plant.config import PlantConfig
 
 NODES = ("plant", *CONTROLLER)
@@ -197,7 +197,7 @@ def find(name: str) -> Path:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If there is none.
     """
     if Path(name).suffix in (".yaml", ".yml"):
@@ -213,7 +213,7 @@ def read(path: Path) -> Scenario:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If it cannot be read or says something meaningless; names file and entry.
     """
     content = read_yaml(path)
@@ -285,7 +285,7 @@ def with_controller(scenario: Scenario, file: Path) -> Scenario:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If the file cannot be used; names it.
     """
     given = parameters.read(file, {node: parameters.NODES[node] for node in CONTROLLER})

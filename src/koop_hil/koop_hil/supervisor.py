@@ -11,13 +11,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from koop_bringup.live.monitor import LEVELS, Monitor
+from koop_bringup.live.process import START_TIMEOUT
+from koop_core.errors import LiveError
 from koop_hil.hosts import OtherHost, other_host
 from koop_hil.processes import Processes
 from koop_hil.scenario import SECOND, Event, Scenario
-from koop_lab.live.monitor import LEVELS, Monitor
-from koop_lab.live.process import START_TIMEOUT
-from koop_node.alone import alone
-from koop_node.errors import LiveError
+from koop_node.client.alone import alone
 from vdp_plant.config import PlantConfig
 
 FIRST = "relay_esc"

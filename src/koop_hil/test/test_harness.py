@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from koop_core.config.parameter import ConfigError
 from koop_hil import commission, faults, installed, report
 from koop_hil.command import main, register
 from koop_hil.excite import rig_of
@@ -27,8 +28,7 @@ from koop_hil.scenario import (
     write,
 )
 from koop_hil.verdict import Verdict
-from koop_lab.commission.closed_loop import Measured
-from koop_node.config import ConfigError
+from koop_tune.search.agreement import Measured
 
 
 def through(fault, messages, dt=0.005, seed=1):

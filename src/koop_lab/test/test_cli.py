@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import yaml
 
+from koop_core.config import parameter_file
+from koop_core.config.parameter import ConfigError
 from koop_lab.cli.main import main
 from koop_loop.parameters import make, read
-from koop_node import parameter_file
-from koop_node.config import ConfigError
 
 
 def test_simulate_writes_signals_metrics_and_a_plot(tmp_path, capsys):
@@ -89,7 +89,7 @@ def test_a_run_that_does_not_fit_into_memory_ends_in_one_line(monkeypatch, capsy
     def simulate(*_):
         raise MemoryError("Unable to allocate 2.91 TiB")
 
-    monkeypatch.setattr("koop_lab.cli.simulate.simulate", simulate)
+    monkeypatch.setattr("koop_lab.commands.simulate.simulate", simulate)
     assert main(["simulate", "--duration", "1e9"]) == 2
     assert capsys.readouterr().err == "koop simulate: error: Unable to allocate 2.91 TiB\n"
 

@@ -2,9 +2,9 @@
 
 import pytest
 
+from koop_core.config.parameter import ConfigError
 from koop_lab.cli.main import parser
-from koop_lab.live.demo import chosen
-from koop_node.config import ConfigError
+from koop_lab.commands.demo import chosen
 
 
 @pytest.fixture

@@ -9,15 +9,15 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.linalg import expm
 
+from koop_core.stream.arrival import Arrival
+from koop_identify.model.settled_windows import windows_of
+from koop_identify.recording import segments
+from koop_identify.recording.samples import StateSpec
+from koop_identify.recording.signals import Source, read_signals
 from koop_lab.cli.main import main
-from koop_lab.identify import segments
-from koop_lab.identify.samples import StateSpec
+from koop_lab.cli.source_options import WAYS
 from koop_lab.plots.views import draw_cost_by_theta, frequencies, mark_modes
-from koop_lab.recorded.options import WAYS
-from koop_lab.recorded.signals import Source, read_signals
-from koop_lab.recorded.windows import windows_of
 from koop_loop import parameters
-from koop_node.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.edmd import Gram

@@ -17,10 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.kernels import borrowed, njit
+from koop_core.stream.arrival import Arrival
 from koop_loop.kernel import Controller
 from koop_loop.loop import check_fit, controller, initial_state, simulate
-from koop_node.arrival import Arrival
-from koop_node.kernels import borrowed, njit
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import DetectorState, Lifting

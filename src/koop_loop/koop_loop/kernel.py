@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node import arrival
-from koop_node.arrival import Heard
-from koop_node.kernels import njit
+from koop_core.kernels import njit
+from koop_core.stream import arrival
+from koop_core.stream.arrival import Heard
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
 from relay_esc import relay
@@ -81,7 +81,7 @@ def control(
         What a :class:`Memory` holds, after the previous state.
     state_arrival, cost_arrival : int
         What the state is to the lifter and its cost to the controller: an
-        :class:`koop_node.arrival.Arrival` up to JOIN.
+        :class:`koop_core.stream.arrival.Arrival` up to JOIN.
     switched : bool
         Whether the cost is of another quantity than the one before.
     hold_asked : bool
@@ -124,7 +124,7 @@ def listen(
     heard : Heard
         The stream before.
     arrivals : ndarray, shape (M,)
-        Receives an :class:`koop_node.arrival.Arrival` each.
+        Receives an :class:`koop_core.stream.arrival.Arrival` each.
 
     Returns
     -------

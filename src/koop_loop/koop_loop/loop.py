@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.kernels import borrowed, njit
+from koop_core.stream.arrival import Arrival
 from koop_loop.kernel import Controller, Memory, control
-from koop_node.arrival import Arrival
-from koop_node.kernels import borrowed, njit
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace

@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from koop_node import parameter_file
-from koop_node.config import ConfigError, NodeConfig, refuse_unknown
-from koop_node.parameter_file import ROS_OWN
+from koop_core.config import parameter_file
+from koop_core.config.parameter import ConfigError, NodeConfig, refuse_unknown
+from koop_core.config.parameter_file import ROS_OWN
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load_for
 from relay_esc.config import EscConfig

@@ -6,7 +6,7 @@ import shlex
 import shutil
 from dataclasses import dataclass
 
-from koop_node.config import ConfigError, parameter, validate
+from koop_core.config.parameter import ConfigError, parameter, validate
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.config import parameter, validate
-from koop_node.kernels import njit
+from koop_core.config.parameter import parameter, validate
+from koop_core.kernels import njit
 from koopman_lifter.contrast import TrajectoryMoments, with_contrast
 from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram

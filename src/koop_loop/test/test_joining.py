@@ -6,10 +6,10 @@ The figures of docs/explanation/theory.md: `./koop test src/koop_loop/test/test_
 import numpy as np
 import pytest
 
+from koop_core.kernels import njit
+from koop_core.stream.arrival import Arrival
 from koop_loop.kernel import Memory, control
 from koop_loop.loop import controller
-from koop_node.arrival import Arrival
-from koop_node.kernels import njit
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, shipped_model
 from koopman_lifter.model import load

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koop_core.stream.arrival import Arrival
 from koop_loop.loop import LoopDiverged, simulate
 from koop_loop.metrics import evaluate
 from koop_loop.parameters import make
 from koop_loop.training import TrainingConfig, simulated_gram, train
-from koop_node.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, shipped_model
 from koopman_lifter.model import load

@@ -2,8 +2,8 @@
 
 from dataclasses import fields
 
+from koop_core.config.parameter import spec_of
 from koop_loop.parameters import NODES
-from koop_node.config import spec_of
 
 
 def test_every_parameter_of_the_loop_is_described():

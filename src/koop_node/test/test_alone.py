@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from koop_node.alone import alone
-from koop_node.errors import LiveError
+from koop_core.errors import LiveError
+from koop_node.client.alone import alone
 
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 OWN, OTHER = 215 + WORKER % 8, 224 + WORKER % 8
@@ -48,7 +48,7 @@ def test_loops_of_other_namespaces_and_domains_do_not_meet(monkeypatch):
 def test_nodes_that_were_started_by_hand_are_seen(topic):
     from diagnostic_msgs.msg import DiagnosticArray
 
-    from koop_node.client import Client
+    from koop_node.client.client import Client
 
     with Client("by_hand") as client:
         client.node.create_publisher(DiagnosticArray, topic, 1)

@@ -11,9 +11,9 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import TransitionCallbackReturn
 
-from koop_node.client import Client
-from koop_node.errors import LiveError
-from koop_node.rclpy_internals import RefusingLifecycleNode
+from koop_core.errors import LiveError
+from koop_node.client.client import Client
+from koop_node.node.rclpy_internals import RefusingLifecycleNode
 
 pytestmark = pytest.mark.ros
 

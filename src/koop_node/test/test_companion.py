@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from koop_node.lifeline import TIED
+from koop_node.process.lifeline import TIED
 
-COMPANION = [sys.executable, "-m", "koop_node.companion"]
+COMPANION = [sys.executable, "-m", "koop_node.process.companion"]
 # A shell that starts a program and waits for it; both hold the pipe of their stdout open.
 WITH_A_CHILD = ["sh", "-c", "sleep 600 & echo started; wait; echo never"]
 
@@ -55,6 +55,8 @@ def test_it_ends_with_whoever_started_it():
 
 
 def test_a_program_that_knows_the_lifeline_does_not_take_its_own_stdin_for_one():
-    code = "from koop_node.lifeline import *; import time; end_with_parent(); time.sleep(0.3)"
+    code = (
+        "from koop_node.process.lifeline import *; import time; end_with_parent(); time.sleep(0.3)"
+    )
     with start(sys.executable, "-c", code, env={**os.environ, **TIED}) as process:
         assert process.wait(20.0) == 0

@@ -5,7 +5,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from koop_node.domain import DOMAINS, FIRST_PORT, PORTS, free_domain, hold_domain, is_taken
+from koop_node.process.domain import DOMAINS, FIRST_PORT, PORTS, free_domain, hold_domain, is_taken
 
 
 @pytest.mark.parametrize("port", [0, 10, 13])  # for all; one participant's own
@@ -30,7 +30,7 @@ def test_who_holds_a_domain_holds_it_alone():
 @pytest.mark.ros
 @pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
 def test_a_participant_takes_its_domain(monkeypatch, reach):
-    from koop_node.client import Client
+    from koop_node.client.client import Client
 
     domain = free_domain()
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)

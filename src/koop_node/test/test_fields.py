@@ -6,9 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from koop_node.adapter import StateAdapter, StepCounter
-from koop_node.config import ConfigError
-from koop_node.fields import (
+from koop_core.config.fields import (
     check_fields,
     check_type,
     format_field,
@@ -18,6 +16,8 @@ from koop_node.fields import (
     read_field,
     write_field,
 )
+from koop_core.config.parameter import ConfigError
+from koop_node.node.adapter import StateAdapter, StepCounter
 
 DT = 0.005
 

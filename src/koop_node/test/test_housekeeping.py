@@ -5,7 +5,7 @@ import weakref
 
 import pytest
 
-from koop_node.housekeeping import LONGEST, PERIOD, ROOM, Housekeeping, clean_mappings
+from koop_node.process.housekeeping import LONGEST, PERIOD, ROOM, Housekeeping, clean_mappings
 
 MAPS = """\
 7f0000000000-7f0000001000 r--p 00000000 08:01 1    /lib/libllvmlite.so

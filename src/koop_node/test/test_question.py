@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from koop_node import question
-from koop_node.question import Question
+from koop_node.client import question
+from koop_node.client.question import Question
 
 
 class Server:

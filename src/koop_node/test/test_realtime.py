@@ -7,14 +7,14 @@ import sys
 
 import pytest
 
-from koop_node.config import ConfigError, NodeConfig
-from koop_node.realtime import requested
+from koop_core.config.parameter import ConfigError, NodeConfig
+from koop_node.process.realtime import requested
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="Linux only")
 CHILD = """
 import json, os, sys, threading
-from koop_node.config import NodeConfig
-from koop_node.realtime import apply
+from koop_core.config.parameter import NodeConfig
+from koop_node.process.realtime import apply
 exec(sys.argv[2])
 end = threading.Event()
 threading.Thread(target=end.wait).start()

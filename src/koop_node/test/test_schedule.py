@@ -2,7 +2,7 @@
 
 import pytest
 
-from koop_node.schedule import GRACE, Schedule, current, running
+from koop_node.node.schedule import GRACE, Schedule, current, running
 
 
 class Clock:

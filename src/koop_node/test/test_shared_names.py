@@ -2,8 +2,8 @@
 
 import pytest
 
-from koop_node.config import ConfigError
-from koop_node.parameter_file import shared_names
+from koop_core.config.parameter import ConfigError
+from koop_core.config.parameter_file import shared_names
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_a_file_that_means_nothing_shares_nothing(file, text):
 
 
 def test_unknown_names_are_refused_unless_shared(file):
-    from koop_node.parameters import unknown_names
+    from koop_node.node.parameters import unknown_names
 
     args = file("/**: {ros__parameters: {robot_description: x}}")
     assert unknown_names(["dwell", "robot_description"], {"dwell"}, args) == ["robot_description"]

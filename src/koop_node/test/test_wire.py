@@ -12,7 +12,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Header, UInt16MultiArray
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from koop_node.wire import WireError, codec
+from koop_node.node.wire import WireError, codec
 
 KINDS = (MeasuredState, Cost, ControlInput, PlantTruth, JointTrajectoryPoint)
 NUMBERS = {

@@ -10,15 +10,15 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from koop_lab.page.markdown import rewrite_block
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from koop_study.experiments.kinds import KINDS, Experiment, read_folder
 from koop_study.experiments.laws import LawsConfig
 from koop_study.over_dds import repeat as over_dds
 from koop_study.report import publish, summary
+from koop_study.runner import run_all
 from koop_study.workers.cluster import WorkerLost
-from koop_study.workers.runner import run_all
 from koop_study.workers.units import Store
+from koop_view.report.markdown import rewrite_block
 
 INTERRUPTED = 130
 
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If an experiment file or an option cannot be used.
     """
     begin = time.monotonic()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from koop_study.experiments.spec import parse
 from koop_study.family import oscillator
 from koop_study.family.config import MAPS, WITH_OPTIMUM, FamilyConfig

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from koop_lab.cli.simulate import run as simulated
+from koop_core.stream.monitor import StreamMonitor
+from koop_lab.commands.simulate import run as simulated
 from koop_loop.loop import simulate
 from koop_loop.parameters import make
 from koop_loop.training import train
-from koop_node.stream import StreamMonitor
 from koop_study.simulation import maps
 from koop_study.simulation.case import Case, model_of, override, seeded
 from koop_study.simulation.run import measure, run

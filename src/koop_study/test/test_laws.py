@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from koop_core.config.parameter import ConfigError
 from koop_loop.loop import simulate
-from koop_node.config import ConfigError
 from koop_study.experiments.kinds import read
 from koop_study.laws import bounded, golden, least_squares, loop, newton, outside, run, stochastic
 from koop_study.laws.catalogue import LAWS, trials

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from koop_study.experiments.kinds import read, read_folder
 from koop_study.simulation.case import Case, override
 

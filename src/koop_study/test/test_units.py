@@ -22,7 +22,6 @@ import dask.config
 import pytest
 
 from koop_lab.cli.main import main
-from koop_lab.page.document import Column, Table
 from koop_study.experiments import stats
 from koop_study.laws.catalogue import LAWS
 from koop_study.simulation.work import runs
@@ -30,6 +29,7 @@ from koop_study.workers import cluster, units
 from koop_study.workers.cluster import WorkerLost, Workers
 from koop_study.workers.task import _check_threads
 from koop_study.workers.units import Store, Unit, write_atomically
+from koop_view.report.document import Column, Table
 
 TINY = """
 experiment: sensitivity

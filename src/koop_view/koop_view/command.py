@@ -47,7 +47,7 @@ def chosen(args: argparse.Namespace) -> ViewConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If one cannot be used.
     """
     given = {**vars(args), "allow_origins": " ".join(args.allow_origins)}

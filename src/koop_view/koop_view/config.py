@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from koop_node.config import ConfigError, parameter, validate
+from koop_core.config.parameter import ConfigError, parameter, validate
 
 ADDRESS = "the page: "  # how the line begins that says where it is
 
@@ -16,7 +16,7 @@ class ViewConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a value has the wrong type or is out of range.
     """
 

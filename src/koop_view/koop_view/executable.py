@@ -1,6 +1,6 @@
 """What ``ros2 run koop_view server`` starts."""
 
-from koop_node.start import start
+from koop_node.node.start import start
 
 
 def server() -> None:

@@ -14,12 +14,12 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from koop_bag.recorder.topics import polled
-from koop_node.describe import help_text
-from koop_node.entities import WithoutEvents
-from koop_node.errors import one_line
-from koop_node.lifeline import end_with_parent
-from koop_node.main import refuse_other_arguments, set_dds_profile
-from koop_node.parameters import Parameters
+from koop_core.config.describe import help_text
+from koop_core.errors import one_line
+from koop_node.node.entities import WithoutEvents
+from koop_node.node.main import refuse_other_arguments, set_dds_profile
+from koop_node.node.parameters import Parameters
+from koop_node.process.lifeline import end_with_parent
 from koop_view.config import ViewConfig
 from koop_view.live.source import LiveSource
 from koop_view.serving import serve

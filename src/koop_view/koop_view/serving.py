@@ -13,7 +13,7 @@ from collections.abc import Callable, Coroutine
 from importlib.metadata import version
 from typing import Any
 
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from koop_view.config import ADDRESS, ViewConfig
 from koop_view.source import Source
 

@@ -11,7 +11,7 @@ import { fileURLToPath } from "node:url";
 import { build } from "esbuild";
 
 const HERE = dirname(fileURLToPath(import.meta.url));
-const HOUSE = process.env.KOOP_PAGE_CSS ?? join(HERE, "../../koop_lab/koop_lab/page/page.css"); // the report's style
+const HOUSE = process.env.KOOP_PAGE_CSS ?? join(HERE, "../koop_view/report/page.css"); // the report's style
 const argument = (name) => { const i = process.argv.indexOf(name); return i < 0 ? undefined : process.argv[i + 1]; };
 const read = (...path) => readFileSync(join(HERE, ...path), "utf8");
 const common = { bundle: true, target: "es2022", absWorkingDir: HERE, logLevel: "warning" };

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from koop_node.config import parameter, validate
-from koop_node.fields import Source, check_type, parse_source
+from koop_core.config.fields import Source, check_type, parse_source
+from koop_core.config.parameter import parameter, validate
 from koopman_lifter.cost import LIFTED, RAW, DetectorParams, detector_params
 
 SOURCES = {"raw": RAW, "lifted": LIFTED}
@@ -23,7 +23,7 @@ class LifterConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a value has the wrong type or is out of range.
     """
 

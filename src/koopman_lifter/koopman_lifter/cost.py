@@ -35,8 +35,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.arrival import Arrival
-from koop_node.kernels import borrowed, njit
+from koop_core.kernels import borrowed, njit
+from koop_core.stream.arrival import Arrival
 from koopman_lifter.observables import Monomials, lift_into
 
 RAW = 0
@@ -111,7 +111,7 @@ def no_lifting() -> Lifting:
 
 @njit(inline="always")
 def borrow(lifting: Lifting, work: Workspace) -> tuple[Lifting, Workspace]:
-    """Return both for a loop whose kernel has them; see :func:`koop_node.kernels.borrowed`."""
+    """Return both for a loop whose kernel has them; see :func:`koop_core.kernels.borrowed`."""
     return (
         Lifting(
             borrowed(lifting.parent), borrowed(lifting.factor), borrowed(lifting.projector),
@@ -340,7 +340,8 @@ def follow(
     state : DetectorState
         State after the previous sample.
     arrival : int
-        What the sample is to the ones before: an :class:`koop_node.arrival.Arrival` up to JOIN.
+        What the sample is to the ones before: a
+        :class:`koop_core.stream.arrival.Arrival` up to JOIN.
     y_out : float
         Instantaneous energy; anything.
 
@@ -393,7 +394,8 @@ def answer(
     state : DetectorState
         Detector after the previous message.
     arrival : int
-        What the message is to the ones before: an :class:`koop_node.arrival.Arrival` up to JOIN.
+        What the message is to the ones before: a
+        :class:`koop_core.stream.arrival.Arrival` up to JOIN.
     step : int
         Step index k: what is missing between two steps was lost.
     x : ndarray, shape (channels,)

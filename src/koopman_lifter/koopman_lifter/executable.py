@@ -1,6 +1,6 @@
 """What ``ros2 run koopman_lifter lifter`` starts."""
 
-from koop_node.start import start
+from koop_node.node.start import start
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from koop_node.config import parameter, validate
+from koop_core.config.parameter import parameter, validate
 from koopman_lifter.estimators import ESTIMATORS
 from koopman_lifter.modes import SELECTIONS
 

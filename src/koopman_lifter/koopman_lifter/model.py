@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.errors import InputError
+from koop_core.errors import InputError
 from koopman_lifter.bootstrap import eigenvalue_spread
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.cost import Lifting

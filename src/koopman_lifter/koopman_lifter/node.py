@@ -12,18 +12,18 @@ import numpy as np
 from koop_msgs.msg import Cost, MeasuredState
 from numpy.typing import NDArray
 
-from koop_node.adapter import StateAdapter
-from koop_node.arrival import Arrival
-from koop_node.config import NodeConfig
-from koop_node.entities import Writer
-from koop_node.fields import Source, check_fields
-from koop_node.kernels import direct
-from koop_node.main import run
-from koop_node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
-from koop_node.qos import BEST_EFFORT, RELIABLE
-from koop_node.stamps import classify
-from koop_node.stream import StreamMonitor
-from koop_node.wire import codec
+from koop_core.config.fields import Source, check_fields
+from koop_core.config.parameter import NodeConfig
+from koop_core.kernels import direct
+from koop_core.stream.arrival import Arrival
+from koop_core.stream.monitor import StreamMonitor
+from koop_node.node.adapter import StateAdapter
+from koop_node.node.entities import Writer
+from koop_node.node.main import run
+from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
+from koop_node.node.qos import BEST_EFFORT, RELIABLE
+from koop_node.node.stamps import classify
+from koop_node.node.wire import codec
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load_fitting, load_for

@@ -13,7 +13,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 
 @dataclass(frozen=True)

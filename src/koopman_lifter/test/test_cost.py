@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from koop_node.arrival import Arrival
+from koop_core.stream.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, shipped_model
 from koopman_lifter.model import load

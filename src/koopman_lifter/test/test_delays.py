@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from koop_node.arrival import Arrival
+from koop_core.stream.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.delays import Delays, dominant_period, embedded_degree

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from koop_node.config import ConfigError, parameter, validate
-from koop_node.fields import check_topic, check_type, parse_field
+from koop_core.config.fields import check_topic, check_type, parse_field
+from koop_core.config.parameter import ConfigError, parameter, validate
 from relay_esc.elementary import log
 from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
 from relay_esc.swing import LEVEL_TIME
@@ -18,7 +18,7 @@ class EscConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a value has the wrong type or is out of range, or the limits cross.
     """
 

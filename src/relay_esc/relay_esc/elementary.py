@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 LN2_HIGH = 0.693147180369123816490  # the leading 32 bits of ln 2: times an exponent, exact
 LN2_LOW = 1.90821492927058770002e-10

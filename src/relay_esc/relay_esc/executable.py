@@ -1,6 +1,6 @@
 """What ``ros2 run relay_esc esc`` starts."""
 
-from koop_node.start import start
+from koop_node.node.start import start
 
 
 def main() -> None:

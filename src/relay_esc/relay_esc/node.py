@@ -11,17 +11,17 @@ from koop_msgs.msg import ControlInput, Cost
 from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
 
-from koop_node.arrival import Arrival
-from koop_node.config import NodeConfig
-from koop_node.entities import Writer
-from koop_node.fields import check_fields, parse_field, write_field
-from koop_node.kernels import direct
-from koop_node.main import run
-from koop_node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
-from koop_node.qos import NEWEST, RELIABLE
-from koop_node.stamps import classify
-from koop_node.stream import StreamMonitor
-from koop_node.wire import codec
+from koop_core.config.fields import check_fields, parse_field, write_field
+from koop_core.config.parameter import NodeConfig
+from koop_core.kernels import direct
+from koop_core.stream.arrival import Arrival
+from koop_core.stream.monitor import StreamMonitor
+from koop_node.node.entities import Writer
+from koop_node.node.main import run
+from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
+from koop_node.node.qos import NEWEST, RELIABLE
+from koop_node.node.stamps import classify
+from koop_node.node.wire import codec
 from relay_esc import relay
 from relay_esc.config import EscConfig
 

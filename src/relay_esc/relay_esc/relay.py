@@ -28,8 +28,8 @@ import math
 import sys
 from typing import NamedTuple
 
-from koop_node.arrival import Arrival
-from koop_node.kernels import njit
+from koop_core.kernels import njit
+from koop_core.stream.arrival import Arrival
 from relay_esc.elementary import exp, log
 from relay_esc.swing import OPEN, WIDE, Swing, confidence, follow, forget_leg, gain, turn, widen
 
@@ -364,7 +364,8 @@ def answer(
     state : RelayState
         State after the previous cost.
     arrival : int
-        What the cost is to the ones before: an :class:`koop_node.arrival.Arrival` up to JOIN.
+        What the cost is to the ones before: a
+        :class:`koop_core.stream.arrival.Arrival` up to JOIN.
     switched : bool
         Whether it is of another quantity than the one before: another kind of cost or model. Its
         difference to the last one then means nothing, and neither does the filter.

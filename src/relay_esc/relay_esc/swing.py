@@ -41,7 +41,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 SHRINK = 0.7
 GROW = 2.0

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from koop_node.arrival import Arrival
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
+from koop_core.stream.arrival import Arrival
 from relay_esc import elementary, relay, swing
 from relay_esc.config import EscConfig
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from koop_node.arrival import Arrival
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
+from koop_core.stream.arrival import Arrival
 from relay_esc import relay
 from relay_esc.config import EscConfig
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from koop_node.config import ConfigError, parameter, validate
+from koop_core.config.parameter import ConfigError, parameter, validate
 from vdp_plant.dynamics import EULER, RK4, PlantParams
 
 INTEGRATORS = {"rk4": RK4, "euler": EULER}
@@ -18,7 +18,7 @@ class PlantConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a value has the wrong type or is out of range.
     """
 

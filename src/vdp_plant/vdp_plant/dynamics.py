@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 RK4 = 0
 EULER = 1

@@ -1,6 +1,6 @@
 """What ``ros2 run vdp_plant plant`` starts."""
 
-from koop_node.start import start
+from koop_node.node.start import start
 
 
 def main() -> None:

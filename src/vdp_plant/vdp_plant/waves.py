@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 from vdp_plant import dynamics
 from vdp_plant.dynamics import PlantParams
 

@@ -13,7 +13,7 @@ from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError, BagWriteError
 from koop_bag.mcap.chunk import ChunkBuffer, Row
 from koop_bag.mcap.file_writer import McapFileWriter
-from koop_node.config import parameter, validate
+from koop_core.config.parameter import parameter, validate
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class WriterOptions:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a value has the wrong type or is out of range.
     """
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from koop_bag.cdr.definition import Array, MessageType, Primitive, Struct, Text, leaf_fields
 from koop_bag.errors import BagError
-from koop_node.config import ConfigError
-from koop_node.fields import parse_field
+from koop_core.config.fields import parse_field
+from koop_core.config.parameter import ConfigError
 
 ENCAPSULATION = 4
 """Bytes before the serialized data; alignment counts from their end."""

@@ -9,9 +9,9 @@ from rosgraph_msgs.msg import Clock
 
 from koop_bag.bag.reader import RawMessage
 from koop_bag.cdr.header import stamp_of
-from koop_node.managed import Entities
-from koop_node.qos import RELIABLE
-from koop_node.stamps import to_stamp
+from koop_node.node.managed import Entities
+from koop_node.node.qos import RELIABLE
+from koop_node.node.stamps import to_stamp
 
 PERIOD = 0.005  # [s] between clock messages where the bag is silent
 

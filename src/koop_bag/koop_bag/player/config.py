@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from koop_bag.bag.topics import is_common
-from koop_node.config import ConfigError, parameter, validate
+from koop_core.config.parameter import ConfigError, parameter, validate
 
 PACES = ("realtime", "scaled", "fast", "lockstep")
 CLOCKS = ("off", "receive", "stamp")
@@ -20,7 +20,7 @@ class PlayerConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a value has the wrong type or is out of range.
     """
 

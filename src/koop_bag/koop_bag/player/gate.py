@@ -16,9 +16,9 @@ from koop_bag.errors import BagError
 from koop_bag.player.outlet import Outlet, recorded_qos
 from koop_bag.recorder.config import LOOP_TOPICS
 from koop_bag.recorder.topics import message_class
-from koop_node.managed import Entities
-from koop_node.qos import RELIABLE
-from koop_node.resend import Due, Resend
+from koop_core.stream.resend import Due, Resend
+from koop_node.node.managed import Entities
+from koop_node.node.qos import RELIABLE
 
 RESENDS = 3  # times that a message without an answer is sent again before giving up
 

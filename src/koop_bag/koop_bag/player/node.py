@@ -19,10 +19,10 @@ from koop_bag.player.config import PlayerConfig, default_topics, parse_counts, p
 from koop_bag.player.gate import Gate
 from koop_bag.player.outlet import Outlet
 from koop_bag.player.playback import Playback, in_time_order
-from koop_node.config import NodeConfig
-from koop_node.main import run
-from koop_node.managed import ERROR, OK, Entities, ManagedNode, Run
-from koop_node.schedule import Timer
+from koop_core.config.parameter import NodeConfig
+from koop_node.node.main import run
+from koop_node.node.managed import ERROR, OK, Entities, ManagedNode, Run
+from koop_node.node.schedule import Timer
 
 SLICE = 0.005  # [s] of publishing after which services and answers have their turn
 SETTLED = 0.3  # [s] without a new subscriber after which all that are coming have come

@@ -18,7 +18,7 @@ from koop_bag.bag.reader import Topic
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.recorder.topics import message_class
-from koop_node.managed import Entities
+from koop_node.node.managed import Entities
 
 DEPTH = 1000
 """Messages that a writer keeps at least. Discovery doesn't tell a recorder the depth that was

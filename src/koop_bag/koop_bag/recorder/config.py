@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.bag.writer import WriterOptions
-from koop_node.config import ConfigError, NodeConfig, parameter, validate
+from koop_core.config.parameter import ConfigError, NodeConfig, parameter, validate
 
 LOOP_TOPICS = {
     "state": "koop_msgs/msg/MeasuredState",
@@ -25,7 +25,7 @@ class RecorderConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a value has the wrong type or is out of range.
     """
 

@@ -20,8 +20,8 @@ from koop_bag.recorder import run_folder
 from koop_bag.recorder.config import LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.topics import RecordedTopic, fetch, polled
-from koop_node.main import run
-from koop_node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
+from koop_node.node.main import run
+from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
 EARLY_PERIOD, EARLY = 0.05, 5.0  # [s] at first, for a run may be over in less; and how long

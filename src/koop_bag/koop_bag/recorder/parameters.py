@@ -9,9 +9,9 @@ from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
-from koop_node.question import Question
+from koop_node.client.question import Question
 
-WAITED_FOR = "recorders"  # a parameter of the nodes, see koop_node.config
+WAITED_FOR = "recorders"  # a parameter of the nodes, see koop_core.config.parameter
 
 
 class ParameterCollector:

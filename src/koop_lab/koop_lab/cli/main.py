@@ -18,7 +18,7 @@ from importlib.metadata import EntryPoint, entry_points
 from importlib.resources import files
 from types import FrameType
 
-from koop_node.errors import KoopError
+from koop_core.errors import KoopError
 
 
 def registered() -> dict[str, list[EntryPoint]]:

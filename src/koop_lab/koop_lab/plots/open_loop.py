@@ -9,8 +9,8 @@ import matplotlib
 matplotlib.use("Agg")  # a file is written: no display is needed or looked for
 from matplotlib import pyplot as plt
 
+from koop_identify.recording.signals import Signals
 from koop_lab.plots.paper import envelope, fit, save
-from koop_lab.recorded.signals import Signals
 from koop_lab.replay.open_loop import Answers
 
 

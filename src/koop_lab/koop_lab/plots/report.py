@@ -15,10 +15,10 @@ matplotlib.use("Agg")  # a file is written: no display is needed or looked for
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
+from koop_identify.model.settled_windows import Windows
+from koop_identify.recording.signals import Signals
 from koop_lab.plots.paper import envelope, fit
 from koop_lab.plots.views import draw_amplitude_by_theta, draw_cost_by_theta, draw_spectrum
-from koop_lab.recorded.signals import Signals
-from koop_lab.recorded.windows import Windows
 from koopman_lifter.model import KoopmanModel
 
 FLOOR = -60.0  # [dB] below the largest value, where the colours of the spectrogram end

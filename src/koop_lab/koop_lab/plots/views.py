@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from koop_lab.identify.loaded import pieces
-from koop_lab.recorded.signals import Signals
-from koop_lab.recorded.windows import Windows
+from koop_identify.model.settled_windows import Windows
+from koop_identify.recording.loaded import pieces
+from koop_identify.recording.signals import Signals
 from koopman_lifter.model import KoopmanModel
 
 WIDE = 100.0  # ratio of largest to least r above which its axis is logarithmic

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_lab.cli.table import forecast_table, merit_table
+from koop_identify.model.settled_windows import Windows, windows_of
+from koop_identify.recording.signals import Signals, Source
+from koop_lab.cli.tables import forecast_table, merit_table
 from koop_lab.recorded.report import coverage_lines, read
-from koop_lab.recorded.signals import Signals, Source
-from koop_lab.recorded.windows import Windows, windows_of
 from koop_lab.replay import open_loop
 from koop_loop.parameters import LoopParameters
 from koopman_lifter.model import KoopmanModel

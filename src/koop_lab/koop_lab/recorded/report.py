@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
-from koop_lab.cli.table import metrics_table, rig_table
-from koop_lab.recorded.options import source_of
-from koop_lab.recorded.run import LoopColumns, closed_loop
-from koop_lab.recorded.signals import Signals, Source, loop_signals, read_signals
-from koop_lab.replay.settings import Models, known_parameters, recorded_values
+from koop_core.text_table import table
+from koop_identify.recording.loop import LoopColumns, closed_loop
+from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
+from koop_identify.recording.signals import Signals, Source, loop_signals, read_signals
+from koop_lab.cli.source_options import source_of
+from koop_lab.cli.tables import metrics_table, rig_table
 from koop_loop.metrics import LOGGING_START, TAIL, TOLERANCE, Metrics, evaluate
 from koop_loop.parameters import NODES, LoopParameters, make, with_model_beside
 from koop_loop.rig_metrics import RigMetrics, rig_metrics
 from koop_loop.static_map import performance
-from koop_node.text_table import table
 from koopman_lifter.model import KoopmanModel, load
 
 WHOLE = 0.99  # of the recorded time: figures that cover less say so
@@ -263,8 +263,8 @@ def _rate(loop: LoopColumns) -> float:
 def plot_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop bag plot``; returns the exit code."""
     # matplotlib takes half a second to import
+    from koop_identify.model.settled_windows import windows_of
     from koop_lab.plots.report import Cost, plot_report
-    from koop_lab.recorded.windows import windows_of
 
     source = source_of(args)
     run = read(args.run, source, args.model)

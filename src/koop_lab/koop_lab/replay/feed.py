@@ -18,18 +18,18 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from koop_bag.bag.reader import BagReader
-from koop_lab.live.process import START_TIMEOUT, NodeProcess, uninterrupted
-from koop_lab.live.turns import taking_turns_with
+from koop_bringup.live.process import START_TIMEOUT, NodeProcess, uninterrupted
+from koop_bringup.live.turns import taking_turns_with
+from koop_core.config import parameter_file
+from koop_core.errors import LiveError
+from koop_core.stream.resend import Due, Resend
+from koop_identify.recording.recorded_parameters import CONTROLLER
 from koop_lab.replay.plan import Plan, Stretch
 from koop_lab.replay.recording import Recording
-from koop_lab.replay.settings import CONTROLLER
 from koop_loop.parameters import COMPONENTS
-from koop_node import parameter_file
-from koop_node.client import Client
-from koop_node.domain import free_domain
-from koop_node.errors import LiveError
-from koop_node.resend import Due, Resend
-from koop_node.wire import codec
+from koop_node.client.client import Client
+from koop_node.node.wire import codec
+from koop_node.process.domain import free_domain
 
 TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
 RESENDS = 2
@@ -47,7 +47,7 @@ def replay_live(
 
     Raises
     ------
-    koop_node.errors.LiveError
+    koop_core.errors.LiveError
         If a node ends, does not answer or refuses a parameter.
     """
     with tempfile.TemporaryDirectory(prefix="koop-replay-") as name:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.kernels import borrowed, njit
+from koop_core.stream.arrival import NOTHING, Arrival
 from koop_lab.replay.plan import Plan
 from koop_lab.replay.recording import Recording
 from koop_loop.kernel import Controller, Memory, control, listen
 from koop_loop.loop import controller
-from koop_node.arrival import NOTHING, Arrival
-from koop_node.kernels import borrowed, njit
 from koopman_lifter import cost
 from koopman_lifter.cost import Workspace
 

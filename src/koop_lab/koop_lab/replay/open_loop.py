@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_lab.recorded.signals import Signals
+from koop_core.config.parameter import ConfigError
+from koop_core.stream.arrival import NOTHING
+from koop_identify.recording.signals import Signals
 from koop_lab.replay.offline import replay_kernel
 from koop_lab.replay.plan import OWN_TOPICS, check_channels, given_values
 from koop_loop import parameters
 from koop_loop.kernel import Memory, listen
 from koop_loop.loop import controller
 from koop_loop.parameters import LoopParameters
-from koop_node.arrival import NOTHING
-from koop_node.config import ConfigError
 from koopman_lifter import cost
 
 
@@ -58,7 +58,7 @@ def settings(
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If one cannot be used, or the lifted cost has no model of this dt.
     """
     known = recorded or {}
@@ -97,7 +97,7 @@ def answer(signals: Signals, made: LoopParameters, what: str) -> Answers:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If the model is for another number of channels.
     """
     lifted = made.lifter.cost == "lifted"

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import ConfigError
+from koop_core.config.yaml_file import one_setting
+from koop_identify.recording.recorded_parameters import CONTROLLER, Change, Models, known_parameters
 from koop_lab.replay.recording import Recording
-from koop_lab.replay.settings import CONTROLLER, Change, Models, known_parameters
 from koop_lab.replay.unheard import joined_at, unheard_costs
 from koop_loop import parameters
 from koop_loop.parameters import LoopParameters
-from koop_node.config import ConfigError
-from koop_node.yaml_file import one_setting
 from koopman_lifter.model import KoopmanModel
 
 Values = dict[str, dict[str, Any]]
@@ -148,7 +148,7 @@ def given_values(params: str | None, model: str | None, settings: Iterable[str])
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If one cannot be used.
     """
     given = parameters.read(params) if params else {}

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.columns import Columns, read_columns, read_tables
 from koop_bag.bag.reader import BagReader
-from koop_lab.identify.passes import STATE_TYPE, keys
-from koop_lab.replay.settings import (
+from koop_core.stream.arrival import Arrival
+from koop_identify.recording.passes import STATE_TYPE, keys
+from koop_identify.recording.recorded_parameters import (
     CONTROLLER,
     Change,
     decoder,
@@ -25,7 +26,6 @@ from koop_lab.replay.settings import (
     recorded_changes,
     recorded_values,
 )
-from koop_node.arrival import Arrival
 from koopman_lifter.config import SOURCES
 
 NO_SOURCE = 255  # none of koop_msgs/Cost

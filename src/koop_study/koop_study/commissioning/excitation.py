@@ -8,16 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_lab.commission import progress
-from koop_lab.commission.progress import Progress
-from koop_lab.commission.rig_file import STATE, STATE_TYPE, RigFile
-from koop_lab.commission.survey import SHORTEST, Survey
-from koop_lab.identify.from_bags import BagTraining
-from koop_lab.identify.loaded import Loaded
-from koop_lab.identify.samples import StateSpec
+from koop_identify.model.from_bags import BagTraining
+from koop_identify.recording.loaded import Loaded
+from koop_identify.recording.samples import StateSpec
 from koop_study.family import oscillator
 from koop_study.family.rig import Rig
 from koop_study.laws.plants import time_of
+from koop_tune.excitation import progress
+from koop_tune.excitation.progress import Progress
+from koop_tune.excitation.survey import SHORTEST, Survey
+from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
 
 PERIODS = 10.0  # windows are as long as the slowest oscillation asks, an interference's too
 OFTEN = 0.1  # of what was heard, after which it is asked again whether that is enough

@@ -12,20 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.commission.closed_loop import (
-    ROUNDS,
-    aim_of,
-    as_predicted,
-    disagreements,
-    kept_round,
-    measure,
-    slower,
-)
-from koop_lab.commission.rig_file import RigFile
-from koop_lab.tune import figures
-from koop_lab.tune.search import esc_of, lifter_of
-from koop_lab.tune.static_map import StaticMap
-from koop_lab.tune.tuning import NoOptimum, Tuning, tune
 from koop_study.commissioning.excitation import (
     Excitation,
     excite,
@@ -46,6 +32,20 @@ from koop_study.family.rig import Rig, draw
 from koop_study.laws import run as laws_run
 from koop_study.laws.catalogue import Constants
 from koop_study.laws.plants import NO_EXPOSURE, PAPER, Setting, family_of, time_of
+from koop_tune.result import as_json
+from koop_tune.rig.rig_file import RigFile
+from koop_tune.rig_model.static_map import StaticMap
+from koop_tune.search.agreement import (
+    ROUNDS,
+    aim_of,
+    as_predicted,
+    disagreements,
+    kept_round,
+    measure,
+    slower,
+)
+from koop_tune.search.search import esc_of, lifter_of
+from koop_tune.search.tuning import NoOptimum, Tuning, tune
 from koopman_lifter import cost
 from koopman_lifter.config import SOURCES, LifterConfig
 from koopman_lifter.model import KoopmanModel
@@ -151,7 +151,7 @@ def commissioned(
         if not rig.has_optimum:
             return found
         closed = loops.close(found)
-        aim = aim_of(figures.of_tuning(found, file, None), file)
+        aim = aim_of(as_json.of_tuning(found, file, None), file)
         measured = [measure(aim, loop.x[: BEFORE * aim.how.length], loop.x, loop.theta)
                     for loop in closed]  # fmt: skip
         agrees = not any(disagreements(aim, run) for run in measured)

@@ -19,9 +19,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from koop_node.arrival import Arrival
-from koop_node.config import parameter, validate
-from koop_node.kernels import njit
+from koop_core.config.parameter import parameter, validate
+from koop_core.kernels import njit
+from koop_core.stream.arrival import Arrival
 from relay_esc.config import EscConfig
 from relay_esc.relay import dwell_samples
 

@@ -16,8 +16,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from koop_node.config import parameter, validate
-from koop_node.kernels import njit
+from koop_core.config.parameter import parameter, validate
+from koop_core.kernels import njit
 from relay_esc.config import EscConfig
 
 FLOOR = 1e-300  # keeps the logarithm of a cost of 0 finite; costs are far larger

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from koop_study.experiments.spec import Seeds
 from koop_study.experiments.stats import finite, share, spread
 from koop_study.simulation.case import Case, check_path, override
 from koop_study.workers.units import Unit
+from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 
 HARDLY = 1.25  # largest over least median IAE up to which a setting hardly matters
 

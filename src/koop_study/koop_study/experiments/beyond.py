@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from koop_study.experiments.ablations import label
 from koop_study.experiments.spec import Seeds
 from koop_study.experiments.stats import (
@@ -28,6 +27,7 @@ from koop_study.experiments.stats import (
 )
 from koop_study.simulation.case import Case, override
 from koop_study.workers.units import Unit
+from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 
 SOUND = 100.0  # [%] converged that a cell must have on the tuning seeds to be preferred
 

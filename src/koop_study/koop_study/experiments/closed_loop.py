@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass, field
 from typing import Any
 
-from koop_lab.page.document import Claim, Column, Figure, Panel, Section, Series, Table
 from koop_loop.metrics import LOGGING_START, PAPER
 from koop_study.workers.units import Unit
+from koop_view.report.document import Claim, Column, Figure, Panel, Section, Series, Table
 
 THETA_STAR = -3.0
 

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.page.document import Claim, Column, Figure, Panel, Section, Series, Table
-from koop_node.config import ConfigError, nearest
+from koop_core.config.parameter import ConfigError, nearest
 from koop_study.experiments.spec import Seeds, parse
 from koop_study.experiments.stats import quantile
 from koop_study.family.config import WITH_OPTIMUM, FamilyConfig
 from koop_study.workers.units import Unit
+from koop_view.report.document import Claim, Column, Figure, Panel, Section, Series, Table
 
 GOOD = 1.5
 COMMISSIONED = "koop excite, tune, verify: at most three rounds"

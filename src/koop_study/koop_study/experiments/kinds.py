@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from koop_lab.page.document import Section
-from koop_node.config import ConfigError, nearest
+from koop_core.config.parameter import ConfigError, nearest
 from koop_study.experiments import (
     ablations,
     beyond,
@@ -23,6 +22,7 @@ from koop_study.experiments import (
 from koop_study.experiments.spec import parse, quickened, read_file
 from koop_study.workers.registry import check
 from koop_study.workers.units import Unit
+from koop_view.report.document import Section
 
 Steps = Generator[list[Unit], list[Any], Section]
 
@@ -84,7 +84,7 @@ def read(path: Path, quick: bool) -> Experiment:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If anything in it is unknown, missing, out of range or without effect; the message names
         file and key.
     """
@@ -106,7 +106,7 @@ def read_folder(folder: Path, quick: bool) -> list[Experiment]:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If there is none, or one is wrong.
     """
     found = [read(path, quick) for path in sorted(folder.glob("*.yaml"))]

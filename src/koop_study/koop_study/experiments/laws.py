@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
-from koop_node.config import ConfigError, nearest
+from koop_core.config.parameter import ConfigError, nearest
 from koop_study.experiments.spec import Seeds, parse
 from koop_study.experiments.stats import finite, quantile
 from koop_study.family.config import FamilyConfig
@@ -25,6 +24,7 @@ from koop_study.laws.catalogue import LAWS, Constants, trials
 from koop_study.laws.plants import PlantConfig
 from koop_study.simulation.case import Case, override
 from koop_study.workers.units import Unit
+from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 
 AT_ONCE = 4  # seeds of a unit of work; a worker keeps as many plants for the next law's unit
 Chosen = dict[tuple[str, str], Constants]  # by plant and law

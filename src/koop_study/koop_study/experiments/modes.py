@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.experiments.spec import Seeds
 from koop_study.workers.units import Unit
+from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 
 PAPER = (  # table 3: real part, imaginary part, selected
     (1.000000, 0.0, False),

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 from koop_study.experiments.spec import Seeds
 from koop_study.experiments.stats import (
     SUMMARY_COLUMNS,
@@ -18,6 +17,7 @@ from koop_study.experiments.stats import (
     win_rate,
 )
 from koop_study.workers.units import Unit
+from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 
 CHUNK = 8  # seeds a unit: short enough that a stopped study loses little
 

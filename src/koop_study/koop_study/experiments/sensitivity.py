@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.page.document import Claim, Column, Figure, Heat, Panel, Section, Table
 from koop_study.experiments.spec import Seeds
 from koop_study.experiments.stats import finite, share, spread, win_rate
 from koop_study.workers.units import Unit
+from koop_view.report.document import Claim, Column, Figure, Heat, Panel, Section, Table
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 

@@ -11,8 +11,8 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-from koop_node.config import ConfigError, mapping, refuse_unknown
-from koop_node.yaml_file import read_yaml
+from koop_core.config.parameter import ConfigError, mapping, refuse_unknown
+from koop_core.config.yaml_file import read_yaml
 
 T = TypeVar("T")
 
@@ -38,7 +38,7 @@ def read_file(path: Path) -> dict[str, Any]:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If it cannot be read or is not a mapping.
     """
     return mapping(read_yaml(path), f"{path}: the file")
@@ -66,7 +66,7 @@ def parse(kind: type[T], content: Any, where: str) -> T:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a key is unknown (the nearest known one is named) or missing, or a value does not fit.
     """
     content = mapping(content, where)

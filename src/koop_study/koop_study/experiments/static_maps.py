@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from koop_lab.page.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from koop_study.simulation import maps
 from koop_study.workers.units import Unit
+from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 
 THETA_STAR = -3.0
 CONTROLLER = ("controller", "esc.", "adaptive.", "perturbation.")

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from koop_lab.page.document import Cell, Column
 from koop_study.simulation.run import Row
+from koop_view.report.document import Cell, Column
 
 LONGEST = math.inf  # of a first hitting time that never comes
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 
 Range = tuple[float, ...]
 WITH_OPTIMUM = ("symmetric", "asymmetric", "one-sided", "flat-bottomed")

@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 LIMIT_CYCLE = 0
 NOISE_DRIVEN = 1

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 ALPHA, OMEGA, K = range(3)
 POSITION, TIME = range(2)

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 HOLD, RESOLUTION = range(2)
 LOW, HIGH, LEFT, RIGHT, COST_LEFT, COST_RIGHT, STAGE, SINCE, TOTAL, COUNT = range(10)

@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 A, OMEGA, GAIN, FORGETTING = range(4)
 CENTRE, TIME, U, N, S_U, S_UU, S_J, S_UJ = range(8)

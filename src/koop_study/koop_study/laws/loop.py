@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.kernels import borrowed, njit
+from koop_core.stream.arrival import NOTHING, Heard
 from koop_loop.kernel import classify
-from koop_node.arrival import NOTHING, Heard
-from koop_node.kernels import borrowed, njit
 from koop_study.controllers import perturbation
 from koop_study.controllers.perturbation import PerturbationParams, PerturbationState
 from koop_study.family import oscillator

@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 A, OMEGA, GAIN, OMEGA_W, OMEGA_G, OMEGA_R = range(6)
 CENTRE, SLOW, GRADIENT, HESSIAN, GAMMA, TIME = range(6)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from koop_study.laws.catalogue import Constants
 from koop_study.laws.loop import FLOOR, LoopState
 from koop_study.laws.plants import Setting

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import ConfigError
 from koop_loop.loop import initial_state
-from koop_node.config import ConfigError
 from koop_study.family import oscillator
 from koop_study.family.config import FamilyConfig
 from koop_study.family.oscillator import RigParams

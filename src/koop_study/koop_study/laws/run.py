@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.kernels import njit
 from koop_loop.metrics import evaluate
-from koop_node.kernels import njit
 from koop_study.family import oscillator
 from koop_study.family.oscillator import RigParams
 from koop_study.laws import loop, outside

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.kernels import njit
+from koop_core.kernels import njit
 
 STEP, INTERVAL, SEED = range(3)
 POSITION, SINCE, EPSILON, LAST, TOTAL, COUNT, RANDOM = range(7)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from koop_lab.live.loop import LiveLoop
-from koop_lab.live.monitor import Progress
-from koop_lab.recorded.run import RecordedRun, read_run
+from koop_bringup.live.loop import LiveLoop
+from koop_bringup.live.monitor import Progress
+from koop_identify.recording.loop import RecordedRun, read_run
 from koop_loop.parameters import LoopParameters
 from koop_study.experiments.kinds import Experiment
 from koop_study.over_dds.headline import Headline, compare, headlines
@@ -38,7 +38,7 @@ def repeat(experiments: list[Experiment], out: Path) -> bool:
 
     Raises
     ------
-    koop_node.errors.LiveError
+    koop_core.errors.LiveError
         If a node fails.
     """
     runs = [

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import yaml
 
-from koop_lab.page import markup
-from koop_lab.page.document import Section
 from koop_study.experiments.kinds import Experiment
 from koop_study.report import summary
+from koop_view.report import markup
+from koop_view.report.document import Section
 
 TITLE = "Extremum seeking in a Koopman-lifted space: the study"
 

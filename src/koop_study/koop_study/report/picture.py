@@ -9,7 +9,7 @@ import matplotlib
 matplotlib.use("Agg")  # a file is written: no display is needed or looked for
 from matplotlib import pyplot as plt
 
-from koop_lab.page.document import Figure
+from koop_view.report.document import Figure
 
 # Of our own choice and fixed: two curves that a colour-blind reader can tell apart.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")

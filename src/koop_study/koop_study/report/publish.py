@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from koop_lab.page.document import Section
-from koop_lab.page.markdown import markdown, rewrite_block
 from koop_study.experiments.kinds import Experiment
 from koop_study.report import page, picture, summary
 from koop_study.workers.units import write_atomically
+from koop_view.report.document import Section
+from koop_view.report.markdown import markdown, rewrite_block
 
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
 LAWS = "<!-- laws -->", "<!-- /laws -->"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from koop_lab.page.document import Cell, Claim, Section, Table
+from koop_view.report.document import Cell, Claim, Section, Table
 
 COLUMNS = ("cost", "iae_median", "iae_p90", "t_theta_median", "converged", "e_r_ss_median")
 METRICS = (

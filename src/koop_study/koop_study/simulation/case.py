@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from koop_core.config.parameter import ConfigError, refuse_unknown
 from koop_loop.training import TrainingConfig
-from koop_node.config import ConfigError, refuse_unknown
 from koop_study.controllers.adaptive import AdaptiveConfig
 from koop_study.controllers.perturbation import PerturbationConfig
 from koop_study.simulation.kernel import CONTROLLERS
@@ -110,7 +110,7 @@ def override(case: Case, settings: Mapping[str, Any]) -> Case:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a name is unknown (the nearest known one is named) or a value is refused.
     """
     changes: dict[str, Any] = {}

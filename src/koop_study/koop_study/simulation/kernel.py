@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.kernels import borrowed, njit
+from koop_core.stream.arrival import NOTHING
 from koop_loop.kernel import classify
-from koop_node.arrival import NOTHING
-from koop_node.kernels import borrowed, njit
 from koop_study.controllers import adaptive, perturbation
 from koop_study.controllers.adaptive import AdaptiveParams, AdaptiveState
 from koop_study.controllers.perturbation import PerturbationParams, PerturbationState

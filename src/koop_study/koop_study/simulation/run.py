@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import ConfigError
 from koop_loop.loop import check_fit, initial_state
 from koop_loop.metrics import evaluate
-from koop_node.config import ConfigError
 from koop_study.controllers import adaptive, perturbation
 from koop_study.simulation.case import Case, model_of
 from koop_study.simulation.kernel import CONTROLLERS, Control, Sensing, run_kernel
@@ -53,7 +53,7 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: boo
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If the parts of the case do not fit together.
     """
     model = model_of(case)
@@ -96,7 +96,7 @@ def lifter_of(case: Case, model: KoopmanModel | None) -> LifterConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If the parts of the case do not fit together.
     """
     lifter = replace(case.lifter, cost="raw" if model is None else "lifted")

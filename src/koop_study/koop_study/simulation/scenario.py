@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_node.config import parameter, validate
+from koop_core.config.parameter import parameter, validate
 from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantParams
 from vdp_plant.waves import Waves, drive_of, interference_of
@@ -25,7 +25,7 @@ class ScenarioConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a value has the wrong type or is out of range.
     """
 

@@ -26,7 +26,7 @@ def run_seeds(cases: Sequence[Case]) -> Iterator[Trace]:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If the parts of a case do not fit together.
     """
     for first in range(0, len(cases), TOGETHER):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import ConfigError, parameter, validate
 from koop_loop.training import STATE_NAMES
-from koop_node.config import ConfigError, parameter, validate
 from koopman_lifter.delays import Delays
 
 CHANNELS = {"both": (0, 1), "x": (0,), "y": (1,)}
@@ -20,7 +20,7 @@ class SensingConfig:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a value has the wrong type or is out of range.
     """
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import ConfigError
 from koop_loop.thinning import extremes
-from koop_node.config import ConfigError
 from koop_study.simulation import maps
 from koop_study.simulation.case import DRAWN, Case, override, seeded
 from koop_study.simulation.learning import learn
@@ -27,7 +27,7 @@ def case_of(settings: dict[str, Any], seed: int | None) -> Case:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If a setting is unknown or would have no effect, or the parts do not fit together.
     """
     case = override(Case(), settings)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from koop_node.config import ConfigError
+from koop_core.config.parameter import ConfigError
 from koop_study.simulation.work import runs
 from koop_study.workers.units import Store, Unit
 
@@ -64,7 +64,7 @@ class Workers:
 
         Raises
         ------
-        koop_node.config.ConfigError
+        koop_core.config.parameter.ConfigError
             If Dask is missing, or there is no scheduler at its address.
         koop_study.workers.task.UnfitWorker
             If a worker would compute something else.
@@ -161,7 +161,7 @@ def on_cluster(address: str) -> Iterator[distributed.Client]:
 
     Raises
     ------
-    koop_node.config.ConfigError
+    koop_core.config.parameter.ConfigError
         If none answers.
     """
     client, _ = _dask()

@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from koop_bag.cdr.definition import parse_definition
 from koop_bag.cdr.schema import load_service
 from koop_bag.errors import BagError
-from koop_node.question import Question
+from koop_node.client.question import Question
 from koop_view.cdr_check import CdrError, check
 from koop_view.protocol import Service
 from koop_view.source import Refused

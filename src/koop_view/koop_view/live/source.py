@@ -24,7 +24,7 @@ from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.topics import message_class
-from koop_node.errors import one_line
+from koop_core.errors import one_line
 from koop_view.live.services import Caller, load, packed, unpacked
 from koop_view.live.starting import Starting
 from koop_view.live.topic import ViewedTopic

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from koop_node.main import run
-from koop_node.managed import Entities, ManagedNode
+from koop_node.node.main import run
+from koop_node.node.managed import Entities, ManagedNode
 from vdp_plant.config import PaceConfig, PlantConfig
 from vdp_plant.node.base import PlantRun
 from vdp_plant.node.lockstep import LockstepRun

@@ -12,14 +12,14 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
-from koop_node.arrival import Arrival
-from koop_node.config import NodeConfig
-from koop_node.kernels import direct
-from koop_node.managed import OK, Entities, ManagedNode, Run
-from koop_node.qos import RELIABLE
-from koop_node.stamps import to_seconds, to_stamp
-from koop_node.stream import StreamMonitor
-from koop_node.wire import codec
+from koop_core.config.parameter import NodeConfig
+from koop_core.kernels import direct
+from koop_core.stream.arrival import Arrival
+from koop_core.stream.monitor import StreamMonitor
+from koop_node.node.managed import OK, Entities, ManagedNode, Run
+from koop_node.node.qos import RELIABLE
+from koop_node.node.stamps import to_seconds, to_stamp
+from koop_node.node.wire import codec
 from vdp_plant import dynamics
 from vdp_plant.config import PaceConfig, PlantConfig
 from vdp_plant.pacing import SentStates

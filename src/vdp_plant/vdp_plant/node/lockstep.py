@@ -8,9 +8,9 @@ from typing import Any
 
 from koop_msgs.msg import Cost
 
-from koop_node.managed import ERROR, OK, Entities, ManagedNode
-from koop_node.qos import RELIABLE
-from koop_node.resend import Due, Resend
+from koop_core.stream.resend import Due, Resend
+from koop_node.node.managed import ERROR, OK, Entities, ManagedNode
+from koop_node.node.qos import RELIABLE
 from vdp_plant.config import RESENDS, PaceConfig
 from vdp_plant.node.base import PlantRun
 from vdp_plant.pacing import silent_node

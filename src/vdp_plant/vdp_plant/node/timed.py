@@ -6,10 +6,10 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from koop_node.durations import Durations
-from koop_node.managed import OK, WARN, Entities, ManagedNode
-from koop_node.qos import NEWEST
-from koop_node.schedule import Timer
+from koop_core.stream.durations import Durations
+from koop_node.node.managed import OK, WARN, Entities, ManagedNode
+from koop_node.node.qos import NEWEST
+from koop_node.node.schedule import Timer
 from vdp_plant.config import PaceConfig
 from vdp_plant.node.base import PlantRun
 from vdp_plant.pacing import Ticks

@@ -1,0 +1,1 @@
+"""Benchmarks that print ratios to a baseline of the same run."""

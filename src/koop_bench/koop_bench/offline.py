@@ -1,0 +1,214 @@
+"""``koop bench offline``: the compiled closed loop beside plain Python and C at -O2.
+
+All times are processor time of one thread, so that other work on the machine counts little.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_loop import batch
+from koop_loop.kernel import Memory
+from koop_loop.loop import controller, initial_state, run_kernel, simulate
+from koop_loop.training import TrainingConfig, train
+from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig
+from koopman_lifter.model import KoopmanModel
+from relay_esc.config import EscConfig
+from vdp_plant.config import PlantConfig
+
+STEPS = 500_000  # 2500 s
+PYTHON_STEPS = 20_000  # plain Python is some hundred times slower; time a step does not depend on k
+BATCH = 32  # loops side by side
+EVERY = 1000  # theta of every so many steps is compared with C
+
+
+@dataclass(frozen=True)
+class Loop:
+    """One closed loop to be timed."""
+
+    lifter: LifterConfig
+    model: KoopmanModel | None
+    plant: PlantConfig = field(default_factory=PlantConfig)
+    esc: EscConfig = field(default_factory=EscConfig)
+
+
+WORKLOADS = Path(__file__).parent / "workloads"
+
+
+def register(benchmarks: Any) -> None:
+    """Add the benchmark to the subparsers of ``koop bench``."""
+    parser = benchmarks.add_parser("offline", help="offline loop against plain Python and C -O2")
+    parser.add_argument("--rounds", type=int, default=15, help="timed runs, the best one counts")
+    parser.add_argument(
+        "--source", type=Path, default=WORKLOADS / "closed_loop.c",
+        metavar="FILE",
+        help="the C program",
+    )  # fmt: skip
+    parser.set_defaults(func=main)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Entry point; returns the exit code: 1 if the languages or the batch disagree in theta."""
+    model = train(PlantConfig(), TrainingConfig())
+    program = None
+    agree, both, same = True, 0.0, True
+    with tempfile.TemporaryDirectory() as folder:
+        if shutil.which("cc") is None:
+            print("no C compiler 'cc' on the PATH: the comparison with C is left out")
+        else:
+            program = compile_c(args.source, Path(folder))
+        for name in ("raw", "lifted"):
+            loop = Loop(LifterConfig(cost=name), None if name == "raw" else model)
+            kernel, spent, worst = compare(loop, program, args.rounds)
+            agree, both = agree and worst < 1e-9, both + kernel
+            print(f"{name}: 2500 s closed loop, {STEPS} steps, best of {args.rounds}")
+            print(f"  kernel        {kernel:8.3f} s   {STEPS / kernel / 1e6:.2f} million steps/s")
+            python = time_python(name)
+            print(
+                f"  plain Python  {python:8.1f} s   kernel is {python / kernel:.0f} times as fast"
+            )
+            if program is not None:
+                print(
+                    f"  C -O2         {spent:8.3f} s   kernel at {spent / kernel:.2f} of C's speed"
+                )
+                print(f"  largest difference in theta between kernel and C: {worst:g}")
+            side_by_side, equal = time_batch(loop, min(args.rounds, 3))
+            same = same and equal
+            print(
+                f"  batch of {BATCH}   {side_by_side:8.4f} s a loop   "
+                f"{1.0 / side_by_side:.1f} loops/s a core, "
+                f"{kernel / side_by_side:.2f} times the kernel"
+                + ("" if program is None else f", {spent / side_by_side:.2f} times C")
+                + ("" if equal else "; its bits DIFFER")
+            )
+    print(f"1000 closed loops with both costs: {1000 * both:.0f} s of one core")
+    return 0 if agree and same else 1
+
+
+def compare(loop: Loop, program: Path | None, rounds: int) -> tuple[float, float, float]:
+    """Time kernel and C in turn, so that whatever else the machine does meets both.
+
+    Returns
+    -------
+    kernel, c : float
+        Best times [s]; C's is infinite without a program.
+    worst : float
+        Largest difference in theta; 0 without a program.
+    """
+    times, worst = [], 0.0
+    for _ in range(rounds):
+        kernel, theta = time_kernel(loop, 1)
+        c = np.inf
+        if program is not None:
+            c, theta_c = time_c(program, loop, 1)
+            worst = max(worst, float(np.abs(theta - theta_c).max()))
+        times.append((kernel, c))
+    best = np.min(times, axis=0)
+    return float(best[0]), float(best[1]), worst
+
+
+def time_kernel(loop: Loop, rounds: int) -> tuple[float, NDArray[np.float64]]:
+    """Return the best time [s] of the compiled loop, and theta of every 1000th step."""
+    parameters = controller(loop.lifter, loop.esc, loop.model)
+    work = cost.workspace(parameters.lifting)
+    buffers = (np.empty((STEPS, 2)), np.empty((STEPS, 2)), np.empty(STEPS), np.empty(STEPS))
+    x, y = initial_state(loop.plant)
+    best = np.inf
+    for number in range(rounds + 1):
+        begin = time.process_time()
+        run_kernel(
+            loop.plant.params(), parameters, Memory(cost.initial(), loop.esc.initial()), work,
+            x, y, *buffers,
+        )  # fmt: skip
+        if number:  # the first run compiles and touches the memory
+            best = min(best, time.process_time() - begin)
+    return float(best), buffers[3][::EVERY]
+
+
+def time_batch(loop: Loop, rounds: int) -> tuple[float, bool]:
+    """Return the best time [s] a loop of a batch, and whether its bits are the single loop's."""
+    plants = [replace(loop.plant, seed=seed) for seed in range(BATCH)]
+    best = np.inf
+    for number in range(rounds + 1):
+        begin = time.process_time()
+        found = batch.simulate_batch(plants, loop.lifter, loop.esc, loop.model, STEPS)
+        if number:  # the first run compiles
+            best = min(best, (time.process_time() - begin) / BATCH)
+    last = simulate(plants[-1], loop.lifter, loop.esc, loop.model, STEPS)
+    return float(best), bool((found.theta[-1] == last.theta).all())
+
+
+def time_python(name: str) -> float:
+    """Return the time [s] of the same source without compilation, scaled to the whole run."""
+    done = subprocess.run(
+        [sys.executable, "-m", "koop_bench.offline", name],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    return float(done.stdout) * STEPS / PYTHON_STEPS
+
+
+def compile_c(source: Path, folder: Path) -> Path:
+    """Compile the C program at -O2 and return its path.
+
+    Raises
+    ------
+    ValueError
+        If it does not compile.
+    """
+    program = folder / "closed_loop"
+    done = subprocess.run(
+        ["cc", "-O2", "-Wall", "-Wextra", "-o", str(program), str(source), "-lm"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise ValueError(f"{source} does not compile: {done.stderr.strip()}")
+    return program
+
+
+def time_c(program: Path, loop: Loop, rounds: int) -> tuple[float, NDArray[np.float64]]:
+    """Return the best time [s] of the C loop, and theta of every 1000th step."""
+    lifting = cost.no_lifting() if loop.model is None else loop.model.lifting()
+    rows, p = lifting.projector.shape
+    plant, detector = loop.plant.params(), loop.lifter.detector_params()
+    relay = loop.esc.params()
+    numbers = [
+        STEPS, rounds, EVERY, *initial_state(loop.plant), loop.esc.theta_initial,
+        *plant[: plant._fields.index("integrator")],
+        detector.alpha_hp, detector.alpha_lp, *relay[: relay._fields.index("largest_change")],
+        loop.lifter.source, p, rows, *lifting.parent, *lifting.factor, *lifting.projector.ravel(),
+    ]  # fmt: skip
+    text = "\n".join(repr(float(number)) for number in numbers)
+    done = subprocess.run([str(program)], input=text, capture_output=True, text=True, check=True)
+    values = np.array([float(line) for line in done.stdout.split()])
+    return float(values[0]), values[1:]
+
+
+def _run_plain(name: str) -> None:
+    """Print the time of the uncompiled loop; runs in a process of its own without numba's JIT."""
+    plant = PlantConfig()
+    model = None if name == "raw" else train(plant, TrainingConfig(trajectories=2, duration=2.0))
+    begin = time.process_time()
+    simulate(plant, LifterConfig(cost=name), EscConfig(), model, PYTHON_STEPS)
+    print(time.process_time() - begin)
+
+
+if __name__ == "__main__":
+    _run_plain(sys.argv[1])

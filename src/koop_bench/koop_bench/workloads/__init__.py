@@ -1,0 +1,1 @@
+"""What the benchmarks run, also in other languages."""

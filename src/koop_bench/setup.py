@@ -1,0 +1,40 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_bench"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={"koop_bench": ["workloads/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=[
+        "koop_bag",
+        "koop_bringup",
+        "koop_core",
+        "koop_identify",
+        "koop_lab",
+        "koop_loop",
+        "koop_node",
+        "koop_view",
+        "koopman_lifter",
+        "relay_esc",
+        "vdp_plant",
+        "mcap",
+        "mcap-ros2-support",
+        "numpy",
+        "rosbags",
+        "scipy",
+        "websockets",
+    ],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="Benchmarks that print ratios to a baseline of the same run.",
+    license="Apache-2.0",
+    entry_points={"koop.commands": ["bench = koop_bench.command:register"]},
+)

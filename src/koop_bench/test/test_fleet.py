@@ -1,0 +1,82 @@
+"""Many loops at once."""
+
+import argparse
+
+import pytest
+
+from koop_bench.fleet import holds
+from koop_bringup.live.fleet_report import report, snapshot
+from koop_core.config.parameter import ConfigError
+from koop_core.stream.durations import Durations
+from koop_lab.commands.fleet import add_options, measure, values_of
+
+
+def options(*words):
+    parser = argparse.ArgumentParser()
+    add_options(parser)
+    return parser.parse_args(words)
+
+
+def said(step, late=0, missed=0, answered=0, trip=1e-3):
+    """Return what a loop says on /diagnostics."""
+    trips = Durations()
+    for _ in range(answered):
+        trips.add(trip)
+    return {
+        "/a/vdp_plant": {
+            "step": str(step), "late_ticks": str(late), "round_trips": trips.text(),
+            "ticks_behind": "0:1",
+        },
+        "/a/koopman_lifter": {"state missed_steps": str(missed)},
+        "/a/relay_esc": {"cost missed_steps": "0"},
+    }  # fmt: skip
+
+
+def between(before, after):
+    first = snapshot("/a", before, {"/a/vdp_plant": 10.0})
+    return report([first], [snapshot("/a", after, {"/a/vdp_plant": 12.0})], cpu=0.06)
+
+
+def test_only_what_came_between_two_reports_counts():
+    found = between(
+        said(100, late=7, missed=3, answered=90), said(500, late=8, missed=3, answered=490)
+    )
+    assert found.rates == (200.0,)
+    assert (found.steps, found.late, found.lost, found.unanswered) == (400, 1, 0, 0)
+    assert found.p(0.99) == pytest.approx(1e-3, rel=0.05)
+    assert found.cpu_per_loop == 0.06
+
+
+@pytest.mark.parametrize(
+    ("after", "expected"),
+    [
+        (said(2000, answered=2000), True),
+        (said(2000, answered=2000, trip=6e-3), False),
+        (said(2000, answered=1990), False),
+        (said(2000, answered=2000, missed=1), False),
+        (said(2000, answered=2000, late=3), False),
+    ],
+    ids=["kept", "slow", "unanswered", "lost", "missed ticks"],
+)
+def test_a_fleet_holds_where_all_is_in_time_and_nothing_lost(after, expected):
+    assert holds(between(said(0), after)) is expected
+
+
+def test_another_rate_is_another_time_scale_of_the_same_loop():
+    assert values_of(options())["vdp_plant"]["pace"] == "realtime"
+    plant = values_of(options("--rate", "1000"))["vdp_plant"]
+    assert (plant["pace"], plant["time_scale"]) == ("scaled", 5.0)
+    for words in (("--rate", "0"), ("--duration", "-1"), ("--priority", "100")):
+        with pytest.raises(ConfigError):
+            values_of(options(*words))
+
+
+def test_two_loops_in_two_containers_run_side_by_side(own_domain, tmp_path):
+    """They do not hear each other: a second publisher of a topic would be an error."""
+    found = measure(2, options("--duration", "1.5"), tmp_path)
+    assert len(found.rates) == 2
+    assert found.steps > 0
+    assert found.round_trips.count > 0
+    logs = [(tmp_path / f"container{number}.log").read_text() for number in (0, 1)]
+    assert [log.count("loop0.koopman_lifter") > 0 for log in logs] == [True, False]
+    assert not any("publishers on" in log or "Traceback" in log for log in logs)

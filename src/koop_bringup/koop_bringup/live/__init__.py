@@ -1,0 +1,1 @@
+"""Starting nodes, watching them, ending them together."""

@@ -1,0 +1,223 @@
+"""One loop as node processes over DDS: started, watched to its end, recorded."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+from koop_bag.recorder.config import RecorderConfig
+from koop_bringup.live.monitor import Monitor, Progress
+from koop_bringup.live.process import START_TIMEOUT, NodeProcess, uninterrupted
+from koop_bringup.live.turns import take_turns
+from koop_core.config import parameter_file
+from koop_core.errors import LiveError
+from koop_loop.ending import Ending, ending
+from koop_loop.parameters import COMPONENTS, EXECUTABLES, LoopParameters
+from koop_node.client.alone import TOPICS, alone
+
+Own = TypeVar("Own", bound="LiveNodes")
+
+
+class LiveNodes:
+    """The processes of one run; a context manager that leaves none behind.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run: receives bag, logs and parameters.
+    values : mapping of str to mapping
+        Parameters by node, of those that are started.
+    namespace : str
+        Of all nodes, such as ``/rig``; empty for the root.
+    rig : bool
+        Whether a rig is the plant.
+    program : sequence of str
+        The rig's own program; empty: it is started by others.
+    composed : bool
+        Whether the nodes share one process, the container, besides the recorder.
+    remaps : sequence of str
+        Topics of one node that have another name, as ``NODE:FROM:=TO``.
+
+    Attributes
+    ----------
+    notes : list of str
+        What a reader of the results should know.
+    lost : list of str
+        Nodes that ended while the run went on.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        values: Mapping[str, Mapping[str, Any]],
+        namespace: str = "",
+        rig: bool = False,
+        program: Sequence[str] = (),
+        composed: bool = False,
+        remaps: Sequence[str] = (),
+    ) -> None:
+        self.folder = folder
+        self.notes: list[str] = []
+        self.lost: list[str] = []
+        self._values = values
+        self._namespace = namespace
+        self._rig = rig
+        self._program = list(program)
+        self._composed = {n: c for n, c in COMPONENTS.items() if composed and n in values}
+        self._remaps = list(remaps)
+        self._in_turn = False
+        """Whether the nodes work one after the other."""
+        self._nodes: dict[str, NodeProcess] = {}
+        self._stack = ExitStack()
+
+    def __enter__(self: Own) -> Own:
+        by_others = self._rig and not self._program
+        with ExitStack() as stack:
+            stack.enter_context(
+                alone(self._namespace, [t for t in TOPICS if t != "state" or not by_others])
+            )
+            logs = self.folder / "logs"
+            logs.mkdir(parents=True, exist_ok=True)
+            file = logs / "given_parameters.yaml"
+            parameter_file.write(self._values, file)
+            arguments = ["--ros-args", "--params-file", str(file)]
+            if self._namespace:
+                arguments += ["-r", f"__ns:={self._namespace}"]
+            arguments += [word for rule in self._remaps for word in ("-r", rule)]
+            stack.callback(self._stop_all)
+            for node in EXECUTABLES:
+                if node in self._values and node not in self._composed:
+                    self._nodes[node] = NodeProcess(node, arguments, logs / f"{node}.log")
+            if self._composed:
+                words = [*self._composed.values(), *arguments]
+                self._nodes["container"] = NodeProcess("container", words, logs / "container.log")
+            if self._program:
+                companion = [sys.executable, "-m", "koop_node.process.companion"]
+                self._nodes["rig"] = NodeProcess("rig", self._program, logs / "rig.log", companion)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    @uninterrupted()
+    def _stop_all(self) -> dict[str, int]:
+        """Stop the sources before the recorder, so that it records all that they said."""
+        return {node: process.stop() for node, process in reversed(self._nodes.items())}
+
+    def run(self, on_progress: Callable[[Progress], None]) -> None:
+        """Wait until the plant has done its steps, then stop the other nodes.
+
+        Raises
+        ------
+        LiveError
+            If a node ends before its time or with an exit code other than 0.
+        """
+        started = time.monotonic()
+        state, alone_on_it = f"{self._namespace}/state", True
+        with Monitor(self._namespace) as monitor:
+            while not self._done():
+                monitor.spin(0.05)
+                on_progress(monitor.progress)
+                if self._in_turn and monitor.progress.step:
+                    self._in_turn = False
+                    pids = self.process_ids()
+                    take_turns(
+                        [pid for node, pid in pids.items() if node != "recorder"],
+                        [pid for node, pid in pids.items() if node == "recorder"],
+                    )
+                if alone_on_it and monitor.count_publishers(state) > 1:
+                    alone_on_it = False
+                    self._note(
+                        f"another loop has joined the ROS domain at step "
+                        f"{monitor.progress.step}: this one goes on, but hears its messages"
+                    )
+                silent = monitor.progress.step == 0 and not self._rig  # a rig may come later
+                if silent and time.monotonic() - started > START_TIMEOUT:
+                    raise LiveError(
+                        f"the loop did not start in {START_TIMEOUT:g} s: see {self.folder}/logs"
+                    )
+        self.end()
+
+    def end(self) -> None:
+        """Stop all that runs.
+
+        Raises
+        ------
+        LiveError
+            If a node then ends with an exit code other than 0.
+        """
+        self._stop_all()
+        for node, process in self._nodes.items():
+            if process.poll() != 0 and node not in self.lost:
+                raise process.failure()
+
+    def process_ids(self) -> dict[str, int]:
+        """Return the id of every process, by node; all composed nodes are in ``container``."""
+        return {node: process.process.pid for node, process in self._nodes.items()}
+
+    def ended(self) -> list[NodeProcess]:
+        """Return the nodes that have ended on their own."""
+        return [process for process in self._nodes.values() if process.poll() is not None]
+
+    def _done(self) -> bool:
+        """Return whether the run has come to its end; raise if it is the wrong one."""
+        for node, process in self._nodes.items():
+            code = process.poll()
+            if code is None or node in self.lost:
+                continue
+            role = list(self._composed)[-1] if node == "container" else node
+            found = ending(role, code, self._rig)
+            if found is Ending.DONE:
+                return True
+            if found is Ending.FAILED:
+                raise process.failure()
+            self.lost.append(node)
+            self._note(f"{process.failure()}\nthe loop goes on without it")
+        return False
+
+    def _note(self, text: str) -> None:
+        self.notes.append(text)
+        print(f"\nnote: {text}", file=sys.stderr)
+
+
+class LiveLoop(LiveNodes):
+    """The node processes of a simulated run that is recorded.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run: receives bag, logs and parameters.
+    parameters : LoopParameters
+        Of the three nodes.
+    recorder : RecorderConfig
+        Of the recorder; its output is the folder, whatever it says.
+    composed : bool
+        Whether the three nodes share one process.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        parameters: LoopParameters,
+        recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
+        composed: bool = False,
+    ) -> None:
+        given = {node: {**own, "recorders": 1} for node, own in parameters.as_ros().items()}
+        super().__init__(
+            folder,
+            {**given, "recorder": asdict(replace(recorder, output=str(folder)))},
+            composed=composed,
+        )
+        self._in_turn = parameters.pace.pace == "lockstep"

@@ -1,0 +1,78 @@
+"""What the nodes of a running loop report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from koop_node.client.client import Client
+
+LEVELS = ("OK", "WARN", "ERROR", "STALE")
+
+
+@dataclass
+class Progress:
+    """What /diagnostics last said about the loop.
+
+    Attributes
+    ----------
+    step, steps_per_second, theta, r
+        Of the plant or, where a rig is the plant, of lifter and controller.
+    values : dict
+        All values by node.
+    findings : dict
+        By node, its level and message if it is not OK.
+    """
+
+    step: int = 0
+    steps_per_second: float = math.nan
+    theta: float = math.nan
+    r: float = math.nan
+    values: dict[str, dict[str, str]] = field(default_factory=dict)
+    findings: dict[str, str] = field(default_factory=dict)
+
+
+class Monitor(Client):
+    """Listens to /diagnostics only: watching must not cost the loop any speed.
+
+    Parameters
+    ----------
+    namespace : str, optional
+        Of the loop, such as ``/rig``, or empty for the root; by default every one is listened to.
+    """
+
+    def __init__(self, namespace: str | None = None) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        super().__init__("koop_monitor")
+        self.progress = Progress()
+        self.levels: dict[str, int] = {}  # that every node last reported
+        self._namespace = namespace
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 20)
+
+    @property
+    def theta(self) -> float:
+        """Last theta of the controller."""
+        return float(self.progress.values.get("relay_esc", {}).get("theta", math.nan))
+
+    def _on_message(self, message: Any) -> None:
+        for status in message.status:
+            namespace, _, node = status.name.split(":")[0].rpartition("/")
+            if self._namespace not in (None, namespace):
+                continue
+            values = {item.key: item.value for item in status.values}
+            self.progress.values[node] = values
+            self.levels[node] = level = status.level[0]
+            progress = self.progress
+            progress.findings.pop(node, None)
+            if level:
+                progress.findings[node] = f"{node} {LEVELS[level]}: {status.message}"
+            if node == "koopman_lifter":
+                progress.r = float(values.get("r", progress.r))
+            plant = "vdp_plant" in progress.values
+            if node == ("vdp_plant" if plant else "koopman_lifter"):
+                progress.step = int(values.get("step", progress.step))
+                progress.steps_per_second = float(values["rate_hz"])
+            if node == ("vdp_plant" if plant else "relay_esc"):
+                progress.theta = float(values.get("theta", progress.theta))

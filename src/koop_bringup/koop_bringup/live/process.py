@@ -1,0 +1,152 @@
+"""Nodes as processes of their own: started, watched, stopped, and none left behind.
+
+rclpy is imported only where it is used, so that the offline commands run without ROS.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import weakref
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from koop_core.errors import LiveError
+from koop_loop.ending import told
+from koop_loop.parameters import CONTAINER, EXECUTABLES
+from koop_node.process.lifeline import TIED
+
+START_TIMEOUT = 60.0  # [s] for imports and, the first time, for the compilation of the kernels
+STOP_TIMEOUT = 10.0  # [s] after which a node that ignores SIGINT is killed
+OWN_GROUP: dict[str, Any] = (
+    {"process_group": 0} if sys.version_info >= (3, 11) else {"start_new_session": True}
+)
+"""Options of Popen, with which Ctrl-C reaches only the parent, which ends the process in order.
+
+Not a session of its own where it can be had: Linux shares the processors out by session, and on a
+busy machine threads of such a process waited for up to 4 s (docs/how-to/real-time.md).
+"""
+
+
+def executable(node: str) -> str:
+    """Return the path of a node's executable, or of the container's, as ros2 run finds it."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+    package, name = {**EXECUTABLES, "container": CONTAINER}[node]
+    try:
+        path = Path(get_package_prefix(package)) / "lib" / package / name
+    except PackageNotFoundError:
+        raise LiveError(f"package {package} is not built: run './koop setup'") from None
+    if not path.is_file():
+        raise LiveError(f"package {package} has no executable {name}: run './koop setup'")
+    return str(path)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ignore Ctrl-C and its like: who presses it twice would leave the nodes behind, running."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(number, signal.SIG_IGN) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+class TiedProcess(subprocess.Popen[bytes]):
+    """A process that ends with this one, however this one ends.
+
+    See :mod:`koop_node.process.lifeline`.
+
+    Parameters
+    ----------
+    command : list of str
+        Runs a program that calls ``end_with_parent``, as every node does.
+    environment : mapping of str to str, optional
+        In place of that of this process.
+    options
+        Of :class:`subprocess.Popen`.
+    """
+
+    def __init__(
+        self, command: list[str], environment: Mapping[str, str] | None = None, **options: Any
+    ) -> None:
+        reader, writer = os.pipe()
+        weakref.finalize(self, os.close, writer)
+        try:
+            env = {**(os.environ if environment is None else environment), **TIED}
+            super().__init__(command, stdin=reader, env=env, **options)
+        finally:
+            os.close(reader)
+
+
+class NodeProcess:
+    """One node in a process of its own, its output in a log file.
+
+    Parameters
+    ----------
+    node : str
+        Name for the reports; without a command, the node that is started.
+    arguments : list of str
+        Of the program.
+    log : Path
+        File for its output.
+    command : list of str, optional
+        The program, if it is not the node's executable.
+    environment : mapping of str to str, optional
+        In place of that of this process.
+    before : sequence of str
+        Words before the command, of a program that starts it in another place.
+    """
+
+    def __init__(
+        self,
+        node: str,
+        arguments: list[str],
+        log: Path,
+        command: list[str] | None = None,
+        environment: Mapping[str, str] | None = None,
+        before: tuple[str, ...] = (),
+    ) -> None:
+        self.node = node
+        self.log = log
+        words = [*before, *(command or [executable(node)]), *arguments]
+        with open(log, "ab") as output:
+            self.process = TiedProcess(
+                words, environment, stdout=output, stderr=subprocess.STDOUT, **OWN_GROUP
+            )
+
+    def poll(self) -> int | None:
+        """Return the exit code, or None while the process runs."""
+        return self.process.poll()
+
+    def ask_to_stop(self) -> None:
+        """Ask the process to end, and do not wait."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+
+    @uninterrupted()
+    def stop(self) -> int:
+        """Ask the process to end, wait, kill it if it does not; return the exit code."""
+        self.ask_to_stop()
+        try:
+            self.process.wait(STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        return self.process.returncode
+
+    def last_lines(self, count: int = 5) -> str:
+        """Return the end of the node's output."""
+        return "\n".join(self.log.read_text(errors="replace").splitlines()[-count:])
+
+    def failure(self) -> LiveError:
+        """Return the error that says how the process ended, with its last words."""
+        code = self.process.poll()
+        end = "has not ended" if code is None else told(self.node, code)
+        return LiveError(f"{end}:\n{self.last_lines()}\n({self.log})")

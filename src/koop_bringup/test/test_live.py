@@ -1,0 +1,95 @@
+"""Node processes: started, watched, and none left behind."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from koop_bringup.live.process import NodeProcess
+
+# Ends when it is told to, and until then lets its parent be told once more.
+ENDS_LATE = """
+import os, signal, sys
+def on_signal(number, frame):
+    os.kill(os.getppid(), signal.SIGINT)
+    print("ended", flush=True)
+    sys.exit(0)
+signal.signal(signal.SIGINT, on_signal)
+print("started", flush=True)
+while True:
+    signal.pause()
+"""
+
+
+def test_ctrl_c_that_comes_again_does_not_keep_a_node_from_being_stopped(tmp_path):
+    log = tmp_path / "node.log"
+    node = NodeProcess("node", [ENDS_LATE], log, [sys.executable, "-c"])
+    while "started" not in log.read_text():
+        assert node.poll() is None
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        assert node.stop() == 0
+    except KeyboardInterrupt:
+        node.process.kill()
+        pytest.fail("the second Ctrl-C ended the stopping, not the node")
+    assert "ended" in log.read_text()
+    assert signal.getsignal(signal.SIGINT) is handler
+
+
+def test_a_node_is_out_of_reach_of_ctrl_c_and_shares_the_processors_with_its_starter(tmp_path):
+    node = NodeProcess("node", [ENDS_LATE], tmp_path / "node.log", [sys.executable, "-c"])
+    try:
+        assert os.getpgid(node.process.pid) != os.getpgrp()  # a terminal interrupts a group
+        if sys.version_info >= (3, 11):  # Linux shares out by session
+            assert os.getsid(node.process.pid) == os.getsid(0)
+    finally:
+        node.process.kill()
+        node.process.wait()
+
+
+# Starts a process that ends with it, from a thread that is over at once, and says its number.
+PARENT = """
+import sys, threading, time
+from koop_bringup.live.process import TiedProcess
+child = []
+command = [sys.executable, "-c", sys.argv[1]]
+thread = threading.Thread(target=lambda: child.append(TiedProcess(command)))
+thread.start()
+thread.join()
+time.sleep(600)
+"""
+CHILD = """
+import os, signal, sys, time
+from koop_node.process.lifeline import end_with_parent
+def on_signal(number, frame):
+    os.write(1, b"told to stop\\n")  # print may be under way
+    sys.exit(0)
+signal.signal(signal.SIGTERM, on_signal)
+end_with_parent()
+print(os.getpid(), flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_process_ends_in_order_when_its_parent_is_killed(stopped):
+    parent = subprocess.Popen(
+        [sys.executable, "-c", PARENT, CHILD], stdout=subprocess.PIPE, text=True
+    )
+    child = int(parent.stdout.readline())
+    if stopped:
+        os.kill(child, signal.SIGSTOP)
+    parent.kill()
+    # the pipe has an end when nobody is left who could write to it
+    assert parent.stdout.read() == "told to stop\n"
+    parent.wait()
+
+
+def test_a_process_that_nobody_tied_does_not_look_at_its_stdin():
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD.replace("sleep(600)", "sleep(0.2)")],
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert "told" not in done.stdout

@@ -1,0 +1,1 @@
+"""Whether a rig is fit to be commissioned. Pure."""

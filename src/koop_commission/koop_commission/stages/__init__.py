@@ -1,0 +1,1 @@
+"""The stages: check, excite, tune, verify."""

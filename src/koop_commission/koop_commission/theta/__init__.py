@@ -1,0 +1,1 @@
+"""Who commands theta, and within which limits."""

@@ -1,0 +1,40 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_commission"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=[
+        "koop_bag",
+        "koop_bringup",
+        "koop_core",
+        "koop_identify",
+        "koop_loop",
+        "koop_node",
+        "koop_tune",
+        "koop_view",
+        "numpy",
+        "tqdm",
+    ],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="From an unknown rig to a damped one: check, excite, tune, verify, report.",
+    license="Apache-2.0",
+    entry_points={
+        "koop.commands": [
+            "check = koop_commission.stages.check:register",
+            "commission = koop_commission.command:register",
+            "excite = koop_commission.stages.excite:register",
+            "tune = koop_commission.stages.tune:register",
+            "verify = koop_commission.stages.verify:register",
+        ]
+    },
+)

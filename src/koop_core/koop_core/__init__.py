@@ -1,0 +1,1 @@
+"""What every package builds on: configuration, streams, kernels. Needs no ROS."""

@@ -1,0 +1,1 @@
+"""Configuration classes, parameter files and errors."""

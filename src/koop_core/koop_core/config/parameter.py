@@ -1,0 +1,224 @@
+"""Self-validating configuration classes. Pure: imports nothing of ROS.
+
+A configuration is a frozen dataclass whose fields are made by :func:`parameter`. The metadata of a
+field is the one place where its unit, range and meaning are written; validation, ROS parameter
+descriptors (``koop_node.node.parameters``) and the documentation all read it.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import Field, dataclass, field, fields
+from numbers import Integral, Real
+from typing import Any
+
+from koop_core.errors import InputError
+
+
+class ConfigError(InputError):
+    """A configuration value that cannot be used; says which, why and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What a parameter means and which values it may take.
+
+    Attributes
+    ----------
+    description : str
+        What the parameter does.
+    unit : str
+        Physical unit; empty for a dimensionless one.
+    low, high : float
+        Inclusive range of a number, or of every element of a list.
+    choices : tuple of str
+        Allowed values of a string; empty for any.
+    read_only : bool
+        True if the value cannot change while the node runs.
+    origin : str
+        What chose the default: a study, a measurement, a standard; empty where nothing had to.
+    """
+
+    description: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+    origin: str = ""
+
+    @property
+    def constraint(self) -> str:
+        """The allowed values in words; empty if there is no constraint."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        unit = f" {self.unit}" if self.unit else ""
+        if math.isfinite(self.low) and math.isfinite(self.high):
+            return f"{self.low:g} to {self.high:g}{unit}"
+        if math.isfinite(self.low):
+            return f"at least {self.low:g}{unit}"
+        if math.isfinite(self.high):
+            return f"at most {self.high:g}{unit}"
+        return ""
+
+
+def parameter(
+    default: Any,
+    description: str,
+    *,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+    origin: str = "",
+) -> Any:
+    """Declare one field of a configuration dataclass; the arguments are those of :class:`Spec`."""
+    spec = Spec(description, unit, low, high, choices, read_only, origin)
+    return field(default=default, metadata={"spec": spec})
+
+
+def spec_of(config_field: Field[Any]) -> Spec:
+    """Return the :class:`Spec` of a field made by :func:`parameter`."""
+    spec = config_field.metadata["spec"]
+    assert isinstance(spec, Spec)
+    return spec
+
+
+def validate(config: Any) -> None:
+    """Check every field of a configuration against its type and :class:`Spec`.
+
+    An integer is accepted where a float is declared and a list where a tuple is (YAML and ROS
+    write them so); the field is then converted.
+
+    Raises
+    ------
+    ConfigError
+        On the first field with a wrong type, a non-finite number or a value out of range.
+    """
+    for item in fields(config):
+        value = getattr(config, item.name)
+        try:
+            converted = _converted(value, item.default)
+        except TypeError as error:
+            raise ConfigError(f"{item.name}: {error}") from None
+        if converted is not value:
+            object.__setattr__(config, item.name, converted)
+        _check(item.name, converted, spec_of(item))
+
+
+def _converted(value: Any, default: Any) -> Any:
+    if isinstance(default, tuple):
+        if isinstance(value, str) or not hasattr(value, "__iter__"):
+            raise TypeError(f"expected a list of numbers, got {value!r}")
+        if type(value) is tuple and all(type(element) is float for element in value):
+            return value
+        return tuple(_converted(element, 0.0) for element in value)
+    wanted = type(default)
+    if type(value) is wanted:
+        return value
+    if wanted is float and isinstance(value, Real) and not isinstance(value, bool):
+        try:
+            return float(value)
+        except OverflowError:
+            return math.inf  # which the check refuses
+    if wanted is int and isinstance(value, Integral) and not isinstance(value, bool):
+        return int(value)
+    raise TypeError(f"expected {wanted.__name__}, got {value!r} ({type(value).__name__})")
+
+
+def _check(name: str, value: Any, spec: Spec) -> None:
+    elements = value if isinstance(value, tuple) else (value,)
+    for element in elements:
+        if isinstance(element, str):
+            if spec.choices and element not in spec.choices:
+                raise ConfigError(f"{name} = {element!r}: must be {spec.constraint}")
+        elif not isinstance(element, bool):
+            if isinstance(element, int) and abs(element) >= 2**63:
+                raise ConfigError(f"{name}: an integer of more than 64 bits")
+            if not math.isfinite(element):
+                raise ConfigError(f"{name} = {element}: must be a finite number")
+            if not spec.low <= element <= spec.high:
+                raise ConfigError(f"{name} = {element:g}: must be {spec.constraint}")
+
+
+def mapping(value: Any, where: str) -> dict[str, Any]:
+    """Return a mapping by names, or raise ConfigError that says where none is."""
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"{where} must be a mapping, not {value!r:.60}")
+    return {str(key): item for key, item in value.items()}
+
+
+def refuse_unknown(
+    given: Iterable[str], known: Iterable[str], kind: str = "parameter", where: str = ""
+) -> None:
+    """Raise ConfigError on the first name that is not known; ``where`` comes before the message.
+
+    >>> refuse_unknown(["dwel"], ["dwell", "tau_f"])
+    Traceback (most recent call last):
+    ...
+    koop_core.config.parameter.ConfigError: unknown parameter 'dwel': did you mean 'dwell'?
+    """
+    names = list(known)
+    for name in given:
+        if name not in names:
+            begin = f"{where}: " if where else ""
+            raise ConfigError(f"{begin}unknown {kind} '{name}': {nearest(name, names)}")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Say which known name is meant by an unknown one, or which there are."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    return f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
+
+
+def processors(text: str) -> Iterator[int]:
+    """Yield the processors of a list such as ``0-2,5``, or raise ConfigError.
+
+    >>> list(processors("0-2,5"))
+    [0, 1, 2, 5]
+    """
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+        if match is None or len(part) > 20 or int(match[1]) > int(match[2] or match[1]):
+            raise ConfigError(f"cpus = {text!r}: must be a list such as 0 or 0-2,5")
+        yield from range(int(match[1]), min(int(match[2] or match[1]), int(match[1]) + 4096) + 1)
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """Parameters of every node of the loop."""
+
+    autostart: bool = parameter(
+        True, "configure and activate by itself at the start", read_only=True
+    )
+    recorders: int = parameter(
+        0,
+        "recorders that must listen to every topic before the loop starts",
+        low=0,
+        high=10,
+        read_only=True,
+    )
+    priority: int = parameter(
+        0,
+        "real-time priority (SCHED_FIFO) of the node's process, above all ordinary ones; 0: none",
+        low=0,
+        high=99,
+        read_only=True,
+    )
+    cpus: str = parameter(
+        "", "processors that the node's process keeps to, such as 0 or 0-2,5; empty: all",
+        read_only=True,
+    )  # fmt: skip
+    lock_memory: bool = parameter(
+        False, "keep the memory of the node's process from being swapped out", read_only=True
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if self.cpus:
+            list(processors(self.cpus))

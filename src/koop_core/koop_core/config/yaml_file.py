@@ -1,0 +1,87 @@
+"""Reads YAML files that users write. Pure: imports nothing of ROS."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from koop_core.config.parameter import ConfigError
+
+LARGEST = 1 << 20
+"""Bytes; a file of settings is smaller, and a parser takes long for a file that is none."""
+
+
+def read_yaml(path: str | Path, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
+    """Return the content of a YAML file.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it cannot be read, is too large or is not YAML.
+    """
+    try:
+        if Path(path).stat().st_size > LARGEST:
+            raise ConfigError(f"{path}: is too large for a file of settings")
+        return yaml.load(Path(path).read_text(encoding="utf-8"), loader)
+    except ConfigError:
+        raise
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, yaml.YAMLError, RecursionError) as error:
+        raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
+
+
+class Lined(dict[Any, Any]):
+    """A mapping of a file, which knows the line of each key."""
+
+    lines: dict[str, int]
+
+
+class LinedLoader(yaml.SafeLoader):
+    """Makes every mapping a :class:`Lined`; a key may stand there once; 1e-3 is a number."""
+
+    def construct_lined(self, node: yaml.MappingNode) -> Lined:
+        """Return the mapping of a node."""
+        found = Lined()
+        found.lines = {}
+        for key, value in node.value:
+            name, line = self.construct_object(key, deep=True), key.start_mark.line + 1
+            if name in found:
+                raise yaml.constructor.ConstructorError(
+                    None,
+                    None,
+                    f"'{name}' stands in line {found.lines[name]} already",
+                    key.start_mark,
+                )
+            found[name] = self.construct_object(value, deep=True)
+            found.lines[str(name)] = line
+        return found
+
+
+LinedLoader.add_constructor("tag:yaml.org,2002:map", LinedLoader.construct_lined)
+LinedLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
+def one_setting(text: str, nodes: Sequence[str]) -> tuple[str, str, Any]:
+    """Return node, parameter and value of `node.parameter=value`, as after ``--set``.
+
+    Raises
+    ------
+    ConfigError
+        If it is written otherwise, of another node, or the value is not YAML.
+    """
+    name, equals, value = text.partition("=")
+    node, dot, parameter = name.strip().partition(".")
+    if not (equals and dot) or node not in nodes:
+        ways = " or ".join(f"{known}.PARAMETER=VALUE" for known in nodes)
+        raise ConfigError(f"--set {text}: write {ways}")
+    try:
+        return node, parameter, yaml.safe_load(value)
+    except yaml.YAMLError:
+        raise ConfigError(f"--set {text}: '{value}' is not a value in YAML") from None

@@ -1,0 +1,1 @@
+"""What a stream of messages says: arrival, age, losses, findings."""

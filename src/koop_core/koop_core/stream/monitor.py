@@ -1,0 +1,179 @@
+"""Watches one input of a node: what a message's step means, how old it is, what went missing.
+
+Pure: no ROS, and time is an argument. What a sample *does* depends only on the messages, so that a
+replay at any speed decides the same; what is *reported* depends on the steady clock.
+
+One meaning of every timeout, in seconds, 0 = off: an input is stale if its newest usable message is
+older than that. The first message after a silence of that length, by its step, follows on nothing:
+filters must not take its difference to the last one.
+
+A message that is stale on arrival, one of many that were kept while a link was cut, is not even
+that: it moves nothing and is not answered, so that a recording shows by the missing answer that it
+was not heard.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from koop_core.stream.age import AgeMeter
+from koop_core.stream.arrival import NOTHING, WINDOW, Arrival, classify
+from koop_core.stream.report import ERROR, OK, STALE, WARN, Finding
+
+
+class StreamMonitor:
+    """Follows the steps of one topic.
+
+    Parameters
+    ----------
+    topic : str
+        Name for the reports.
+    timeout : float
+        Age at which the input is stale [s]; 0: never.
+    dt : float
+        Time between two steps [s].
+    may_end : bool
+        Whether silence is not a fault where the source has left in order.
+    """
+
+    def __init__(self, topic: str, timeout: float, dt: float, may_end: bool = False) -> None:
+        self.topic = topic
+        self.timeout = timeout
+        self.dt = dt
+        self._may_end = may_end
+        self.count = 0
+        self.missed = self.repeated = self.late = self.restarts = self.silences = 0
+        self.unusable = self.too_old = 0
+        self.problem = ""
+        self._stamp = 0.0
+        self._heard = math.nan
+        self._stream = NOTHING
+        self._reported: tuple[int, ...] = (0,) * 6
+        self._meter = AgeMeter()
+        self._silent = False
+        """Whether silence was found while there was a source."""
+
+    @property
+    def step(self) -> int | None:
+        """Step of the newest message; None before the first."""
+        return self._stream.step if self._stream.step >= 0 else None
+
+    def classify(self, step: int, stamp: float, now: float, written: float = math.nan) -> Arrival:
+        """Say what a message is.
+
+        Parameters
+        ----------
+        step : int
+            Step of the message.
+        stamp : float
+            Its stamp [s], in whatever clock its source has.
+        now : float
+            Steady time of its arrival [s].
+        written : float
+            When it was written, on the clock of its writer's host [s]; NaN where age does not
+            matter, as in lockstep: its source waits for the answer.
+        """
+        last = self._stream.step
+        if not math.isnan(written):
+            if step < last - WINDOW:
+                self._meter.reset()
+            if 0.0 < self.timeout < self._meter.age(written, now):
+                self.too_old += 1
+                return Arrival.TOO_OLD
+        self._heard, self._stamp, self._silent = now, stamp, False
+        arrival, self._stream = classify(self._stream, step, self.timeout, self.dt)
+        if arrival is Arrival.REPEAT:
+            self.repeated += 1
+        elif arrival is Arrival.LATE:
+            self.late += 1
+        else:
+            self.count += 1
+            if arrival is Arrival.NEXT or arrival is Arrival.RESUME:
+                self.missed += step - last - 1
+                self.silences += arrival is Arrival.RESUME
+            else:
+                self.restarts += last >= 0
+        return arrival
+
+    def watch_from(self, now: float) -> None:
+        """Let the age count from ``now`` although nothing was heard yet."""
+        self._heard = now
+
+    def reject(self, problem: str) -> None:
+        """Count a message whose content cannot be used."""
+        self.unusable += 1
+        self.problem = problem
+
+    def reject_old(self) -> None:
+        """Count a message that its reader knows to be too old."""
+        self.too_old += 1
+
+    def age(self, now: float) -> float:
+        """Return the time since the last message [s]; NaN before the first."""
+        return now - self._heard
+
+    def stale(self, now: float) -> bool:
+        """Return True if the timeout has passed since the last message."""
+        return 0.0 < self.timeout < self.age(now)
+
+    def latency(self, now: float, wall: float) -> float:
+        """Return from stamp to arrival of the last message [s]; NaN without stamps in real time.
+
+        ``now`` and ``wall`` are the same instant on the steady and on the system clock.
+        """
+        latency = wall - self.age(now) - self._stamp
+        return latency if abs(latency) < 60.0 else math.nan
+
+    def findings(self, now: float, publishers: int) -> Iterator[Finding]:
+        """Say what is wrong; counts are those since the last call."""
+        counts = (
+            self.unusable, self.missed, self.late, self.restarts, self.repeated, self.too_old
+        )  # fmt: skip
+        unusable, missed, late, restarts, repeated, too_old = (
+            new - old for new, old in zip(counts, self._reported, strict=True)
+        )
+        self._reported = counts
+        if publishers > 1:
+            yield Finding(ERROR, f"{publishers} publishers on '{self.topic}'")
+        if unusable:
+            yield Finding(ERROR, f"{unusable} unusable on '{self.topic}', last {self.problem}")
+        if self.stale(now):
+            if self._may_end and not publishers and not self._silent:
+                yield Finding(OK, f"'{self.topic}' has ended at step {self.step}")
+            else:  # a source that was lost stays so when discovery gives it up
+                self._silent = True
+                text = f"nothing on '{self.topic}' for {self.age(now):.1f} s"
+                yield Finding(STALE, f"{text}, timeout {self.timeout:g} s")
+        if restarts:
+            yield Finding(WARN, f"steps on '{self.topic}' went back")
+        noted = ((missed, "missed"), (late, "late"), (repeated, "repeated"), (too_old, "too old"))
+        for number, what in noted:
+            if number:
+                yield Finding(WARN, f"{number} {what} on '{self.topic}'")
+
+    def values(self, now: float, wall: float, publishers: int) -> dict[str, object]:
+        """Return the figures for /diagnostics."""
+        latency = self.latency(now, wall)
+        name = self.topic
+        return {
+            f"{name} age_s": f"{self.age(now):.3f}",
+            **({f"{name} latency_ms": f"{latency * 1e3:.2f}"} if math.isfinite(latency) else {}),
+            f"{name} missed_steps": self.missed,
+            f"{name} late": self.late,
+            f"{name} repeated": self.repeated,
+            f"{name} restarts": self.restarts,
+            f"{name} silences": self.silences,
+            f"{name} unusable": self.unusable,
+            f"{name} too_old": self.too_old,
+            f"{name} publishers": publishers,
+            f"{name} watchdog": self.watchdog(now),
+        }
+
+    def watchdog(self, now: float) -> str:
+        """Return the state of the watchdog: off, waiting, ok or stale."""
+        if self.timeout == 0.0:
+            return "off"
+        if math.isnan(self._heard):
+            return "waiting"
+        return "stale" if self.stale(now) else "ok"

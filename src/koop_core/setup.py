@@ -1,0 +1,20 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_core"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=["numba", "PyYAML"],
+    extras_require={"test": ["numpy", "pytest"]},
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="What every package builds on: configuration, streams, kernels. Needs no ROS.",
+    license="Apache-2.0",
+)

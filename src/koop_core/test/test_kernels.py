@@ -1,0 +1,109 @@
+"""Kernels that numba has kept: quick to load, and the same as those that it compiles."""
+
+import subprocess
+import sys
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from koop_core.kernels import borrowed, direct, njit
+
+KERNELS = """
+from typing import NamedTuple
+
+import numpy as np
+
+from koop_core.kernels import njit
+
+
+class State(NamedTuple):
+    position: float
+    history: np.ndarray
+
+
+@njit()
+def step(state, dt):
+    history = np.empty_like(state.history)  # memory of its own
+    history[:-1] = state.history[1:]
+    history[-1] = state.position
+    return State(state.position * (1.0 - dt), history)
+"""
+KEPT = """
+import sys
+import numpy as np
+import kernels
+state = kernels.State(2.0, np.arange(3.0))
+for _ in range(2):
+    state = kernels.step(state, 0.25)
+print(sum(kernels.step.stats.cache_hits.values()), "numba.np.linalg" in sys.modules)
+print(state.position, state.history.tolist())
+"""
+LATER = (  # what is compiled in the same process, with one that was kept
+    KEPT
+    + """
+@kernels.njit()
+def twice(state, dt):
+    return kernels.step(kernels.step(state, dt), dt).history.sum()
+
+print(twice(state, 0.5), "numba.np.linalg" in sys.modules)
+"""
+)
+
+
+def test_a_kernel_that_was_kept_is_loaded_without_the_compiler(tmp_path):
+    (tmp_path / "kernels.py").write_text(KERNELS)
+
+    def said(script):
+        (tmp_path / "script.py").write_text(script)
+        done = subprocess.run(
+            [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        return done.stdout.splitlines()
+
+    compiled, result = said(KEPT)
+    assert compiled == "0 True"
+    loaded, again, later = said(LATER)
+    assert loaded == "1 False"
+    assert result == again == "1.125 [2.0, 2.0, 1.5]"
+    assert later == "3.1875 True"  # 1.5 + 1.125 + 0.5625
+
+
+class Pair(NamedTuple):
+    a: float
+    b: int
+
+
+@njit()
+def moved(pair, x, by):
+    x[0] += by
+    return Pair(pair.a * by, pair.b + 1), bool(by > 1.0)
+
+
+def test_a_direct_kernel_answers_as_the_kernel_does():
+    x, expected = np.zeros(2), np.zeros(2)
+    kernel = direct(moved, Pair(1.0, 2), x, 0.0)
+    for by in (0.5, 2.0, 3):  # a whole number where there was a float is one
+        found = kernel(Pair(2.0, 7), x, by)
+        assert found == moved(Pair(2.0, 7), expected, float(by))
+        assert [type(item) for item in found] == [Pair, bool]
+    assert x.tolist() == expected.tolist() == [5.5, 0.0]
+
+
+@njit()
+def filled(x, rows):
+    view = borrowed(x)
+    for i in range(view.shape[0]):
+        row = view[i]
+        if rows[i]:
+            row[:] = i
+    return view[:, 0].sum()
+
+
+@pytest.mark.parametrize("x", [np.zeros((4, 3)), np.zeros((3, 4)).T, np.zeros((8, 3))[::2]])
+def test_a_borrowed_array_is_the_owners_memory(x):
+    references = sys.getrefcount(x)
+    for _ in range(100):
+        assert filled(x, np.array([True, False, True, True])) == 5.0
+    assert x.tolist() == [[0.0] * 3, [0.0] * 3, [2.0] * 3, [3.0] * 3]
+    assert sys.getrefcount(x) == references

@@ -1,0 +1,31 @@
+"""Which findings become lines of the log."""
+
+from koop_core.stream.report import ERROR, OK, SETTLED, STALE, WARN, Finding, News
+
+
+def lines(levels):
+    """Return the levels that are logged, one look a second."""
+    news = News()
+    told = [news.of(Finding(level, "text"), float(t)) for t, level in enumerate(levels)]
+    return [item.level if item else None for item in told]
+
+
+def test_what_gets_worse_is_told_at_once_and_once():
+    assert lines([OK, WARN, WARN, STALE, STALE, ERROR, ERROR]) == [
+        None, WARN, None, STALE, None, ERROR, None
+    ]  # fmt: skip
+
+
+def test_a_recovery_is_told_when_it_has_lasted():
+    quiet = int(SETTLED)
+    assert lines([WARN, *[OK] * (quiet + 2)]) == [WARN, *[None] * quiet, OK, None]
+
+
+def test_a_warning_that_comes_and_goes_is_one_line():
+    flapping = [WARN, OK, OK] * 30
+    assert [level for level in lines([*flapping, *[OK] * 10]) if level is not None] == [WARN, OK]
+
+
+def test_an_error_that_becomes_a_warning_is_told_as_a_warning():
+    told = lines([ERROR, *[WARN] * 7, OK, OK])
+    assert [level for level in told if level is not None] == [ERROR, WARN]

@@ -1,0 +1,1 @@
+"""Bags as arrays, and Koopman models of them. Needs no ROS."""

@@ -1,0 +1,131 @@
+"""The time of samples that bear no stamp: counted, so that jitter of their reception is no gap.
+
+A source without stamps is taken to sample evenly, as the lifter takes it, which counts its
+messages. Sample j is then received at t_j = t_0 + P (j + m_j) + l_j: P is the stream's mean period,
+m_j the number of samples that are missing before it, l_j >= 0 how late transport and a busy host
+made it. A late message, or a batch of them, is followed by a burst that makes up for it; for what
+was lost or not sampled nothing does. So the smallest of the next K and of the last K values of
+e_j = t_j - P (j + m_i) tell how many samples are missing between i and i + 1:
+
+    (min(e_i+1 ... e_i+K) - min(e_i-K+1 ... e_i)) / P,    K = 2 (t_i+1 - t_i) / P, at least 50
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.kernels import njit
+from koop_identify.recording.samples import Batch
+
+LOOK = 50  # [samples] at least looked at before and after a long wait
+MOST = 10_000  # and at most: twice what a topic of the loop keeps for a link that was cut
+LONG = 1.5  # [periods] between two samples that make it worth looking for a missing one
+SURE = 0.75  # [periods] not made up for that tell of a missing one
+SPAN = 1000  # [samples] over which the mean period is found
+
+
+def mean_period(time: NDArray[np.int64]) -> float:
+    """Return the mean period [ns] of a stream, from the times of at least two of its samples.
+
+    The median over spans: a pause does not count, and of batches only how often they come.
+    """
+    span = max(1, min(SPAN, time.size // 4))
+    return float(np.median(time[span:] - time[:-span])) / span
+
+
+def recount(batches: Iterable[Batch], period: float, spacing: float) -> Iterator[Batch]:
+    """Yield consecutive batches with counted times in place of times of reception.
+
+    Parameters
+    ----------
+    batches : iterable of Batch
+        As recorded.
+    period : float
+        Mean period P of the stream [ns].
+    spacing : float
+        Time [ns] from one sample to the next in the result, missing ones included.
+    """
+    waiting: deque[Batch] = deque()
+    count = Count(period)
+    for batch in batches:
+        waiting.append(batch)
+        count.receive(batch.time)
+        while waiting and count.received >= waiting[0].time.size + MOST:
+            yield _timed(waiting.popleft(), count, spacing)
+    for batch in waiting:
+        yield _timed(batch, count, spacing)
+
+
+def _timed(batch: Batch, count: Count, spacing: float) -> Batch:
+    numbers = count.take(batch.time.size)
+    return replace(batch, time=np.round(numbers * spacing).astype(np.int64))
+
+
+class Count:
+    """Numbers the samples of a stream, those that are missing included.
+
+    Parameters
+    ----------
+    period : float
+        Mean period of the stream [ns].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._times: NDArray[np.int64] = np.empty(0, np.int64)  # of all that is looked at
+        self._numbers: NDArray[np.int64] = np.empty(0, np.int64)  # of those that were taken
+
+    @property
+    def received(self) -> int:
+        """How many were received and not yet taken."""
+        return self._times.size - self._numbers.size
+
+    def receive(self, times: NDArray[np.int64]) -> None:
+        """Add the times of reception [ns] of the next samples."""
+        self._times = np.append(self._times, times)
+
+    def take(self, size: int) -> NDArray[np.int64]:
+        """Return the numbers of the next samples; the next MOST should have been received."""
+        begin, end = self._numbers.size, self._numbers.size + size
+        numbers = np.append(self._numbers, np.zeros(size, np.int64))
+        _number(self._times - self._times[0], numbers, begin, self._period, LOOK, MOST)
+        kept = max(0, end - MOST)
+        self._times, self._numbers = self._times[kept:], numbers[kept:]
+        return numbers[begin:]
+
+
+@njit()
+def _number(
+    times: NDArray[np.int64],
+    numbers: NDArray[np.int64],
+    begin: int,
+    period: float,
+    least: int,
+    most: int,
+) -> None:
+    """Fill in the numbers from `begin` on, from the times of these samples and of later ones."""
+    for i in range(max(begin, 1), numbers.size):  # the first one's is 0
+        wait = (times[i] - times[i - 1]) / period
+        numbers[i] = numbers[i - 1] + 1
+        if wait < -LONG:  # the clock was set back
+            numbers[i] = numbers[i - 1] + round(wait)
+        elif wait > LONG:
+            look = min(max(least, int(2.0 * wait)), most)
+            usual = np.inf
+            for j in range(max(0, i - look), i):
+                usual = min(usual, times[j] - period * numbers[j])
+            late, j, end = np.inf, i, i + look
+            while j < min(end, times.size):
+                again = (times[j] - times[j - 1]) / period
+                if again > wait:  # the burst had to wait, too
+                    wait, end = again, min(max(end, j + int(2.0 * again)), i + most)
+                late = min(late, times[j] - period * (numbers[i] + j - i))
+                j += 1
+            lost = (late - usual) / period
+            if lost >= SURE:
+                numbers[i] += round(lost)

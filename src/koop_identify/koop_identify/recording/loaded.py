@@ -1,0 +1,141 @@
+"""A recording in arrays, with what theta was at every state: for what needs to look at it whole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_bag.bag.columns import LOG_TIME, read_columns
+from koop_bag.bag.reader import BagReader
+from koop_identify.recording.samples import StateSpec, batches
+from koop_identify.recording.segments import Segmentation, Segmenter
+
+THETA = "/theta:theta"
+STALE = 10.0  # usual intervals of theta after which the last one is not known to hold any more
+STALE_LEAST = 1.0  # [s]
+ROUNDED = 1e-6  # more than an interpolated number of a sample is off by rounding
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """States one dt apart.
+
+    Attributes
+    ----------
+    x : ndarray, shape (n, M)
+        Measured channels.
+    begins : ndarray of bool, shape (M,)
+        Whether a state follows on none.
+    held_out : ndarray of bool, shape (M,)
+        Whether training leaves it out.
+    theta : ndarray, shape (M,), or None
+        Control input that was last received before each state, NaN before the first and where
+        one that usually comes often has stayed away; None if the recording holds none.
+    time : ndarray, shape (M,)
+        From the first state [s]; of several recordings, each from its own.
+    """
+
+    x: NDArray[np.float64]
+    begins: NDArray[np.bool_]
+    held_out: NDArray[np.bool_]
+    theta: NDArray[np.float64] | None
+    time: NDArray[np.float64]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Loaded]) -> Loaded:
+        """Return several recordings as one; theta only if each has it."""
+        thetas = [part.theta for part in parts if part.theta is not None]
+        return cls(
+            np.hstack([part.x for part in parts]),
+            np.concatenate([part.begins for part in parts]),
+            np.concatenate([part.held_out for part in parts]),
+            np.concatenate(thetas) if len(thetas) == len(parts) else None,
+            np.concatenate([part.time for part in parts]),
+        )
+
+
+def pieces(begins: NDArray[np.bool_]) -> list[slice]:
+    """Return the pieces that samples fall into, of which each begins where ``begins`` is set."""
+    bounds = np.append(np.flatnonzero(begins), begins.size)
+    return [slice(begin, end) for begin, end in pairwise(bounds.tolist())]
+
+
+def load_states(
+    bag: BagReader, state: StateSpec, segmentation: Segmentation, theta: StateSpec | None
+) -> Loaded:
+    """Read a recording.
+
+    Parameters
+    ----------
+    bag : BagReader
+        The recording.
+    state : StateSpec
+        Measured channels.
+    segmentation : Segmentation
+        How messages become states one dt apart.
+    theta : StateSpec or None
+        Control input, one number; None if there is none.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If the bag lacks a topic or a field.
+    ValueError
+        If ``theta`` is more than one number, or no state is left.
+    """
+    segmenter = Segmenter(segmentation, bag.topic(state.topic).count)
+    given = None if theta is None else _theta_at(bag, state, theta)
+    parts, begins, held_out, n = [], [], [], 0
+    origin: int | None = None
+    for batch in segmentation.timed(batches(bag, state)):
+        origin, n = int(batch.time[0]) if origin is None else origin, batch.x.shape[1]
+        # time and number of a sample go the way of its state
+        time, number = (batch.time - origin) * 1e-9, batch.index + np.arange(batch.time.size)
+        for segment in segmenter.split(replace(batch, x=np.column_stack((batch.x, time, number)))):
+            size = segment.states.shape[1]
+            parts.append(segment.states)
+            begins.append(np.arange(size) < segment.begins)
+            held_out.append(np.full(size, segment.held_out))
+    if not parts:
+        raise ValueError(f"no usable samples of {state}")
+    rows_of = np.hstack(parts)
+    return Loaded(
+        np.ascontiguousarray(rows_of[:n]),
+        np.concatenate(begins),
+        np.concatenate(held_out),
+        None if given is None else given[np.floor(rows_of[n + 1] + ROUNDED).astype(np.int64)],
+        rows_of[n],
+    )
+
+
+def theta_of(bag: BagReader, given: str | None) -> StateSpec | None:
+    """Return which field is theta: the given one, or the loop's own where the bag has it."""
+    if given is not None:
+        return StateSpec.parse(given)
+    own = StateSpec.parse(THETA)
+    return own if any(topic.name == own.topic for topic in bag.topics) else None
+
+
+def _theta_at(bag: BagReader, state: StateSpec, theta: StateSpec) -> NDArray[np.float64]:
+    """Return theta when each state was received, shape (K,); NaN where it is not known.
+
+    The clock is the recorder's: state and theta may be stamped by others, or not at all.
+    """
+    received = read_columns(bag, state.topic, [LOG_TIME])[LOG_TIME].astype(np.int64)
+    samples = list(batches(bag, theta, by_stamp=False))
+    if not samples:
+        return np.full(received.size, np.nan)
+    if samples[0].x.shape[1] != 1:
+        raise ValueError(f"theta {theta}: {samples[0].x.shape[1]} numbers; name one of them")
+    when = np.concatenate([batch.time for batch in samples])
+    order = np.argsort(when, kind="stable")
+    when, value = when[order], np.concatenate([batch.x[:, 0] for batch in samples])[order]
+    usual = float(np.median(np.diff(when))) if when.size > 1 else np.inf
+    place = np.searchsorted(when, received, side="right") - 1
+    held, age = value[np.maximum(place, 0)], received - when[np.maximum(place, 0)]
+    known = (place >= 0) & (age <= max(STALE * usual, STALE_LEAST * 1e9))
+    return np.where(known, held, np.nan)

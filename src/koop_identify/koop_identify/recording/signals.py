@@ -1,0 +1,217 @@
+"""State, cost and theta of any bag as arrays: of a loop by its steps, of other messages by time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_bag.bag.reader import BagReader
+from koop_identify.model.from_bags import BagTraining, find_segmentation
+from koop_identify.recording.loaded import load_states
+from koop_identify.recording.loop import LoopColumns, read_loop
+from koop_identify.recording.samples import StateSpec, batches, state_names
+from koop_identify.recording.segments import Segmentation
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the signals are in a bag.
+
+    Attributes
+    ----------
+    state, theta : StateSpec or None
+        Fields of any messages; None: the loop's own topics.
+    namespace : str
+        Of the loop, where its own topics are read.
+    dt : float or None
+        Time between two states [s]; None: as the bag says.
+    way : str
+        From messages to states, see koop_identify.recording.segments.
+    gap : float or None
+        Longest pause that is bridged [s].
+    """
+
+    state: StateSpec | None = None
+    theta: StateSpec | None = None
+    namespace: str = "/"
+    dt: float | None = None
+    way: str = "auto"
+    gap: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.theta is not None and self.state is None:
+            raise ValueError("--theta needs --state: which fields are the state")
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Signals of a recording, one row a state, M in all.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the n channels.
+    dt : float
+        Time between two states [s].
+    way : str
+        How messages became states.
+    step : ndarray of int64, shape (M,)
+        Step of each state, increasing; of other messages as a lifter that joins counts, from 1.
+    t : ndarray, shape (M,)
+        Time [s]; of a loop step times dt, else from the first state.
+    begins : ndarray of bool, shape (M,)
+        Whether a state follows on none: the first, and after a gap.
+    x, ground_truth : ndarray, shape (M, n)
+        x' and, if it was recorded, x; else of shape (M, 0).
+    r, theta : ndarray, shape (M,)
+        Recorded cost and control input; NaN where there is none.
+    limited : ndarray of bool, shape (M,), or None
+        Whether theta was at a limit; None if the bag does not say.
+    swing : ndarray, shape (M,)
+        Step of the controller in units of its largest; NaN where it was not recorded.
+    recorded : float
+        Time from the first to the last state, of all runs in the bag [s].
+    """
+
+    names: tuple[str, ...]
+    dt: float
+    way: str
+    step: NDArray[np.int64]
+    t: NDArray[np.float64]
+    begins: NDArray[np.bool_]
+    x: NDArray[np.float64]
+    ground_truth: NDArray[np.float64]
+    r: NDArray[np.float64]
+    theta: NDArray[np.float64]
+    limited: NDArray[np.bool_] | None
+    swing: NDArray[np.float64]
+    recorded: float
+
+    @property
+    def has_theta(self) -> bool:
+        """Whether theta is known anywhere."""
+        return bool(np.isfinite(self.theta).any())
+
+    @property
+    def has_r(self) -> bool:
+        """Whether a cost was recorded."""
+        return bool(np.isfinite(self.r).any())
+
+    @property
+    def covered(self) -> float:
+        """Time for which there are a state and, if there is any, a theta [s]."""
+        known = np.isfinite(self.theta) if self.has_theta else np.isfinite(self.x).all(axis=1)
+        return float(np.count_nonzero(known)) * self.dt
+
+
+def of_loop(columns: LoopColumns, dt: float, names: tuple[str, ...] | None = None) -> Signals:
+    """Return the signals of a loop: the longest run in the bag, all of its states."""
+    step, x = columns.step, columns.at("state", "x")
+    names = names if names and len(names) == x.shape[1] else None
+    begins = np.ones(step.size, np.bool_)
+    begins[1:] = np.diff(step) != 1
+    truth = columns.at("ground_truth", "x") if columns.has("ground_truth") else None
+    theta = columns.at("theta", "theta")
+    limited = np.nan_to_num(columns.at("theta", "saturated")) > 0.0
+    return Signals(
+        names or tuple(f"x[{i}]" for i in range(x.shape[1])),
+        dt,
+        "steps",
+        step,
+        step * dt,
+        begins,
+        x,
+        np.empty((step.size, 0)) if truth is None else truth,
+        columns.at("cost", "r"),
+        theta,
+        limited if columns.has("theta") else None,
+        columns.at("theta", "swing"),
+        columns.recorded_steps * dt,
+    )
+
+
+def read_signals(path: Path, source: Source, dt: float | None = None) -> Signals:
+    """Read the signals of a bag.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of a run or of a bag, or an `.mcap` file.
+    source : Source
+        Which topics.
+    dt : float, optional
+        Time between two states where neither the source nor the bag says it, as of a model [s].
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If the bag cannot be read or lacks a topic or a field.
+    ValueError
+        If there are no states, or nothing says what dt is.
+    """
+    assert source.state is not None
+    spec = source.state
+    training = BagTraining(
+        spec, dt=source.dt or dt, way=source.way, gap=source.gap, held_out=0.0
+    )  # fmt: skip
+    with BagReader(path) as bag:
+        _check_topic(bag, path, spec.topic)
+        if source.theta is not None:
+            _check_topic(bag, path, source.theta.topic)
+        segmentation, n = find_segmentation(bag, path, training)
+        received = bag.topic(spec.topic).count
+        loaded = load_states(bag, spec, segmentation, source.theta)
+        recorded, t = _duration(bag, segmentation, spec), loaded.time
+    size = t.size
+    if segmentation.way == "none":  # one dt apart, whatever the time between them
+        t = np.asarray(np.arange(size) * segmentation.dt, np.float64)
+        recorded = received * segmentation.dt
+    return Signals(
+        state_names(spec, n),
+        segmentation.dt,
+        segmentation.way,
+        _steps(t, segmentation),
+        t,
+        loaded.begins,
+        np.ascontiguousarray(loaded.x.T),
+        np.empty((size, 0)),
+        np.full(size, np.nan),
+        np.full(size, np.nan) if loaded.theta is None else loaded.theta,
+        None,
+        np.full(size, np.nan),
+        recorded,
+    )
+
+
+def _steps(time: NDArray[np.float64], segmentation: Segmentation) -> NDArray[np.int64]:
+    """Return the steps of states at these times [s]; each state has one of its own."""
+    number = np.arange(time.size)
+    step = np.round(time / segmentation.dt).astype(np.int64)
+    return np.asarray(1 + number + np.maximum.accumulate(step - number))
+
+
+def _duration(bag: BagReader, segmentation: Segmentation, spec: StateSpec) -> float:
+    """Return the time from the first to the last sample, and one dt more [s]."""
+    first = last = None
+    for batch in segmentation.timed(batches(bag, spec)):
+        first = batch.time[0] if first is None else first
+        last = batch.time[-1]
+    return 0.0 if first is None or last is None else (last - first) * 1e-9 + segmentation.dt
+
+
+def _check_topic(bag: BagReader, path: Path, topic: str) -> None:
+    present = {item.name: item.type_name for item in bag.topics if item.count}
+    if topic not in present:
+        others = ", ".join(f"{name} ({kind})" for name, kind in sorted(present.items()))
+        raise ValueError(f"{path}: no messages on {topic}; it has {others or 'none at all'}")
+
+
+def loop_signals(
+    path: Path, namespace: str, dt: float | None, names: tuple[str, ...] | None = None
+) -> tuple[LoopColumns, Signals]:
+    """Read the signals of a loop's own topics; dt from the times of reception where not given."""
+    columns = read_loop(path, namespace)
+    return columns, of_loop(columns, dt or columns.measured_dt, names)

@@ -1,0 +1,137 @@
+"""What the commands print as tables: modes, forecasts, metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from koop_core.text_table import table
+from koop_loop.metrics import PAPER, Metrics
+from koop_loop.rig_metrics import RigMetrics
+from koopman_lifter.model import KoopmanModel
+
+if TYPE_CHECKING:
+    from koop_identify.model.merit import Merit
+
+
+def mode_table(model: KoopmanModel) -> str:
+    """Return the modes as in table 2 of the paper, with their energies and what they are worth."""
+    worth = {"residual": model.residuals, "spread": model.spread}
+    known = {name: values for name, values in worth.items() if values is not None}
+    rows = []
+    for j, value in enumerate(model.eigenvalues):
+        sign = "-" if value.imag < 0 else "+"
+        rows.append(
+            [
+                f"{value.real:.6f} {sign} {abs(value.imag):.6f}j",
+                f"{abs(value):.6f}",
+                f"{model.energies[j]:.3e}",
+                *(f"{values[j]:.2g}" for values in known.values()),
+                "Yes" if model.kept[j] else "No",
+            ]
+        )
+    return table(["eigenvalue", "|lambda|", "energy E_j", *known, "selected"], rows)
+
+
+def forecast_table(
+    model: KoopmanModel, forecast: Sequence[dict[str, Any]] | None = None, data: str = ""
+) -> str:
+    """Return the prediction errors of a model as shares of the deviation.
+
+    By default those on the held-out data; else ``forecast``, on the data that are named.
+    """
+    header = ["steps ahead", "time [s]", *model.state_names]
+    rows = []
+    for item in model.provenance["forecast"] if forecast is None else forecast:
+        pairs = zip(item["error"], item["no_change"], strict=True)
+        cells = [f"{error:.4f} ({unchanged:.4f})" for error, unchanged in pairs]
+        rows.append([str(item["steps"]), f"{item['steps'] * model.dt:g}", *cells])
+    return (
+        f"error on {data or 'the held-out data'} over the state's standard deviation "
+        "(in brackets: predicting no change)\n" + table(header, rows)
+    )
+
+
+def merit_table(merits: Sequence[tuple[str, Merit]]) -> str:
+    """Return how well costs tell of the oscillation of a recording, one a row."""
+    header = [
+        "cost", "rank with amplitude", "rank with theta", "theta of least r", "right", "SNR",
+    ]  # fmt: skip
+    rows = [
+        [
+            name,
+            *(
+                _optional(value, form, "-")
+                for value, form in (
+                    (merit.rank_amplitude, ".2f"),
+                    (merit.rank_theta, ".2f"),
+                    (merit.theta_least_r, ".3g"),
+                    (merit.right, ".2f"),
+                    (merit.snr, ".2f"),
+                )
+            ),
+        ]
+        for name, merit in merits
+    ]
+    first = merits[0][1]
+    lines = [
+        table(header, rows),
+        "rank: Spearman's correlation of r with the amplitude, and with the distance of theta from "
+        "where that is least; 1 is perfect, 0 chance",
+        f"right: how often r, over {first.dwell:.3g} s, orders two windows rightly that are one "
+        "dwell's move of theta apart; 0.5 is chance. SNR: the same as a signal-to-noise ratio",
+    ]
+    if first.theta_least_amplitude is not None:
+        lines.insert(1, f"theta of least amplitude: {first.theta_least_amplitude:.3g}")
+    return "\n".join(lines)
+
+
+def metrics_table(metrics: Metrics, cost: str, ours: bool = True) -> str:
+    """Return the paper's metrics of a run; of our plant beside the paper's own (table 4)."""
+    paper = PAPER[cost]
+    rows = [
+        ["IAE_theta [s]", f"{metrics.iae_theta:.1f}", f"{paper.iae_theta:.1f}"],
+        ["ISE_theta [s]", f"{metrics.ise_theta:.1f}", f"{paper.ise_theta:.1f}"],
+        ["T_theta [s]", _optional(metrics.t_theta, ".1f", "never"), f"{paper.t_theta:.0f}"],
+        ["e_r_ss", _optional(metrics.e_r_ss, ".5f", "-"), f"{paper.e_r_ss:.5f}"],
+        ["mean |theta - theta*|, last 30 %", f"{metrics.tail_error:.3f}", "-"],
+    ]
+    if ours:
+        return table([f"{cost} cost", "this run", "paper"], rows)
+    return table([f"{cost} cost", "this run"], [row[:2] for row in rows if row[1] != "-"])
+
+
+def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
+    """Return what a run says of a rig without a known optimum: amplitudes, theta."""
+    rows = [
+        [name, f"{before:.4g}", f"{after:.4g}", f"{100.0 * share:.1f} %"]
+        for name, before, after, share in zip(
+            names, metrics.before, metrics.after, metrics.reduction, strict=True
+        )
+    ]
+    lines = [
+        table(["oscillation amplitude", "before", "after", "reduction"], rows),
+        "sqrt(2) times the standard deviation about a straight line, in windows of "
+        f"{metrics.window:g} s; before: {metrics.before_from:g} to {metrics.before_to:g} s, "
+        f"after: {metrics.after_from:g} to {metrics.after_to:g} s",
+        "",
+    ]
+    if metrics.theta_mean is None:
+        return "\n".join([*lines, "theta: not recorded at the end"])
+    settled = metrics.settled_at
+    lines.append(
+        "theta has not settled: it came into its final swing only at the end"
+        if settled is None
+        else f"theta has settled: within its final swing from {settled:.1f} s on"
+    )
+    limit = metrics.at_limit
+    lines.append(
+        f"theta at the end: mean {metrics.theta_mean:.4g}, swing {metrics.theta_swing:.4g} "
+        "(largest minus least); at a limit for "
+        + ("an unknown share of the time" if limit is None else f"{100.0 * limit:.1f} % of the run")
+    )
+    return "\n".join(lines)
+
+
+def _optional(value: float | None, form: str, absent: str) -> str:
+    return absent if value is None else format(value, form)

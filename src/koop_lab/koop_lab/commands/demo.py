@@ -1,0 +1,201 @@
+"""``koop demo``: the experiment over DDS, the three nodes and the recorder."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from koop_bag.recorder.config import RECORDER, RecorderConfig
+from koop_bag.recorder.run_folder import default_folder
+from koop_bringup.live.loop import LiveLoop
+from koop_bringup.live.monitor import Progress
+from koop_bringup.live.served import add_serve_option, served
+from koop_core.config.parameter import ConfigError
+from koop_identify.recording.loop import RecordedRun, closed_loop
+from koop_identify.recording.signals import loop_signals
+from koop_lab.cli.loop_options import add_loop_options, given_values
+from koop_lab.cli.loop_options import loop_parameters as finite
+from koop_lab.cli.tables import metrics_table, rig_table
+from koop_lab.recorded.report import rig_metrics_of
+from koop_loop import parameters as loop_parameters
+from koop_loop.metrics import PAPER_DURATION, Metrics
+from koop_loop.parameters import LoopParameters
+from koop_loop.static_map import performance
+
+BAR = "{desc:<10} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
+
+
+def register(commands: Any) -> None:
+    """Add the command to the subparsers of ``koop``."""
+    parser = commands.add_parser("demo")
+    add_loop_options(parser, duration=PAPER_DURATION)
+    parser.add_argument(
+        "--pace",
+        choices=("lockstep", "realtime", "scaled"),
+        help="lockstep (default): as fast as the machine allows, and deterministic",
+    )
+    parser.add_argument(
+        "--time-scale", type=float, metavar="F", help="with --pace scaled: simulated per real time"
+    )
+    parser.add_argument(
+        "--processes",
+        action="store_true",
+        help="every node in a process of its own (default: plant, lifter and controller in one, "
+        "the recorder in another); the numbers are the same",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the run (default: recordings/TIME-demo)"
+    )
+    add_serve_option(parser)
+    parser.set_defaults(func=main)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Entry point; returns the exit code: 0 if the loop ran, whether or not it converged."""
+    parameters, recorder = chosen(args)
+    parameters.load_model()  # one that cannot be used is said before anything is started
+    folder = args.out or default_folder("demo")
+    nodes = "plant, lifter and controller in one process, and recorder"
+    if args.processes:
+        nodes = "plant, lifter, controller and recorder, a process each"
+    print(
+        f"{parameters.pace.duration:g} s of the {parameters.lifter.cost} cost at pace "
+        f"{parameters.pace.pace}: {nodes}"
+    )
+    with served(args.serve, folder / "logs"):
+        wall, notes = run_with_progress(folder, parameters, recorder, composed=not args.processes)
+    dt = parameters.plant.dt
+    columns, signals = loop_signals(folder / "bag", "/", dt)
+    run = closed_loop(columns, folder)
+    rig, names = rig_metrics_of(signals)
+    metrics = write_results(folder, parameters, run, rig.as_dict(names), wall, notes)
+    print(metrics_table(metrics, parameters.lifter.cost))
+    if parameters.pace.duration != PAPER_DURATION:
+        print(f"(the paper's figures are those of {PAPER_DURATION:g} s)")
+    print("\n" + rig_table(rig, names))
+    rate = (run.counts["state"] - 1) / run.duration
+    print(
+        f"\n{'converged' if metrics.converged else 'not converged'}: "
+        f"mean |theta - theta*| = {metrics.tail_error:.2f} over the last 30 %\n"
+        f"{rate:.0f} steps a second, {rate * dt:.1f} x real time; lost messages: "
+        + (", ".join(f"{n} on {t}" for t, n in run.lost.items() if n) or "none")
+    )
+    for note in notes:
+        print(f"note: {note}")
+    print(f"\nrun folder    {folder}/")
+    for name, what in (
+        ("plot.png", "state, cost and theta, as in the paper's figures"),
+        ("bag/", "all topics, for any MCAP reader"),
+        ("metrics.json", "the figures above"),
+        ("parameters.yaml", "of every node; feeds --params-file"),
+    ):
+        print(f"  {name:<16}{what}")
+    return 0
+
+
+def chosen(args: argparse.Namespace) -> tuple[LoopParameters, RecorderConfig]:
+    """Return the parameters that the options and the parameter file describe.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If one cannot be used, or a time scale is given for a pace that has none.
+    """
+    values = loop_parameters.changed(
+        given_values(args, {**loop_parameters.NODES, **RECORDER}),
+        ("vdp_plant", "pace", args.pace),
+        ("vdp_plant", "time_scale", args.time_scale),
+    )
+    pace = values["vdp_plant"].setdefault("pace", "lockstep")
+    if args.time_scale is not None and pace != "scaled":
+        raise ConfigError("--time-scale needs --pace scaled")
+    recorder = loop_parameters.build({"recorder": values.pop("recorder", {})}, RECORDER)
+    return finite(values), recorder["recorder"][RecorderConfig]
+
+
+def run_with_progress(
+    folder: Path,
+    parameters: LoopParameters,
+    recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
+    composed: bool = False,
+) -> tuple[float, list[str]]:
+    """Run the live loop, its nodes in one process if composed, with a progress bar.
+
+    Returns
+    -------
+    wall : float
+        Wall-clock time of the whole run [s].
+    notes : list of str
+        What a reader of the results should know.
+    """
+    if (folder / "bag").exists():
+        raise ValueError(f"{folder} holds a recording already: choose another --out")
+    dt = parameters.plant.dt
+    steps = round(parameters.pace.duration / dt)
+    started = time.monotonic()
+    with (
+        tqdm(total=steps * dt, unit="s", desc="connecting", bar_format=BAR, disable=None) as bar,
+        LiveLoop(folder, parameters, recorder, composed) as loop,
+    ):
+
+        def show(progress: Progress) -> None:
+            if progress.step == 0:
+                bar.refresh()
+                return
+            bar.set_description_str("damping", refresh=False)
+            bar.n = round(progress.step * dt, 1)
+            bar.set_postfix_str(
+                f"θ = {progress.theta:+.2f}, r = {progress.r:.3g}, "
+                f"{progress.steps_per_second * dt:.1f} x real time"
+            )
+
+        loop.run(show)
+        bar.n = steps * dt
+        bar.set_description_str("done")
+        bar.refresh()
+    return time.monotonic() - started, loop.notes
+
+
+def write_results(
+    folder: Path,
+    parameters: LoopParameters,
+    run: RecordedRun,
+    rig: dict[str, Any],
+    wall: float,
+    notes: list[str],
+) -> Metrics:
+    """Write metrics.json and plot.png of a recorded run."""
+    from koop_lab.plots.paper import plot_run  # matplotlib takes half a second to import
+
+    dt = parameters.plant.dt
+    t = run.t(dt)
+    model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
+    metrics = performance(parameters, model, t, run.theta, run.r)
+    rate = (run.counts["state"] - 1) / run.duration
+    result = {
+        **metrics.as_dict(),
+        **rig,
+        "rate_hz": rate,
+        "real_time_factor": rate * dt,
+        "wall_time": wall,
+        "steps": run.counts["state"],
+        "lost": run.lost,
+        "notes": notes,
+    }
+    (folder / "metrics.json").write_text(json.dumps(result, indent=1) + "\n")
+    plot_run(
+        folder / "plot.png",
+        t,
+        run.ground_truth if run.ground_truth.shape[1] else run.measured,
+        run.r,
+        run.theta,
+        parameters.plant.theta_star,
+        f"Over DDS, {parameters.lifter.cost} cost, seed {parameters.plant.seed}, "
+        f"{parameters.pace.pace} pace",
+    )
+    return metrics

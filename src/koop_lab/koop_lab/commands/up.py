@@ -1,0 +1,131 @@
+"""``koop up``: the loop of a rig as its parameter file describes it, without ROS 2's own tools."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+from koop_bag.recorder.run_folder import default_folder
+from koop_bringup.live.loop import LiveNodes
+from koop_bringup.live.monitor import Progress
+from koop_bringup.live.served import add_serve_option, served
+from koop_bringup.plan import ALL_NODES, ARGUMENTS, Plan, plan
+from koop_core.config import parameter_file
+from koop_lab.recorded.report import run_figures
+from koop_tune.folder import find_controller
+
+STATUS = 10.0  # [s] between two status lines when nothing new is to be said
+# arguments of the launch that are not options here, or another kind of option
+LEFT_OUT = ("params", "record", "output", "composed")
+
+
+def register(commands: Any) -> None:
+    """Add the command to the subparsers of ``koop``."""
+    parser = commands.add_parser(
+        "up",
+        description="Starts lifter, controller and recorder with the parameters of a file, and the "
+        "simulated plant or the rig's own program if the file has a section vdp_plant or "
+        "rig.command; watches them and ends them together. Ctrl-C ends the run. The file is that "
+        "of 'ros2 launch koop_bringup closed_loop.launch.py params:=FILE record:=true', which "
+        "starts the same; 'koop params' writes one.",
+    )
+    parser.add_argument(
+        "file", metavar="FILE", type=Path,
+        help="ROS 2 parameter file, or folder of 'koop tune' or 'koop commission'",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out", metavar="DIR", help="folder of the run (default: recordings/TIME-NAME)"
+    )
+    parser.add_argument(
+        "--composed",
+        action="store_true",
+        help="all nodes but the recorder share one process: a step takes a third of the time",
+    )
+    for argument in ARGUMENTS:
+        if argument.name not in LEFT_OUT:
+            option = f"--{argument.name.replace('_', '-')}"
+            parser.add_argument(option, metavar="VALUE", help=argument.meaning)
+    add_serve_option(parser)
+    parser.set_defaults(func=main)
+
+
+def main(args: argparse.Namespace) -> int:
+    """Entry point; returns the exit code: 1 if the run went on without its recorder."""
+    planned, folder = chosen(args)
+    for note in planned.notes:
+        print(f"note: {note}")
+    started = ", ".join([node.name for node in planned.nodes] + ["rig"] * bool(planned.program))
+    print(f"starting {started}; logs in {folder}/logs; Ctrl-C ends the run", flush=True)
+    status = Status()
+    nodes = LiveNodes(
+        folder,
+        planned.parameters,
+        planned.namespace,
+        planned.rig,
+        planned.program,
+        planned.composed,
+    )
+    try:
+        with nodes, served(args.serve, folder / "logs"):
+            try:
+                nodes.run(status.show)
+            except KeyboardInterrupt:
+                print("\nending", flush=True)
+                nodes.end()
+    finally:
+        if (folder / "bag").is_dir():
+            print(f"recording in {folder}/bag, parameters in {folder}/parameters.yaml", flush=True)
+    print("\n" + run_figures(folder, planned.namespace), flush=True)
+    return 1 if nodes.lost else 0
+
+
+def chosen(args: argparse.Namespace) -> tuple[Plan, Path]:
+    """Return what is started, and the folder of the run.
+
+    Raises
+    ------
+    ValueError
+        If the file or an option cannot be used.
+    """
+    file, label = find_controller(args.file)
+    given = {name: value for name, value in vars(args).items() if isinstance(value, str)}
+    known = {argument.name for argument in ARGUMENTS}
+    told = {name: value for name, value in given.items() if name in known}
+    told.setdefault("namespace", parameter_file.read(file).namespace_of(ALL_NODES))
+    told["composed"] = str(args.composed)
+    planned = plan({**told, "params": str(file), "record": "true", "output": args.out or ""})
+    recorder = planned.parameters["recorder"]
+    folder = Path(recorder.get("output") or default_folder(label)).expanduser()
+    recorder["output"] = str(folder)
+    return planned, folder
+
+
+class Status:
+    """Prints where the run is: when a node's level changes, and every now and then."""
+
+    def __init__(self) -> None:
+        self._said: object = None
+        self._time = -math.inf
+
+    def show(self, progress: Progress) -> None:
+        """Print a line if it is time."""
+        now = time.monotonic()
+        levels = {node: text.partition(":")[0] for node, text in progress.findings.items()}
+        news = (bool(progress.values), progress.step > 0, levels)
+        if now < self._time + (STATUS if news == self._said else 1.0):
+            return
+        self._said, self._time = news, now
+        found = "; ".join(progress.findings.values())
+        where = ""
+        if progress.step:
+            known = [f"step {progress.step}"]
+            known += [f"r = {progress.r:.3g}"] * math.isfinite(progress.r)
+            known += [f"θ = {progress.theta:+.3f}"] * math.isfinite(progress.theta)
+            where = f"{', '.join(known)}, {progress.steps_per_second:.0f} steps/s: "
+            found = found or "ok"
+        elif progress.values:
+            found = found or "waiting for the first state"
+        print(f"{time.strftime('%H:%M:%S')} {where}{found or 'connecting'}", flush=True)

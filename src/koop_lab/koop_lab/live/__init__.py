@@ -1,1 +1,0 @@
-"""The loop as real node processes over DDS."""

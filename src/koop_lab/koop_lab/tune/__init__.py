@@ -1,1 +1,0 @@
-"""From a recorded excitation to a controller: which cost, which constants, and what to expect."""

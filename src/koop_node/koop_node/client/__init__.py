@@ -1,0 +1,1 @@
+"""Asking nodes from outside."""

@@ -1,0 +1,82 @@
+"""One loop in a namespace of a ROS domain: who comes second sees the first and starts nothing."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+
+from koop_core.errors import LiveError
+from koop_node.process.domain import current_domain, free_domain, is_taken
+
+TOPICS = ("state", "cost", "theta")  # that each have one publisher in a loop
+DISCOVERY = 4.0  # [s]: Fast DDS, as it comes, announces itself every 3 s to who missed the first
+
+
+@contextmanager
+def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[None]:
+    """Hold the place of the one loop while the context lasts.
+
+    Two commands on one machine that start at the same moment are told apart by a name that the
+    system gives to one of them only; a loop of other hosts, or of nodes that were started by hand,
+    shows in the graph.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the loop, such as ``/rig``; empty for the root.
+    topics : iterable of str
+        What the loop is going to publish.
+
+    Raises
+    ------
+    LiveError
+        If there is a loop already.
+    """
+    domain = current_domain()
+    with _claimed(f"koop/{domain}{namespace}") as first:
+        if not first or _published(domain, [f"{namespace}/{topic}" for topic in topics]):
+            place = f"{domain}, in the namespace {namespace}" if namespace else str(domain)
+            raise LiveError(
+                f"another loop runs on ROS domain {place}: it goes on, this one was not started. "
+                f"Set ROS_DOMAIN_ID to a free one, such as {free_domain()}"
+            )
+        yield
+
+
+@contextmanager
+def _claimed(name: str) -> Iterator[bool]:
+    """Take a name of the machine, or say that it is taken; the end of the process frees it."""
+    if sys.platform != "linux":  # elsewhere there are no names without a file
+        yield True
+        return
+    with socket.socket(socket.AF_UNIX) as place:
+        first = False
+        with suppress(OSError):
+            place.bind(f"\0{name}")
+            first = True
+        yield first
+
+
+def is_empty(domain: int) -> bool:
+    """Return whether it is certain that nobody takes part in a ROS domain."""
+    own_host = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("LOCALHOST", "OFF")
+    return own_host and not os.environ.get("ROS_STATIC_PEERS") and not is_taken(domain)
+
+
+def _published(domain: int, topics: list[str]) -> bool:
+    """Return whether one of the topics has a publisher."""
+    if is_empty(domain):
+        return False
+    from koop_node.client.client import Client  # needs ROS
+
+    with Client("koop_look") as client:
+        deadline = time.monotonic() + DISCOVERY
+        while time.monotonic() < deadline:
+            if any(client.count_publishers(topic) for topic in topics):
+                return True
+            client.spin(0.05)
+    return False

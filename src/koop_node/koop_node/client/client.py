@@ -1,0 +1,265 @@
+"""A guest in a ROS domain: looks at the graph, publishes, listens and calls, on its own context.
+
+For programs that are no node themselves: they leave the domain when they are done with it. rclpy
+is imported only when one is made, so that what can do without ROS does.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Mapping
+from types import FrameType, TracebackType
+from typing import Any, TypeVar
+
+from koop_core.errors import LiveError
+from koop_node.client.question import ASK_AGAIN, Question
+
+ANSWER = 5.0  # [s] for a node to answer a call
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+Found = TypeVar("Found")
+Own = TypeVar("Own", bound="Client")
+
+
+class Client:
+    """A node with a context and an executor of its own; a context manager.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+    domain : int, optional
+        ROS domain; by default that of the environment.
+    guest : bool
+        See :func:`koop_node.node.main.set_dds_profile`.
+    """
+
+    def __init__(self, name: str, domain: int | None = None, guest: bool = True) -> None:
+        import rclpy
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        from koop_node.node.entities import WithoutEvents
+        from koop_node.node.main import set_dds_profile
+
+        set_dds_profile(guest)
+        self._context = rclpy.Context()
+        self._context.init(args=[], domain_id=domain)
+        self.node = WithoutEvents(name, context=self._context)
+        self._executor: Any = EventsExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._services: dict[str, Any] = {}
+        self._signals = _Signals()
+
+    def __enter__(self: Own) -> Own:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._signals.close()
+        self._executor.remove_node(self.node)
+        self.node.destroy_node()
+        self._executor.shutdown()
+        self._context.try_shutdown()
+
+    def spin(self, seconds: float) -> None:
+        """Wait for an event, no longer than a time, and process it.
+
+        Ctrl-C and its like come after that: within a callback, rclpy would print where it was.
+        """
+        with self._signals:
+            self._executor.spin_once(timeout_sec=seconds)
+
+    def wait_for(
+        self,
+        condition: Callable[[], Found],
+        seconds: float,
+        what: str,
+        check: Callable[[], object] | None = None,
+    ) -> Found:
+        """Spin until a condition is true, and return it.
+
+        Parameters
+        ----------
+        condition : callable
+            What is waited for.
+        seconds : float
+            No longer than this.
+        what : str
+            The condition in words.
+        check : callable, optional
+            Called meanwhile; it may raise.
+
+        Raises
+        ------
+        LiveError
+            If the condition did not become true.
+        """
+        if not (found := self._spin_until(condition, seconds, check)):
+            raise LiveError(f"{what}: timed out after {seconds:g} s")
+        return found
+
+    def _spin_until(
+        self,
+        condition: Callable[[], Found],
+        seconds: float,
+        check: Callable[[], object] | None,
+    ) -> Found:
+        """Spin until a condition is true or the time is over; return what it last was."""
+        deadline = time.monotonic() + seconds
+        while not (found := condition()) and time.monotonic() <= deadline:
+            self.spin(0.05)
+            if check is not None:
+                check()
+        return found
+
+    def call(
+        self,
+        service_type: Any,
+        name: str,
+        request: Any,
+        seconds: float = ANSWER,
+        check: Callable[[], object] | None = None,
+    ) -> Any:
+        """Call a service and return its answer; as :meth:`wait_for`.
+
+        It is asked again until it is answered, see :class:`~koop_node.client.question.Question`.
+        """
+        question = Question(self._service(service_type, name, seconds, check), request)
+        return self.wait_for(question.answer, seconds, f"an answer of {name}", check)
+
+    def _service(
+        self, service_type: Any, name: str, seconds: float, check: Callable[[], object] | None
+    ) -> Any:
+        """Return the client of a service that is ready."""
+        if name not in self._services:
+            self._services[name] = self.node.create_client(service_type, name)
+        client = self._services[name]
+        self.wait_for(client.service_is_ready, seconds, f"the service {name}", check)
+        return client
+
+    def set_parameters(
+        self,
+        node: str,
+        values: Mapping[str, Any],
+        seconds: float = ANSWER,
+        check: Callable[[], object] | None = None,
+    ) -> None:
+        """Change parameters of a node while it runs, all or none; as :meth:`wait_for`.
+
+        Raises
+        ------
+        LiveError
+            If the node does not answer or refuses.
+        """
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        asked = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        request = SetParametersAtomically.Request(parameters=asked)
+        service = f"{node}/set_parameters_atomically"
+        answer = self.call(SetParametersAtomically, service, request, seconds, check).result
+        if not answer.successful:
+            raise LiveError(f"{node} refuses {', '.join(values)}: {answer.reason}")
+
+    def change_state(
+        self,
+        node: str,
+        transition: str,
+        seconds: float = ANSWER,
+        check: Callable[[], object] | None = None,
+    ) -> None:
+        """Make a node ``configure``, ``activate``, ``deactivate`` or ``cleanup``; as :meth:`call`.
+
+        Raises
+        ------
+        LiveError
+            If the node does not answer or refuses.
+        """
+        from lifecycle_msgs.msg import State, Transition
+        from lifecycle_msgs.srv import ChangeState, GetState
+
+        number, aim = {
+            "configure": (Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE),
+            "activate": (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE),
+            "deactivate": (Transition.TRANSITION_DEACTIVATE, State.PRIMARY_STATE_INACTIVE),
+            "cleanup": (Transition.TRANSITION_CLEANUP, State.PRIMARY_STATE_UNCONFIGURED),
+        }[transition]
+        request = ChangeState.Request(transition=Transition(id=number))
+        service = f"{node}/change_state"
+        asked = self._service(ChangeState, service, seconds, check).call_async(request)
+        deadline = time.monotonic() + seconds
+
+        def state() -> Any:
+            left = max(deadline - time.monotonic(), ASK_AGAIN)
+            answer = self.call(GetState, f"{node}/get_state", GetState.Request(), left, check)
+            return answer.current_state
+
+        while not self._spin_until(asked.done, ASK_AGAIN, check):
+            # its state is asked for, not the transition again: who has done it would refuse that
+            if state().id == aim:  # the answer got lost
+                return
+            if time.monotonic() > deadline:
+                raise LiveError(f"{service}: timed out after {seconds:g} s")
+        if not asked.result().success and (now := state()).id != aim:
+            raise LiveError(f"{node} is {now.label} and cannot {transition}")
+
+    def count_publishers(self, topic: str) -> int:
+        """Return how many publishers of a topic are on this domain."""
+        return int(self.node.count_publishers(topic))
+
+
+class _Signals:
+    """Keeps back the signals that end a program while a client is in a callback.
+
+    Set once a client: to set three handlers and to put them back takes as long as a message.
+    """
+
+    def __init__(self) -> None:
+        self._busy = False
+        self._came: list[tuple[int, FrameType | None]] = []
+        self._before: dict[int, Any] = {}
+        self._main = threading.main_thread().ident
+        if threading.get_ident() != self._main:  # only there can handlers be set
+            return
+        for number in ENDS:
+            before = signal.getsignal(number)
+            if before is not None and before != signal.SIG_IGN:
+                self._before[number] = before
+                signal.signal(number, self._on_signal)
+
+    def __enter__(self) -> None:
+        self._busy = threading.get_ident() == self._main
+
+    def __exit__(self, *error: object) -> None:
+        self._busy = False
+        while self._came:
+            self._pass_on(*self._came.pop(0))
+
+    def close(self) -> None:
+        """Put back the handlers that were there, unless others were set since."""
+        for number, before in self._before.items():
+            if signal.getsignal(number) == self._on_signal:
+                signal.signal(number, before)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self._busy:
+            self._came.append((number, frame))
+        else:
+            self._pass_on(number, frame)
+
+    def _pass_on(self, number: int, frame: FrameType | None) -> None:
+        before = self._before[number]
+        if callable(before):
+            before(number, frame)
+        else:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)

@@ -1,8 +1,0 @@
-"""What ``ros2 run koop_node container`` starts."""
-
-from koop_node.start import start
-
-
-def main() -> None:
-    """Start the container."""
-    start("koop_node.container")

@@ -1,0 +1,251 @@
+"""Publishers, subscriptions, timers and services that are made together and end together."""
+
+from __future__ import annotations
+
+import inspect
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer as RosTimer
+
+from koop_node.node import schedule
+from koop_node.node.schedule import Timer
+from koop_node.node.wire import WireError, codec
+
+PATIENCE = 0.5  # [s] that the last messages may take to arrive
+LOOK_PERIOD = 0.05  # [s] between looks for subscribers
+
+_TWO = inspect.signature(lambda message, info: None)
+
+
+class WithoutEvents(Node):
+    """A node without the callbacks for QoS events that rclpy installs by default.
+
+    With its EventsExecutor they can deadlock (rmw_fastrtps 890): the middleware calls them while it
+    holds a lock. They would log that somebody offers another type or QoS; ``ros2 topic info -v``
+    shows it too.
+    """
+
+    def create_publisher(self, *args: Any, **options: Any) -> Publisher:
+        options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
+        return super().create_publisher(*args, **options)
+
+    def create_subscription(self, *args: Any, **options: Any) -> Subscription:
+        options.setdefault(
+            "event_callbacks", SubscriptionEventCallbacks(use_default_callbacks=False)
+        )
+        return super().create_subscription(*args, **options)
+
+
+class Writer:
+    """Publishes messages of one type without rclpy's conversion.
+
+    Parameters
+    ----------
+    publisher : rclpy.publisher.Publisher
+        On which they go; matching and acknowledgement are asked of it.
+    kind : type
+        Message class.
+    """
+
+    def __init__(self, publisher: Publisher, kind: Any) -> None:
+        self.publisher = publisher
+        self._encode = codec(kind).encode
+        self._send = publisher.handle.publish_raw  # its publish() guards against other threads
+
+    def publish(self, message: Any) -> None:
+        """Publish a message, of the codec or of the message class."""
+        self._send(self._encode(message))
+
+
+class _OfRos:
+    """A timer of ROS, for nodes that another program spins."""
+
+    def __init__(self, timer: RosTimer) -> None:
+        self._timer = timer
+        self.cancel = timer.cancel
+
+    def restart(self, period: float | None = None) -> None:
+        """Let it be due a period [s] from now, a new one if one is given, and so on."""
+        if period is not None:
+            self._timer.timer_period_ns = round(period * 1e9)
+        self._timer.reset()
+
+
+class Entities:
+    """What belongs to one state of a node's life: made on the way in, destroyed on the way out.
+
+    Callbacks are called only until then: an executor may still hold messages that came before.
+    Timers run on the steady clock, whatever simulated time does.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Owner.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._stack = ExitStack()
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._publishers: list[Publisher] = []
+        self._open = True
+        self._schedule = schedule.current()
+        self._look: Callable[[], object] = self._schedule.look if self._schedule else bool
+
+    def publisher(self, kind: Any, topic: str, qos: QoSProfile) -> Publisher:
+        """Create a publisher."""
+        made = self._node.create_publisher(kind, topic, qos)
+        self._publishers.append(made)
+        self._stack.callback(self._node.destroy_publisher, made)
+        return made
+
+    def writer(self, kind: Any, topic: str, qos: QoSProfile) -> Writer:
+        """Create a publisher of messages that are encoded here; see :mod:`koop_node.node.wire`."""
+        return Writer(self.publisher(kind, topic, qos), kind)
+
+    def reader(
+        self, kind: Any, topic: str, callback: Callable[[Any, float], None], qos: QoSProfile
+    ) -> Subscription:
+        """Create a subscription whose messages are decoded here; see :mod:`koop_node.node.wire`.
+
+        The callback also gets when a message was written, as of :meth:`dated_subscription`. One
+        that cannot be decoded is reported and goes no further.
+        """
+        decode, logger = codec(kind).decode, self._node.get_logger()
+
+        def take(data: bytes, written: float) -> None:
+            try:
+                message = decode(data)
+            except WireError as error:
+                logger.error(f"'{topic}': {error}", throttle_duration_sec=1.0)
+                return
+            callback(message, written)
+
+        return self._dated(kind, topic, take, qos, True)
+
+    def subscription(
+        self,
+        kind: Any,
+        topic: str,
+        callback: Callable[[Any], None],
+        qos: QoSProfile,
+        raw: bool = False,
+    ) -> Subscription:
+        """Create a subscription."""
+
+        look = self._look
+
+        def deliver(message: Any) -> None:
+            if self._open:
+                callback(message)
+                look()
+
+        return self._subscription(kind, topic, deliver, qos, raw)
+
+    def dated_subscription(
+        self, kind: Any, topic: str, callback: Callable[[Any, float], None], qos: QoSProfile
+    ) -> Subscription:
+        """Create a subscription whose callback also gets when a message was written.
+
+        That is a time on the clock of the writer's host [s], which every DDS sends along.
+        """
+        return self._dated(kind, topic, callback, qos, False)
+
+    def _dated(
+        self,
+        kind: Any,
+        topic: str,
+        callback: Callable[[Any, float], None],
+        qos: QoSProfile,
+        raw: bool,
+    ) -> Subscription:
+        look = self._look
+
+        def deliver(*given: Any) -> None:
+            # the EventsExecutor of rclpy 7.1 gives message and info as one tuple
+            message, info = given if len(given) == 2 else given[0]
+            if self._open:
+                callback(message, info["source_timestamp"] * 1e-9)
+                look()
+
+        deliver.__signature__ = _TWO  # type: ignore[attr-defined]  # what rclpy goes by
+        return self._subscription(kind, topic, deliver, qos, raw)
+
+    def service(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> Service:
+        """Create a service."""
+        made = self._node.create_service(kind, name, callback)
+        self._stack.callback(self._node.destroy_service, made)
+        return made
+
+    def timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        """Create a timer [s]: of the schedule of the process, or of ROS where there is none."""
+
+        def tick() -> None:
+            if self._open:
+                callback()
+
+        if self._schedule is not None:
+            scheduled = self._schedule.timer(period, tick)
+            self._stack.callback(scheduled.cancel)
+            return scheduled
+        made = self._node.create_timer(period, tick, clock=self._steady)
+        self._stack.callback(self._node.destroy_timer, made)
+        return _OfRos(made)
+
+    def when_matched(self, needed: Mapping[Publisher, int], then: Callable[[], object]) -> None:
+        """Call ``then`` once every publisher has its number of matched subscriptions.
+
+        A reliable writer delivers everything that it wrote after it matched a reader; a node that
+        creates its subscription only then tells those upstream that all downstream is ready, and
+        no first sample is lost.
+        """
+        waited = 0
+
+        def look() -> None:
+            nonlocal waited
+            missing = {
+                publisher.topic_name: count - publisher.get_subscription_count()
+                for publisher, count in needed.items()
+                if publisher.get_subscription_count() < count
+            }
+            if not missing:
+                timer.cancel()
+                then()
+            elif waited % 100 == 20:
+                topics = ", ".join(f"{count} on {topic}" for topic, count in missing.items())
+                self._node.get_logger().info(f"waiting for subscribers: {topics}")
+            waited += 1
+
+        timer = self.timer(LOOK_PERIOD, look)
+
+    def on_close(self, action: Callable[[], object]) -> None:
+        """Call ``action`` when this ends, before what was made earlier is destroyed."""
+        self._stack.callback(action)
+
+    def close(self) -> None:
+        """Destroy everything; what was published is waited for, for it may still be on its way."""
+        self._open = False
+        deadline = time.monotonic() + PATIENCE
+        for publisher in self._publishers:
+            left = deadline - time.monotonic()
+            if left > 0.0 and publisher.get_subscription_count():
+                publisher.wait_for_all_acked(Duration(seconds=left))
+        self._stack.close()
+
+    def _subscription(
+        self, kind: Any, topic: str, deliver: Any, qos: QoSProfile, raw: bool
+    ) -> Subscription:
+        made = self._node.create_subscription(kind, topic, deliver, qos, raw=raw)
+        self._stack.callback(self._node.destroy_subscription, made)
+        return made

@@ -1,0 +1,8 @@
+"""What ``ros2 run koop_node container`` starts."""
+
+from koop_node.node.start import start
+
+
+def main() -> None:
+    """Start the container."""
+    start("koop_node.node.container")

@@ -1,0 +1,225 @@
+"""Run one node as a process: start, spin, end cleanly."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from importlib.resources import files
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
+
+from koop_core.config.describe import ARGUMENTS, help_text
+from koop_core.config.parameter import NodeConfig
+from koop_node.node import schedule
+from koop_node.node.managed import ManagedNode
+from koop_node.process import realtime
+from koop_node.process.housekeeping import Housekeeping
+from koop_node.process.lifeline import end_with_parent
+
+USAGE = f"a node takes {ARGUMENTS}; --help lists its parameters"
+QUEUED = 100  # callbacks that an executor may have to do before it knows of a change
+PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # environment variables of Fast DDS
+TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
+POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
+
+
+def set_dds_profile(guest: bool = False) -> None:
+    """Let Fast DDS notice a loss in 10 ms and never wait for a lost host.
+
+    To be called before DDS starts in this process; what counts is the first call. A file of the
+    user's stays. Where the user's environment asks for UDP (``FASTDDS_BUILTIN_TRANSPORTS=UDPv4``),
+    what is sent to this process comes so: with the discovery range LOCALHOST, rmw_fastrtps ignores
+    that variable.
+
+    Parameters
+    ----------
+    guest : bool
+        Whether the process only looks on: what is sent to it then comes by UDP, not through shared
+        memory, which under load may be lost for good.
+    """
+    guest = guest or os.environ.get(TRANSPORTS) == "UDPv4"
+    own = Path(str(files("koop_node")))
+    if Path(os.environ.get(PROFILE, own / "none")).parent == own:  # none, or a parent's
+        os.environ[PROFILE] = str(own / ("fastdds_guest.xml" if guest else "fastdds.xml"))
+
+
+def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> int:
+    """Run a node until it finishes or the process is told to stop; with ``--help`` print its.
+
+    The node's constructor needs no argument.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a clean end, 1 if the node failed, 2 if it could not start.
+    """
+    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
+        print(help_of(node_class, sys.argv[0]))
+        return 0
+
+    def make() -> list[ManagedNode[Any]]:
+        refuse_other_arguments(args)
+        return [node_class()]  # type: ignore[call-arg]
+
+    return run_nodes(make, args)
+
+
+def run_nodes(
+    make: Callable[[], list[ManagedNode[Any]]],
+    args: list[str] | None = None,
+    keep_going: bool = False,
+) -> int:
+    """Run nodes on one executor until they finish or the process is told to stop.
+
+    SIGINT and SIGTERM end the process cleanly. The handlers only set a flag, so that no callback
+    is interrupted and the context stays valid for the last publications.
+
+    Parameters
+    ----------
+    make : callable
+        Returns the nodes, those that listen before those that speak; called with rclpy ready.
+    args : list of str, optional
+        ROS arguments; by default those of the process.
+    keep_going : bool
+        Whether the others go on when a node has ended. A node that somebody shut down through its
+        lifecycle leaves the others running anyway.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a clean end, 1 if a node failed, 2 if one could not start.
+    """
+    with schedule.running() as timers:
+
+        def on_signal(number: int, frame: FrameType | None) -> None:
+            timers.asked = True
+
+        signal.signal(signal.SIGINT, on_signal)
+        signal.signal(signal.SIGTERM, on_signal)
+        end_with_parent()
+        set_dds_profile()
+        try:
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+            nodes = make()
+            wanted = realtime.requested(node.parameters[NodeConfig] for node in nodes)
+        except Exception as error:  # whatever the start-up raises, the user gets one line
+            print(f"error: {_one_line(error)}", file=sys.stderr)
+            rclpy.try_shutdown()
+            return 2
+        return _spin(nodes, wanted, timers, keep_going)
+
+
+def _spin(
+    nodes: list[ManagedNode[Any]],
+    wanted: NodeConfig,
+    timers: schedule.Schedule,
+    keep_going: bool,
+) -> int:
+    """Run nodes until they finish or the schedule is asked to end; return the exit code."""
+    executor: Any = EventsExecutor()
+    for node in nodes:
+        executor.add_node(node)
+    house = Housekeeping(time.monotonic())  # before the first tick, for it takes a while
+    asked = False
+    code = 0
+    try:
+        going = bool(nodes)
+        while going and not timers.asked:
+            interrupted = Future()
+            timers.interrupt = partial(interrupted.set_result, None)
+            timers.run_due()
+            wait = timers.wait(POLL)
+            house.tidy(time.monotonic(), wait)
+            if not asked and all(node.active for node in nodes):
+                asked = True
+                for problem in realtime.apply(wanted):
+                    nodes[0].get_logger().warning(problem)
+            # spin() would hang in the Jazzy wheels, spin_once() costs 4 us for every callback
+            executor.spin_until_future_complete(interrupted, timeout_sec=wait)
+            ended = _ended(nodes)
+            if ended is not None:
+                code = code or nodes[ended].exit_code or 0
+                going = len(nodes) > 1 and (keep_going or nodes[ended].was_shut_down)
+                if going:
+                    _take_out(nodes, ended, executor, timers, house)
+        for node in reversed(nodes):  # speakers end before those who listen to them
+            node.close()
+    finally:
+        house.end()
+        # Under a launch file Ctrl-C comes twice, and the interpreter, when it ends, puts back the
+        # default handler, which would kill the process; an ignored signal stays ignored.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        for node in nodes:
+            executor.remove_node(node)
+            node.destroy_node()
+        executor.shutdown()
+        rclpy.try_shutdown()
+    return code
+
+
+def _ended(nodes: list[ManagedNode[Any]]) -> int | None:
+    """Return the index of a node that has ended."""
+    for index, node in enumerate(nodes):
+        if node.exit_code is not None:
+            return index
+    return None
+
+
+def _take_out(
+    nodes: list[ManagedNode[Any]],
+    index: int,
+    executor: Any,
+    timers: schedule.Schedule,
+    house: Housekeeping,
+) -> None:
+    """End one of several nodes; the others go on."""
+    node = nodes.pop(index)
+    name, code = node.get_fully_qualified_name(), node.exit_code
+    print(f"{name} ended with exit code {code}; the others go on", flush=True)
+    node.close()
+    executor.remove_node(node)
+    for _ in range(QUEUED):  # what was queued for the node, and that it was removed
+        executor.spin_once(timeout_sec=0.0)
+    node.destroy_node()
+    del node
+    # a node and what it made refer to each other; as long as it is there it is seen
+    timers.purge()
+    house.settle()
+
+
+def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:
+    """Return what ``--help`` of a node prints; ``path`` is that of its executable."""
+    program = Path(path)
+    if program.parent.parent.name == "lib":
+        words = f"ros2 run {program.parent.name} {program.name}"
+    else:
+        words = program.name
+    purpose = " ".join(inspect.cleandoc(node_class.__doc__ or "").split("\n\n")[0].split())
+    return help_text(words, purpose, node_class.config_classes())
+
+
+def refuse_other_arguments(args: list[str] | None = None) -> None:
+    """Raise ValueError if there are arguments besides those of ROS, which rclpy would ignore."""
+    own = remove_ros_args(args)
+    own = own[1:] if args is None else own
+    if own:
+        raise ValueError(f"unknown argument {' '.join(own)}; {USAGE}")
+
+
+def _one_line(error: Exception) -> str:
+    if type(error).__name__ == "UnknownROSArgsError":  # its text is a Python list
+        return f"unknown argument after --ros-args: {str(error).strip('[]')}; {USAGE}"
+    return (str(error).strip() or repr(error)).splitlines()[0]

@@ -1,0 +1,336 @@
+"""A managed (lifecycle) node that configures and activates itself and reports on /diagnostics."""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any, ClassVar, Generic, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.qos import QoSProfile
+
+from koop_core.config.fields import check_type
+from koop_core.config.parameter import NodeConfig
+from koop_core.stream.monitor import StreamMonitor
+from koop_core.stream.report import ERROR, OK, STALE, WARN, Finding, News, summary
+from koop_node.node import schedule
+from koop_node.node.entities import Entities, WithoutEvents
+from koop_node.node.parameters import Parameters
+from koop_node.node.rclpy_internals import RefusingLifecycleNode
+from koop_node.process.housekeeping import release_compiler
+
+__all__ = ["ERROR", "OK", "STALE", "WARN", "Entities", "ManagedNode", "Run", "message_type"]
+
+REPORT_PERIOD = 1.0  # [s]
+
+
+def message_type(name: str) -> Any:
+    """Return the class of ``pkg/msg/Type``.
+
+    Raises
+    ------
+    ValueError
+        If no such message is installed.
+    """
+    package, _, kind = check_type(name).split("/")
+    try:
+        return getattr(import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError):
+        raise ValueError(f"message type {name} is not installed") from None
+
+
+class Run:
+    """What a node works with from configure to cleanup, in one object.
+
+    A subclass makes everything in its constructor ``(node, entities)``; what it creates through
+    the entities is destroyed with it, also if the constructor fails midway. Constructor and
+    :meth:`activate` raise ValueError or OSError with a message for the user if they cannot.
+    """
+
+    inputs: tuple[StreamMonitor, ...] = ()
+    """Reported on /diagnostics."""
+
+    def activate(self, entities: Entities) -> None:
+        """Start working; what is created through the entities ends with the active state."""
+
+    def deactivate(self) -> None:
+        """Stop working, while the entities of the active state are still there."""
+
+    def close(self) -> None:
+        """Release what is not an entity."""
+
+    def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
+        """Raise ValueError to refuse changed configurations; ``names`` were set."""
+
+    def parameters_changed(self, names: set[str]) -> None:
+        """Take changed configurations into use."""
+
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
+        """Return level, message and values for /diagnostics, besides what the inputs say."""
+        return OK, "", {}
+
+    def samples(self) -> int:
+        """Return how many samples were processed, for the rate on /diagnostics."""
+        return 0
+
+
+RunT = TypeVar("RunT", bound=Run)
+
+
+class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
+    """Base of the nodes: lifecycle, parameters, diagnostics, end of the run.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    make_run : callable
+        ``make_run(node, entities)`` configures.
+    options
+        As of every rclpy node: ``context``, ``namespace``, ``parameter_overrides`` and so on.
+
+    Attributes
+    ----------
+    configs : tuple of type
+        Configurations of its parameters, besides NodeConfig; of the class.
+    run : Run or None
+        There from configure to cleanup.
+    exit_code : int or None
+        Of the process, once the node has finished.
+    was_shut_down : bool
+        Whether it has finished because somebody shut it down through its lifecycle.
+    """
+
+    configs: ClassVar[tuple[type, ...]] = ()
+
+    def __init__(
+        self, name: str, make_run: Callable[[Any, Entities], RunT], **options: Any
+    ) -> None:
+        super().__init__(name, **options)
+        self.exit_code: int | None = None
+        self._schedule = schedule.current()
+        self.was_shut_down = False
+        self.run: RunT | None = None
+        self._make_run = make_run
+        self._while_configured: Entities | None = None
+        self._while_active: Entities | None = None
+        self._counted = (time.monotonic(), 0)
+        self._news = News()
+        global_arguments = sys.argv if options.get("use_global_arguments", True) else []
+        self.parameters = Parameters(
+            self,
+            self.config_classes(),
+            self._check_parameters,
+            self._parameters_changed,
+            [*global_arguments, *(options.get("cli_args") or ())],
+        )
+        self._while_there = Entities(self)
+        self._diagnostics = self._while_there.publisher(
+            DiagnosticArray, "/diagnostics", QoSProfile(depth=10)
+        )
+        self._while_there.timer(REPORT_PERIOD, self._report)
+        if self.parameters[NodeConfig].autostart:
+            self._starter = self._while_there.timer(0.0, self._autostart)
+
+    @classmethod
+    def config_classes(cls) -> tuple[type, ...]:
+        """Return the configurations of all parameters."""
+        return (*cls.configs, NodeConfig)
+
+    @property
+    def active(self) -> bool:
+        """Whether the lifecycle state is 'active'."""
+        return self._while_active is not None
+
+    @property
+    def lifecycle_state(self) -> str:
+        """The primary lifecycle state: ``unconfigured``, ``inactive`` or ``active``."""
+        if self.run is None:
+            return "unconfigured"
+        return "active" if self.active else "inactive"
+
+    @property
+    def hardware_id(self) -> str:
+        """What the diagnostics are about: the loop, for a fleet has one in every namespace."""
+        return f"koop{self.get_namespace()}".rstrip("/")
+
+    def finish(self, exit_code: int = 0) -> None:
+        """End the process after the current callback; in a container, end the work."""
+        self.exit_code = exit_code
+        if self._schedule is not None:
+            self._schedule.interrupt()
+
+    def close(self) -> None:
+        """Go back to the first state before the process ends; called once, also after a signal."""
+        if self.active:
+            self.trigger_deactivate()
+        if self.run is not None:
+            self.trigger_cleanup()
+        self._while_there.close()
+
+    def _autostart(self) -> None:
+        """Do what a lifecycle manager would do."""
+        self._starter.cancel()
+        for state, transition in (
+            ("unconfigured", self.trigger_configure),
+            ("inactive", self.trigger_activate),
+        ):
+            if self.lifecycle_state != state:
+                return  # somebody else was faster
+            if transition() != TransitionCallbackReturn.SUCCESS:
+                self.finish(1)
+                return
+
+    # -- lifecycle transitions ----------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        entities = Entities(self)
+
+        def configure() -> None:
+            self.run = self._make_run(self, entities)
+            self._while_configured = entities
+            if self._schedule is not None:  # the process is that of such nodes
+                release_compiler()
+
+        return self._attempt(configure, entities)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        entities = Entities(self)
+
+        def activate() -> None:
+            assert self.run is not None
+            self.run.activate(entities)
+            self._while_active = entities
+
+        return self._attempt(activate, entities)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._stop_working()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._stop_working()
+        self._release()
+        self.was_shut_down = True
+        self.finish(0)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._stop_working()
+        self._release()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _attempt(self, action: Callable[[], None], entities: Entities) -> TransitionCallbackReturn:
+        """Make a transition; one that fails midway leaves nothing behind."""
+        try:
+            action()
+        except (ValueError, OSError) as error:
+            self.get_logger().error(str(error))
+            entities.close()
+            return TransitionCallbackReturn.FAILURE
+        except Exception:  # a fault of the node's; rclpy would say nothing
+            self.get_logger().error(traceback.format_exc())
+            entities.close()
+            return TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def _stop_working(self) -> None:
+        entities, self._while_active = self._while_active, None
+        if entities is not None:
+            try:
+                if self.run is not None:
+                    self.run.deactivate()
+            finally:
+                entities.close()
+
+    def _release(self) -> None:
+        run, self.run = self.run, None
+        entities, self._while_configured = self._while_configured, None
+        try:
+            if run is not None:
+                run.close()
+        finally:
+            if entities is not None:
+                entities.close()
+
+    # -- parameters ---------------------------------------------------------------------------
+
+    def _check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
+        if self.run is not None:
+            self.run.check_parameters(configs, names)
+
+    def _parameters_changed(self, names: set[str]) -> None:
+        if self.run is not None:
+            self.run.parameters_changed(names)
+
+    # -- diagnostics --------------------------------------------------------------------------
+
+    def _report(self) -> None:
+        if self.exit_code is not None:  # in a container the process goes on
+            if self.active:
+                self.trigger_deactivate()
+            return
+        run = self.run or Run()
+        level, message, own_values = run.diagnose()
+        now, count = time.monotonic(), run.samples()
+        before, counted = self._counted
+        self._counted = (now, count)
+        findings = [Finding(level, message)]
+        values: dict[str, object] = {
+            "lifecycle_state": self.lifecycle_state,
+            "rate_hz": f"{max(count - counted, 0) / (now - before):.1f}",
+            **own_values,
+        }
+        for monitor in run.inputs:
+            publishers = self._publishers_of(monitor.topic)
+            if self.active:
+                findings += monitor.findings(now, publishers)
+            values |= monitor.values(now, time.time(), publishers)
+        if self._without_time():
+            findings.append(
+                Finding(WARN, "use_sim_time is set, but nothing is published on /clock")
+            )
+        found = summary(findings)
+        self._log(self._news.of(found, now))
+        status = DiagnosticStatus(
+            level=bytes([found.level]),
+            name=self.get_fully_qualified_name(),
+            message=found.text,
+            hardware_id=self.hardware_id,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _publishers_of(self, topic: str) -> int:
+        """Return how many publish what this node hears; who asks the graph looks at the fleet."""
+        for subscription in self.subscriptions:
+            if subscription.topic == topic:
+                return int(subscription.get_publisher_count())
+        return int(self.count_publishers(topic))
+
+    def _without_time(self) -> bool:
+        """Return True if stamps are 0 because simulated time has not begun."""
+        wanted = self.get_parameter("use_sim_time").value
+        return bool(wanted) and self.get_clock().now().nanoseconds == 0
+
+    def _log(self, news: Finding | None) -> None:
+        if news is None:
+            return
+        logger = self.get_logger()
+        # rclpy ties a severity to the line of the call
+        if news.level == OK:
+            logger.info(f"recovered: {news.text}")
+        elif news.level == WARN:
+            logger.warning(news.text)
+        else:
+            logger.error(news.text)

@@ -1,0 +1,152 @@
+"""ROS parameters from configuration classes: declared, described, changed whole or not at all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, fields
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from koop_core.config.parameter import Spec, refuse_unknown, spec_of
+from koop_core.config.parameter_file import shared_names
+from koop_node.node.rclpy_internals import parameter_overrides
+
+Config = TypeVar("Config")
+
+
+class Parameters:
+    """The configurations of a node, each an immutable object that is swapped when it changes.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Node on which the parameters are declared.
+    config_classes : iterable of type
+        Dataclasses made with ``koop_core.config.parameter.parameter``. A field name that several
+        of them share is one ROS parameter.
+    check : callable
+        ``check(changed, names)`` is called with a new value of every configuration, by class, and
+        the names that were set, before it is taken; it raises ValueError to refuse it.
+    changed : callable
+        ``changed(names)`` is called after new values were taken.
+    args : sequence of str
+        Command line from which values may come.
+
+    Raises
+    ------
+    ConfigError
+        If a value given at the start is unknown, out of range or of the wrong type. What all nodes
+        of a wildcard were given may be unknown.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        config_classes: Iterable[type],
+        check: Callable[[dict[type, Any], set[str]], None],
+        changed: Callable[[set[str]], None],
+        args: Sequence[str] = (),
+    ) -> None:
+        self._classes = tuple(config_classes)
+        self._check = check
+        self._changed = changed
+        overrides = parameter_overrides(node)
+        known = {item.name: item for cls in self._classes for item in fields(cls)}
+        unknown = unknown_names(
+            overrides, set(known) | set(node.get_parameters_by_prefix("")), args
+        )
+        if unknown:
+            node.get_logger().info(f"given to all nodes, not known here: {', '.join(unknown)}")
+        given = {name: value for name, value in overrides.items() if name in known}
+        self._configs = self._build({item.name: item.default for item in known.values()} | given)
+        self._pending: dict[type, Any] | None = None
+        values = self._values(self._configs)
+        for item in known.values():
+            node.declare_parameter(
+                item.name,
+                _ros_value(values[item.name]),
+                descriptor(spec_of(item), item.default),
+                ignore_override=True,
+            )
+        node.add_on_set_parameters_callback(self._on_set)
+        node.add_post_set_parameters_callback(self._on_taken)
+
+    def __getitem__(self, config_class: type[Config]) -> Config:
+        """Return the current configuration of a class."""
+        config: Config = self._configs[config_class]
+        return config
+
+    def _build(self, values: dict[str, Any]) -> dict[type, Any]:
+        return {
+            cls: cls(**{item.name: values[item.name] for item in fields(cls)})
+            for cls in self._classes
+        }
+
+    @staticmethod
+    def _values(configs: dict[type, Any]) -> dict[str, Any]:
+        return {
+            name: value for config in configs.values() for name, value in asdict(config).items()
+        }
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            values = self._values(self._configs) | {p.name: p.value for p in parameters}
+            pending = self._build(values)
+            self._check(pending, {p.name for p in parameters})
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self._pending = pending
+        return SetParametersResult(successful=True)
+
+    def _on_taken(self, parameters: list[Parameter]) -> None:
+        if self._pending is not None:
+            self._configs, self._pending = self._pending, None
+            self._changed({p.name for p in parameters})
+
+
+def descriptor(spec: Spec, default: Any) -> ParameterDescriptor:
+    """Return the ROS descriptor of a parameter with its description, unit and range."""
+    unit = f" [{spec.unit}]" if spec.unit else ""
+    result = ParameterDescriptor(
+        description=spec.description + unit,
+        additional_constraints="" if math.isfinite(spec.high) else spec.constraint,
+        read_only=spec.read_only,
+        # a float may be written '5' and a list '[]', of which ROS would infer another type
+        dynamic_typing=isinstance(default, float | tuple),
+    )
+    if math.isfinite(spec.low) and math.isfinite(spec.high):
+        if type(default) is float:
+            result.floating_point_range = [
+                FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high))
+            ]
+        elif type(default) is int:
+            result.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high))]
+    return result
+
+
+def unknown_names(given: Iterable[str], known: set[str], args: Sequence[str]) -> list[str]:
+    """Return the names that may be ignored: a file gave them to all nodes.
+
+    Raises
+    ------
+    ConfigError
+        If others are unknown.
+    """
+    unknown = sorted(name for name in given if name not in known and "qos_overrides" not in name)
+    shared = shared_names(args) if unknown else set()
+    meant = [name for name in unknown if name not in shared]
+    refuse_unknown(meant, sorted(known))
+    return unknown
+
+
+def _ros_value(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,1 @@
+"""From a recorded excitation to a controller and its prediction. Needs no ROS."""

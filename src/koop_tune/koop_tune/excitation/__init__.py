@@ -1,0 +1,1 @@
+"""What an excitation visits and shows."""

@@ -1,0 +1,171 @@
+"""What is wrong with a measured channel, and its spectrum. Pure: arrays in, figures out."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_tune.excitation.features import bridged
+
+LEVELS = 0.25  # of the samples: with more values than that a channel is not quantised
+FLAT = 0.01  # share of the samples at an extreme, from which on it may be a stop
+FLATTER = 3.0  # than a sine of the same swing is at its extremes
+HELD = 0.1  # of the record, that a channel may rest at one value
+SEGMENT = 0.25  # of the record, one segment of the spectrum
+LINE = 8.0  # times the spectrum around it, that a line stands out by
+WORTH = 0.02  # of the power, from which on a line is named
+NAMED = 4  # lines
+AROUND = 12  # bins to each side, that a line is compared with
+FEWEST = 128  # samples, before which there is no spectrum to speak of
+WIDTH = 2  # bins to each side, that belong to a line: the window's
+
+
+class Channel(NamedTuple):
+    """One measured channel.
+
+    Attributes
+    ----------
+    low, high, deviation : float
+        Range and standard deviation.
+    bad : float
+        Share of samples that are not finite.
+    held : float
+        Longest part of the record in which the value is one and the same, as a share.
+    quantum : float
+        Step between neighbouring values; 0: none is seen.
+    saturated : float
+        Share of samples at an end of the range, where that is a stop; else 0.
+    """
+
+    low: float
+    high: float
+    deviation: float
+    bad: float
+    held: float
+    quantum: float
+    saturated: float
+
+    @property
+    def dead(self) -> bool:
+        """Whether it says nothing."""
+        return self.bad == 1.0 or self.low == self.high
+
+
+class Line(NamedTuple):
+    """A narrow peak of a spectrum: frequency [Hz], amplitude of that sine, share of the power."""
+
+    frequency: float
+    amplitude: float
+    share: float
+
+
+def channel(x: NDArray[np.float64]) -> Channel:
+    """Look at the samples of one channel, shape (M,)."""
+    usable = x[np.isfinite(x)]
+    bad = 1.0 - usable.size / max(x.size, 1)
+    if not usable.size:
+        return Channel(math.nan, math.nan, math.nan, 1.0, 1.0, 0.0, 0.0)
+    low, high = float(usable.min()), float(usable.max())
+    changes = np.flatnonzero(np.diff(usable) != 0.0)
+    rests = np.diff(changes, prepend=-1, append=usable.size - 1)
+    quantum = _quantum(usable)
+    return Channel(
+        low, high, float(usable.std()), bad, float(rests.max()) / usable.size, quantum,
+        _saturated(usable, low, high, quantum),
+    )  # fmt: skip
+
+
+def _quantum(x: NDArray[np.float64]) -> float:
+    values, counts = np.unique(x, return_counts=True)
+    # a stop repeats one value without the others being steps
+    if values.size < 2 or values.size > LEVELS * (x.size - counts.max()):
+        return 0.0
+    steps = np.diff(values)
+    return float(np.median(steps[steps > 1e-9 * (values[-1] - values[0])]))
+
+
+def _saturated(x: NDArray[np.float64], low: float, high: float, quantum: float) -> float:
+    """Return the share at the stops: far more than a sine spends within a quantum of its end."""
+    swing = 0.5 * (high - low)
+    if swing == 0.0:
+        return 0.0
+    usual = math.acos(max(1.0 - max(quantum, 1e-6 * swing) / swing, -1.0)) / math.pi
+    shares = [float(np.mean(x == end)) for end in (low, high)]
+    return sum(share for share in shares if share > max(FLAT, FLATTER * usual))
+
+
+def lines(x: NDArray[np.float64], dt: float) -> list[Line]:
+    """Return the narrow peaks of a channel's spectrum, the strongest first.
+
+    By Welch's method, about a straight line in each segment. At least the largest peak is named.
+
+    Parameters
+    ----------
+    x : ndarray, shape (M,)
+        Evenly spaced samples; those that are not finite are bridged.
+    dt : float
+        Time between two [s].
+    """
+    from scipy.signal import welch  # slow to import
+
+    known = np.isfinite(x)
+    if known.sum() < 64 or np.ptp(x[known]) == 0.0:
+        return []
+    x = bridged(x[:, None])[:, 0]
+    length = max(64, int(SEGMENT * x.size))
+    frequency, power = welch(x, 1.0 / dt, "hann", length, detrend="linear", scaling="spectrum")
+    return peaks(frequency, power)
+
+
+def peaks(frequency: NDArray[np.float64], power: NDArray[np.float64]) -> list[Line]:
+    """Return the narrow peaks of a spectrum under a Hann window, the strongest first.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (F,)
+        Of each bin [Hz]; the first one is left out.
+    power : ndarray, shape (F,)
+        Of a sine at that frequency.
+    """
+    # bins of the window overlap by 1.5: their sum is the power of what lies in them
+    total = float(power[1:].sum()) / 1.5
+    found: list[Line] = []
+    rest = power.copy()
+    rest[0] = 0.0
+    while len(found) < NAMED and rest.any():
+        peak = int(np.argmax(rest))
+        if power[max(peak - 1, 1) : peak + 2].max() > power[peak]:  # the foot of one that was named
+            rest[peak] = 0.0
+            continue
+        inner = slice(max(peak - WIDTH, 1), peak + WIDTH + 1)
+        own = power[inner]
+        outer = np.r_[power[max(peak - AROUND, 1) : inner.start], power[inner.stop : peak + AROUND]]
+        share = float(own.sum()) / 1.5 / total
+        narrow = power[peak] > LINE * np.median(outer) if outer.size else True
+        if found and not (narrow and share > WORTH):
+            break
+        at = float(np.average(frequency[inner], weights=own))
+        found.append(Line(at, math.sqrt(2.0 * float(own.sum()) / 1.5), share))
+        rest[inner] = 0.0
+    return found
+
+
+def strongest_period(x: NDArray[np.float64], dt: float) -> float | None:
+    """Return the period of the strongest oscillation of samples, shape (M, n) [s]; None if none."""
+    found = [peaks[0] for column in x.T if (peaks := lines(column, dt))]
+    return 1.0 / max(found, key=lambda line: line.share).frequency if found else None
+
+
+def listens(x: NDArray[np.float64], dt: float, least: float, periods: float, most: float) -> bool:
+    """Return whether more must be heard: some periods of what is strongest, not for ever [s].
+
+    What is strongest shows only when it is heard long enough, so this is asked again and again.
+    """
+    heard = x.shape[0] * dt
+    if heard < max(least, FEWEST * dt):
+        return True
+    period = strongest_period(x, dt)
+    return period is not None and heard < min(periods * period, most)

@@ -1,0 +1,185 @@
+"""How far an excitation is, in a file beside its recordings: what resumes it. Pure: no ROS."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
+from koop_tune.excitation import staircase
+from koop_tune.excitation.features import Bands
+from koop_tune.excitation.staircase import Point, Visit
+from koop_tune.rig.rig_file import RigFile, as_values
+
+NAME = "excite.json"
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+@dataclass
+class Progress:
+    """What an excitation has done, and what it is going to do.
+
+    Attributes
+    ----------
+    seed : int
+        Of the order of theta's values.
+    values : list of float
+        Of theta, rising; a visit's level is the number of one.
+    how : Bands or None
+        How windows are looked at, once that is known.
+    visits : list of Visit
+        Done.
+    queue : list of int
+        Next values of theta.
+    elapsed : float
+        Time of all parts [s].
+    parts : list of str
+        Folders of the recordings.
+    done : bool
+        Whether it has come to its end.
+    """
+
+    seed: int
+    values: list[float]
+    how: Bands | None
+    visits: list[Visit]
+    queue: list[int]
+    elapsed: float
+    parts: list[str]
+    done: bool = False
+
+    def add(self, level: int, value: float) -> None:
+        """Add a value of theta below the one of that number."""
+        self.values.insert(level, value)
+        self.visits = [
+            replace(visit, level=visit.level + (visit.level >= level)) for visit in self.visits
+        ]
+
+    def map_of(self, features: Sequence[int]) -> tuple[int, list[Point | None]]:
+        """Return the feature whose map is the clearest, and the map."""
+        count = len(self.values)
+        feature = staircase.clearest(self.visits, features, count)
+        return feature, staircase.static_map(self.visits, feature, count)
+
+
+def begin(seed: int, rig: RigFile) -> Progress:
+    """Return the progress of an excitation that begins: the values up and down, or down and up."""
+    up = rig.theta_start <= 0.5 * (rig.theta_min + rig.theta_max)
+    values = staircase.values(rig.theta_min, rig.theta_max)
+    return Progress(seed, values, None, [], staircase.passes(up), 0.0, [])
+
+
+def save(progress: Progress, rig: RigFile, folder: Path) -> None:
+    """Write the file; as :func:`write_whole`."""
+    write_whole(folder / NAME, {"rig": as_values(rig), **asdict(progress)})
+
+
+def write_whole(path: Path, values: Any) -> None:
+    """Write a JSON file; as :func:`write_text`."""
+    write_text(path, json.dumps(values, indent=1) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that is whole at any time.
+
+    Raises
+    ------
+    koop_core.errors.LiveError
+        If it cannot be written, as on a full disk; the old one stays.
+    """
+    new = path.with_name(f"{path.name}.new")
+    try:
+        with open(new, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(new, path)
+    except OSError as error:
+        with suppress(OSError):
+            new.unlink()
+        raise LiveError(not_written(path, error)) from None
+
+
+def not_written(path: Path, error: OSError) -> str:
+    """Return why a file or a folder cannot be written, and what to do, in words."""
+    room = ": make room" if error.errno in FULL else ""
+    return f"{path}: {error.strerror or error}{room}"
+
+
+def load(rig: RigFile, folder: Path) -> Progress | None:
+    """Return what was done before; None if nothing was.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If the file cannot be used, or is of another rig.
+    """
+    path = folder / NAME
+    if not path.exists():
+        return None
+    own, found = read(folder)
+    refuse_other_rig(path, own, rig)
+    return found
+
+
+def read(folder: Path) -> tuple[RigFile, Progress]:
+    """Return the rig, and what was done with it.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If the file cannot be used.
+    """
+    path = folder / NAME
+    try:
+        known = json.loads(path.read_text(encoding="utf-8"))
+        own = RigFile(**known.pop("rig"))
+        how = known.pop("how")
+        visits = [
+            Visit(**{**visit, "mean": tuple(visit["mean"]), "error": tuple(visit["error"])})
+            for visit in known.pop("visits")
+        ]
+        bands = Bands(how[0], tuple(how[1]), how[2]) if how else None
+        found = Progress(how=bands, visits=visits, **known)
+    except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None
+    return own, found
+
+
+def refuse_other_rig(path: Path, own: RigFile, rig: RigFile) -> None:
+    """Refuse a rig file that is not that of what was begun.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it says something else that counts.
+    """
+    for name, value in as_values(own).items():
+        if value != as_values(rig)[name] and name not in ("time", "theta_start"):
+            raise ConfigError(
+                f"{path}: was begun with {name} = {value}, the rig file says "
+                f"{as_values(rig)[name]}: choose another --out"
+            )
+
+
+def noted(path: Path) -> dict[str, Any]:
+    """Return what a JSON file holds; nothing if there is none.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it cannot be read.
+    """
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None

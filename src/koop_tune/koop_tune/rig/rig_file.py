@@ -1,0 +1,224 @@
+"""The rig file: what an engineer knows of a rig and the rig cannot tell. Pure: no ROS."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from koop_core.config.describe import WIDTH, allowed
+from koop_core.config.fields import Source, check_type, format_field, parse_source
+from koop_core.config.parameter import (
+    ConfigError,
+    mapping,
+    parameter,
+    refuse_unknown,
+    spec_of,
+    validate,
+)
+from koop_core.config.parameter_file import as_yaml
+from koop_core.config.yaml_file import LinedLoader, read_yaml
+
+STATE, STATE_TYPE = "/state", "koop_msgs/msg/MeasuredState"
+THETA, THETA_TYPE = "/theta", "koop_msgs/msg/ControlInput"
+HEAD = """\
+# A rig, for 'koop check' and 'koop excite': what its messages cannot tell. Times are seconds of the
+# rig's own time; theta is the one knob that is turned, in the rig's own unit.
+"""
+
+
+@dataclass(frozen=True)
+class RigFile:
+    """One rig with its knob.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If a value has the wrong type, is out of range or contradicts another.
+    """
+
+    measured: str = parameter(
+        "",
+        "measured channels as topic:field,field, such as /joint_states:position[0],velocity[0]; "
+        "all in one message, and only those that oscillate",
+    )
+    measured_type: str = parameter("", "message type of the measured channels, pkg/msg/Type")
+    command: str = parameter("", "what takes theta, as topic:field, such as /rig/theta:data")
+    command_type: str = parameter(
+        "std_msgs/msg/Float64",
+        "message type of the command; koop_msgs/msg/ControlInput answers each state by its step",
+    )
+    dt: float = parameter(
+        0.0, "time between two messages of the measured channels", unit="s", low=1e-6, high=1.0
+    )
+    theta_min: float = parameter(0.0, "least theta that may be commanded")
+    theta_max: float = parameter(0.0, "largest theta that may be commanded")
+    theta_rate: float = parameter(
+        0.0, "largest change of theta per second, also on the way back", unit="1/s", low=1e-12
+    )
+    theta_start: float = parameter(0.0, "theta that the rig has before anybody commands it")
+    theta_safe: float = parameter(
+        0.0,
+        "theta that is taken when anything ends: done, Ctrl-C, a limit crossed, a rig that falls "
+        "silent, a process that was killed",
+    )
+    channel_min: tuple[float, ...] = parameter(
+        (), "least value of each channel, below which theta goes back to theta_safe; []: any"
+    )
+    channel_max: tuple[float, ...] = parameter(
+        (), "largest value of each channel, above which theta goes back to theta_safe; []: any"
+    )
+    objective: str = parameter(
+        "minimise", "what is wanted of the oscillation", choices=("minimise", "maximise")
+    )
+    time: float = parameter(
+        1800.0, "longest time that moving theta over its range may take", unit="s", low=1.0
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        n = len(_source("measured", self.measured).fields)
+        if len(_source("command", self.command).fields) != 1:
+            raise ConfigError(f"command = {self.command!r}: theta is one field")
+        for name in ("measured_type", "command_type"):
+            try:
+                check_type(getattr(self, name))
+            except ConfigError as error:
+                raise ConfigError(f"{name}: {error}") from None
+        if self.state.topic == self.knob.topic:
+            raise ConfigError(f"command = {self.command!r}: is the topic of the measured channels")
+        if self.theta_min >= self.theta_max:
+            raise ConfigError(
+                f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}: "
+                "are they swapped?"
+            )
+        for name in ("theta_start", "theta_safe"):
+            if not self.theta_min <= (value := getattr(self, name)) <= self.theta_max:
+                raise ConfigError(
+                    f"{name} = {value:g}: must lie within [theta_min, theta_max] = "
+                    f"[{self.theta_min:g}, {self.theta_max:g}]"
+                )
+        for name in ("channel_min", "channel_max"):
+            if (count := len(getattr(self, name))) not in (0, n):
+                raise ConfigError(f"{name} has {count} values: one for each of {n} channels, or []")
+        for low, high in zip(self.channel_min, self.channel_max, strict=False):
+            if low >= high:
+                raise ConfigError(
+                    f"channel_min = {low:g} must be below channel_max = {high:g}: are they swapped?"
+                )
+
+    @property
+    def state(self) -> Source:
+        """Topic, by its full name, and fields of the measured channels."""
+        return _full(parse_source(self.measured))
+
+    @property
+    def knob(self) -> Source:
+        """Topic, by its full name, and field of the command."""
+        return _full(parse_source(self.command))
+
+    @property
+    def speaks_state(self) -> bool:
+        """Whether the rig itself publishes what the lifter listens to."""
+        own = (self.state.topic, self.measured_type) == (STATE, STATE_TYPE)
+        return own and self.names == tuple(f"x[{i}]" for i in range(len(self.names)))
+
+    @property
+    def takes_answers(self) -> bool:
+        """Whether the rig listens to the controller's own answers."""
+        return (self.knob.topic, self.command_type) == (THETA, THETA_TYPE)
+
+    @property
+    def lifter_input(self) -> dict[str, str]:
+        """The lifter's parameters that name the measured channels; none where it needs none."""
+        if self.speaks_state:
+            return {}
+        return {"input_fields": self.measured, "input_type": self.measured_type}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The channels, as the file writes them."""
+        return tuple(map(format_field, self.state.fields))
+
+    @property
+    def span(self) -> float:
+        """Range of theta."""
+        return self.theta_max - self.theta_min
+
+
+REQUIRED = ("measured", "measured_type", "command", "command_type", "dt", "theta_min", "theta_max",
+            "theta_rate", "theta_start", "theta_safe")  # fmt: skip
+
+
+def read(path: str | Path) -> RigFile:
+    """Read a rig file.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it cannot be used; names file and line.
+    """
+    content = read_yaml(path, LinedLoader)
+    lines: Mapping[str, int] = getattr(content, "lines", {})
+    try:
+        given = mapping(content, "the file")
+        refuse_unknown(given, [item.name for item in fields(RigFile)], "key")
+        lacking = set(REQUIRED) - given.keys()
+        missing = [item for item in fields(RigFile) if item.name in lacking]
+        if len(missing) == 1:
+            raise ConfigError(f"'{missing[0].name}' is missing: {spec_of(missing[0]).description}")
+        if missing:
+            names = ", ".join(item.name for item in missing)
+            raise ConfigError(f"these are missing: {names}; koop commission --new asks for each")
+        return RigFile(**given)
+    except ConfigError as error:
+        text = str(error)
+        words = re.match(r"(?:unknown key ')?(\w+)", text)
+        line = lines.get(words[1]) if words else None
+        place = f"{path}:{line}" if line is not None else f"{path}"
+        raise ConfigError(f"{place}: {text}") from None
+
+
+def written(rig: RigFile) -> str:
+    """Return the text of a rig file, each value with its meaning above it."""
+    lines = [HEAD.rstrip("\n")]
+    values = asdict(rig)
+    for item in fields(RigFile):
+        text = f"{spec_of(item).description} ({allowed(item)})"
+        lines += ["", *textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ")]
+        lines.append(f"{item.name}: {as_yaml(values[item.name])}")
+    return "\n".join(lines) + "\n"
+
+
+def write(rig: RigFile, path: Path) -> None:
+    """Write a rig file.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If there is a file already.
+    """
+    try:
+        with open(path, "x", encoding="utf-8") as file:
+            file.write(written(rig))
+    except FileExistsError:
+        raise ConfigError(f"{path} is there already: name another file") from None
+
+
+def _source(name: str, text: str) -> Source:
+    try:
+        return parse_source(text)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from None
+
+
+def _full(source: Source) -> Source:
+    return source._replace(topic="/" + source.topic.lstrip("~/"))
+
+
+def as_values(rig: RigFile) -> dict[str, Any]:
+    """Return the values in JSON terms."""
+    return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(rig).items()}

@@ -1,0 +1,95 @@
+"""How an oscillation that noise drives comes and goes by itself. Pure: arrays in, figures out.
+
+The amplitude of such an oscillation is that of a complex Ornstein-Uhlenbeck process: where theta
+rests, the autocovariance of its power p = |z|^2 over the mean is
+
+    cov(p(t), p(t + s)) = share exp(-2 s / tau) + const
+
+with the time constant tau with which the amplitude follows theta, too. White noise of a window
+adds to it at s = 0 only, a level that drifts from stay to stay the constant.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_tune.rig_model.stays import Stays
+
+SHORTEST, COUNT = 0.3, 60  # windows of the shortest decay; decays that are tried
+PART = 0.1  # of the longest stay, as long as a decay may be
+AS_GOOD = 1.02  # times the least misfit: the shortest decay that fits so well is taken
+MOST_OF_IT = 0.4  # of the variance: what lasts is no less, a drift of the level is
+LAGS = 0.5  # of the longest stay, up to which it is fitted
+
+
+class Fluctuation(NamedTuple):
+    """What comes and goes.
+
+    Attributes
+    ----------
+    time : float
+        Time constant tau of the amplitude [s]; one window if nothing that lasts was seen.
+    share : float
+        Variance of the power over the square of its mean; 1 of an oscillation that noise alone
+        drives, seen in windows much shorter than tau.
+    """
+
+    time: float
+    share: float
+
+
+def fluctuation(stays: Stays) -> Fluctuation:
+    """Fit the autocovariance of the power in the windows of all stays once the rig had settled."""
+    parts = relative_power(stays)
+    longest = max(part.size for part in parts)
+    lags = max(int(LAGS * longest), 3)
+    found, count = autocovariance(parts, lags)
+    k, y, w = np.arange(1, lags), found[1:], count[1:]
+    decays = np.geomspace(SHORTEST, max(PART * longest, 2.0 * SHORTEST), COUNT)
+    least = MOST_OF_IT * float(found[0])
+    misfits = np.array([_misfit(k, y, w, float(decay), least) for decay in decays])
+    windows = 1.0
+    if np.isfinite(misfits).any():
+        windows = 2.0 * float(decays[int(np.argmax(misfits <= AS_GOOD * misfits.min()))])
+    return Fluctuation(windows * stays.how.length * stays.how.dt, float(found[0]))
+
+
+def _misfit(
+    k: NDArray[np.int64], y: NDArray[np.float64], w: NDArray[np.float64], decay: float, least: float
+) -> float:
+    """Return how far points are from the nearest share exp(-k / decay) + const, least < share."""
+    e = np.exp(-k / decay)
+    terms = np.stack([e, np.ones(k.size)], axis=1) * np.sqrt(w)[:, None]
+    (share, const), *_ = np.linalg.lstsq(terms, y * np.sqrt(w))
+    return float((w * (y - share * e - const) ** 2).sum()) if share > least else math.inf
+
+
+def relative_power(stays: Stays) -> list[NDArray[np.float64]]:
+    """Return the power in the windows of each stay over that of all stays at its theta, less 1."""
+    settled = stays.settled(stays.amplitude)
+    top = max(float(values.max()) for values in settled)
+    power = [np.exp(2.0 * (values - top)) for values in settled]
+    levels = np.array([stay.level for stay in stays.stays])
+    mean = {
+        level: float(np.concatenate([power[i] for i in np.flatnonzero(levels == level)]).mean())
+        for level in np.unique(levels)
+    }
+    return [p / max(mean[level], 1e-300) - 1.0 for p, level in zip(power, levels, strict=True)]
+
+
+def autocovariance(
+    parts: list[NDArray[np.float64]], lags: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the autocovariance of pieces about zero at 0 .. lags - 1, and of how many pairs."""
+    total, count = np.zeros(lags), np.zeros(lags)
+    for part in parts:
+        upto = min(lags, part.size)
+        size = 1 << (2 * part.size - 1).bit_length()
+        own = np.fft.irfft(np.abs(np.fft.rfft(part, size)) ** 2, size)[:upto]
+        total[:upto] += own
+        count[:upto] += part.size - np.arange(upto)
+    return total / np.maximum(count, 1.0), count

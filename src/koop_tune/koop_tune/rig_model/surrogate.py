@@ -1,0 +1,296 @@
+"""A rig as its excitation showed it, for the closed loop to be tried on; compiled.
+
+The cost's level l and the amplitude's logarithm a follow their static maps, of which tau(theta, up
+or down) is fitted to the recording:
+
+    dl/dt = (L(theta) - l) / tau,   da/dt = (A(theta) - a) / tau,
+    log tau = c_0 + c_1 (A(theta) - mean A) + c_2 sign(A(theta) - a)
+
+y_out is what was recorded at the nearest value of theta once the rig had settled, times
+exp(l - L_recorded): ripple, noise, interference and how they go on are the rig's own. A piece is
+played from a random place on; at its end, or when another value is nearer, the next one begins
+where y_out is about the same.
+
+A coarse surrogate is for trying much in little time: it plays the root mean square of y_hp, which
+is what the high-pass filter leaves of y_out, over blocks of samples. What the low-pass filter and
+the relay make of it is the nodes' own kernels', at the time step of the blocks.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.signal import lfilter
+
+from koop_core.kernels import njit
+from koop_core.stream.arrival import Arrival
+from koop_identify.recording.loaded import Loaded, pieces
+from koop_tune.rig_model.fluctuation import fluctuation
+from koop_tune.rig_model.static_map import GRID, StaticMap
+from koop_tune.rig_model.stays import Scale, Stays
+from koopman_lifter import cost
+from koopman_lifter.cost import DetectorParams
+from relay_esc import relay
+from relay_esc.relay import RelayParams, RelayState
+
+PLACES = 16  # that are looked at for one where y_out is about the same
+BLOCKS = 200  # that a run is told in
+WANDERS = 0.1  # share of an amplitude's power, from which on it comes and goes by itself
+
+
+class Times(NamedTuple):
+    """How the amplitude follows theta: c_0, c_1, c_2 [log s], and the mean of A."""
+
+    usual: float
+    slope: float
+    up: float
+    middle: float
+
+    def tau(self, a: float, rises: bool) -> float:
+        """Return the time constant [s] towards a level."""
+        return math.exp(
+            self.usual + self.slope * (a - self.middle) + (1 if rises else -1) * self.up
+        )
+
+
+class Surrogate(NamedTuple):
+    """One of the rigs that the recording may be of.
+
+    Attributes
+    ----------
+    levels, amplitudes : ndarray, shape (GRID,)
+        L and A at positions of theta from 0 to 1.
+    u : ndarray, shape (N,)
+        Positions that were recorded.
+    recorded : ndarray, shape (N,)
+        L of the recording there.
+    y : ndarray, shape (S,)
+        What was recorded of y_out, piece after piece, without its mean.
+    begins : ndarray, shape (P + 1,)
+        First sample of each piece.
+    first : ndarray, shape (N + 1,)
+        First piece of each value of theta.
+    times : Times
+        Time constants.
+    dt : float
+        Sampling time [s].
+    low, high : float
+        Range of theta.
+    logarithmic : bool
+        Whether positions are those of log theta.
+    coarse : bool
+        Whether ``y`` is the root mean square of y_hp over dt.
+    """
+
+    levels: NDArray[np.float64]
+    amplitudes: NDArray[np.float64]
+    u: NDArray[np.float64]
+    recorded: NDArray[np.float64]
+    y: NDArray[np.float64]
+    begins: NDArray[np.int64]
+    first: NDArray[np.int64]
+    times: Times
+    dt: float
+    low: float
+    high: float
+    logarithmic: bool
+    coarse: bool
+
+
+def high_passed(
+    y_out: NDArray[np.float64], loaded: Loaded, omega_h: float, dt: float
+) -> NDArray[np.float64]:
+    """Return y_hp of the detector for every sample of a recording."""
+    alpha = math.exp(-omega_h * dt)
+    found = np.zeros(y_out.size)
+    for piece in pieces(loaded.begins):
+        own = y_out[piece]
+        known = np.flatnonzero(np.isfinite(own))
+        if known.size > 1:
+            own = np.where(np.isfinite(own), own, own[known[0]])
+            found[piece] = lfilter([1.0 - alpha, alpha - 1.0], [1.0, -alpha], own - own[0])
+    return found
+
+
+def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, dt: float) -> Times:
+    """Fit the time constants to the amplitude's logarithm in the windows of all stays.
+
+    Where noise drives the oscillation its amplitude is seldom where theta leads it: how it comes
+    and goes by itself tells the time constant far better than how it follows theta does.
+    """
+    assert loaded.theta is not None
+    every = max(1, stays.how.length // 4)
+    curve = amplitude.curve(amplitude.mean)
+    position = np.nan_to_num(scale.u(loaded.theta), nan=0.5)
+    target = np.interp(position[::every], np.linspace(0.0, 1.0, GRID), curve)
+    jumps = loaded.begins[: target.size * every]
+    begins = np.zeros(target.size, np.bool_)
+    begins[np.flatnonzero(jumps) // every] = True
+    starts = (
+        np.concatenate([np.arange(s.begin, s.end, stays.how.length) for s in stays.stays]) // every
+    )
+    seen = np.concatenate(stays.amplitude)
+    middle = float(np.mean(curve))
+    usual = 0.02 + float(np.median([v[s.skip :].std() for s, v in
+                                    zip(stays.stays, stays.amplitude, strict=True)]))  # fmt: skip
+    own = fluctuation(stays)
+    if own.share > WANDERS:
+        return Times(math.log(own.time), 0.0, 0.0, middle)
+    longest = max(s.end - s.begin for s in stays.stays) * dt
+    shortest = 0.05 * stays.how.length * dt
+    found = np.empty(target.size)
+
+    def loss(c: NDArray[np.float64]) -> float:
+        _follow(target, begins, every * dt, Times(c[0], c[1], c[2], middle), found)
+        made = sum(found[np.minimum(starts + j, found.size - 1)] for j in range(4)) / 4.0
+        error = np.minimum(np.abs(made - seen) / usual, 5.0)
+        beyond = max(0.0, c[0] - math.log(longest)) + max(0.0, math.log(shortest) - c[0])
+        prior = 0.5 * c[1] ** 2 + 5.0 * c[2] ** 2 + 100.0 * beyond**2
+        return float((error**2).sum()) + prior
+
+    tries = [np.array([x, 0.0, 0.0]) for x in np.linspace(math.log(shortest), math.log(longest), 9)]
+    begin = min(tries, key=loss)
+    best = minimize(loss, begin, method="Nelder-Mead", options={"maxfev": 250, "xatol": 0.02})
+    c = best.x
+    return Times(float(c[0]), float(np.clip(c[1], -2, 2)), float(np.clip(c[2], -1, 1)), middle)
+
+
+@njit()
+def _rate(times: Times, dt: float, target: float, now: float) -> float:
+    side = times.up if target > now else -times.up
+    return 1.0 - math.exp(
+        -dt / math.exp(times.usual + times.slope * (target - times.middle) + side)
+    )
+
+
+@njit()
+def _follow(
+    target: NDArray[np.float64], begins: NDArray[np.bool_], dt: float, times: Times,
+    found: NDArray[np.float64],
+) -> None:  # fmt: skip
+    now = target[0]
+    for k in range(target.size):
+        if begins[k]:
+            now = target[k]
+        now += (target[k] - now) * _rate(times, dt, target[k], now)
+        found[k] = now
+
+
+@njit()
+def _at(values: NDArray[np.float64], u: float) -> float:
+    place = min(max(u, 0.0), 1.0) * (values.size - 1)
+    i = min(int(place), values.size - 2)
+    return values[i] + (place - i) * (values[i + 1] - values[i])
+
+
+@njit()
+def _position(s: Surrogate, theta: float) -> float:
+    if s.logarithmic:
+        return math.log(theta / s.low) / math.log(s.high / s.low)
+    return (theta - s.low) / (s.high - s.low)
+
+
+@njit()
+def _nearest(u: NDArray[np.float64], x: float) -> int:
+    best = 0
+    for i in range(1, u.size):
+        if abs(u[i] - x) < abs(u[best] - x):
+            best = i
+    return best
+
+
+@njit()
+def _next_place(
+    s: Surrogate, level: int, value: float, draws: NDArray[np.float64], number: int
+) -> tuple[int, int]:
+    """Return piece and sample of a value of theta where y_out is about ``value``."""
+    piece = place = -1
+    best = math.inf
+    for i in range(PLACES):
+        own = s.first[level] + int(draws[(number + 2 * i) % draws.size]
+                                   * (s.first[level + 1] - s.first[level]))  # fmt: skip
+        size = s.begins[own + 1] - s.begins[own]
+        at = s.begins[own] + int(draws[(number + 2 * i + 1) % draws.size] * 0.9 * size)
+        far = abs(s.y[at] - value)
+        if far < best:
+            best, piece, place = far, own, at
+    return piece, place
+
+
+@njit(nogil=True)
+def run(
+    s: Surrogate,
+    detector: DetectorParams,
+    params: RelayParams,
+    state: RelayState,
+    steps: int,
+    drift: float,
+    start: float,
+    draws: NDArray[np.float64],
+    u: NDArray[np.float64],
+    power: NDArray[np.float64],
+) -> None:
+    """Close the loop for some steps, from a rig that has settled.
+
+    Parameters
+    ----------
+    s : Surrogate
+        The rig.
+    detector, params, state
+        The controller, which joins the run.
+    steps : int
+        Of the run.
+    drift : float
+        By which the optimum moves in one step [u].
+    start : float
+        Position of theta at which the rig has settled before; the controller's own limits may be
+        narrower.
+    draws : ndarray
+        Random numbers of [0, 1).
+    u, power : ndarray, shape (BLOCKS,)
+        Receive the mean of theta's position from the optimum's motion, and the mean square of the
+        amplitude, of each block.
+    """
+    seen = cost.initial()
+    position = _position(s, state.output)
+    level, a = _at(s.levels, start), _at(s.amplitudes, start)
+    value = _nearest(s.u, position)
+    number = 0
+    piece, place = _next_place(s, value, 0.0, draws, number)
+    u[:] = 0.0
+    power[:] = 0.0
+    block = steps / u.size
+    for k in range(steps):
+        arrival = Arrival.JOIN if k == 0 else Arrival.NEXT
+        gain = math.exp(level - s.recorded[value])
+        y = gain * s.y[place]
+        # a filter without memory makes of this sum what is added
+        r, seen = cost.follow(detector, seen, arrival, seen.y_previous + y if s.coarse else y)
+        state, _, _ = relay.answer(params, state, arrival, False, seen.settling > 0, r, False)
+        position = _position(s, state.output)
+        moved = position - drift * k
+        aim = _at(s.levels, moved)
+        target = _at(s.amplitudes, moved)
+        rate = _rate(s.times, s.dt, target, a)
+        level += (aim - level) * rate
+        a += (target - a) * rate
+        i = min(int(k / block), u.size - 1)
+        u[i] += moved
+        power[i] += math.exp(2.0 * a)
+        place += 1
+        near = value
+        if abs(s.u[value] - moved) > 0.01:
+            near = _nearest(s.u, min(max(moved, 0.0), 1.0))
+            if abs(s.u[near] - moved) > abs(s.u[value] - moved) - 0.01:
+                near = value
+        if near != value or place >= s.begins[piece + 1]:
+            number += 2 * PLACES
+            now = y * math.exp(s.recorded[near] - level)
+            piece, place = _next_place(s, near, now, draws, number)
+            value = near
+    u /= block
+    power /= block

@@ -1,0 +1,380 @@
+"""A closed loop on a rig, measured and compared with what was predicted of it. Pure: no ROS.
+
+The amplitude is that of the channel or band in which theta shows most, in the windows of the
+excitation; converged, distance and excess are those of :mod:`koop_tune.search.search`. The
+prediction's band is widened by what the measured amplitudes do not know: two standard errors.
+Better than predicted agrees.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.config.parameter import ConfigError
+from koop_tune.excitation.features import Bands, features
+from koop_tune.excitation.staircase import standard_error
+from koop_tune.rig.rig_file import RigFile
+from koop_tune.rig_model.stays import Scale
+from koop_tune.rig_model.surrogate import BLOCKS
+from koop_tune.search.prediction import Prediction
+from koop_tune.search.search import GOOD, PART
+
+SMOOTHED = 3  # windows at least, in whose mean an amplitude counts as converged
+ERRORS = 2.0  # standard errors that a band is widened by
+LATER = 1.2  # than the band, a loop may converge
+BLURRED = 3.0  # times the best amplitude, that a prediction allows which says nothing
+TWICE = 2.0  # times the time to converge, that the loop is closed at least; half of it counts
+MOST_SLOWER = 4.0  # times, that a rig is taken to be after one round
+ROUNDS = 3  # of tuning and verifying
+LEAST = 0.25  # of the prediction's runs, that it is closed at least
+
+
+@dataclass(frozen=True)
+class Aim:
+    """What a tuning says of a rig.
+
+    Attributes
+    ----------
+    how : Bands
+        How windows are looked at.
+    feature : int
+        The amplitude that counts.
+    name : str
+        Of it, in words.
+    scale : Scale
+        Of theta.
+    sense : float
+        +1 if little is wanted.
+    theta : float
+        The best.
+    best, bound : float
+        Logarithms of the best amplitude, and of that at which a loop counts as converged.
+    time : float
+        The rig's own time [s].
+    predicted : Prediction
+        The tuning's.
+    """
+
+    how: Bands
+    feature: int
+    name: str
+    scale: Scale
+    sense: float
+    theta: float
+    best: float
+    bound: float
+    time: float
+    predicted: Prediction
+
+    @property
+    def window(self) -> float:
+        """Length of a window [s]."""
+        return self.how.length * self.how.dt
+
+    @property
+    def longest(self) -> float:
+        """How long the runs of the prediction were [s]: its figures are of their second half."""
+        return self.predicted.duration
+
+    @property
+    def duration(self) -> float:
+        """How long the loop is closed at least to see whether the prediction holds [s]."""
+        whole, late = self.longest, self.predicted.converges.high
+        return min(max(TWICE * late, LEAST * whole), whole)
+
+    def amplitudes(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the logarithm of the amplitude in each whole window of samples, shape (M, n)."""
+        length = self.how.length
+        starts = range(0, x.shape[0] - length + 1, length)
+        return np.array([features(x[k : k + length], self.how)[self.feature] for k in starts])
+
+
+def aim_of(figures: dict[str, Any], rig: RigFile) -> Aim:
+    """Return what a tune.json aims at.
+
+    Raises
+    ------
+    KeyError
+        If it is not that of a controller.
+    """
+    windows = figures["windows"]
+    sense = 1.0 if rig.objective == "minimise" else -1.0
+    levels = sense * np.log(figures["static_map"]["amplitude"])
+    best, worst = float(levels.min()), float(levels.max())
+    bound = best + math.log(min(GOOD, 1.0 + PART * (math.exp(worst - best) - 1.0)))
+    return Aim(
+        Bands(windows["length"], tuple(windows["edges"]), windows["dt"]),
+        windows["feature"], figures["feature"], Scale(rig.theta_min, rig.theta_max), sense,
+        figures["theta_best"], sense * best, sense * bound, figures["time"],
+        Prediction.from_json(figures["predicted"]),
+    )  # fmt: skip
+
+
+def read_aim(path: Path, rig: RigFile) -> Aim:
+    """Read a tune.json.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If there is none, or it holds no controller.
+    """
+    try:
+        return aim_of(json.loads(path.read_text(encoding="utf-8")), rig)
+    except FileNotFoundError:
+        raise ConfigError(f"{path} is not there: koop tune first") from None
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ConfigError(f"{path}: holds no controller: koop tune first") from None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What one closed loop came to.
+
+    Attributes
+    ----------
+    time_to_converge : float or None
+        [s]; None if never.
+    distance : float
+        Mean of abs(u - u*) over the second half, in ranges of theta.
+    amplitude_before, amplitude : float
+        Before the loop was closed, and over the second half.
+    error : float
+        Standard error of the logarithm of their ratio.
+    excess : float
+        Amplitude over the best one (its inverse where it is to be large).
+    reduction : float
+        Amplitude before over that of the second half (its inverse).
+    theta, swing : float
+        Mean and range of theta over the second half.
+    """
+
+    time_to_converge: float | None
+    distance: float
+    amplitude_before: float
+    amplitude: float
+    error: float
+    excess: float
+    reduction: float
+    theta: float
+    swing: float
+
+    @property
+    def damped(self) -> bool:
+        """Whether the amplitude ended near the best one."""
+        return self.excess <= GOOD
+
+
+def measure(
+    aim: Aim, before: NDArray[np.float64], x: NDArray[np.float64], theta: NDArray[np.float64]
+) -> Measured:
+    """Measure a run.
+
+    Parameters
+    ----------
+    aim : Aim
+        What it should come to.
+    before : ndarray, shape (B, n)
+        Measured channels once the rig had settled where the loop began.
+    x : ndarray, shape (M, n)
+        With the loop closed.
+    theta : ndarray, shape (K,)
+        Its theta, evenly over the same time.
+    """
+    logs, first = aim.amplitudes(x), aim.amplitudes(before)
+    late, end = logs[logs.size // 2 :], theta[theta.size // 2 :]
+    amplitude, began = _root_mean_square(late), _root_mean_square(first)
+    k = min(max(SMOOTHED, math.ceil(logs.size / BLOCKS)), logs.size)
+    smooth = [_root_mean_square(logs[i : i + k]) for i in range(logs.size - k + 1)]
+    inside = np.flatnonzero(aim.sense * (np.array(smooth) - aim.bound) <= 0.0)
+    errors = [float(standard_error(part[:, None])[0]) for part in (late, first)]
+    u = aim.scale.u(end)
+    return Measured(
+        (int(inside[0]) + k) * aim.window if inside.size else None,
+        float(np.abs(u - aim.scale.u(np.array(aim.theta))).mean()),
+        math.exp(began),
+        math.exp(amplitude),
+        math.hypot(*(error if math.isfinite(error) else 0.0 for error in errors)),
+        math.exp(aim.sense * (amplitude - aim.best)),
+        math.exp(aim.sense * (began - amplitude)),
+        aim.scale.theta_at(float(u.mean())),
+        float(np.ptp(end)),
+    )
+
+
+def _root_mean_square(logs: NDArray[np.float64]) -> float:
+    return 0.5 * math.log(float(np.exp(2.0 * logs).mean()))
+
+
+def disagreements(aim: Aim, run: Measured) -> list[str]:
+    """Return in which figures a run is worse than predicted, in words.
+
+    A prediction that allows almost anything is not confirmed by anything.
+    """
+    return _lasting(aim, run) + _passing(aim, run)
+
+
+def may_yet_agree(aim: Aim, run: Measured) -> bool:
+    """Return whether a run falls short only in what the same loop, closed for longer, may mend.
+
+    An adaptive law arrives with a large step and takes its time to make it small.
+    """
+    short = bool(_passing(aim, run)) or not run.damped
+    return short and not _lasting(aim, run)
+
+
+def _lasting(aim: Aim, run: Measured) -> list[str]:
+    p, found = aim.predicted, []
+    if p.excess.high > BLURRED:
+        found.append(
+            f"the prediction, {p.excess.low:.3g} to {p.excess.high:.3g} times the best "
+            "amplitude, is too wide to be confirmed"
+        )
+    late, took = p.converges.high, run.time_to_converge
+    if (math.inf if took is None else took) > LATER * late + SMOOTHED * aim.window:
+        told = "did not converge" if took is None else f"took {took:.4g} s to converge"
+        found.append(f"{told}, at most {late:.4g} s were predicted")
+    return found
+
+
+def _passing(aim: Aim, run: Measured) -> list[str]:
+    p, widened, found = aim.predicted, math.exp(ERRORS * run.error), []
+    if run.excess > p.excess.high * widened:
+        found.append(
+            f"ended at {run.excess:.3g} times the best amplitude, at most "
+            f"{p.excess.high:.3g} were predicted"
+        )
+    if run.reduction < p.reduction.low / widened:
+        found.append(
+            f"changed the amplitude by a factor of {run.reduction:.3g}, at least "
+            f"{p.reduction.low:.3g} was predicted"
+        )
+    return found
+
+
+def slower(rounds: Sequence[dict[str, Any]]) -> float:
+    """Return by how much a rig follows theta more slowly than its recordings made believe.
+
+    Of the rounds of a verify.json that disagreed: the times that their loops took to converge over
+    the longest predicted, one after the other.
+
+    >>> p = {"converges": {"high": 50.0}}
+    >>> slower([{"agrees": False, "prediction": p, "runs": [{"time_to_converge": 100.0}]}])
+    2.0
+    """
+    found = 1.0
+    for item in rounds:
+        late = item["prediction"]["converges"]["high"]
+        if item["agrees"] is not False or late is None:
+            continue
+        took = [run["time_to_converge"] for run in item["runs"]]
+        ratios = [MOST_SLOWER if value is None else value / late for value in took]
+        found *= min(max(1.0, *ratios), MOST_SLOWER)
+    return found
+
+
+def ended(rounds: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return those rounds of a verify.json that came to their end."""
+    return [item for item in rounds if item["agrees"] is not None]
+
+
+def as_predicted(item: dict[str, Any]) -> bool:
+    """Return whether a round of a verify.json damped the rig, and as it was predicted.
+
+    >>> as_predicted({"agrees": True, "runs": [{"excess": 1.2}, {"excess": 3.0}]})
+    False
+    """
+    return bool(item["agrees"]) and _worst(item) <= GOOD
+
+
+def kept_round(rounds: Sequence[dict[str, Any]]) -> int:
+    """Return which of the rounds that ended has the controller that is kept; the first is 0.
+
+    The last one's if it damped the rig as predicted, which ends the rounds; else that of the round
+    which damped the rig best from its worse start.
+
+    >>> unlike = {"agrees": False, "runs": [{"excess": 1.1}, {"excess": 1.2}]}
+    >>> kept_round([unlike, {"agrees": True, "runs": [{"excess": 1.3}]}])
+    1
+    >>> kept_round([unlike, {"agrees": True, "runs": [{"excess": 1.8}]}])
+    0
+    """
+    if as_predicted(rounds[-1]):
+        return len(rounds) - 1
+    return min(range(len(rounds)), key=lambda k: _worst(rounds[k]))
+
+
+def agreement(item: dict[str, Any]) -> str:
+    """Return what a round that agrees with its prediction says.
+
+    >>> agreement({"runs": [{"excess": 1.2}, {"excess": 1.83}]})
+    'as predicted, or better, but 1.83 times the best of the static map: not damped'
+    """
+    said, worst = "as predicted, or better", _worst(item)
+    if worst <= GOOD:
+        return said
+    return f"{said}, but {worst:.3g} times the best of the static map: not damped"
+
+
+def _worst(item: dict[str, Any]) -> float:
+    return max(float(run["excess"]) for run in item["runs"])
+
+
+def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
+    """Return the three sentences that a verification ends with.
+
+    Parameters
+    ----------
+    aim : Aim
+        What was predicted.
+    runs : sequence of Measured
+        Of the last round.
+    rounds : int
+        How many there were.
+    where : str
+        Folder that ``koop up`` runs.
+    """
+    worse = [text for run in runs for text in disagreements(aim, run)]
+    damped = all(run.damped for run in runs)
+    fell = "falls" if aim.sense > 0 else "rises"
+    first = (
+        f"From {_each(len(runs), 'start')} theta ends at {_list(run.theta for run in runs)}, and "
+        f"the amplitude of {aim.name} {fell} by a factor of "
+        f"{_list(run.reduction for run in runs)} to {_list(run.excess for run in runs)} times the "
+        "best of the static map"
+    )
+    took = _list(run.time_to_converge for run in runs)
+    second = f"It converged after {took} s; {aim.predicted.converges.as_text()} s were predicted"
+    if damped and not worse:
+        third = f"The rig is damped as predicted: ./koop up {where} runs it"
+    elif damped:
+        third = (
+            f"The rig is damped, but after {_each(rounds, 'round')} not as predicted: {worse[0]}"
+        )
+    else:
+        third = (
+            f"The rig is not damped after {_each(rounds, 'round')}: "
+            f"{worse[0] if worse else 'the static map is not known well enough'}; record it again "
+            "with longer stays (more 'time')"
+        )
+    return f"{first}. {second}. {third}."
+
+
+def _each(count: int, what: str) -> str:
+    """Return a number of things.
+
+    >>> _each(2, "start")
+    '2 starts'
+    """
+    return f"{count} {what}{'s' if count != 1 else ''}"
+
+
+def _list(values: Any) -> str:
+    return " and ".join("never" if value is None else f"{value:.3g}" for value in values)

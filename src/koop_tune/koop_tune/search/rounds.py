@@ -1,0 +1,186 @@
+"""Rounds of a verification: closed loops with their prediction, as ``verify.json`` holds them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from koop_tune.search.agreement import MOST_SLOWER, Measured
+from koop_tune.search.prediction import Prediction
+from koop_tune.search.search import GOOD
+
+
+@dataclass(frozen=True)
+class Run:
+    """One closed loop.
+
+    Attributes
+    ----------
+    start : float
+        Theta at which the loop was closed.
+    measured : Measured
+        The figures.
+    bag : str
+        Its recording, relative to the folder of the commissioning.
+    seconds : float
+        Time that the loop was closed [s].
+    steps : tuple of int
+        First and last step with the loop closed.
+    """
+
+    start: float
+    measured: Measured
+    bag: str = ""
+    seconds: float = math.nan
+    steps: tuple[int, int] = (0, 0)
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Run:
+        """Return the run in a JSON object."""
+        measured = Measured(**{name: values[name] for name in Measured.__dataclass_fields__})
+        first, last = values["closed"]["steps"]
+        seconds = float(values["closed"]["seconds"])
+        return cls(float(values["start"]), measured, values["bag"], seconds, (first, last))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in JSON terms."""
+        closed = {"seconds": self.seconds, "steps": list(self.steps)}
+        return {"start": self.start, "bag": self.bag, **asdict(self.measured), "closed": closed}
+
+
+@dataclass(frozen=True)
+class Round:
+    """One tuning with its closed loops.
+
+    Attributes
+    ----------
+    number : int
+        The first is 1.
+    prediction : Prediction
+        The tuning's.
+    runs : tuple of Run
+        One from each start.
+    agrees : bool or None
+        Whether no run was worse than predicted; None until all were made.
+    summary : str
+        In which figures they were worse, or that they were not.
+    """
+
+    number: int
+    prediction: Prediction
+    runs: tuple[Run, ...] = ()
+    agrees: bool | None = None
+    summary: str = ""
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Round:
+        """Return the round in a JSON object."""
+        runs = tuple(map(Run.from_json, values["runs"]))
+        prediction = Prediction.from_json(values["prediction"])
+        return cls(int(values["round"]), prediction, runs, values["agrees"], values["says"])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in JSON terms."""
+        return {
+            "round": self.number,
+            "prediction": self.prediction.as_json(),
+            "runs": [run.as_json() for run in self.runs],
+            "agrees": self.agrees,
+            "says": self.summary,
+        }
+
+    @property
+    def finished(self) -> bool:
+        """Whether all runs were made."""
+        return self.agrees is not None
+
+    @property
+    def worst_excess(self) -> float:
+        """Amplitude over the best one, from the worse start."""
+        return max(run.measured.excess for run in self.runs)
+
+    @property
+    def damped_as_predicted(self) -> bool:
+        """Whether the rig was damped, and not worse than predicted."""
+        return bool(self.agrees) and self.worst_excess <= GOOD
+
+    @property
+    def agreement(self) -> str:
+        """In words, what it means that a round agrees with its prediction."""
+        text = "as predicted, or better"
+        if self.worst_excess <= GOOD:
+            return text
+        return f"{text}, but {self.worst_excess:.3g} times the best of the static map: not damped"
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Content of ``verify.json``.
+
+    Attributes
+    ----------
+    rounds : tuple of Round
+        In the order in which they were made.
+    damped : bool
+        Whether the rig was damped with the controller that is kept.
+    feature : str
+        Amplitude that was measured.
+    verdict : str
+        In three sentences.
+    """
+
+    rounds: tuple[Round, ...] = ()
+    damped: bool = False
+    feature: str = ""
+    verdict: str = ""
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Verification:
+        """Return the verification in a JSON object.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            If it is not one.
+        """
+        rounds = tuple(map(Round.from_json, values["rounds"]))
+        return cls(rounds, values["damped"], values.get("feature", ""), values["verdict"])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it in JSON terms."""
+        return {**asdict(self), "rounds": [item.as_json() for item in self.rounds]}
+
+    @property
+    def finished(self) -> tuple[Round, ...]:
+        """Rounds of which all runs were made."""
+        return tuple(item for item in self.rounds if item.finished)
+
+
+def find_slowdown(rounds: Sequence[Round]) -> float:
+    """Return by what factor a rig follows theta more slowly than its recordings show.
+
+    The times that the loops of each round that disagreed took to converge over the longest time
+    predicted, multiplied.
+    """
+    slowdown = 1.0
+    for item in rounds:
+        longest = item.prediction.converges.high
+        if item.agrees is not False or math.isinf(longest):
+            continue
+        times = [run.measured.time_to_converge for run in item.runs]
+        ratios = [MOST_SLOWER if time is None else time / longest for time in times]
+        slowdown *= min(max(1.0, *ratios), MOST_SLOWER)
+    return slowdown
+
+
+def kept_index(rounds: Sequence[Round]) -> int:
+    """Return which of the finished rounds has the controller that is kept; the first is 0.
+
+    The last one's if it damped the rig as predicted, which ends the rounds; else that of the round
+    which damped the rig best from its worse start.
+    """
+    if rounds[-1].damped_as_predicted:
+        return len(rounds) - 1
+    return min(range(len(rounds)), key=lambda k: rounds[k].worst_excess)

@@ -1,0 +1,133 @@
+"""Tune a controller from recordings, and write it into a folder."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tqdm import tqdm
+
+from koop_bag.bag.reader import BagReader
+from koop_core.config.parameter import ConfigError
+from koop_identify.model.from_bags import BagTraining, load_bags, train_from_bags
+from koop_identify.recording.loaded import THETA
+from koop_identify.recording.samples import StateSpec
+from koop_tune.excitation import progress
+from koop_tune.excitation.features import Bands
+from koop_tune.folder import CONTROLLER, FIGURES, MODEL
+from koop_tune.result import as_json, as_text
+from koop_tune.rig.rig_file import STATE, RigFile
+from koop_tune.search.tuning import NoOptimum, tune
+
+BAR = "{desc:<40.40} |{bar}| {n:.0f} %"
+
+
+def tune_folders(
+    rig: RigFile,
+    folders: Sequence[Path],
+    out: Path,
+    seed: int = 0,
+    effort: float = 1.0,
+    slowdown: float = 1.0,
+) -> bool:
+    """Tune from recordings, write the results and print them; return whether there is an optimum.
+
+    Parameters
+    ----------
+    rig : RigFile
+        The rig.
+    folders : sequence of Path
+        Folders of ``koop excite``, or bags.
+    out : Path
+        Folder of the results; the parameter file is written last.
+    seed : int
+        Seed of all random numbers.
+    effort : float
+        Search budget (1 = default).
+    slowdown : float
+        Factor by which a closed loop showed the rig to be slower than its dwell points do.
+
+    Raises
+    ------
+    koop_core.errors.InputError
+        If there are results already, or the recordings cannot be used.
+    """
+    began = time.monotonic()
+    bags, bands = find_bags(folders, rig)
+    if (out / CONTROLLER).exists():
+        raise ConfigError(f"{out / CONTROLLER} exists already: choose another --out")
+    loaded, training = load_bags(bags, training_of(bags[0], rig))
+    if loaded.x.shape[0] != len(rig.names):
+        raise ConfigError(
+            f"{bags[0]}: {training.state} has {loaded.x.shape[0]} channels, the rig file "
+            f"{len(rig.names)}"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    with tqdm(total=100, bar_format=BAR, leave=False, disable=None) as bar:
+
+        def report(step: str, share: float) -> None:
+            bar.set_description_str(step, refresh=False)
+            bar.update(100.0 * share)
+
+        try:
+            tuning = tune(loaded, rig, training, bands, seed, effort, report, slowdown)
+        except NoOptimum as refusal:
+            bar.close()
+            progress.write_whole(out / FIGURES, as_json.of_refusal(refusal))
+            print(as_text.as_table(refusal.seen))
+            print(f"\nno optimum ({refusal.kind}): {refusal}")
+            return False
+    model = None
+    if tuning.chosen.cost.training is not None:
+        model = out / MODEL
+        train_from_bags(bags, tuning.chosen.cost.training).save(model)
+    progress.write_whole(out / FIGURES, as_json.of_tuning(tuning, rig, model))
+    progress.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model))
+    print(as_text.as_table(tuning.seen))
+    print("\n" + as_text.as_words(tuning))
+    print(f"\ntuned in {time.monotonic() - began:.0f} s; written to {out}")
+    return True
+
+
+def training_of(bag: Path, rig: RigFile) -> BagTraining:
+    """Return how models are learned from recordings of a rig.
+
+    The lifter's and the controller's topics are read where the bag has them, else the rig's own.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If the bag cannot be read.
+    """
+    with BagReader(bag) as reader:
+        topics = {topic.name for topic in reader.topics if topic.count}
+    state = f"{STATE}:x" if STATE in topics else rig.measured
+    theta = THETA if THETA.partition(":")[0] in topics else rig.command
+    return BagTraining(StateSpec.parse(state), dt=rig.dt, held_out=0.0, theta=theta)
+
+
+def find_bags(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands | None]:
+    """Return the bags of folders, and how the excitation looked at its windows.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If there are none.
+    """
+    bags: list[Path] = []
+    bands = None
+    for folder in folders:
+        if not folder.exists():
+            raise ConfigError(f"{folder}: does not exist")
+        state = progress.load(rig, folder) if folder.is_dir() else None
+        if state is None:
+            bags.append(folder / "bag" if (folder / "bag").is_dir() else folder)
+            continue
+        bands = state.how
+        bags += [folder / part / "bag" for part in state.parts if (folder / part / "bag").is_dir()]
+        if not state.done:
+            print(f"note: {folder}: the excitation is not finished")
+    if not bags:
+        raise ConfigError(f"{folders[0]}: no recording found: run 'koop excite' first")
+    return bags, bands

@@ -1,0 +1,30 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_tune"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=[
+        "koop_bag",
+        "koop_core",
+        "koop_identify",
+        "koop_loop",
+        "koopman_lifter",
+        "relay_esc",
+        "numpy",
+        "scipy",
+        "tqdm",
+    ],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="From a recorded excitation to a controller and its prediction. Needs no ROS.",
+    license="Apache-2.0",
+)

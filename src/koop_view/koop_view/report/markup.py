@@ -1,0 +1,134 @@
+"""Sections as HTML: one page that needs nothing else, not even a network."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.resources import files
+from typing import Any
+
+from koop_view.report.document import Claim, Column, Figure, Section, Table
+from koop_view.report.heat import heat_table
+
+DIGITS = 5  # significant, of the points of figures
+LONG = 40  # characters of a cell, above which its words are wrapped
+
+
+def page(title: str, body: Sequence[str], sections: Sequence[Section]) -> str:
+    """Return a page.
+
+    Parameters
+    ----------
+    title : str
+        Of the window.
+    body : sequence of str
+        HTML, part after part; empty ones are left out.
+    sections : sequence of Section
+        Whose figures the body has.
+    """
+    folder = files("koop_view.report")
+    vendor = folder / "vendor"
+    license_text = (vendor / "LICENSE").read_text().strip()
+    figures = {f.name: _plain(asdict(f)) for part in sections for f in part.figures}
+    data = json.dumps(figures, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    data = data.replace("<", "\\u003c")  # no string may end the script element
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        '<link rel="icon" href="data:,">\n'
+        f"<title>{html.escape(title)}</title>\n"
+        f"<style>\n{(vendor / 'uPlot.min.css').read_text()}\n"
+        f"{(folder / 'page.css').read_text()}</style>\n</head>\n<body>\n{lines(body)}\n"
+        f'<script type="application/json" id="figures">{data}</script>\n'
+        f"<script>\n/* uPlot: {license_text} */\n{(vendor / 'uPlot.iife.min.js').read_text()}\n"
+        f"</script>\n<script>\n{(folder / 'page.js').read_text()}</script>\n</body>\n</html>\n"
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Return JSON terms with numbers rounded: no eye sees the rest."""
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}")
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def section(part: Section) -> str:
+    """Return a section: its sentences and tables, then its figures with theirs."""
+    parts = [
+        f'<h2 id="{part.name}">{html.escape(part.title)}</h2>',
+        f"<p>{html.escape(part.intro)}</p>",
+    ]
+    # what belongs to one figure stands with it, the rest before all figures
+    own = {figure.name for figure in part.figures} - {part.name}
+    parts.append(claims([claim for claim in part.claims if claim.table not in own]))
+    parts += [table(item) for item in part.tables if item.name not in own]
+    for figure in part.figures:
+        said = [claim for claim in part.claims if claim.table == figure.name in own]
+        tables = [item for item in part.tables if item.name == figure.name in own]
+        parts.append(_figure(figure, said, tables))
+    return f"<section>{lines(parts)}</section>"
+
+
+def lines(parts: Sequence[str]) -> str:
+    """Return the parts that are there, one below the other."""
+    return "\n".join(part for part in parts if part)
+
+
+def claims(said: Sequence[Claim]) -> str:
+    """Return sentences as a list, each with a link to its table."""
+    items = [
+        f"<li>{html.escape(claim.text)} "
+        f'<small><a href="#table-{claim.table}">table</a></small></li>'
+        for claim in said
+    ]
+    return f"<ul>\n{''.join(items)}\n</ul>" if items else ""
+
+
+def table(given: Table) -> str:
+    """Return a table."""
+    head = "".join(
+        f"<th{_left(column)}>{html.escape(column.title)}</th>" for column in given.columns
+    )
+    rows = []
+    for cells, texts in zip(given.rows, given.texts(), strict=True):
+        row = []
+        for cell, text, column in zip(cells, texts, given.columns, strict=True):
+            long = isinstance(cell, str) and len(cell) > LONG
+            words = ' class="words"' if long else _left(column)
+            row.append(f"<td{words}>{html.escape(text)}</td>")
+        rows.append(f"<tr>{''.join(row)}</tr>")
+    caption = "" if given.detail else f"<caption>{html.escape(given.title)}</caption>"
+    text = (
+        f'<div class="scroll" id="table-{given.name}"><table>{caption}'
+        f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
+    )
+    if given.detail:
+        return f"<details><summary>{html.escape(given.title)}</summary>{text}</details>"
+    return text
+
+
+def _left(column: Column) -> str:
+    return ' class="left"' if column.words else ""
+
+
+def _figure(figure: Figure, said: Sequence[Claim], tables: Sequence[Table]) -> str:
+    panels = []
+    for i, panel in enumerate(figure.panels):
+        title = f'<div class="panel-title">{html.escape(panel.title)}</div>' if panel.title else ""
+        content = (
+            heat_table(panel, panel.heat) if panel.heat
+            else f'<div class="plot" data-figure="{figure.name}" data-panel="{i}"></div>'
+        )  # fmt: skip
+        panels.append(f'<div class="panel">{title}{content}</div>')
+    words = "".join(f"<p>{html.escape(claim.text)}</p>" for claim in said)
+    return (
+        f"<figure><figcaption>{html.escape(figure.caption)}</figcaption>"
+        f'<div class="panels columns-{figure.columns}">{"".join(panels)}</div>{words}'
+        f"{''.join(table(item) for item in tables)}</figure>"
+    )

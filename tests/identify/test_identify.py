@@ -1,0 +1,494 @@
+"""Identification from bags, against systems whose operator is known."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.linalg import expm
+
+from koop_bench.training import STORED, peak_of_training, write_states
+from koop_identify.model.compare import costs
+from koop_identify.model.from_bags import BagTraining, joined, load_bags, train_from_bags
+from koop_identify.model.windows import period_of
+from koop_identify.recording import counted
+from koop_identify.recording.samples import Batch, StateSpec
+from koop_identify.recording.segments import WAYS, Segmentation, Segmenter
+from koop_lab.cli.main import main
+from koopman_lifter.edmd import Gram
+from koopman_lifter.model import build, load
+from koopman_lifter.observables import Monomials
+from koopman_lifter.prediction import Forecast
+
+DT = 0.02
+A = np.array([[-0.1, 2.0], [-2.0, -0.1]])  # a damped oscillation, 2 rad/s
+JOINTS = StateSpec.parse("/joint_states:position[1],velocity[1]")
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def oscillation(t, phase=0.0):
+    """x(t) of x' = A x from [cos, sin] of the phase, shape (n, len(t))."""
+    start = np.array([np.cos(phase), np.sin(phase)])
+    return (expm(A * np.asarray(t)[:, None, None]) @ start).T
+
+
+def write_numbers(writer, topic, times, values):
+    """Add a topic of std_msgs/Float64."""
+    kind = "std_msgs/msg/Float64"
+    connection = writer.add_connection(topic, kind, typestore=STORE)
+    for at, value in zip(times, values, strict=True):
+        message = STORE.types[kind](data=float(value))
+        writer.write(connection, int(at), STORE.serialize_cdr(message, kind))
+
+
+def write_joints(path, t, x, theta=None, begin=1_700_000_000):
+    """Write a bag of sensor_msgs/JointState with another library; the state is joint 1 of two.
+
+    ``theta`` of every sample becomes a number on /knob where it changes, without a stamp.
+    """
+    types, plugin = STORE.types, StoragePlugin.MCAP
+    header, stamp = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        kind = "sensor_msgs/msg/JointState"
+        topic = writer.add_connection("/joint_states", kind, typestore=STORE)
+        for time, (position, velocity) in zip(t, x.T, strict=True):
+            at = round(time * 1e9)
+            message = types[kind](
+                header=header(stamp(begin + at // 10**9, at % 10**9), "rig"),
+                name=["first", "second"],
+                position=np.array([9.0, position]),
+                velocity=np.array([9.0, velocity]),
+                effort=np.array([]),
+            )
+            late = at + begin * 10**9 + 300_000
+            writer.write(topic, late, STORE.serialize_cdr(message, kind))
+        if theta is not None:
+            turned = np.flatnonzero(np.diff(theta, prepend=np.nan) != 0.0)
+            times = begin * 10**9 + np.round(t[turned] * 1e9).astype(np.int64)
+            write_numbers(writer, "/knob", times, theta[turned])
+    return path
+
+
+def linear(paths, **given):
+    return train_from_bags(
+        paths, BagTraining(JOINTS, **{"dt": DT, "degree": 1, "modes": 3, **given})
+    )
+
+
+def test_an_oscillator_is_identified_from_unevenly_sampled_joint_states(tmp_path):
+    rng = np.random.default_rng(1)
+    paths = []
+    for number in range(3):
+        t = np.cumsum(rng.uniform(0.0005, 0.0015, 6000))  # 1 kHz with jitter
+        paths.append(write_joints(tmp_path / f"bag{number}", t, oscillation(t, number)))
+    model = linear(paths)
+    # linear interpolation errs by h^2 |x''| / 8 < 2e-6 between samples 1.5 ms apart
+    np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=1e-4)
+    np.testing.assert_allclose(model.K[1:, 0], 0.0, atol=1e-4)
+    assert model.state_names == ("position1", "velocity1")
+    assert [bag["name"] for bag in model.provenance["bags"]] == ["bag0", "bag1", "bag2"]
+    assert len({bag["sha256"] for bag in model.provenance["bags"]}) == 3
+    (one, *_, far) = model.provenance["forecast"]
+    assert (one["steps"], far["steps"]) == (1, 50 if far["steps"] == 50 else 10)
+    assert max(far["error"]) < 1e-3 < 0.1 < min(far["no_change"])
+
+
+def paused():
+    """Return times and states of a recording in the middle of which the recorder slept."""
+    t = np.arange(400) * DT
+    t[200:] += 7.5 * DT
+    x = oscillation(t)
+    x[:, 200:] = oscillation(t[200:], 2.0)  # meanwhile somebody pushed the rig
+    return t, x
+
+
+@pytest.mark.parametrize("way", ["linear", "zoh"])
+def test_a_pause_is_not_bridged(tmp_path, way):
+    model = linear([write_joints(tmp_path / "bag", *paused())], way=way, held_out=0.0)
+    np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=1e-9)
+    assert model.provenance["pairs"] == 199 + 199
+    assert model.provenance["bags"][0]["segments"] == 2
+
+
+def test_resample_none_looks_at_no_time(tmp_path):
+    model = linear([write_joints(tmp_path / "bag", *paused())], way="none", held_out=0.0)
+    assert model.provenance["pairs"] == 399
+    assert model.provenance["bags"][0]["segments"] == 1
+
+
+def test_stamps_that_jitter_are_ignored_if_told_so(tmp_path):
+    rng = np.random.default_rng(2)
+    even = np.arange(2000) * DT
+    jittered = even + rng.uniform(0.0, 0.5 * DT, even.size)
+    path = write_joints(tmp_path / "bag", jittered, oscillation(even))
+    exact = linear([path], way="none").K[1:, 1:]
+    np.testing.assert_allclose(exact, expm(A * DT), atol=1e-9)
+    blurred = linear([path], way="linear").K[1:, 1:]
+    assert np.abs(blurred - expm(A * DT)).max() > 1e-6
+
+
+# -- without stamps -----------------------------------------------------------------------------
+
+
+def received(t, rng, size=1.0):
+    """Return when samples of times t [s] are received: late, at times in a batch, in order."""
+    late = size * 0.2 * DT * rng.exponential(size=t.size)
+    busy = rng.random(t.size) < 0.01 * size  # the host has something else to do, for up to 20 Dt
+    busy[-100:] = False  # a recording that ends meanwhile has a gap there
+    late[busy] += 20.0 * DT * rng.random(np.count_nonzero(busy))
+    return np.maximum.accumulate(t + late + 1e-6 * np.arange(t.size))
+
+
+def write_unstamped(path, at, x, begin=1_700_000_000):
+    """Write a bag of std_msgs/Float64MultiArray, which bears no stamp."""
+    types, kind = STORE.types, "std_msgs/msg/Float64MultiArray"
+    layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = writer.add_connection("/adc", kind, typestore=STORE)
+        for time, values in zip(at, x.T, strict=True):
+            message = STORE.serialize_cdr(types[kind](layout=layout, data=values), kind)
+            writer.write(topic, begin * 10**9 + round(time * 1e9), message)
+    return path
+
+
+def test_late_messages_without_stamps_are_no_gap_and_a_pause_is_one(tmp_path, capsys):
+    rng = np.random.default_rng(4)
+    t = np.arange(4000) * DT
+    x = oscillation(0.2 * t)
+    t[1500:] += 7.0 * DT  # nothing was sampled
+    x[:, 1500:] = oscillation(0.2 * t[1500:], 2.0)
+    at = received(t, rng)
+    assert np.count_nonzero(np.diff(at) > 3.0 * DT) > 20  # what a gap by time would cut
+    bag, out = write_unstamped(tmp_path / "bag", at, x), tmp_path / "model.npz"
+    given = ["--state", "/adc:data", "--dt", str(DT), "--degree", "1", "--modes", "2"]
+    assert main(["train", str(bag), *given, "--held-out", "0", "--out", str(out)]) == 0
+    model = load(out)
+    np.testing.assert_allclose(model.K[1:, 1:], expm(0.2 * A * DT), atol=1e-6)
+    assert model.provenance["pairs"] == 1499 + 2499
+    printed = capsys.readouterr().out
+    assert "4000 of 4000 samples in 2 segments, 3998 pairs" in printed
+    assert "no stamps: counted, one each 0.02 s; gaps longer than 0.06 s: 1" in printed
+
+
+def test_samples_without_stamps_at_another_rate_are_interpolated_in_counted_time(tmp_path):
+    t = np.arange(12_000) * DT / 4.0
+    at = received(t, np.random.default_rng(5), size=0.25)
+    path = write_unstamped(tmp_path / "bag", at, oscillation(t))
+    spec = StateSpec.parse("/adc:data")
+    model = train_from_bags([path], BagTraining(spec, dt=DT, degree=1, modes=3, held_out=0.0))
+    # jitter moves the period that is found by less than 1 %, the angle of A Dt likewise
+    np.testing.assert_allclose(model.K[1:, 1:], expm(A * DT), atol=0.01 * 2.0 * DT)
+    assert model.provenance["bags"][0]["segments"] == 1
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+def test_how_a_stream_is_batched_does_not_matter_to_the_count(data):
+    size = data.draw(st.integers(2, 80))
+    seed = data.draw(st.integers(0, 99))
+    rng = np.random.default_rng(seed)
+    lost = rng.random(size) < 0.05
+    t = (np.cumsum(1.0 + 5.0 * lost) * DT * 1e9).astype(np.int64)
+    t += (rng.exponential(size=size) * DT * 1e9).astype(np.int64)
+    edges = [0, *sorted(data.draw(st.sets(st.integers(1, size - 1), max_size=6))), size]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(counted, "MOST", 10)  # what is held back, in a stream of 80 samples
+        patch.setattr(counted, "LOOK", 5)
+        parts = [Batch(a, t[a:b], None, t[a:b, None] + 0.0, False) for a, b in pairwise(edges)]
+        whole = [Batch(0, t, None, t[:, None] + 0.0, False)]
+        times = [
+            np.concatenate([part.time for part in counted.recount(given, DT * 1e9, DT * 1e9)])
+            for given in (parts, whole)
+        ]
+    assert times[0].tolist() == times[1].tolist()
+
+
+def test_a_clock_that_is_set_back_ends_a_segment():
+    t = np.arange(100) * 10_000_000
+    t[50:] -= 10**9
+    (batch,) = counted.recount([Batch(0, t, None, t[:, None] + 0.0, False)], 1e7, 1e7)
+    assert np.flatnonzero(np.diff(batch.time) != 10_000_000).tolist() == [49]
+    assert np.diff(batch.time)[49] < 0
+
+
+# -- segments -----------------------------------------------------------------------------------
+
+
+def split(segmentation, time, step, x, bounds):
+    """Feed samples in batches; return all pairs of consecutive states, and of states 3 apart."""
+    segmenter = Segmenter(segmentation, time.size)
+    edges = [0, *sorted(bounds), time.size]
+    parts = [slice(a, b) for a, b in pairwise(edges)]
+    fed = (Batch(p.start, time[p], step[p], x[p]) for p in parts)
+    parts = list(joined((part for batch in fed for part in segmenter.split(batch)), 3))
+    found = []
+    for apart in (1, 3):
+        pairs = [
+            (part.held_out, *part.states[:, k - apart], *part.states[:, k])
+            for part, known in parts
+            for k in range(max(apart, known), part.states.shape[1])
+        ]
+        found.append(pairs)
+    return found
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+def test_how_a_bag_is_read_in_batches_does_not_matter(data):
+    size = data.draw(st.integers(5, 60))
+    jumps = data.draw(st.lists(st.sampled_from([1, 1, 1, 1, 2, 9, 0, -5]), min_size=size,
+                               max_size=size))  # fmt: skip
+    step = np.cumsum(jumps)
+    time = np.cumsum(np.array(jumps) * 10_000_000 + data.draw(st.integers(-3000, 3000)))
+    x = np.arange(float(size))[:, None] ** [1, 2]
+    x[data.draw(st.lists(st.integers(0, size - 1), max_size=2)), 0] = np.nan
+    way = data.draw(st.sampled_from(WAYS))
+    segmentation = Segmentation(way, 0.007 if way in ("linear", "zoh") else 0.01, 0.035, 0.25)
+    bounds = data.draw(st.sets(st.integers(1, size - 1), max_size=6))
+    assert split(segmentation, time, step, x, bounds) == split(segmentation, time, step, x, set())
+
+
+def test_steps_pair_only_neighbours_of_the_same_run_and_share():
+    step = np.array([0, 1, 2, 4, 5, 5, 6, 0, 1, 2])
+    x = np.array([10.0, 11, 12, 14, 15, 15, np.nan, 20, 21, 22])[:, None]
+    segmentation = Segmentation("steps", 0.01, 1.0)
+    pairs, triples = split(segmentation, step * 10_000_000, step, x, {3})
+    assert [pair[1:] for pair in pairs] == [(10, 11), (11, 12), (14, 15), (20, 21), (21, 22)]
+    assert triples == []
+
+
+def test_blocks_are_held_out_evenly_and_never_the_first():
+    blocks = np.arange(20)
+    for share, held in ((0.0, []), (0.2, [4, 9, 14, 19]), (0.05, [19]), (0.5, range(1, 20, 2))):
+        assert np.flatnonzero(
+            Segmentation("none", 1.0, 1.0, share).is_held_out(blocks)
+        ).tolist() == [*held]
+
+
+# -- forecast -----------------------------------------------------------------------------------
+
+
+def test_the_forecast_of_a_known_operator_errs_by_the_noise_alone():
+    rng = np.random.default_rng(3)
+    clean = oscillation(np.arange(2000) * DT)
+    gram = Gram.empty(Monomials(2, 1))
+    gram.add_trajectory(clean)
+    model = build(gram, DT, ("a", "b"), 3, {})
+    exact, noisy = Forecast(model, (1, 20)), Forecast(model, (1, 20, 5000))
+    exact.add(clean, 0)
+    sigma = 0.01
+    measured = clean + sigma * rng.standard_normal(clean.shape)
+    for begin in range(0, 2000, 500):  # in parts that overlap by the longest horizon in reach
+        known = min(begin, 20)
+        noisy.add(measured[:, begin - known : begin + 500], known)
+    for item in exact.result():
+        np.testing.assert_allclose(item["error"], 0.0, atol=1e-9)
+    first, second = noisy.result()  # no segment is 5000 steps long
+    assert (first["predictions"], second["predictions"]) == (1999, 1980)
+    for item in (first, second):
+        # noise in the target and, turned and damped, in the start: both of deviation sigma
+        gain = np.linalg.norm(expm(A * DT * item["steps"]), 2)
+        expected = sigma * np.sqrt(1.0 + gain**2) / measured.std(axis=1)
+        np.testing.assert_allclose(item["error"], expected, rtol=0.1)
+        moved = clean[:, item["steps"] :] - clean[:, : -item["steps"]]
+        unchanged = np.sqrt((moved**2).mean(axis=1) + 2.0 * sigma**2) / measured.std(axis=1)
+        np.testing.assert_allclose(item["no_change"], unchanged, rtol=0.1)
+
+
+# -- the command --------------------------------------------------------------------------------
+
+
+def test_train_writes_a_model_that_inspect_explains(tmp_path, capsys):
+    t = np.arange(1500) * DT
+    bag, out = write_joints(tmp_path / "rig", t, oscillation(t)), tmp_path / "model.npz"
+    given = ["--state", str(JOINTS), "--dt", str(DT), "--degree", "1", "--modes", "2"]
+    given += ["--names", "angle,speed", "--horizons", "1,25", "--out", str(out)]
+    assert main(["train", str(bag), *given]) == 0
+    model = load(out)
+    assert model.state_names == ("angle", "speed")
+    assert model.provenance["bags"][0]["states"] == 1500
+    trained = capsys.readouterr().out
+    assert main(["inspect", str(out)]) == 0
+    inspected = capsys.readouterr().out
+    assert inspected.split("\n", 1)[1].strip() in trained
+    assert "rig (" in inspected
+    assert "1500 of 1500 samples in 8 segments" in inspected
+    assert [line.split()[:2] for line in inspected.splitlines() if line.startswith("25 ")] == [
+        ["25", "0.5"]
+    ]
+
+
+def test_inspect_shows_what_the_modes_of_a_noisy_bag_are_worth(tmp_path, capsys):
+    """Noise of 20 % shrinks the least-squares modulus by 1 + 0.2^2 / 0.5, and makes a residual."""
+    rng = np.random.default_rng(6)
+    t = np.arange(6000) * DT
+    turn = np.stack((np.cos(2.0 * t), np.sin(2.0 * t)))
+    bag = write_joints(tmp_path / "rig", t, turn + 0.2 * rng.standard_normal(turn.shape))
+    out = tmp_path / "model.npz"
+    given = ["--state", str(JOINTS), "--dt", str(DT), "--degree", "1", "--held-out", "0"]
+    given += ["--out", str(out), "--modes", "3"]
+    moduli = {}
+    for estimator in ("least-squares", "total-least-squares", "forward-backward"):
+        assert main(["train", str(bag), *given, "--estimator", estimator]) == 0
+        model = load(out)
+        moduli[estimator] = abs(model.eigenvalues[np.argmax(model.eigenvalues.imag)])
+        assert model.spread.max() < 0.02
+    assert moduli["least-squares"] == pytest.approx(1 / 1.08, abs=0.01)
+    assert moduli["total-least-squares"] == pytest.approx(1.0, abs=0.01)
+    assert moduli["forward-backward"] == pytest.approx(1.0, abs=0.01)
+    assert main(["train", str(bag), *given, "--select", "trusted", "--residual-limit", "0.3"]) == 0
+    assert load(out).kept.tolist() == [True, False, False]
+    # of an eigenfunction that keeps its size
+    np.testing.assert_allclose(load(out).residuals[1:], np.sqrt(1 - 1 / 1.08**2), atol=0.02)
+    capsys.readouterr()
+    assert main(["inspect", str(out)]) == 0
+    shown = capsys.readouterr().out
+    head, row = (line for line in shown.splitlines() if line.startswith(("eigenv", "1.000000 +")))
+    assert head.split()[-3:] == ["residual", "spread", "selected"]
+    assert row.split()[-1] == "Yes"
+    assert "1 mode kept, by energy among those with a residual of at most 0.3; 3 were" in shown
+    assert main(["inspect"]) == 0
+    assert "residuals and spread are not known" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--dt", "0.02", "--select", "trusted", "--residual-limit", "-1"], "must be 0 to 10"),
+        ([], "give --dt (the usual time between two messages is 0.02 s)"),
+        (["--dt", "0"], "dt = 0 s: must be positive"),
+        (["--dt", "0.02", "--state", "/joint_states"], "write /topic:field or"),
+        (["--dt", "0.02", "--state", "/nowhere:x"], "has no topic /nowhere; it has /joint_states"),
+        (["--dt", "0.02", "--state", "/joint_states:speed"], "has no field 'speed'"),
+        (["--dt", "0.02", "--resample", "steps"], "have no field 'step'"),
+        (["--dt", "0.02", "--held-out", "0.9"], "held-out share 0.9: must be 0 to 0.5"),
+        (["--dt", "0.02", "--horizons", "0"], "horizons are steps ahead"),
+        (["--dt", "0.02", "--names", "a"], "1 state names for 2 states"),
+        (["--seed", "1"], "--seed is for training without a bag"),
+        (["--dt", "0.02", "--state", "/joint_states:position[7],position[1]"], "finite"),
+    ],
+)
+def test_what_cannot_be_learned_is_said(tmp_path, given, message, capsys):
+    t = np.arange(100) * DT
+    bag = write_joints(tmp_path / "bag", t, oscillation(t))
+    state = [] if "--state" in given else ["--state", str(JOINTS)]
+    out = tmp_path / "model.npz"
+    assert main(["train", str(bag), *state, *given, "--degree", "1", "--out", str(out)]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_bag_3_times_as_large_takes_no_more_memory(tmp_path):
+    peaks = []
+    for megabytes in (10, 30):  # the smaller one fills a batch, which is what is held at once
+        size = write_states(tmp_path / str(megabytes), round(megabytes * 1e6 / STORED))
+        assert size == pytest.approx(megabytes * 1e6, rel=0.1)
+        peaks.append(peak_of_training(tmp_path / str(megabytes)))
+    # all messages read in one batch add 70 MB
+    assert peaks[1] - peaks[0] < 30e6
+
+
+PIECE = 2000  # samples of one strength
+
+
+def test_the_contrast_of_a_bag_is_free_of_what_all_of_it_contains(tmp_path):
+    t = DT * np.arange(20 * PIECE)
+    swing = np.repeat([1.0, 5.0, 2.0, 6.0, 1.5] * 4, PIECE) * np.sin(2.0 * t)
+    common = 20.0 * np.sin(3.1 * t)
+    x = np.stack((common + swing + 4.0, 2.0 * common - swing + 1.0))
+    path = write_joints(tmp_path / "bag", t, x)
+    given = {"dt": DT, "way": "none", "held_out": 0.0, "contrast": True}
+    model = train_from_bags([path], BagTraining(JOINTS, **given))
+    constant, *direction = model.projector[0, :3]
+    # 2 x1 - x2 is free of the common part and has its centre at 2 * 4 - 1
+    assert direction[0] / direction[1] == pytest.approx(-2.0, abs=0.02)
+    assert constant / direction[1] == pytest.approx(7.0, abs=0.1)
+    assert not model.projector[1:].any()
+    assert model.provenance["variant"] == "contrast"
+    assert model.provenance["strong_and_weak_by"] == "amplitude"
+
+
+def write_swept(path, drift):
+    """Write a rig that oscillates as theta is from 0, and an interference that comes and goes."""
+    rng = np.random.default_rng(0)
+    t = DT * np.arange(60 * PIECE)
+    theta = np.repeat(rng.uniform(-2.0, 2.0, 60), PIECE)
+    swing = (0.2 + np.abs(theta)) * np.sin(2.0 * t)
+    interference = 20.0 * (1.2 + drift * np.sin(0.05 * t)) * np.sin(3.1 * t)
+    x = np.stack((interference + swing, 2.0 * interference - swing))
+    x += 0.01 * rng.standard_normal(x.shape)
+    return write_joints(path, t, x, theta)
+
+
+def test_theta_tells_the_oscillation_from_a_stronger_interference_that_comes_and_goes(tmp_path):
+    """By amplitude alone, the interference's coming and going would be the contrast."""
+    swept = write_swept(tmp_path / "bag", 1.0)
+    given = {"dt": DT, "way": "none", "held_out": 0.0, "contrast": True}
+    ratio = {}
+    for field in (None, "/knob:data"):
+        model = train_from_bags([swept], BagTraining(JOINTS, theta=field, **given))
+        ratio[field] = model.projector[0, 1] / model.projector[0, 2]
+    assert model.provenance["strong_and_weak_by"] == "theta"
+    assert ratio["/knob:data"] == pytest.approx(-2.0, abs=0.01)
+    assert abs(ratio[None] + 2.0) > 0.1
+
+
+def test_what_is_learned_anew_of_a_candidate_is_what_was_judged(tmp_path):
+    swept = write_swept(tmp_path / "bag", 0.0)
+    given = {"dt": DT, "way": "none", "held_out": 0.0, "theta": "/knob:data"}
+    loaded, training = load_bags([swept], BagTraining(JOINTS, **given))
+    period = 2.5 * period_of(loaded, DT)
+    judged = {cost.name: cost for cost in costs(loaded, training, period)}["contrast"]
+    model = train_from_bags([swept], judged.training)
+    assert model.provenance["window"] == judged.model.provenance["window"]
+    assert model.projector == pytest.approx(judged.model.projector, rel=1e-6, abs=1e-9)
+
+
+def test_the_candidates_are_compared(tmp_path, capsys):
+    swept = write_swept(tmp_path / "bag", 0.0)
+    where = ["--dt", str(DT), "--state", str(JOINTS), "--theta", "/knob:data"]
+    out = tmp_path / "model.npz"
+    assert main(["train", str(swept), "--compare", "--out", str(out), *where]) == 0
+    printed = capsys.readouterr().out
+    right = {
+        line.split("  ")[0]: int(line.split(" %")[0].split()[-1])
+        for line in printed.splitlines()
+        if line.count(" %") == 1 and "chance" not in line
+    }
+    assert len(right) == 6
+    assert right["contrast"] > 95 > right["raw"]
+    assert "most often right: " in printed
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    assert not out.exists()
+
+
+def test_one_channel_with_delays_tells_as_much_as_two(tmp_path):
+    """A linear oscillator seen through one sensor, from a bag of std_msgs/Float64."""
+    t = DT * np.arange(20 * PIECE)
+    path = tmp_path / "bag"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        times = np.round((1.0 + t) * 1e9)
+        write_numbers(writer, "/pressure", times, np.exp(-0.01 * t) * np.cos(3.0 * t))
+    state = StateSpec.parse("/pressure:data")
+    model = train_from_bags([path], BagTraining(state, dt=DT, way="none", delays=2, degree=1))
+    # two states are all that there is: three samples and products of them are told down from 3 to 1
+    with pytest.raises(ValueError, match="take fewer delays"):
+        train_from_bags([path], BagTraining(state, dt=DT, way="none", delays=3))
+    expected = np.exp((-0.01 + 3.0j) * DT)
+    assert np.abs(model.eigenvalues - expected).min() < 1e-9
+    # together they span an eighth of the period
+    assert model.delays.every * DT == pytest.approx(0.125 * 2.0 * np.pi / 3.0, rel=0.1)
+    # predicted from its past as well as from its state
+    assert max(item["error"][0] for item in model.provenance["forecast"]) < 1e-6
+
+
+def test_a_bag_too_short_for_a_contrast_is_refused_with_what_to_do(tmp_path):
+    t = DT * np.arange(1500)
+    path = write_joints(tmp_path / "bag", t, oscillation(t))
+    with pytest.raises(ValueError, match="record longer, while theta moves over its range"):
+        linear([path], contrast=True)
