@@ -1,0 +1,90 @@
+"""What needs no ROS imports and runs where none is installed."""
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from koop_bag.bag.reader import BagReader
+from koop_loop.loop import simulate
+from koopman_lifter.config import LifterConfig
+from relay_esc.config import EscConfig
+from vdp_plant.config import PlantConfig
+
+ROOT = Path(__file__).parents[2]
+SRC = ROOT / "src"
+BAG = ROOT / "recordings" / "golden" / "run" / "bag"
+PACKAGES = ("koop_core", "vdp_plant", "koopman_lifter", "relay_esc", "koop_bag", "koop_loop",
+            "koop_identify", "koop_tune")  # fmt: skip
+LIBRARIES = ("numpy", "numpy.libs", "scipy", "scipy.libs", "numba", "llvmlite", "llvmlite.libs",
+             "yaml", "_yaml", "mcap", "mcap_ros2", "zstandard", "lz4", "tqdm")  # fmt: skip
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+import {packages}
+for package in ({packages},):
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        parts = module.name.split(".")
+        if not {{"node", "executable", "recorder", "player"}} & set(parts) and parts[1] != "cli":
+            importlib.import_module(module.name)
+assert not any(name in sys.modules for name in ("rclpy", "koop_node", "koop_msgs"))
+"""
+RUN = """
+from pathlib import Path
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
+from koop_loop.loop import simulate
+from koopman_lifter.config import LifterConfig
+from relay_esc.config import EscConfig
+from vdp_plant.config import PlantConfig
+loop = simulate(PlantConfig(), LifterConfig(cost="raw"), EscConfig(), None, 2000)
+with BagReader(Path({bag!r})) as bag:
+    print(loop.theta[-1].hex(), read_columns(bag, "/theta", ["theta"])["theta"].size)
+"""
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory):
+    """Run Python code with these packages and their libraries, and nothing else."""
+    folder = tmp_path_factory.mktemp("without_ros")
+    site = Path(importlib.util.find_spec("numpy").origin).parents[1]
+    for name in LIBRARIES:
+        if (site / name).exists():
+            (folder / name).symlink_to(site / name)
+    for path in site.glob("*.dist-info"):
+        if path.name.split("-")[0].lower() in {name.lower() for name in LIBRARIES}:
+            (folder / path.name).symlink_to(path)
+    for package in PACKAGES:
+        (folder / package).symlink_to(SRC / package / package)
+
+    first = f"import sys; sys.path.append({str(folder)!r})"
+
+    def run(code):
+        return subprocess.run(
+            [sys.executable, "-I", "-S", "-c", f"{first}\n{code}"],
+            capture_output=True,
+            text=True,
+            env={"PATH": "/usr/bin:/bin", "HOME": str(folder)},
+        )
+
+    return run
+
+
+def test_there_is_no_ros(python):
+    assert "No module named 'rclpy'" in python("import rclpy").stderr
+
+
+def test_every_module_but_the_nodes_imports(python):
+    done = python(IMPORT_ALL.format(packages=", ".join(PACKAGES)))
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_loop_runs_and_a_bag_is_read_as_with_ros(python):
+    done = python(RUN.format(bag=str(BAG)))
+    assert done.returncode == 0, done.stderr
+    theta, count = done.stdout.split()
+    plant, lifter, esc = PlantConfig(), LifterConfig(cost="raw"), EscConfig()
+    assert theta == simulate(plant, lifter, esc, None, 2000).theta[-1].hex()
+    with BagReader(BAG) as bag:
+        assert int(count) == bag.topic("/theta").count > 0
