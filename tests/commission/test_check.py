@@ -9,19 +9,16 @@ import pytest
 from commission_rig import RIG
 from std_msgs.msg import Float64, Float64MultiArray
 
-from koop_commission.stages import check
-from koop_commission.stages.check import BAD, live
+from koop_commission.fitness.fitness import BAD
+from koop_commission.fitness.settings import CheckSettings
+from koop_commission.stages.check import check_rig
 
 pytestmark = pytest.mark.ros
 
 
-@pytest.fixture(autouse=True)
-def _quick(monkeypatch):
-    monkeypatch.setattr(check, "LISTEN", 1.0)
-
-
-def rows_of(rig, moves=True, seed=0):
-    rows = list(live(rig, 1.0, moves, random.Random(seed)))
+def rows_of(rig, moves=True, listen=1.0):
+    settings = CheckSettings(listen=listen)
+    rows = list(check_rig(rig, moves, rng=random.Random(0), settings=settings))
     assert len({str(row).count("\n") for row in rows}) == 1  # a line each
     return {row.name: row for row in rows}, [row.name for row in rows if row.level == BAD]
 
@@ -42,28 +39,30 @@ def test_a_fit_rig_reacts_and_theta_ends_at_its_safe_value(fast_rig):
         assert abs(theta[j] - theta[i]) <= RIG.theta_rate * (times[j] - times[i] + 0.15)
 
 
-def test_what_a_user_does_wrong_is_a_line(fast_rig, probe, monkeypatch):
-    monkeypatch.setattr(check, "LISTEN", 3.5)  # in which any publisher is found
-    rows, bad = rows_of(replace(RIG, measured="/slow:data[0]", channel_max=()), moves=False)
+def test_a_mistake_of_the_user_is_a_finding(fast_rig, probe):
+    long = 3.5  # [s] in which any publisher is discovered
+    rows, bad = rows_of(
+        replace(RIG, measured="/slow:data[0]", channel_max=()), moves=False, listen=long
+    )
     assert bad == ["graph"]
-    assert "nobody publishes /slow: is the rig started" in rows["graph"].text
+    assert "/slow has no publisher: is the rig running" in rows["graph"].text
     assert "/fast (std_msgs/msg/Float64MultiArray)" in rows["graph"].text
     rows, bad = rows_of(replace(RIG, measured_type="std_msgs/msg/Float64", measured="/fast:data",
-                                channel_max=()), moves=False)  # fmt: skip
-    assert "speaks std_msgs/msg/Float64MultiArray, the file says" in rows["graph"].text
+                                channel_max=()), moves=False, listen=long)  # fmt: skip
+    assert "/fast is std_msgs/msg/Float64MultiArray, the rig file says" in rows["graph"].text
     second = probe.node.create_publisher(Float64MultiArray, "/fast", 10)
-    rows, bad = rows_of(RIG, moves=False)
+    rows, bad = rows_of(RIG, moves=False, listen=long)
     assert bad == ["arrival"]
     assert re.fullmatch(
-        r"/fast is published by (/probe and /fast_rig|/fast_rig and /probe): end all but the rig",
+        r"/fast is published by (/probe and /fast_rig|/fast_rig and /probe): stop all but the rig",
         rows["arrival"].text,
     )
     probe.node.destroy_publisher(second)
     probe.node.create_publisher(Float64, "/fast/knob", 10)
-    rows, bad = rows_of(replace(RIG, dt=0.01, channel_max=(8.0, 0.1)))
+    rows, bad = rows_of(replace(RIG, dt=0.01, channel_max=(8.0, 0.1)), listen=long)
     assert {"command", "arrival", "channel"} <= set(bad)
-    assert rows["command"].text == "/fast/knob is commanded by /probe: end that"
-    assert "dt = 0.01: dt is not that" in rows["arrival"].text
+    assert rows["command"].text == "/fast/knob is commanded by /probe: stop that"
+    assert "dt = 0.01: dt is wrong" in rows["arrival"].text
     assert "beyond its limit 0.1 before theta moves" in rows["channel"].text
     assert rows["theta"].text.startswith("was not moved")
     assert not fast_rig.moved

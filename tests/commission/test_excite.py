@@ -15,11 +15,12 @@ from commission_rig import RIG, FastRig
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_commission.rig import listener
-from koop_commission.rig.listener import Ears, refuse_two_rigs, speakers
-from koop_commission.stages.excite import refuse_small_disk
+from koop_commission.rig.graph import identify_publishers, refuse_second_rig
+from koop_commission.rig.listener import Listener
+from koop_commission.stages.bags import refuse_small_disk
 from koop_commission.stages.session import refuse_incomplete_state
-from koop_commission.theta.commander_client import Hand, left_at, note_of
+from koop_commission.theta.assignment import Assignment
+from koop_commission.theta.commander_client import CommanderClient, find_theta, note_of
 from koop_core.config.fields import parse_field
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -64,13 +65,13 @@ def assert_walked(moved, rig):
 )
 def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, reason):
     with Client("hears") as client:
-        said = Ears(client, THETA, THETA_TYPE, (parse_field("theta"),), reliable=True)
-        with Hand(SLOW, tmp_path / "log") as hand:
-            hand.go(-1.0)
+        said = Listener(client, THETA, THETA_TYPE, (parse_field("theta"),), reliable=True)
+        with CommanderClient(Assignment(SLOW, SLOW.theta_start), tmp_path / "log") as commander:
+            commander.go(-1.0)
             wait(lambda: client.spin(0.02) or fast_rig.theta < -0.8, "theta to move")
             setattr(fast_rig, fault, True)
             with pytest.raises(LiveError, match=reason):
-                wait(hand.beat, "the fault")
+                wait(commander.check, "the fault")
         wait(lambda: client.spin(0.02) or said.last.theta == SLOW.theta_safe, "all that was said")
     assert_walked(fast_rig.moved, SLOW)
     # the way home does not make up for the time of the silence
@@ -80,12 +81,15 @@ def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, re
 HOLD = """
 import sys, time
 from pathlib import Path
-from koop_commission.theta.commander_client import Hand
+from koop_commission.theta.assignment import Assignment
+from koop_commission.theta.commander_client import CommanderClient
 from koop_tune.rig.rig_file import read
-with Hand(read(sys.argv[1]), Path("log"), note=Path("note")) as hand:
-    hand.go(-1.0)
+rig = read(sys.argv[1])
+assignment = Assignment(rig, rig.theta_start, note=str(Path("note").resolve()))
+with CommanderClient(assignment, Path("log")) as commander:
+    commander.go(-1.0)
     while True:
-        hand.beat()
+        commander.check()
         time.sleep(0.1)
 """
 
@@ -97,7 +101,7 @@ def test_theta_goes_home_if_the_commander_itself_is_killed(fast_rig, tmp_path):
         wait(lambda: fast_rig.theta < 0.0, "theta to move", process)
         commander = int(
             subprocess.run(
-                ["pgrep", "-P", str(process.pid), "-f", "commission.commander"],
+                ["pgrep", "-P", str(process.pid), "-f", "koop_commission.theta.commander"],
                 capture_output=True, text=True, check=True,
             ).stdout
         )  # fmt: skip
@@ -109,33 +113,37 @@ def test_theta_goes_home_if_the_commander_itself_is_killed(fast_rig, tmp_path):
     # the next command goes on from there, but not if the rig was started again
     note, topic = tmp_path / "note", SLOW.state.topic
     with Client("looks") as client:
-        wait(lambda: client.spin(0.1) or speakers(client, topic), "the rig")
-        first = speakers(client, topic)
-        assert left_at(note, SLOW, first) == (SLOW.theta_safe, "")
+        wait(lambda: client.spin(0.1) or identify_publishers(client, topic), "the rig")
+        first = identify_publishers(client, topic)
+        assert find_theta(note, SLOW, first) == (SLOW.theta_safe, "")
         again = FastRig()
         try:
-            wait(lambda: client.spin(0.1) or speakers(client, topic) - first, "the other rig")
-            theta, words = left_at(note, SLOW, speakers(client, topic) - first)
+            wait(
+                lambda: client.spin(0.1) or identify_publishers(client, topic) - first,
+                "the other rig",
+            )
+            theta, words = find_theta(note, SLOW, identify_publishers(client, topic) - first)
         finally:
             again.close()
     assert theta == SLOW.theta_start
-    assert "was started again since theta was left at 1" in words
+    assert "was restarted since theta was left at 1" in words
 
 
-def test_two_rigs_on_one_topic_are_refused_unless_one_is_on_its_way_out(fast_rig, monkeypatch):
+def test_two_rigs_on_one_topic_are_refused_unless_one_is_on_its_way_out(fast_rig):
     topic = RIG.state.topic
     with Client("looks") as client:
         other = FastRig()
         try:
-            wait(lambda: client.spin(0.1) or len(speakers(client, topic)) == 2, "both rigs")
-            monkeypatch.setattr(listener, "GIVEN_UP", 0.5)
-            with pytest.raises(LiveError, match="published by /fast_rig and /fast_rig: end all"):
-                refuse_two_rigs(client, RIG)
+            wait(
+                lambda: client.spin(0.1) or len(identify_publishers(client, topic)) == 2,
+                "both rigs",
+            )
+            with pytest.raises(LiveError, match="published by /fast_rig and /fast_rig: stop all"):
+                refuse_second_rig(client, RIG, 0.5)
         finally:
             leaves = threading.Timer(1.0, other.close)
             leaves.start()
-        monkeypatch.setattr(listener, "GIVEN_UP", TIMEOUT)
-        refuse_two_rigs(client, RIG)
+        refuse_second_rig(client, RIG, TIMEOUT)
         leaves.join()
 
 
@@ -152,12 +160,12 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
         return len(json.loads(done.read_text())["visits"]) if done.exists() else 0
 
     first = koop("excite", rig_yaml, "--out", "run")
-    wait(lambda: visits() >= 1, "a stay", first)
+    wait(lambda: visits() >= 1, "a visit", first)
     first.send_signal(signal.SIGINT)
     out, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130, error
-    assert "9 values of theta from -1 to 2, up and down, then at random: about" in out
-    assert f"theta is back at 1; to go on: ./koop excite {rig_yaml} --out run" in out
+    assert "9 values of theta from -1 to 2, up and down, then in random order: about" in out
+    assert f"theta is back at 1; to resume: ./koop excite {rig_yaml} --out run" in out
     assert fast_rig.theta == RIG.theta_safe
     theta, topics = whole(tmp_path / "run/part-1/bag")
     assert {"/fast", "/fast/knob", "/state", "/cost", "/theta"} <= topics
@@ -165,20 +173,20 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     assert theta["theta"][-1] == RIG.theta_safe  # the way home is on record
     before = visits()
     second = koop("excite", rig_yaml, "--out", "run")
-    wait(lambda: visits() > before, "another stay", second)
+    wait(lambda: visits() > before, "another visit", second)
     wait(lambda: fast_rig.theta < 0.9, "theta to be elsewhere", second)
     second.kill()
     out = second.communicate(timeout=TIMEOUT)[0]
-    assert f"{before} stays were done before" in out
+    assert f"{before} visits were done before" in out
     wait(lambda: fast_rig.theta == RIG.theta_safe, "theta to come home")
     bag = tmp_path / "run/part-2/bag"
     wait(lambda: (bag / "metadata.yaml").exists(), "the bag to be closed")
     whole(bag)
     assert_walked(fast_rig.moved, RIG)
-    assert left_at(note_of(rig_yaml), RIG, ()) == (RIG.theta_safe, "")
+    assert find_theta(note_of(rig_yaml), RIG, ()) == (RIG.theta_safe, "")
 
 
-def test_what_cannot_be_recorded_is_refused_before_theta_moves(tmp_path, monkeypatch):
+def test_what_cannot_be_recorded_is_refused_before_theta_moves(tmp_path):
     with pytest.raises(LiveError, match=r"MB are free, up to \d+ MB are needed: make room"):
         refuse_small_disk(RIG, tmp_path / "there", 1e12)
     own = replace(RIG, measured="state:x[0]", measured_type="koop_msgs/msg/MeasuredState",

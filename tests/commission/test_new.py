@@ -56,15 +56,15 @@ def test_what_the_graph_shows_is_proposed_and_enter_takes_it(rig, tmp_path):
     proposed = re.search(r"time between two messages \[s\] \[([\d.]+)\]", done.stdout)
     assert proposed
     assert 0.005 < float(proposed[1]) < 0.1  # of a timer, on a busy machine
-    assert "numbers of a message that change: data[0],data[1]; 1 others do not" in done.stdout
+    assert "numbers in a message that change: data[0],data[1]; 1 others do not" in done.stdout
     assert "seen: data[0] -0.5 to 0.5, data[1] -1 to 1" in done.stdout
-    assert f"now: ./koop check {path}" in done.stdout
+    assert f"next: ./koop check {path}" in done.stdout
 
 
 def test_without_a_rig_it_says_so_and_writes_nothing_half(tmp_path):
     path = tmp_path / "rig.yaml"
     done = answered(path, "/tower\nstd_msgs/msg/Float64\n")
     assert done.returncode == 2
-    assert "nobody publishes anything in this ROS domain: is the rig started?" in done.stdout
-    assert "no more answers at 'fields that are the measured channels" in done.stderr
+    assert "no topic is published in this ROS domain: is the rig running?" in done.stdout
+    assert "no more answers at 'fields of the measured channels" in done.stderr
     assert not path.exists()

@@ -13,9 +13,8 @@ from test_excite import TIMEOUT, assert_walked, wait, whole
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_commission import command
 from koop_commission.command import Commissioning
-from koop_commission.stages.excite import mend
+from koop_commission.stages.bags import recover_torn
 from koop_commission.stages.session import Watch
 from koop_commission.stages.verify import THETA_ASKED
 from koop_core.config import parameter_file
@@ -151,11 +150,13 @@ def test_a_sensor_that_dies_or_a_full_disk_ends_the_closed_loop(fast_rig, tuned,
         assert process.returncode == 2, error
         assert "closing the loop from theta = -1 and 2" in out  # what was not at its end goes on
         assert reason in error
-        assert f"theta is back at 1; to go on: ./koop verify rig.yaml {tuned}" in error
+        assert (
+            f"theta is back at theta_safe = 1; to resume: ./koop verify rig.yaml {tuned}" in error
+        )
         assert fast_rig.theta == ONE.theta_safe
         fast_rig.dead = None
         bag = tuned / f"verify-1/start-{number}/bag"
-        mend(bag)
+        recover_torn(bag)
         whole(bag)
     assert_walked(fast_rig.moved, ONE)
 
@@ -191,9 +192,9 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
         with full_disk():
             (out / "controller.yaml").write_text("koopman_lifter:")
 
-    monkeypatch.setattr(command, "tune_folders", tune)
+    monkeypatch.setattr("koop_tune.tune_folders.tune_folders", tune)
     with pytest.raises(LiveError, match=r"tuned: .*: make room"):
-        whole._tune({"rounds": []}, 0)
+        whole._tune(1)
     assert not (tmp_path / "new/tuned/controller.yaml").exists()
 
 
@@ -213,7 +214,7 @@ def test_the_best_round_is_kept_where_none_damped_as_predicted(tuned, tmp_path, 
         for name in ("tune.json", "controller.yaml"):
             (tuned / old / name).write_bytes((tuned / "tuned" / name).read_bytes())
     (tuned / "tuned-2" / "mark").write_text("the second")
-    words = ["commission", str(tmp_path / "rig.yaml"), "--out", str(tuned), "--time-scale", "1"]
+    words = ["commission", str(tmp_path / "rig.yaml"), "--out", str(tuned)]
     for _ in range(2):  # the same command says the same
         assert main(words) == 1
         assert (tuned / "tuned/mark").read_text() == "the second"

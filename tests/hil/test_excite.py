@@ -8,8 +8,8 @@ from koop_msgs.msg import MeasuredState
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_commission.stages.excite import count_answers
-from koop_commission.theta.commander import HEARD
+from koop_commission.stages.bags import count_answers
+from koop_commission.theta.limits import SAFETY
 from koop_core.errors import LiveError
 from koop_hil import report
 from koop_hil.excite import record_excitation, rig_of
@@ -41,10 +41,10 @@ def test_theta_moves_over_its_range_while_the_plant_is_recorded(tmp_path, monkey
         cost = read_columns(bag, "/cost")
         applied = read_columns(bag, "/ground_truth", ["theta_applied"])["theta_applied"]
     states, answered = count_answers(recorded)
-    assert f"recorded {states} states, theta of {answered} of them" in said
+    assert f"recorded {states} states, {answered} of them with a theta" in said
     known = np.isin(state["step"], theta["step"])[state["step"] >= theta["step"][0]]
     # at first who listens may not hear, the last ones were under way at the end
-    assert known[round(HEARD * SCALE / 0.005) : int(0.9 * known.size)].mean() > 0.9
+    assert known[round(SAFETY.matched * SCALE / 0.005) : int(0.9 * known.size)].mean() > 0.9
     assert state["step"][-1] * 0.005 >= TIME - 1.0
     between = (theta["step"] >= cost["step"][0]) & (theta["step"] <= cost["step"][-1])
     assert np.isin(theta["step"][between], cost["step"]).mean() > 0.9  # of 600 a second

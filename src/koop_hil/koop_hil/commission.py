@@ -57,9 +57,7 @@ def commission_rig(scenario: Scenario, folder: Path, time: float) -> int:
     if not file.exists():
         rig_file.write(rig, file)
     with Processes(folder, scenario, controlled=False) as processes:
-        watch = Watch(
-            scenario.setting.time_scale, None, lambda: refuse_dead(processes), START_TIMEOUT
-        )
+        watch = Watch(None, lambda: refuse_dead(processes), START_TIMEOUT)
         try:
             return Commissioning(rig, file, folder, watch).run()
         except LiveError as error:
@@ -74,7 +72,7 @@ def row(scenario: Scenario, folder: Path) -> str:
     if "constants" not in tuned:
         why = f"{tuned.get('verdict', 'not tuned')}: {tuned.get('why', '')}"
         return f"{first}| | | | | | | | {why} |"
-    found = verify.load(folder)
+    found = verify.load(folder).as_json()
     first += (
         f"| {tuned['cost']}, {tuned['constants']['law']} | {tuned['theta_best']:.2f} "
         f"({scenario.setting.theta_star:g}) | {len(found['rounds'])} "

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from koop_bringup.live.process import START_TIMEOUT
 from koop_commission.stages import excite
+from koop_commission.stages.session import Watch
 from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import refuse_dead
@@ -39,6 +40,7 @@ def rig_of(scenario: Scenario, time: float) -> RigFile:
         theta_start=start,
         theta_safe=start,
         time=time,
+        pace=scenario.setting.time_scale,
     )
 
 
@@ -62,8 +64,6 @@ def record_excitation(scenario: Scenario, folder: Path, time: float) -> str:
     if not (folder / "rig.yaml").exists():
         rig_file.write(rig, folder / "rig.yaml")
     with Processes(folder, scenario, controlled=False) as processes:
-        result = excite.excite(
-            rig, folder, scenario.setting.time_scale, scenario.setting.seed,
-            check=lambda: refuse_dead(processes), patience=START_TIMEOUT,
-        )  # fmt: skip
-    return excite.ending(rig, folder, result)
+        watch = Watch(None, lambda: refuse_dead(processes), START_TIMEOUT)
+        progress = excite.excite(rig, folder, watch, scenario.setting.seed)
+    return excite.describe_result(rig, folder, progress)

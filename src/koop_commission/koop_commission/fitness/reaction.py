@@ -18,25 +18,25 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# Of each series how much longer its blocks are than some periods of what is strongest, which may be
-# an interference, and of its stages the blocks and the probability at which each decides.
+# Each series: a factor for the length of its blocks, since the strongest line, which sets it, may
+# be an interference; and its stages: the number of blocks and the p at which each decides.
 STAGES = ((8, 0.03), (6, 0.02))
 SERIES = ((1.0, STAGES), (4.0, ((10, 0.02),)), (12.0, ((10, 0.02),)))
-RANDOM = 999  # orders that a recording is compared with
-SMALL = 1e-9  # of a feature's size, below which a difference is rounding
+RANDOM_ORDERS = 999  # with which a recording is compared: p down to 0.001
+SMALL = 1e-9  # share of a feature below which a difference is rounding
 
 
 class Reaction(NamedTuple):
-    """How the measurements differ between the two values of theta.
+    """Difference of the measurements between two values of theta.
 
     Attributes
     ----------
     p : float
         Probability of such a difference if theta reached nothing.
     feature : int
-        Where the difference is clearest.
+        Feature with the clearest difference.
     change : float
-        Its mean difference, moved less not moved.
+        Its mean difference, theta moved less not moved.
     """
 
     p: float
@@ -49,21 +49,21 @@ class Reaction(NamedTuple):
         return 1.0 - self.p
 
 
-def order(blocks: int, rng: random.Random) -> list[bool]:
-    """Draw in which blocks theta is moved: half of them, every choice as likely."""
+def draw_order(blocks: int, rng: random.Random) -> list[bool]:
+    """Draw in which blocks theta is moved: half of them, each choice equally likely."""
     moved = [True] * (blocks // 2) + [False] * (blocks - blocks // 2)
     rng.shuffle(moved)
     return moved
 
 
-def reaction(
-    found: NDArray[np.float64], moved: Sequence[bool], stages: Sequence[int] = ()
+def compare_blocks(
+    features: NDArray[np.float64], moved: Sequence[bool], stages: Sequence[int] = ()
 ) -> Reaction:
-    """Test whether the two groups differ.
+    """Test whether the blocks with theta moved differ from the others.
 
     Parameters
     ----------
-    found : ndarray, shape (blocks, f)
+    features : ndarray, shape (blocks, f)
         Features of each block.
     moved : sequence of bool
         Whether theta was moved in it.
@@ -78,64 +78,71 @@ def reaction(
         [np.isin(np.arange(size), pick) for pick in itertools.combinations(range(size), half)]
         for size, half in zip(sizes, halves, strict=True)
     ]
-    spread = np.maximum(found.std(axis=0), SMALL * (1.0 + np.abs(found).max(axis=0)))
-    scaled = (found - found.mean(axis=0)) / spread
-    own = _statistic(scaled, drawn)
+    spread = np.maximum(features.std(axis=0), SMALL * (1.0 + np.abs(features).max(axis=0)))
+    scaled = (features - features.mean(axis=0)) / spread
+    statistic = _compute_welch(scaled, drawn)
     every = [
-        _statistic(scaled, np.concatenate(parts)).max() for parts in itertools.product(*choices)
+        _compute_welch(scaled, np.concatenate(parts)).max() for parts in itertools.product(*choices)
     ]
-    feature = int(np.argmax(own))
-    p = float(np.mean(np.array(every) >= own[feature] * (1.0 - 1e-9)))
-    change = float(found[drawn, feature].mean() - found[~drawn, feature].mean())
+    feature = int(np.argmax(statistic))
+    p = float(np.mean(np.array(every) >= statistic[feature] * (1.0 - 1e-9)))
+    change = float(features[drawn, feature].mean() - features[~drawn, feature].mean())
     return Reaction(p, feature, change)
 
 
-def reaction_of_rests(
-    found: NDArray[np.float64], theta: NDArray[np.float64], seed: int = 0
+def compare_rests(
+    features: NDArray[np.float64], theta: NDArray[np.float64], seed: int = 0
 ) -> Reaction:
     """Test whether the measurements differ between the values at which theta rested.
 
-    The statistic is the variance between the values over that within them; its distribution is
-    that of 999 random orders. Nobody drew the order of the rests, so that a drift of the rig that
-    happened to go with theta is taken for its effect.
+    The statistic is the variance between the values over the variance within them, compared with
+    999 random orders. Nobody drew the order of a recording: a drift of the rig that happened to
+    follow theta is taken for its effect.
 
     Parameters
     ----------
-    found : ndarray, shape (rests, f)
+    features : ndarray, shape (rests, f)
         Features of each rest.
     theta : ndarray, shape (rests,)
-        Where theta rested.
+        Value at which theta rested.
+    seed : int
+        Seed of the random orders.
     """
     values, group = np.unique(theta, return_inverse=True)
-    if values.size > theta.size // 2:  # hardly any value came twice: neighbours are one group
+    if values.size > theta.size // 2:  # hardly any value came twice: neighbours form a group
         group = np.argsort(np.argsort(theta)) * (theta.size // 3) // theta.size
     rng = np.random.default_rng(seed)
-    own = _between(found, group)
-    every = [_between(found, rng.permutation(group)).max() for _ in range(RANDOM)]
-    feature = int(np.argmax(own))
-    p = (1 + sum(value >= own[feature] for value in every)) / (RANDOM + 1)
-    means = [found[group == g, feature].mean() for g in np.unique(group)]
+    statistic = _compute_variance_ratio(features, group)
+    every = [
+        _compute_variance_ratio(features, rng.permutation(group)).max()
+        for _ in range(RANDOM_ORDERS)
+    ]
+    feature = int(np.argmax(statistic))
+    p = (1 + sum(value >= statistic[feature] for value in every)) / (RANDOM_ORDERS + 1)
+    means = [features[group == g, feature].mean() for g in np.unique(group)]
     return Reaction(p, feature, float(np.ptp(means)))
 
 
-def _between(found: NDArray[np.float64], group: NDArray[np.int64]) -> NDArray[np.float64]:
+def _compute_variance_ratio(
+    features: NDArray[np.float64], group: NDArray[np.int64]
+) -> NDArray[np.float64]:
     """Return the variance of the groups' means over the mean variance within them."""
-    rows = [found[group == g] for g in np.unique(group)]
+    rows = [features[group == g] for g in np.unique(group)]
     within = np.mean([part.var(axis=0) for part in rows], axis=0)
     return np.asarray(np.var([part.mean(axis=0) for part in rows], axis=0) / (within + 1e-12))
 
 
-def _statistic(scaled: NDArray[np.float64], moved: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return |Welch's t| of each feature, without its factor; large where groups do not overlap."""
+def _compute_welch(scaled: NDArray[np.float64], moved: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return |Welch's t| of each feature, without its factor."""
     a, b = scaled[moved], scaled[~moved]
     noise = np.sqrt(a.var(axis=0) + b.var(axis=0))
     return np.asarray(np.abs(a.mean(axis=0) - b.mean(axis=0)) / np.maximum(noise, 1e-3))
 
 
-def percent(change: float) -> str:
+def describe_change(change: float) -> str:
     """Return a difference of logarithms in words.
 
-    >>> percent(math.log(0.5))
+    >>> describe_change(math.log(0.5))
     'falls by 50 %'
     """
     if abs(change) > math.log(3.0):

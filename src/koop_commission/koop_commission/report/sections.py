@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from koop_bag.errors import BagError
+from koop_commission.fitness.recording import check_recording
 from koop_commission.report import recordings, spectra
 from koop_commission.report.gathered import Gathered
 from koop_commission.report.runs import Measured, measured
 from koop_commission.report.verdict import excited_map, told
-from koop_commission.stages.check import of_bag
 from koop_core.config.parameter import spec_of
 from koop_tune.excitation.features import Bands
 from koop_tune.rig.rig_file import RigFile, as_values
@@ -57,9 +57,7 @@ def rig(g: Gathered) -> Section:
         intro = "Nothing is recorded yet."
     else:
         try:
-            found: list[tuple[Cell, ...]] = [
-                (row.level.strip(), row.name, row.text) for row in of_bag(g.rig, g.bags[0])
-            ]
+            found: list[tuple[Cell, ...]] = list(check_recording(g.rig, g.bags[0]))
             columns = tuple(Column(name, name, words=True) for name in ("level", "of", "found"))
             tables.insert(0, Table("check", "koop check", columns, found))
         except (BagError, ValueError) as error:

@@ -55,7 +55,7 @@ def _page(found: Gathered) -> str:
     return markup.page(title, body, parts)
 
 
-def reported(folder: Path) -> str:
+def try_report(folder: Path) -> str:
     """Write the page; return in a line where it is, or why there is none."""
     try:
         return f"report in {write_report(folder)}"

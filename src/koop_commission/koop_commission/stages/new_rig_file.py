@@ -1,18 +1,22 @@
-"""``koop commission --new``: asks for what a rig file holds, and proposes what the graph shows."""
+"""``koop commission --new``: asks for the content of a rig file, with proposals from the graph."""
 
 from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from koop_commission.fitness.arrivals import FEWEST, rhythm
-from koop_commission.rig.listener import DISCOVERY, Ears, Samples, Topic, first_message, look, named
+from koop_commission.fitness.arrivals import measure_rhythm
+from koop_commission.fitness.samples import Samples
+from koop_commission.fitness.settings import DEFAULTS
+from koop_commission.rig.graph import DISCOVERY, Topic, find_topics
+from koop_commission.rig.listener import listen, receive_one
 from koop_core.config.fields import Path as Field
 from koop_core.config.fields import (
     check_fields,
@@ -22,285 +26,272 @@ from koop_core.config.fields import (
     numbers_of,
     parse_field,
     parse_source,
+    read_field,
 )
 from koop_core.config.parameter import ConfigError, spec_of
 from koop_node.client.alone import is_empty
+from koop_node.client.client import Client
 from koop_node.process.domain import current_domain
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 
 PATIENCE = 5.0  # [s] for a first message
-LISTEN = 2.0  # [s] for rhythm and range of the channels
-MARGIN = 3.0  # of the range seen, that a channel may leave it by
-FEWEST_CHANNELS = 16  # more fields than that are not all proposed
-OWN = ("/state", "/cost", "/theta", "/ground_truth")
+LISTEN = 2.0  # [s] for rate and range of the channels
+MARGIN = 3.0  # ranges seen, by which a channel may leave that range
+MOST_CHANNELS = 16  # fields that are proposed
+CONTROLLER_TOPICS = ("/cost", "/theta", "/ground_truth")
+SPECS = {item.name: spec_of(item) for item in fields(RigFile)}
 Answer = TypeVar("Answer")
-SPECS = {item.name: spec_of(item) for item in RigFile.__dataclass_fields__.values()}
 
 
-def ask(path: Path) -> None:
+def ask_for_rig(path: Path) -> None:
     """Ask for a rig, and write its file.
 
     Raises
     ------
     koop_core.config.parameter.ConfigError
-        If there is a file already, or no more answers.
+        If the file exists already, or there are no more answers.
     """
     if path.exists():
-        raise ConfigError(f"{path} is there already: name another file")
+        raise ConfigError(f"{path} exists already: name another file")
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: there is no folder {path.parent}")
-    rig = asked(Dialogue())
-    rig_file.write(rig, path)
-    print(
-        f"\nwritten to {path}; now: ./koop check {path}, or all that is to be done: "
-        f"./koop commission {path}"
-    )
-
-
-class Dialogue:
-    """Questions on the terminal, or to a pipe: a line each; an empty one takes the proposal."""
-
-    def ask(
-        self, question: str, proposal: str, take: Callable[[str], Answer], more: str = ""
-    ) -> Answer:
-        """Ask until the answer can be taken.
-
-        Raises
-        ------
-        koop_core.config.parameter.ConfigError
-            If there are no more answers, or one from a pipe cannot be taken.
-        """
-        if more:
-            print(more)
-        while True:
-            print(f"{question}{f' [{proposal}]' if proposal else ''}: ", end="", flush=True)
-            line = sys.stdin.readline()
-            if not line:
-                print()
-                raise ConfigError(f"no more answers at '{question}': nothing was written")
-            piped = not sys.stdin.isatty()
-            if piped:
-                print(line.strip() or proposal)
-            try:
-                return take(line.strip() or proposal)
-            except ValueError as error:
-                if piped:
-                    raise ConfigError(f"{question}: {error}; nothing was written") from None
-                print(f"  {error}")
-
-
-def asked(dialogue: Dialogue) -> RigFile:
-    """Return the rig that the answers describe."""
-    from koop_node.client.client import Client
-
     domain = current_domain()
     empty = is_empty(domain)
     if not empty:
         print(f"looking at ROS domain {domain} for {DISCOVERY:g} s", flush=True)
     with Client("koop_commission") as client:
-        topics = [] if empty else look(client)
-        values: dict[str, Any] = {}
-        values |= _measured(dialogue, client, topics)
-        source = parse_source(values["measured"])
-        heard = _heard(client, source.topic, values["measured_type"], source.fields)
-        values["dt"] = _number(dialogue, "dt", _dt(heard), "time between two messages [s]")
-        values |= _command(dialogue, client, topics, source.topic)
-    for name, question in (
-        ("theta_min", "least theta that may be commanded"),
-        ("theta_max", "largest theta that may be commanded"),
-        ("theta_rate", "largest change of theta per second"),
-        ("theta_start", "theta that the rig has before anybody commands it"),
-        ("theta_safe", "theta that is safe, which is taken when anything ends"),
-    ):
-        proposal = f"{values['theta_start']:g}" if name == "theta_safe" else ""
-        values[name] = _number(dialogue, name, proposal, question, values)
-    names = list(map(format_field, source.fields))
-    if heard is not None and heard.x.size:
-        low, high = np.nanmin(heard.x, axis=0), np.nanmax(heard.x, axis=0)
-        seen = ", ".join(
-            f"{n} {a:.4g} to {b:.4g}" for n, a, b in zip(names, low, high, strict=True)
-        )
-        room = MARGIN * np.maximum(high - low, 1e-9)
-        bounds = [_rounded(low - room), _rounded(high + room)]
-    else:
-        seen, bounds = "nothing was heard", ["", ""]
-    for name, word, proposal in zip(
-        ("channel_min", "channel_max"), ("least", "largest"), bounds, strict=True
-    ):
-        values[name] = dialogue.ask(
-            f"{word} value of {', '.join(names)} at which all must stop; none for no limit",
-            proposal or "none",
-            lambda text: _numbers(text, len(names)),
-            f"seen: {seen}" if name == "channel_min" else "",
-        )
-    values["objective"] = dialogue.ask("minimise or maximise the oscillation", "minimise", _goal)
-    values["time"] = _number(
-        dialogue, "time", "1800", "longest time that moving theta over its range may take [s]"
+        rig = Interview(client, [] if empty else find_topics(client)).run()
+    rig_file.write(rig, path)
+    print(
+        f"\nwritten to {path}; next: ./koop check {path}, or all stages at once: "
+        f"./koop commission {path}"
     )
-    return RigFile(**values)
 
 
-def _measured(dialogue: Dialogue, client: Any, topics: Sequence[Topic]) -> dict[str, Any]:
-    speaking = [t for t in topics if t.publishers and t.name not in OWN[1:]]
-    topic, kind = _topic(
-        dialogue, "topic of the measured channels", speaking,
-        "topics that somebody publishes" if speaking else
-        "nobody publishes anything in this ROS domain: is the rig started?",
-    )  # fmt: skip
-    message = None
-    if any(known.name == topic for known in speaking):
-        message = first_message(client, topic, kind, PATIENCE)
-    fields = tuple(numbers_of(message)) if message is not None else ()
-    if message is None:
-        print(f"no message on {topic} in {PATIENCE:g} s: the fields cannot be shown")
-    elif not fields:
-        raise ConfigError(f"{topic}: {kind} holds no numbers; nothing was written")
+def ask(question: str, proposal: str, parse: Callable[[str], Answer], more: str = "") -> Answer:
+    """Ask on the terminal, or a pipe, until the answer is valid; an empty line is the proposal.
 
-    def taken(text: str) -> str:
-        source = parse_source(f"{topic}:{text}")
-        if message is not None:
-            _check_received(source.fields, message)
-        return f"{topic}:{named(source.fields)}"
-
-    moving = _moving(fields, _heard(client, topic, kind, fields) if fields else None)
-    offered, others = moving or fields, len(fields) - len(moving)
-    shown = f"numbers of a message{' that change' * bool(moving)}: {named(offered)}" * bool(fields)
-    shown += f"; {others} others do not change" * bool(moving and others)
-    question = "fields that are the measured channels, separated by commas"
-    measured = dialogue.ask(question, named(offered[:FEWEST_CHANNELS]), taken, shown)
-    return {"measured": measured, "measured_type": kind}
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If there are no more answers, or one from a pipe is not valid.
+    """
+    if more:
+        print(more)
+    while True:
+        print(f"{question}{f' [{proposal}]' if proposal else ''}: ", end="", flush=True)
+        line = sys.stdin.readline()
+        if not line:
+            print()
+            raise ConfigError(f"no more answers at '{question}': nothing was written")
+        piped = not sys.stdin.isatty()
+        if piped:
+            print(line.strip() or proposal)
+        try:
+            return parse(line.strip() or proposal)
+        except ConfigError as error:
+            if piped:
+                raise ConfigError(f"{question}: {error}; nothing was written") from None
+            print(f"  {error}")
 
 
-def _command(
-    dialogue: Dialogue, client: Any, topics: Sequence[Topic], measured: str
-) -> dict[str, Any]:
-    from koop_node.node.managed import message_type
+@dataclass
+class Interview:
+    """Questions about one rig, on a graph with some topics; ``values`` are the answers so far."""
 
-    listened = [t for t in topics if t.subscribers and t.name != measured]
-    listened.sort(key=lambda t: (bool(t.publishers), t.name))  # what waits for somebody comes first
-    topic, kind = _topic(
-        dialogue, "topic that takes theta", listened,
-        "topics that somebody listens to" if listened else "nobody listens to anything",
-    )  # fmt: skip
-    made = message_type(kind)()
-    fields = [format_field(path) for path in numbers_of(made)]
-    proposal = "theta" if "theta" in fields else fields[0] if fields else "data[0]"
+    client: Client
+    topics: Sequence[Topic]
+    values: dict[str, Any] = field(default_factory=dict)
 
-    def taken(text: str) -> str:
-        path = parse_field(text)
-        check_fields((path,), made)
-        return f"{topic}:{format_field(path)}"
+    def run(self) -> RigFile:
+        """Ask for every value of the rig file."""
+        values = self.values
+        self._ask_measured()
+        source = parse_source(values["measured"])
+        samples = listen(self.client, source.topic, values["measured_type"], source.fields, LISTEN)
+        self._ask_number("dt", "time between two messages [s]", _propose_dt(samples))
+        self._ask_command(source.topic)
+        self._ask_number("theta_min", "least theta that may be commanded")
+        self._ask_number("theta_max", "largest theta that may be commanded")
+        self._ask_number("theta_rate", "largest change of theta per second")
+        self._ask_number("theta_start", "theta of the rig before any command")
+        self._ask_number(
+            "theta_safe", "safe theta, to which every command returns", f"{values['theta_start']:g}"
+        )
+        self._ask_limits(list(map(format_field, source.fields)), samples)
+        values["objective"] = ask("minimise or maximise the oscillation", "minimise", _parse_goal)
+        self._ask_number("time", "longest time for moving theta over its range [s]", "1800")
+        return RigFile(**values)
 
-    return {"command": dialogue.ask("field that is theta", proposal, taken), "command_type": kind}
+    def _ask_measured(self) -> None:
+        published = [t for t in self.topics if t.publishers and t.name not in CONTROLLER_TOPICS]
+        head = (
+            "published topics" if published else
+            "no topic is published in this ROS domain: is the rig running?"
+        )  # fmt: skip
+        topic, kind = _ask_topic("topic of the measured channels", published, head)
+        message = None
+        if topic in [t.name for t in published]:
+            message = receive_one(self.client, topic, kind, PATIENCE)
+        numbers = tuple(numbers_of(message)) if message is not None else ()
+        if message is None:
+            print(f"no message on {topic} in {PATIENCE:g} s: the fields cannot be shown")
+        elif not numbers:
+            raise ConfigError(f"{topic}: {kind} holds no numbers; nothing was written")
+
+        def parse(text: str) -> str:
+            source = parse_source(f"{topic}:{text}")
+            if message is not None:
+                _refuse_missing(source.fields, message)
+            return f"{topic}:{_join(source.fields)}"
+
+        samples = listen(self.client, topic, kind, numbers, LISTEN) if numbers else None
+        changing = _find_changing(numbers, samples)
+        offered, rest = changing or numbers, len(numbers) - len(changing)
+        shown = f"numbers in a message{' that change' * bool(changing)}: {_join(offered)}"
+        shown += f"; {rest} others do not change" * bool(changing and rest)
+        self.values["measured"] = ask(
+            "fields of the measured channels, separated by commas",
+            _join(offered[:MOST_CHANNELS]), parse, shown * bool(numbers),
+        )  # fmt: skip
+        self.values["measured_type"] = kind
+
+    def _ask_command(self, measured: str) -> None:
+        from koop_node.node.managed import message_type
+
+        subscribed = [t for t in self.topics if t.subscribers and t.name != measured]
+        subscribed.sort(key=lambda t: (bool(t.publishers), t.name))  # without a publisher first
+        head = "topics with a subscriber" if subscribed else "no topic has a subscriber"
+        topic, kind = _ask_topic("topic that takes theta", subscribed, head, commanded=True)
+        message = message_type(kind)()
+        names = [format_field(path) for path in numbers_of(message)]
+        proposal = "theta" if "theta" in names else names[0] if names else "data[0]"
+
+        def parse(text: str) -> str:
+            path = parse_field(text)
+            check_fields((path,), message)
+            return f"{topic}:{format_field(path)}"
+
+        self.values["command"] = ask("field that takes theta", proposal, parse)
+        self.values["command_type"] = kind
+
+    def _ask_limits(self, names: Sequence[str], samples: Samples | None) -> None:
+        low = high = "none"
+        seen = "seen: no message"
+        if samples is not None:
+            least, most = np.nanmin(samples.x, axis=0), np.nanmax(samples.x, axis=0)
+            ranges = zip(names, least, most, strict=True)
+            seen = "seen: " + ", ".join(f"{n} {a:.4g} to {b:.4g}" for n, a, b in ranges)
+            room = MARGIN * np.maximum(most - least, 1e-9)
+            low, high = (" ".join(f"{v:.3g}" for v in x) for x in (least - room, most + room))
+        channels = ", ".join(names)
+        for key, word, proposal in (
+            ("channel_min", "least", low),
+            ("channel_max", "largest", high),
+        ):
+            question = f"{word} value of {channels} at which theta returns; none for no limit"
+            parse = partial(_parse_numbers, count=len(names))
+            self.values[key] = ask(question, proposal, parse, seen)
+            seen = ""
+
+    def _ask_number(self, name: str, question: str, proposal: str = "") -> None:
+        self.values[name] = ask(question, proposal, partial(parse_number, name, self.values))
 
 
-def _topic(dialogue: Dialogue, question: str, known: Sequence[Topic], head: str) -> tuple[str, str]:
-    """Ask for a topic by its number or name; of one that is not there, for its type too."""
-    rows = [
-        f"  {i} {t.name}  {t.type}" + f"  (commanded by {', '.join(t.publishers)})"
-        * bool(t.publishers and "takes" in question)
-        for i, t in enumerate(known, 1)
-    ]  # fmt: skip
+def parse_number(name: str, values: dict[str, Any], text: str) -> float:
+    """Return the number of a rig file's key, given the values asked for before.
 
-    def taken(text: str) -> str:
-        if text.isdecimal():
-            if not 1 <= int(text) <= len(known):
-                raise ConfigError(f"{text}: from 1 to {len(known)}, or a topic's name")
-            return known[int(text) - 1].name
-        return "/" + check_topic(text).lstrip("/")
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it is not a number, out of range, or contradicts a value before.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise ConfigError(f"{text!r} is not a number") from None
+    spec = SPECS[name]
+    if not spec.low <= value <= spec.high:
+        raise ConfigError(f"{value:g}: must be {spec.constraint or 'finite'}")
+    low, high = values.get("theta_min", -math.inf), values.get("theta_max", math.inf)
+    if name == "theta_max" and value <= low:
+        raise ConfigError(f"{value:g}: must be above theta_min = {low:g}")
+    if name in ("theta_start", "theta_safe") and not low <= value <= high:
+        raise ConfigError(f"{value:g}: must lie within [{low:g}, {high:g}]")
+    return value
 
-    proposal = "1" if known else ""
-    name = dialogue.ask(question, proposal, taken, "\n".join(["", head, *rows]))
-    kind = next((t.type for t in known if t.name == name), None)
+
+def _ask_topic(
+    question: str, topics: Sequence[Topic], head: str, commanded: bool = False
+) -> tuple[str, str]:
+    """Ask for a topic by its number or name, and for the type of one that is not there."""
+
+    def describe(number: int, topic: Topic) -> str:
+        others = f"  (commanded by {', '.join(topic.publishers)})"
+        return (
+            f"  {number} {topic.name}  {topic.type}{others * bool(commanded and topic.publishers)}"
+        )
+
+    def parse(text: str) -> str:
+        if not text.isdecimal():
+            return "/" + check_topic(text).lstrip("/")
+        if not 1 <= int(text) <= len(topics):
+            raise ConfigError(f"{text}: must be 1 to {len(topics)}, or the name of a topic")
+        return topics[int(text) - 1].name
+
+    rows = [describe(number, topic) for number, topic in enumerate(topics, 1)]
+    name = ask(question, "1" if topics else "", parse, "\n".join(["", head, *rows]))
+    kind = next((topic.type for topic in topics if topic.name == name), None)
     if kind is None:
-        kind = dialogue.ask(f"message type of {name}, which is not there now", "", check_type)
+        kind = ask(f"message type of {name}, which does not exist now", "", check_type)
     return name, kind
 
 
-def _heard(client: Any, topic: str, kind: str, fields: Any) -> Samples | None:
-    """Listen for a while; None if nothing comes."""
-    ears = Ears(client, topic, kind, fields)
-    deadline = time.monotonic() + LISTEN
-    while time.monotonic() < deadline:
-        client.spin(0.05)
-    ears.close()
-    return ears.samples() if ears.count else None
-
-
-def _moving(fields: tuple[Field, ...], heard: Samples | None) -> tuple[Field, ...]:
-    """Return the fields that are not one and the same number: covariances and the like are."""
-    if heard is None:
+def _find_changing(numbers: tuple[Field, ...], samples: Samples | None) -> tuple[Field, ...]:
+    """Return the fields whose value changes; covariances and the like do not."""
+    if samples is None:
         return ()
-    columns = [x[np.isfinite(x)] for x in heard.x.T]
+    columns = [x[np.isfinite(x)] for x in samples.x.T]
     return tuple(
-        field for field, x in zip(fields, columns, strict=True) if x.size and np.ptp(x) > 0.0
+        path for path, x in zip(numbers, columns, strict=True) if x.size and np.ptp(x) > 0.0
     )
 
 
-def _dt(heard: Samples | None) -> str:
-    if heard is None or heard.arrival.size < FEWEST:
+def _propose_dt(samples: Samples | None) -> str:
+    if samples is None or samples.arrival.size < DEFAULTS.fewest:
         return ""
-    usual = float(np.median(np.diff(heard.arrival)))
-    interval = rhythm(heard.arrival, heard.stamp, heard.step, max(usual, 1e-6)).interval
+    usual = float(np.median(np.diff(samples.arrival)))
+    interval = measure_rhythm(samples, max(usual, 1e-6)).interval
     return f"{interval:.3g}" if interval > 0.0 else ""
 
 
-def _number(
-    dialogue: Dialogue,
-    name: str,
-    proposal: str,
-    question: str,
-    known: dict[str, Any] | None = None,
-) -> float:
-    def taken(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            raise ConfigError(f"{text!r} is not a number") from None
-        spec = SPECS[name]
-        if not spec.low <= value <= spec.high:
-            raise ConfigError(f"{value:g}: must be {spec.constraint}")
-        low = (known or {}).get("theta_min", -math.inf)
-        high = (known or {}).get("theta_max", math.inf)
-        if name == "theta_max" and value <= low:
-            raise ConfigError(f"{value:g}: must be above theta_min = {low:g}")
-        if name in ("theta_start", "theta_safe") and not low <= value <= high:
-            raise ConfigError(f"{value:g}: must lie within [{low:g}, {high:g}]")
-        return value
-
-    return dialogue.ask(question, proposal, taken)
-
-
-def _numbers(text: str, count: int) -> tuple[float, ...]:
+def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
     if text == "none":
         return ()
     try:
         values = tuple(float(word) for word in text.replace(",", " ").split())
     except ValueError:
-        raise ConfigError(f"{text!r} are not numbers") from None
+        raise ConfigError(f"{text!r} is not a list of numbers") from None
     if len(values) != count:
-        raise ConfigError(f"{len(values)} numbers, there are {count} channels")
+        raise ConfigError(f"{len(values)} numbers for {count} channels")
     return values
 
 
-def _goal(text: str) -> str:
+def _parse_goal(text: str) -> str:
     if text not in SPECS["objective"].choices:
-        raise ConfigError(f"{text!r}: {SPECS['objective'].constraint}")
+        raise ConfigError(f"{text!r}: must be {SPECS['objective'].constraint}")
     return text
 
 
-def _rounded(values: Any) -> str:
-    return " ".join(f"{value:.3g}" for value in values)
+def _refuse_missing(paths: Sequence[Field], message: Any) -> None:
+    """Refuse fields that a message which was received does not have."""
+    check_fields(tuple(paths), message)
+    for path in paths:
+        value = read_field(path, message)
+        if not isinstance(value, float) or (path[-1][1] is not None and math.isnan(value)):
+            raise ConfigError(f"'{format_field(path)}' is beyond the end of the message received")
 
 
-def _check_received(fields: Any, message: Any) -> None:
-    """Refuse fields that a message which came does not have."""
-    from koop_core.config.fields import read_field
-
-    check_fields(fields, message)
-    for path in fields:
-        if not isinstance(read_field(path, message), float) or (
-            path[-1][1] is not None and np.isnan(read_field(path, message))
-        ):
-            raise ConfigError(f"'{format_field(path)}' is beyond the end of the message that came")
+def _join(paths: Sequence[Field]) -> str:
+    return ",".join(map(format_field, paths))

@@ -1,4 +1,4 @@
-"""A rig whose theta is moved by a commander while nodes beside it listen and record."""
+"""A live rig whose theta a commander moves while nodes beside it listen and record."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from pathlib import Path
 
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
-from koop_commission.rig.listener import (
+from koop_commission.fitness.samples import refuse_dead
+from koop_commission.rig.graph import (
     DISCOVERY,
-    Ears,
-    refuse_dead,
-    refuse_two_rigs,
-    refuse_wrong_names,
-    speakers,
-    two_rigs,
-    who_else_commands,
+    describe_second_rig,
+    find_other_publishers,
+    identify_publishers,
+    refuse_missing_topics,
+    refuse_second_rig,
 )
-from koop_commission.theta.commander_client import Hand, left_at
-from koop_commission.theta.limits import silence
+from koop_commission.rig.listener import Listener
+from koop_commission.theta.assignment import Assignment
+from koop_commission.theta.commander_client import CommanderClient, find_theta
+from koop_commission.theta.limits import SAFETY
 from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -31,151 +32,147 @@ from koop_node.client.client import Client
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, THETA, RigFile
 
 COST = "/cost"
-WAITING = 0.1  # [s] in which all is heard that was waiting while this process was held up
+WAITING = 0.1  # [s] in which messages are received that waited while this process was paused
 
 
-class Ended(LiveError):
-    """Something ended after theta was moved, and before it was done; theta went home.
+class SessionEnded(LiveError):
+    """A session that ended early, after theta had been moved; it returned to theta_safe.
 
-    Parameters
-    ----------
-    reason : str
-        What ended it.
-    rig : RigFile
-        The rig.
-    silent : bool
-        Whether the rig says nothing any more.
+    ``silent``: the rig publishes no more.
     """
 
     def __init__(self, reason: str, rig: RigFile, silent: bool) -> None:
-        safe = f"{rig.theta_safe:g}"
+        safe = f"theta_safe = {rig.theta_safe:g}"
         where = (
-            f"theta was sent back to {safe}, but a rig that is silent may not have heard it"
+            f"theta was returned to {safe}, but a silent rig may not have received it"
             if silent
             else f"theta is back at {safe}"
         )
         super().__init__(f"{reason}. {where}")
 
 
-@dataclass
+@dataclass(frozen=True)
 class Watch:
-    """What a session is given besides the rig.
+    """How a session looks after its rig.
 
     Attributes
     ----------
-    scale : float
-        The rig's seconds in one second.
     note : Path or None
-        File that says where theta was left.
+        File that notes where theta was left.
     check : callable
         Called once a second; it may raise LiveError.
     patience : float
-        Time that the rig may take to be found [s].
+        Time in which the rig must be discovered [s].
     """
 
-    scale: float = 1.0
     note: Path | None = None
     check: Callable[[], object] = lambda: None
     patience: float = DISCOVERY
 
 
 class Session:
-    """The rig as it is heard, and theta in hand; :func:`session` makes one.
+    """The samples of a rig, and its theta; made by :func:`open_session`.
 
     Attributes
     ----------
     client : Client
-        Guest in the ROS domain.
+        Observer in the ROS domain.
     nodes : LiveNodes
-        Those that run beside.
-    ears : Ears
-        On the states.
-    hand : Hand
+        Nodes that run beside.
+    listener : Listener
+        Receives the states.
+    commander : CommanderClient
         Moves theta.
     still : int
-        Samples for which no channel may rest at one value; 0: for ever.
-    shown : callable
+        Samples after which a channel that does not change is dead; 0: never.
+    show : callable
         Called once a second.
     """
 
     def __init__(
-        self, rig: RigFile, watch: Watch, client: Client, nodes: LiveNodes, ears: Ears
+        self, rig: RigFile, watch: Watch, client: Client, nodes: LiveNodes, listener: Listener
     ) -> None:
-        self.client, self.nodes, self.ears = client, nodes, ears
-        self.hand: Hand
+        self.client, self.nodes, self.listener = client, nodes, listener
+        self.commander: CommanderClient
         self.still = 0
-        self.shown: Callable[[], object] = lambda: None
+        self.show: Callable[[], object] = lambda: None
         self._rig, self._watch = rig, watch
-        self._looked = self._beat = 0.0
+        self._checked = self._looked = 0.0
 
     def check_nodes(self) -> None:
-        """Raise LiveError if the recording has ended, or another node."""
+        """Raise LiveError if the recorder or another node has ended."""
         for process in self.nodes.ended():
             *_, last = ["", *process.last_lines(1).splitlines()]
             words = re.sub(r"^(\[[^]]*\] )*(\[[^]]*\]: )?", "", last)
             if not words and not shutil.disk_usage(self.nodes.folder).free:
-                words = "no space is left on the disk, not for its log either: make room"
+                words = "no space is left on the disk, not even for its log: make room"
             raise LiveError(f"{process.node} has ended: {words or 'see'} ({process.log})")
 
-    def until(self, condition: Callable[[], object]) -> None:
+    def wait_until(self, condition: Callable[[], object]) -> None:
         """Wait for a condition.
 
         Raises
         ------
         koop_core.errors.LiveError
-            If the rig, a sensor, a node or the disk fails, a limit is crossed, or somebody else
-            commands.
+            If the rig, a sensor, a node or the disk fails, a limit is crossed, or another
+            publisher commands theta.
         """
         while not condition():
             self.client.spin(0.05)
             self.check()
 
+    def wait_for_states(self, count: int) -> None:
+        """Wait for some states; raise as :meth:`wait_until` does."""
+        end = self.listener.count + count
+        self.wait_until(lambda: self.listener.count >= end)
+
     def go(self, theta: float) -> None:
-        """Move theta, and wait until what is heard is of the time when it had arrived."""
-        self.hand.go(theta)
-        self.until(lambda: self.hand.there)
-        step = self.hand.step
-        self.until(lambda: self.ears.last is not None and self.ears.last.step >= step)
+        """Move theta, and wait for the first state that is answered after its arrival."""
+        self.commander.go(theta)
+        self.wait_until(lambda: self.commander.arrived)
+        step = self.commander.step
+        self.wait_until(lambda: self.listener.last is not None and self.listener.last.step >= step)
 
     def check(self) -> None:
-        """Look after the rig, ten times a second at most; raise as :meth:`until` does."""
+        """Look after the rig, ten times a second at most; raise as :meth:`wait_until` does."""
         now = time.monotonic()
-        if now < self._beat + 0.1:
+        if now < self._checked + 0.1:
             return
-        self._beat = now
-        self.hand.beat()
+        self._checked = now
+        self.commander.check()
         if now < self._looked + 1.0:
             return
         self._looked = now
         self.check_nodes()
         self.refuse_dead()
         self._watch.check()
-        if text := two_rigs(self.client, self._rig):
+        if text := describe_second_rig(self.client, self._rig):
             raise LiveError(text)
-        if others := who_else_commands(self.client, self._rig.knob.topic, own=True):
-            raise LiveError(f"{self._rig.knob.topic} is also commanded by {', '.join(others)}")
-        self.shown()
+        topic = self._rig.knob.topic
+        if others := find_other_publishers(self.client, topic, commanding=True):
+            raise LiveError(f"{topic} is also commanded by {', '.join(others)}")
+        self.show()
 
-    def silent(self) -> bool:
-        """Return whether the rig says nothing any more, also if this process was held up itself."""
-        limit, begin = silence(self._rig.dt, self._watch.scale), time.monotonic()
-        if not self.ears.silent > limit:  # NaN if it has not begun
+    def is_silent(self) -> bool:
+        """Return whether the rig publishes no more, also if this process itself was paused."""
+        limit, begin = SAFETY.silence(self._rig), time.monotonic()
+        if not self.listener.age > limit:  # NaN before the first message
             return False
         while (passed := time.monotonic() - begin) < limit:
             self.client.spin(0.05)
-            if self.ears.silent < passed - WAITING:
+            if self.listener.age < passed - WAITING:
                 return False
         return True
 
     def refuse_dead(self) -> None:
         """Raise LiveError if a channel has not changed for ``still`` samples."""
-        if not 0 < self.still <= self.ears.count:
-            return
-        refuse_dead(self._rig.names, self.ears.samples(self.ears.count - self.still).x)
+        if 0 < self.still <= self.listener.count:
+            newest = self.listener.samples(self.listener.count - self.still)
+            refuse_dead(self._rig.names, newest.x)
 
 
 @contextmanager
-def session(
+def open_session(
     name: str,
     rig: RigFile,
     watch: Watch,
@@ -183,65 +180,73 @@ def session(
     began: Callable[[], object] = lambda: None,
     follows: str = "",
 ) -> Iterator[Session]:
-    """Listen to a rig with nodes beside, and hold its theta; at the end theta goes home first.
+    """Start the nodes beside a rig and command its theta; at the end theta returns first.
 
     Parameters
     ----------
     name : str
-        Of the guest in the ROS domain.
+        Of this node in the ROS domain.
     rig : RigFile
         The rig, which runs.
     watch : Watch
-        How it is watched.
+        How the rig is looked after.
     nodes : LiveNodes
-        Lifter and recorder, and what else runs beside.
+        Lifter and recorder, and others that run beside.
     began : callable
         Called once they are started.
     follows : str
-        Topic of a controller, whose theta the hand can follow.
+        Topic of a controller that may be followed.
 
     Raises
     ------
     koop_core.errors.LiveError
-        Ended if theta had been moved.
+        SessionEnded if theta had been moved.
     koop_core.config.parameter.ConfigError
-        If the rig file names what is not there.
+        If the rig file names what does not exist.
     """
-    # the commander ends after the recorder: what is recorded has a theta to the last state
+    # the commander ends after the recorder: each recorded state has a theta
     with ExitStack() as last, ExitStack() as stack:
         client = stack.enter_context(Client(name))
-        refuse_wrong_names(client, rig, watch.patience, watch.check)
-        refuse_two_rigs(client, rig)
+        refuse_missing_topics(client, rig, watch.patience, watch.check)
+        refuse_second_rig(client, rig)
         stack.enter_context(nodes)
         began()
         channels = ",".join(f"x[{i}]" for i in range(len(rig.names)))
         source = rig.measured if rig.speaks_state else f"{STATE}:{channels}"
         kind = rig.measured_type if rig.speaks_state else STATE_TYPE
         parsed = parse_source(source)
-        ears = Ears(client, parsed.topic, kind, parsed.fields, reliable=True)
-        run = Session(rig, watch, client, nodes, ears)
+        listener = Listener(client, parsed.topic, kind, parsed.fields, reliable=True)
+        session = Session(rig, watch, client, nodes, listener)
         client.wait_for(
             lambda: client.node.count_subscribers(THETA) and client.node.count_publishers(COST),
-            START_TIMEOUT, f"lifter and recorder (see {nodes.folder}/logs)", run.check_nodes,
+            START_TIMEOUT, f"lifter and recorder (see {nodes.folder}/logs)", session.check_nodes,
         )  # fmt: skip
-        if others := who_else_commands(client, rig.knob.topic, own=False):
-            raise LiveError(f"{rig.knob.topic} is commanded by {', '.join(others)}: end that first")
-        theta, words = left_at(watch.note, rig, speakers(client, rig.state.topic))
-        if words:
-            print(words, flush=True)
-        log = nodes.folder / "logs" / "commander.log"
+        if others := find_other_publishers(client, rig.knob.topic, commanding=False):
+            raise LiveError(f"{rig.knob.topic} is commanded by {', '.join(others)}: stop that")
+        publishers = identify_publishers(client, rig.state.topic)
+        theta, remark = find_theta(watch.note, rig, publishers)
+        if remark:
+            print(remark, flush=True)
+        note = str(watch.note.resolve()) if watch.note is not None else ""
+        assignment = Assignment(rig, theta, source, kind, 1, note, follows)
         try:
-            run.hand = last.enter_context(
-                Hand(rig, log, source, kind, watch.scale, 1, watch.note, follows, theta)
+            session.commander = last.enter_context(
+                CommanderClient(assignment, nodes.folder / "logs" / "commander.log")
             )
-            stack.callback(run.hand.come_home)
-            yield run
+            stack.callback(session.commander.return_to_safe)
+            yield session
         except LiveError as error:
-            raise Ended(str(error), rig, run.silent()) from error
+            raise SessionEnded(str(error), rig, session.is_silent()) from error
 
 
 def refuse_incomplete_state(rig: RigFile) -> None:
-    """Refuse a rig that speaks on the loop's own topic, of which not all channels are named."""
+    """Refuse a rig that publishes the loop's own topic, and a rig file that names only a part.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it is such a rig.
+    """
     if rig.state.topic == STATE and not rig.speaks_state:
         raise ConfigError(
             f"measured = {rig.measured!r}: on {STATE} the lifter takes all of {STATE_TYPE}: name "

@@ -38,7 +38,7 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 1 if there is no optimum."""
-    from koop_commission.report import reported  # slow to import
+    from koop_commission.report import try_report  # slow to import
     from koop_tune.tune_folders import tune_folders
 
     if not 0.0 < args.effort < 1e3:
@@ -47,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
     out = args.out or folder / TUNED
     tuned = tune_folders(rig_file.read(args.rig), args.folders, out, effort=args.effort)
     if args.out is None and (folder / progress.NAME).exists():
-        print(reported(folder))
+        print(try_report(folder))
     if tuned:
         print(f"now: ./koop verify {args.rig} {folder}" if args.out is None else
               f"now: ./koop up {out}")  # fmt: skip

@@ -1,4 +1,4 @@
-"""The hand on the knob: theta is moved by a process that takes it home if this one ends."""
+"""Moves theta through a commander process, which returns it to theta_safe if this one ends."""
 
 from __future__ import annotations
 
@@ -11,85 +11,50 @@ import threading
 import time
 from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from koop_bringup.live.process import OWN_GROUP, uninterrupted
-from koop_commission.theta.limits import way_home
+from koop_commission.theta.assignment import Assignment
+from koop_commission.theta.limits import compute_return_time
 from koop_core.errors import LiveError
 from koop_loop.ending import told
 from koop_tune.rig.rig_file import RigFile
 
-BEAT = 1.0  # [s] between two signs of life
-PATIENCE = 20.0  # [s] beyond the way home, after which the commander is given up
+SIGN_OF_LIFE = 1.0  # [s] between two lines to the commander
+PATIENCE = 20.0  # [s] beyond the time to return, after which the commander is given up
 WORDS = [sys.executable, "-m", "koop_commission.theta.commander"]
 
 
-class Hand:
-    """A commander of theta; a context manager that leaves theta at its safe value.
+class CommanderClient:
+    """A commander process; a context manager that leaves theta at theta_safe.
 
     Parameters
     ----------
-    rig : RigFile
-        Limits, command, safe value.
+    assignment : Assignment
+        The rig, and how its theta is commanded.
     log : Path
         File for what the commander prints.
-    source, kind : str, optional
-        Where the states come from; default: the measured channels of the rig.
-    scale : float
-        The rig's seconds in one second.
-    recorders : int
-        Recorders that must listen to theta before it moves.
-    note : Path, optional
-        File for where theta is left.
-    follows : str
-        Topic of a controller, as koop_msgs/ControlInput.
-    theta : float, optional
-        Where it is now; default: as the rig file says.
 
     Attributes
     ----------
     theta : float
         Commanded now.
-    home : str
-        Why theta goes back to the safe value; empty: it does not.
+    reason : str
+        Why theta returns to theta_safe; empty: it does not.
     """
 
-    def __init__(
-        self,
-        rig: RigFile,
-        log: Path,
-        source: str = "",
-        kind: str = "",
-        scale: float = 1.0,
-        recorders: int = 0,
-        note: Path | None = None,
-        follows: str = "",
-        theta: float | None = None,
-    ) -> None:
-        self.theta = self._target = rig.theta_start if theta is None else theta
-        self._rig = rig
-        self._log = log
-        self._scale = scale
-        self._first = {
-            "rig": asdict(rig),
-            "theta": self.theta,
-            "source": source or rig.measured,
-            "type": kind or rig.measured_type,
-            "scale": scale,
-            "recorders": recorders,
-            "rescue": False,
-            "note": str(note.resolve()) if note is not None else "",
-            "follows": follows,
-        }
-        self.home = ""
-        self._said: dict[str, Any] = {}
+    def __init__(self, assignment: Assignment, log: Path) -> None:
+        self._assignment, self._rig, self._log = assignment, assignment.rig, log
+        self.theta = self._target = assignment.theta
+        self.reason = ""
+        self._report: dict[str, Any] = {}
         self._error = ""
-        self._beat = -math.inf
+        self._written = -math.inf
 
-    def __enter__(self) -> Hand:
+    def __enter__(self) -> CommanderClient:
         self._start()
         return self
 
@@ -101,78 +66,79 @@ class Hand:
     ) -> None:
         with uninterrupted():
             try:
-                self.come_home()
+                self.return_to_safe()
             finally:
                 self._close()
 
     @uninterrupted()
-    def come_home(self) -> None:
-        """Take theta to its safe value and keep it there.
+    def return_to_safe(self) -> None:
+        """Return theta to theta_safe and keep it there.
 
         Raises
         ------
-        LiveError
+        koop_core.errors.LiveError
             If it may not be there.
         """
-        self._tell(home="the command ends")
-        if self._comes_home():
+        self._write(give_up="the command ends")
+        if self._wait_until_safe():
             return
-        # killed: another one takes theta home, from where it was last known to be
+        # killed: another commander goes on, from the last theta known
         self._close()
-        self._first |= {"theta": self.theta, "recorders": 0, "rescue": True, "follows": ""}
+        self._assignment = replace(
+            self._assignment, theta=self.theta, recorders=0, follows="", rescue=True
+        )
         self._start()
-        self._tell(home="the commander was killed")
-        if not self._comes_home():
+        self._write(give_up="the commander was killed")
+        if not self._wait_until_safe():
             raise LiveError(
-                f"theta may be at {self.theta:g}, not at its safe value "
-                f"{self._rig.theta_safe:g}: see {self._log}"
+                f"theta may be at {self.theta:g}, not at theta_safe = {self._rig.theta_safe:g}: "
+                f"see {self._log}"
             )
 
     @property
     def step(self) -> int:
         """Step of the newest state that was answered; -1 before the first."""
-        return int(self._said.get("step", -1))
+        return int(self._report.get("step", -1))
 
     @property
-    def there(self) -> bool:
-        """Whether theta is where it was told to go."""
-        return bool(self._said.get("there")) and self._said.get("target") == self._target
+    def arrived(self) -> bool:
+        """Whether theta is at the target of :meth:`go`."""
+        return bool(self._report.get("arrived")) and self._report.get("target") == self._target
 
     def go(self, theta: float) -> None:
-        """Let theta move to a value, within limits and rate."""
+        """Move theta to a value, within limits and rate."""
         self._target = min(max(theta, self._rig.theta_min), self._rig.theta_max)
-        self._tell(target=theta)
+        self._write(target=theta)
 
     def follow(self) -> None:
-        """Let a controller, which begins where theta is, move it from now on, until :meth:`go`."""
+        """Let the controller, which begins at this theta, move it until :meth:`go`."""
         self._target = math.nan
-        self._tell(follow=True)
+        self._write(follow=True)
 
-    def beat(self) -> None:
+    def check(self) -> None:
         """Give a sign of life.
 
         Raises
         ------
-        LiveError
-            If the commander takes theta home, or has ended.
+        koop_core.errors.LiveError
+            If the commander returns theta to theta_safe, or has ended.
         """
-        if self.home:
-            raise LiveError(self.home)
+        if self.reason:
+            raise LiveError(self.reason)
         if self._process.poll() is not None:
-            words = self._error or told("the commander", self._process.returncode)
-            raise LiveError(words)
-        if time.monotonic() - self._beat > BEAT:
-            self._tell()
+            raise LiveError(self._error or told("the commander", self._process.returncode))
+        if time.monotonic() - self._written > SIGN_OF_LIFE:
+            self._write()
 
-    def _tell(self, **values: Any) -> None:
-        self._beat = time.monotonic()
-        with suppress(OSError, ValueError):  # that it has ended is found by the next look
+    def _write(self, **values: Any) -> None:
+        self._written = time.monotonic()
+        with suppress(OSError, ValueError):  # check() detects that it has ended
             assert self._process.stdin is not None
             self._process.stdin.write(json.dumps(values).encode() + b"\n")
             self._process.stdin.flush()
 
     def _start(self) -> None:
-        self._said, self._error, self.home = {}, "", ""
+        self._report, self._error, self.reason = {}, "", ""
         with open(self._log, "ab") as output:
             self._process = subprocess.Popen(
                 WORDS,
@@ -182,29 +148,29 @@ class Hand:
                 env=os.environ,
                 **OWN_GROUP,  # Ctrl-C reaches this process, which tells the commander
             )
-        self._tell(**self._first)
-        threading.Thread(target=self._listen, args=(self._process,), daemon=True).start()
+        self._write(**self._assignment.as_json())
+        threading.Thread(target=self._read, args=(self._process,), daemon=True).start()
 
-    def _listen(self, process: subprocess.Popen[bytes]) -> None:
+    def _read(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout is not None
         for line in process.stdout:
             with suppress(ValueError):
-                said = json.loads(line)
-                self._error = said.get("error", self._error)
-                if "theta" in said:
-                    self._said, self.theta, self.home = said, said["theta"], said["home"]
+                report = json.loads(line)
+                self._error = report.get("error", self._error)
+                if "theta" in report:
+                    self._report, self.theta = report, report["theta"]
+                    self.reason = report["reason"]
 
-    def _comes_home(self) -> bool:
-        """Wait until theta is at its safe value, or was never commanded; return whether it is."""
-        way = way_home(self._rig, self.theta) / self._scale
-        deadline = time.monotonic() + way + PATIENCE
+    def _wait_until_safe(self) -> bool:
+        """Wait until theta is at theta_safe; return whether it is, or was never commanded."""
+        deadline = time.monotonic() + compute_return_time(self._rig, self.theta) + PATIENCE
         while time.monotonic() < deadline:
-            if self.home and self._said.get("there"):
+            if self.reason and self._report.get("arrived"):
                 return True
             if (code := self._process.poll()) is not None:
-                never = self._said.get("step", -1) < 0 and not self._first["rescue"]
+                never = self._report.get("step", -1) < 0 and not self._assignment.rescue
                 return never and code in (0, 2)
-            self._tell()
+            self._write()
             time.sleep(0.05)
         return False
 
@@ -221,33 +187,34 @@ class Hand:
 
 
 def note_of(rig_file: str | Path) -> Path:
-    """Return the file that says where theta of a rig was left."""
+    """Return the file that notes the value at which theta of a rig was left."""
     path = Path(rig_file)
     return path.with_name(f".{path.name}.theta")
 
 
-def left_at(note: Path | None, rig: RigFile, speakers: Collection[str]) -> tuple[float, str]:
-    """Return where theta is, and what is to be said about it, if anything.
+def find_theta(note: Path | None, rig: RigFile, publishers: Collection[str]) -> tuple[float, str]:
+    """Return the present value of theta, and a remark on it, if there is any.
 
-    It is where the last command left it, unless the rig was started again since, or nobody has
-    moved it: then it is as the rig file says.
+    It is the value at which the last command left it; ``theta_start`` if the rig was started again
+    since, or no command has moved it.
 
     Parameters
     ----------
     note : Path or None
-        File that says where it was left.
+        File of :func:`note_of`.
     rig : RigFile
         The rig.
-    speakers : collection of str
-        Who says the measured channels now.
+    publishers : collection of str
+        Ids of the rig's publishers now, see
+        :func:`koop_commission.rig.graph.identify_publishers`.
     """
     if note is not None:
         with suppress(OSError, ValueError):
-            first, *known = note.read_text().split() or [""]
-            theta = float(first)
-            if known and speakers and not set(known) & set(speakers):
+            value, *ids = note.read_text().split() or [""]
+            theta = float(value)
+            if ids and publishers and not set(ids) & set(publishers):
                 return rig.theta_start, (
-                    f"the rig was started again since theta was left at {theta:g}: it counts as "
+                    f"the rig was restarted since theta was left at {theta:g}: assuming "
                     f"theta_start = {rig.theta_start:g}"
                 )
             if rig.theta_min <= theta <= rig.theta_max:

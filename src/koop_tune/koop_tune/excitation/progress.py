@@ -162,7 +162,7 @@ def refuse_other_rig(path: Path, own: RigFile, rig: RigFile) -> None:
         If it says something else that counts.
     """
     for name, value in as_values(own).items():
-        if value != as_values(rig)[name] and name not in ("time", "theta_start"):
+        if value != as_values(rig)[name] and name not in ("time", "theta_start", "pace"):
             raise ConfigError(
                 f"{path}: was begun with {name} = {value}, the rig file says "
                 f"{as_values(rig)[name]}: choose another --out"

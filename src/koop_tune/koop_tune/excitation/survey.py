@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.errors import InputError
 from koop_tune.excitation import staircase
 from koop_tune.excitation.channels import lines, listens
 from koop_tune.excitation.features import Bands, bands, bridged, features, window_length
@@ -67,13 +68,13 @@ class Survey:
 
         Raises
         ------
-        ValueError
+        koop_core.errors.InputError
             If no channel moves.
         """
         dt, x = self._rig.dt, bridged(x)
         found = [line for column in x.T for line in lines(column, dt)]
         if not found:
-            raise ValueError("no channel moves: dead sensors, or other fields")
+            raise InputError("no channel moves: dead sensors, or other fields")
         strongest = 1.0 / max(found, key=lambda line: line.share).frequency
         slowest = 1.0 / min(line.frequency for line in found)
         window = max(WINDOW * strongest, SLOWEST * slowest)

@@ -77,6 +77,13 @@ class RigFile:
     time: float = parameter(
         1800.0, "longest time that moving theta over its range may take", unit="s", low=1.0
     )
+    pace: float = parameter(
+        1.0,
+        "seconds of the rig's own time per second: 1, or N of a rig that is simulated at N times "
+        "real time",
+        low=1e-3,
+        high=1e3,
+    )
 
     def __post_init__(self) -> None:
         validate(self)

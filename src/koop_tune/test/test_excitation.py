@@ -1,19 +1,13 @@
-"""Commissioning offline: channels, reaction, the way of theta, against what is known exactly."""
+"""The excitation offline: channels, features, dwell points, against figures known exactly."""
 
 import json
 import math
-import random
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from koop_commission.fitness.reaction import order, reaction, reaction_of_rests
-from koop_commission.rig.listener import Samples, refuse_dead
-from koop_commission.stages import check
-from koop_commission.theta.limits import Leash, beyond
 from koop_core.config.parameter import ConfigError
-from koop_core.errors import LiveError
 from koop_tune.excitation import optimum_test, progress, staircase
 from koop_tune.excitation.channels import channel, lines, strongest_period
 from koop_tune.excitation.features import Bands, bands, features
@@ -57,15 +51,6 @@ def test_a_channel_that_says_nothing_or_rests_is_seen():
     assert channel(np.where(T < 6.0, math.nan, x)).bad == pytest.approx(0.1)
 
 
-def test_a_sensor_that_dies_is_named_and_one_that_misses_samples_is_not():
-    x = np.column_stack([np.sin(T), np.where(T < 30.0, np.cos(T), math.nan)])
-    refuse_dead(RIG.names, x)
-    with pytest.raises(LiveError, match="y is not a number any more: dead sensor"):
-        refuse_dead(RIG.names, x[T > 31.0])
-    with pytest.raises(LiveError, match=r"x is 0.5 and does not change: dead sensor"):
-        refuse_dead(RIG.names, np.column_stack([np.full(50, 0.5), x[:50, 1]]))
-
-
 def test_features_are_the_logarithms_of_amplitudes_in_all_and_in_bands():
     x = np.column_stack([2.0 * np.sin(2 * np.pi * 5.0 * T), 0.5 * np.sin(2 * np.pi * 1.5 * T)])
     how = bands(x, 400, DT)
@@ -74,86 +59,6 @@ def test_features_are_the_logarithms_of_amplitudes_in_all_and_in_bands():
     inside = [a <= 5.0 * 4.0 < b for a, b in zip(how.edges, how.edges[1:], strict=False)]
     assert found[0, 1:][inside] == pytest.approx([2.0], rel=0.05)
     assert found[0, 1:][~np.array(inside)].max() < 0.4
-
-
-def test_nothing_reacts_to_a_theta_that_reaches_nothing_more_often_than_p_says():
-    rng, drawn = np.random.default_rng(1), random.Random(1)
-    found = []
-    for _ in range(100):  # a rig that drifts and remembers, with many features
-        noise = np.cumsum(rng.normal(size=(8, 12)), axis=0)
-        found.append(reaction(noise, order(8, drawn)).p)
-    share = np.mean(np.array(found) <= 2 / 70)
-    assert share < 2 / 70 + 3 * math.sqrt(2 / 70 / 100)
-
-
-def test_a_theta_that_reaches_the_rig_is_found_and_where():
-    rng, moved = np.random.default_rng(2), order(8, random.Random(2))
-    noise = rng.normal(size=(8, 12))
-    noise[:, 7] += 30.0 * np.array(moved)
-    found = reaction(noise, moved)
-    assert (found.p, found.feature) == (pytest.approx(2 / 70), 7)
-    assert found.change == pytest.approx(30.0, abs=2.0)
-
-
-def test_a_map_that_is_the_same_on_both_sides_is_found_in_a_recording():
-    rng, theta = np.random.default_rng(4), np.tile(np.linspace(-1, 1, 9), 3)
-    found = rng.normal(0.0, 0.1, (27, 6))
-    assert reaction_of_rests(found, theta).p > 0.05
-    found[:, 2] += theta**2
-    assert reaction_of_rests(found, theta).p <= 0.01
-    assert reaction_of_rests(found, theta).feature == 2
-
-
-def heard(x, y):
-    arrival = np.arange(x.size) * DT
-    return Samples(arrival, 0.0 * arrival, np.full(x.size, -1), np.column_stack([x, y]))
-
-
-def test_a_dead_sensor_and_a_command_that_is_never_applied_are_a_line_each():
-    noise = np.random.default_rng(5).normal(0.0, 0.1, (8, 3000))
-    rows = list(check.passive(RIG, heard(noise[0], np.full(3000, 0.5))))
-    assert [(row.name, row.text) for row in rows if row.level == check.BAD] == [
-        ("channel", "y is always 0.5: dead sensor")
-    ]
-    how = bands(noise[0][:, None], 300, DT)
-    found = np.array([check.block_features(x[:300, None], how) for x in noise])
-    row = check.of_reaction(reaction(found, order(8, random.Random(5))), ["x"], "theta from 0 to 1")
-    assert row.level == check.BAD
-    assert row.text.endswith("the command is not applied, or theta has no effect there")
-    assert "nothing reacts (p = 0." in row.text
-
-
-def test_an_unstamped_source_that_loses_messages_is_not_fit():
-    x = np.random.default_rng(6).normal(size=4000)
-    kept = np.sort(np.random.default_rng(7).choice(4000, 2300, replace=False))
-    sent = heard(x, x)
-    rows = list(check.passive(RIG, Samples(*(column[kept] for column in sent))))
-    assert rows[0].level == check.BAD
-    assert "lost 16" in rows[0].text  # of 1700, but for those before the first and after the last
-    assert "no stamps: counted by arrival" in rows[0].text
-
-
-def test_theta_keeps_its_limits_and_rate_whoever_asks():
-    leash = Leash(RIG, 2.0, 2.0).asked(99.0)
-    assert leash.target == RIG.theta_max
-    assert leash.moved(1e9).theta == pytest.approx(2.0 + 2 * DT * 0.5)  # however late
-    assert leash.moved(-1.0).theta == 2.0
-    assert leash.asked(math.nan) == leash
-    for _ in range(1000):
-        before, leash = leash, leash.moved(DT)
-        assert abs(leash.theta - before.theta) <= 0.5 * DT + 1e-12
-    assert leash.there
-    home = leash.called_home("first").called_home("second").asked(3.0)
-    assert (home.home, home.target) == ("first", RIG.theta_safe)
-    assert not home.safe
-    while not home.there:
-        home = home.moved(DT)
-    assert home.safe
-
-
-def test_a_limit_of_a_channel_is_named():
-    assert beyond(RIG, [4.9, 5.9]) == ""
-    assert beyond(RIG, [4.9, 6.1]) == "y = 6.1 is beyond its limit 6"
 
 
 class Simulated:

@@ -1,0 +1,159 @@
+"""Whether a rig is fit to be commissioned, judged by its samples. Pure: arrays in, findings out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_commission.fitness.arrivals import Rhythm, measure_rhythm
+from koop_commission.fitness.reaction import STAGES, Reaction, describe_change
+from koop_commission.fitness.samples import Samples
+from koop_commission.fitness.settings import DEFAULTS, CheckSettings
+from koop_core.errors import InputError
+from koop_tune.excitation.channels import Channel, Line, channel, lines
+from koop_tune.excitation.features import Bands, bridged, features
+from koop_tune.rig.rig_file import RigFile
+
+OK, NOTE, BAD = "ok", "note", "BAD"
+BLIND = 64.0  # samples that count as a period where the spectrum shows none
+COUNTED = {
+    "steps": "counted by steps",
+    "stamps": "counted by stamps",
+    "arrival": "no stamps: counted by arrival at the dt of the rig file",
+}
+
+
+class Finding(NamedTuple):
+    """A line of the check: ``ok``, ``note`` or ``BAD``, what it is about, and what was found."""
+
+    level: str
+    name: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.level:<4}  {self.name:<10}  {self.text}"
+
+
+def judge_samples(
+    rig: RigFile, samples: Samples, pace: float, settings: CheckSettings = DEFAULTS
+) -> Iterator[Finding]:
+    """Yield the findings that need no command: arrival, channels, spectra.
+
+    ``pace`` is the seconds of the rig's own time per second.
+    """
+    try:
+        rhythm = measure_rhythm(samples, rig.dt, pace, settings)
+    except InputError as error:
+        yield Finding(BAD, "arrival", str(error))
+        return
+    yield judge_arrivals(rig.dt, rhythm, pace, settings)
+    low = rig.channel_min or (-math.inf,) * len(rig.names)
+    high = rig.channel_max or (math.inf,) * len(rig.names)
+    for name, x, least, most in zip(rig.names, samples.x.T, low, high, strict=True):
+        yield judge_channel(name, channel(x), (least, most), settings)
+    for name, x in zip(rig.names, samples.x.T, strict=True):
+        if peaks := lines(x, rig.dt):
+            yield describe_lines(name, peaks)
+
+
+def judge_arrivals(
+    dt: float, rhythm: Rhythm, pace: float, settings: CheckSettings = DEFAULTS
+) -> Finding:
+    """Judge rate and losses of the messages."""
+    lost = f"lost {rhythm.lost or 'none'}" + f" ({100.0 * rhythm.share:.2g} %)" * bool(rhythm.lost)
+    text = (
+        f"{rhythm.received} messages, {rhythm.rate:.4g} a second, "
+        f"jitter {1e3 * rhythm.jitter:.2g} ms, {lost}, {COUNTED[rhythm.source]}"
+    )
+    if abs(rhythm.interval / dt - 1.0) > settings.near:
+        cause = "dt is wrong, or pace" + ", or messages are lost" * (rhythm.interval > dt)
+        text = f"a message every {rhythm.interval:.4g} s, but dt = {dt:g}: {cause}; {text}"
+        return Finding(BAD, "arrival", text)
+    if rhythm.share > settings.lost_badly:
+        return Finding(BAD, "arrival", f"{text}: too many")
+    stalled = 2.0 * rhythm.longest * rhythm.rate / rhythm.received  # one at an end shifts the count
+    off = abs(rhythm.rate * dt / pace - 1.0)
+    if not rhythm.lost and off > settings.slow + stalled:
+        # steps and stamps confirm dt; a simulated rig may be slower than its pace says
+        far = off > settings.near
+        hint = " (is it simulated? set 'pace' in the rig file)" * far
+        text = f"{text}; expected {pace / dt:.4g} a second of dt = {dt:g} s{hint}"
+        return Finding(BAD if far or rhythm.source == "arrival" else NOTE, "arrival", text)
+    return Finding(NOTE if rhythm.share > settings.lost else OK, "arrival", text)
+
+
+def judge_channel(
+    name: str,
+    found: Channel,
+    limits: tuple[float, float] = (-math.inf, math.inf),
+    settings: CheckSettings = DEFAULTS,
+) -> Finding:
+    """Judge the values of one channel; ``limits`` are those of the rig file."""
+    low, high = limits
+    if found.bad == 1.0:
+        return Finding(BAD, "channel", f"{name} is never a number: dead sensor, or another field")
+    if found.dead:
+        return Finding(BAD, "channel", f"{name} is always {found.low:g}: dead sensor")
+    if found.low < low or found.high > high:
+        limit = low if found.low < low else high
+        text = f"{found.low:.4g} to {found.high:.4g}, beyond its limit {limit:g} before theta moves"
+        return Finding(BAD, "channel", f"{name} {text}")
+    rests = f"rests at one value for {100 * found.held:.0f} % of the time"
+    if found.held > settings.stuck:
+        return Finding(BAD, "channel", f"{name} {rests}: stuck")
+    text = f"{name} {found.low:.4g} to {found.high:.4g}, standard deviation {found.deviation:.3g}"
+    if found.quantum:
+        text += f", resolution {found.quantum:.3g}"
+    notes = []
+    if found.bad:
+        notes.append(f"{100 * found.bad:.2g} % are not numbers")
+    if found.held > settings.stuck / 5.0:
+        notes.append(rests)
+    if found.saturated:
+        notes.append(f"saturated for {100 * found.saturated:.2g} % of the time")
+    if found.quantum > settings.coarse * found.deviation:
+        notes.append("coarse: the resolution is a good part of the deviation")
+    return Finding(NOTE if notes else OK, "channel", "; ".join([text, *notes]))
+
+
+def describe_lines(name: str, peaks: Sequence[Line]) -> Finding:
+    """Name the lines in the spectrum of one channel."""
+    first, *others = [f"{p.frequency:.3g} Hz (amplitude {p.amplitude:.3g})" for p in peaks]
+    text = f"{name} strongest at {first}"
+    if others:
+        text += f", also at {', '.join(others)}: a line that theta does not change is interference"
+    return Finding(OK, "spectrum", text)
+
+
+def judge_reaction(reaction: Reaction, names: Sequence[str], between: str) -> Finding:
+    """Judge whether theta reaches the rig; ``between`` are its values, in words."""
+    if reaction.p > max(alpha for _, alpha in STAGES):
+        why = "the command is not applied, or theta has no effect there"
+        return Finding(BAD, "theta", f"{between}: nothing reacts (p = {reaction.p:.2f}): {why}")
+    name, change = names[reaction.feature], reaction.change
+    how = f"moves by {change:.3g}" if name.startswith("mean") else describe_change(change)
+    confidence = f"reaches the rig with {100 * reaction.confidence:.3g} % confidence"
+    return Finding(OK, "theta", f"{confidence}; {between}: {name} {how}")
+
+
+def compute_block_features(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
+    """Return the features of a block, shape (M, n): of the oscillation, and each channel's mean."""
+    return np.r_[features(x, how), bridged(x).mean(axis=0)]
+
+
+def name_block_features(how: Bands, channels: Sequence[str]) -> list[str]:
+    """Return the name of each feature of a block."""
+    return [*how.names(channels), *(f"mean {name}" for name in channels)]
+
+
+def choose_period(rig: RigFile, samples: Samples) -> float:
+    """Return the period to wait by [s]: of the strongest oscillation, or half of the slowest."""
+    every = [line for x in samples.x.T for line in lines(x, rig.dt)]
+    if not every:
+        return BLIND * rig.dt
+    strongest = max(every, key=lambda line: line.share).frequency
+    return max(1.0 / strongest, 0.5 / min(line.frequency for line in every))

@@ -1,0 +1,80 @@
+"""What decides whether a rig is fit to be commissioned. Pure: no ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from koop_core.config.parameter import parameter, validate
+
+_JUDGED = "judgement; no study depends on it"
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """Thresholds and times of ``koop check``.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If a value has the wrong type or is out of range.
+    """
+
+    listen: float = parameter(
+        5.0, "shortest time to listen before theta moves", unit="s", low=0.1, origin=_JUDGED
+    )
+    longest: float = parameter(
+        60.0, "longest time to listen before theta moves", unit="s", low=0.1, origin=_JUDGED
+    )
+    periods: float = parameter(
+        10.0, "periods of the strongest oscillation to listen for", low=1.0,
+        origin="a line of the spectrum is resolved to a tenth of its frequency",
+    )  # fmt: skip
+    settle: float = parameter(
+        3.0, "periods at the start of a block that are left out", low=0.0, origin=_JUDGED
+    )
+    observe: float = parameter(6.0, "periods of a block that are compared", low=1.0, origin=_JUDGED)
+    late: float = parameter(
+        0.5, "least time that is left out of a block, for messages that come late", unit="s",
+        low=0.0, origin="1.4 s behind were seen on a busy machine, 0.5 s are usual",
+    )  # fmt: skip
+    step: float = parameter(
+        0.25, "share of its range by which theta moves", low=0.01, high=0.5, origin=_JUDGED
+    )
+    shorter: float = parameter(
+        0.9, "share of the usual dwell point that a block of a recording may last", low=0.1,
+        high=1.0, origin="most dwell points of a recording count then",
+    )  # fmt: skip
+    fewest: int = parameter(
+        20, "messages needed to judge their arrival", low=3, high=1000, origin=_JUDGED
+    )
+    near: float = parameter(
+        0.2, "share of dt by which the usual interval may differ from it", low=0.0, high=0.5,
+        origin="the usual jitter of a publisher without real-time priority",
+    )  # fmt: skip
+    rise: float = parameter(
+        0.6, "periods by which a lost message sets back all that follow, at least", low=0.5,
+        high=1.0, origin="above a half, which jitter reaches, below the whole period of a loss",
+    )  # fmt: skip
+    slow: float = parameter(
+        0.02, "share by which the rate may differ from 1/dt", low=0.0, high=1.0, origin=_JUDGED
+    )
+    lost: float = parameter(
+        0.001, "share of lost messages that is noted", low=0.0, high=1.0, origin=_JUDGED
+    )
+    lost_badly: float = parameter(
+        0.05, "share of lost messages that is refused", low=0.0, high=1.0, origin=_JUDGED
+    )
+    coarse: float = parameter(
+        0.2, "standard deviations of a channel that one step of its values may have", low=0.0,
+        origin="a uniform error of 0.2 adds a 300th to the variance",
+    )  # fmt: skip
+    stuck: float = parameter(
+        0.5, "share of the time that a channel may rest at one value", low=0.0, high=1.0,
+        origin=_JUDGED,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+DEFAULTS = CheckSettings()

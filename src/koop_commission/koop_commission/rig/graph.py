@@ -1,0 +1,171 @@
+"""Topics and their publishers in the live ROS graph, compared with a rig file."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from koop_core.config.fields import check_fields
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
+from koop_node.client.client import Client
+from koop_tune.rig.rig_file import RigFile
+
+DISCOVERY = 4.0  # [s]: Fast DDS announces itself every 3 s to those that missed the first time
+LEASE = 21.0  # [s] after which DDS forgets a participant that was killed
+HIDDEN = ("/rosout", "/parameter_events", "/diagnostics", "/clock", "/tf", "/tf_static")
+UNKNOWN = "another program"
+COMMANDER = "/koop_commander"
+
+
+class Topic(NamedTuple):
+    """A topic of the graph.
+
+    Attributes
+    ----------
+    name, type : str
+        Full name; ``pkg/msg/Type``.
+    publishers, subscribers : tuple of str
+        The nodes, by their full names; a program of another DDS has none.
+    """
+
+    name: str
+    type: str
+    publishers: tuple[str, ...]
+    subscribers: tuple[str, ...]
+
+
+def find_topics(
+    client: Client, until: Callable[[], object] = lambda: False, patience: float = DISCOVERY
+) -> list[Topic]:
+    """Return the topics of other nodes, after a time [s] of discovery or once ``until`` is true."""
+    deadline = time.monotonic() + patience
+    while time.monotonic() < deadline and not until():
+        client.spin(0.05)
+    topics = []
+    for name, kinds in client.node.get_topic_names_and_types():
+        if name in HIDDEN or "/_" in name or name.endswith("/transition_event"):
+            continue
+        publishers, subscribers = find_nodes(client, name)
+        if publishers or subscribers:
+            topics.append(Topic(name, kinds[0], publishers, subscribers))
+    return sorted(topics)
+
+
+def find_nodes(client: Client, topic: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the other nodes that publish and that subscribe to a topic."""
+    own = client.node.get_name()
+
+    def names(infos: Any) -> tuple[str, ...]:
+        full = (
+            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            for info in infos
+            if info.node_name != own
+        )
+        return tuple(UNKNOWN if "_NODE_NAME_UNKNOWN_" in name else name for name in full)
+
+    return (
+        names(client.node.get_publishers_info_by_topic(topic)),
+        names(client.node.get_subscriptions_info_by_topic(topic)),
+    )
+
+
+def identify_publishers(client: Client, topic: str) -> set[str]:
+    """Return an id of each publisher of a topic; a program that was started again has another."""
+    infos = client.node.get_publishers_info_by_topic(topic)
+    return {bytes(info.endpoint_gid).hex() for info in infos}
+
+
+def find_other_publishers(client: Client, topic: str, commanding: bool) -> list[str]:
+    """Return the other nodes that publish a command.
+
+    ``commanding``: the commander of this process does, too; its name is known a little later than
+    its publisher.
+    """
+    names = list(find_nodes(client, topic)[0])
+    for name in (COMMANDER, UNKNOWN) if commanding else ():
+        if name in names:
+            names.remove(name)
+            break
+    return sorted(set(names))
+
+
+def describe_second_rig(client: Client, rig: RigFile) -> str:
+    """Return in words that the measured topic has more than one publisher; empty: it has not."""
+    names = find_nodes(client, rig.state.topic)[0]
+    if len(names) < 2:
+        return ""
+    return f"{rig.state.topic} is published by {' and '.join(names)}: stop all but the rig"
+
+
+def refuse_second_rig(client: Client, rig: RigFile, patience: float = LEASE) -> None:
+    """Refuse a measured topic with more than one publisher.
+
+    DDS lists a program that was killed for a while; that time [s] is waited for.
+
+    Raises
+    ------
+    koop_core.errors.LiveError
+        If there are still two after that time.
+    """
+    deadline = time.monotonic() + patience
+    if text := describe_second_rig(client, rig):
+        print(f"{text}; DDS forgets a killed program within {patience:g} s", flush=True)
+    while text:
+        if time.monotonic() > deadline:
+            raise LiveError(text)
+        client.spin(0.2)
+        text = describe_second_rig(client, rig)
+
+
+def refuse_missing_topics(
+    client: Client,
+    rig: RigFile,
+    patience: float = DISCOVERY,
+    check: Callable[[], object] = lambda: None,
+) -> None:
+    """Refuse a rig file that names what the live graph lacks, after a time [s] of discovery.
+
+    ``check`` is called meanwhile; it may raise LiveError.
+
+    Raises
+    ------
+    koop_core.errors.LiveError
+        If the measured topic has no publisher or the command no subscriber, or the message type
+        is another.
+    koop_core.config.parameter.ConfigError
+        If a type is not installed or has no such field.
+    """
+    from koop_node.node.managed import message_type
+
+    sides = {
+        "measured": (rig.state, rig.measured_type, "publisher"),
+        "command": (rig.knob, rig.command_type, "subscriber"),
+    }
+    for key, (source, kind, _) in sides.items():
+        try:
+            check_fields(source.fields, message_type(kind)())
+        except ValueError as error:
+            raise ConfigError(f"{key}: {error}") from None
+
+    def complete() -> bool:
+        check()
+        publishers, subscribers = (
+            find_nodes(client, source.topic)[end]
+            for end, source in enumerate((rig.state, rig.knob))
+        )
+        return bool(publishers and subscribers)
+
+    topics = find_topics(client, complete, patience)
+    for key, (source, kind, role) in sides.items():
+        offered = [t for t in topics if (t.publishers if role == "publisher" else t.subscribers)]
+        if source.topic not in [topic.name for topic in offered]:
+            others = ", ".join(f"{t.name} ({t.type})" for t in offered[:8]) or "none"
+            raise LiveError(
+                f"{key}: {source.topic} has no {role}: is the rig running, in this ROS domain? "
+                f"Topics with a {role}: {others}"
+            )
+        kinds = dict(client.node.get_topic_names_and_types()).get(source.topic, [kind])
+        if kind not in kinds:
+            raise LiveError(f"{key}: {source.topic} is {kinds[0]}, the rig file says {kind}")

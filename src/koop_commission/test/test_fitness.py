@@ -1,0 +1,269 @@
+"""Whether a rig is fit: findings on samples whose faults are known."""
+
+import math
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from koop_commission.fitness.arrivals import Rhythm
+from koop_commission.fitness.fitness import (
+    BAD,
+    NOTE,
+    OK,
+    Finding,
+    choose_period,
+    compute_block_features,
+    describe_lines,
+    judge_arrivals,
+    judge_channel,
+    judge_reaction,
+    judge_samples,
+    name_block_features,
+)
+from koop_commission.fitness.reaction import (
+    Reaction,
+    compare_blocks,
+    compare_rests,
+    describe_change,
+    draw_order,
+)
+from koop_commission.fitness.recording import compare_dwell_points, measure_pace
+from koop_commission.fitness.samples import Samples, refuse_dead
+from koop_commission.fitness.settings import CheckSettings
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
+from koop_tune.excitation.channels import Channel, Line
+from koop_tune.excitation.features import bands
+from koop_tune.rig.rig_file import RigFile
+
+DT = 0.01
+T = np.arange(6000) * DT
+RIG = RigFile(
+    "/a:x,y", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, -1.0, 3.0, 0.5, 2.0, 0.5,
+    channel_max=(5.0, 6.0),
+)  # fmt: skip
+RHYTHM = Rhythm(2000, 100.0, DT, 0.001, 0, "steps", 0.02)
+CHANNEL = Channel(-1.0, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0)
+
+
+def unstamped(x, y):
+    arrival = np.arange(x.size) * DT
+    return Samples(arrival, 0.0 * arrival, np.full(x.size, -1), np.column_stack([x, y]))
+
+
+def test_no_reaction_is_found_more_often_than_p_where_theta_reaches_nothing():
+    rng, drawn = np.random.default_rng(1), random.Random(1)
+    p = []
+    for _ in range(100):  # a rig that drifts and remembers, with many features
+        noise = np.cumsum(rng.normal(size=(8, 12)), axis=0)
+        p.append(compare_blocks(noise, draw_order(8, drawn)).p)
+    share = np.mean(np.array(p) <= 2 / 70)
+    assert share < 2 / 70 + 3 * math.sqrt(2 / 70 / 100)
+
+
+def test_the_feature_that_reacts_to_theta_is_found():
+    rng, moved = np.random.default_rng(2), draw_order(8, random.Random(2))
+    noise = rng.normal(size=(8, 12))
+    noise[:, 7] += 30.0 * np.array(moved)
+    reaction = compare_blocks(noise, moved)
+    assert (reaction.p, reaction.feature) == (pytest.approx(2 / 70), 7)
+    assert reaction.change == pytest.approx(30.0, abs=2.0)
+
+
+def test_stages_count_only_the_orders_that_could_be_drawn():
+    features = np.array([[0.0]] * 2 + [[1.0]] * 2 + [[0.0]] * 2 + [[1.0]] * 2)
+    moved = [False, False, True, True] * 2
+    # drawn in two stages of four: (4 choose 2)^2 orders, of which two separate the groups
+    assert compare_blocks(features, moved, [4, 4]).p == pytest.approx(2 / 36)
+    assert compare_blocks(features, moved).p == pytest.approx(2 / 70)
+
+
+def test_a_map_that_is_the_same_on_both_sides_is_found_in_a_recording():
+    rng, theta = np.random.default_rng(4), np.tile(np.linspace(-1, 1, 9), 3)
+    features = rng.normal(0.0, 0.1, (27, 6))
+    assert compare_rests(features, theta).p > 0.05
+    features[:, 2] += theta**2
+    assert compare_rests(features, theta).p <= 0.01
+    assert compare_rests(features, theta).feature == 2
+
+
+@pytest.mark.parametrize(
+    ("ratio", "text"),
+    [
+        (0.5, "falls by 50 %"),
+        (1.1, "rises by 10 %"),
+        (4.0, "rises 4 times"),
+        (0.2, "falls 5 times"),
+    ],
+)
+def test_a_change_of_a_logarithm_is_told_as_share_or_factor(ratio, text):
+    assert describe_change(math.log(ratio)) == text
+
+
+def test_a_dead_sensor_and_a_command_that_is_not_applied_are_a_finding_each():
+    noise = np.random.default_rng(5).normal(0.0, 0.1, (8, 3000))
+    findings = list(judge_samples(RIG, unstamped(noise[0], np.full(3000, 0.5)), 1.0))
+    assert [(f.name, f.text) for f in findings if f.level == BAD] == [
+        ("channel", "y is always 0.5: dead sensor")
+    ]
+    how = bands(noise[0][:, None], 300, DT)
+    features = np.array([compute_block_features(x[:300, None], how) for x in noise])
+    reaction = compare_blocks(features, draw_order(8, random.Random(5)))
+    finding = judge_reaction(reaction, ["x"], "theta from 0 to 1")
+    assert finding.level == BAD
+    assert finding.text.endswith("the command is not applied, or theta has no effect there")
+    assert "nothing reacts (p = 0." in finding.text
+
+
+def test_an_unstamped_source_that_loses_messages_is_not_fit():
+    x = np.random.default_rng(6).normal(size=4000)
+    kept = np.sort(np.random.default_rng(7).choice(4000, 2300, replace=False))
+    sent = unstamped(x, x)
+    first = next(judge_samples(RIG, Samples(*(column[kept] for column in sent)), 1.0))
+    assert first.level == BAD
+    assert "lost 16" in first.text  # of 1700, but for those before the first and after the last
+    assert "no stamps: counted by arrival" in first.text
+
+
+def test_a_handful_of_messages_is_one_finding():
+    x = np.zeros(5)
+    assert list(judge_samples(RIG, unstamped(x, x), 1.0)) == [
+        Finding(BAD, "arrival", "5 messages arrived, 20 are needed")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("rhythm", "pace", "level", "text"),
+    [
+        ({}, 1.0, OK, "2000 messages, 100 a second, jitter 1 ms, lost none, counted by steps"),
+        ({"lost": 10}, 1.0, NOTE, "lost 10 (0.5 %)"),
+        ({"lost": 200}, 1.0, BAD, "too many"),
+        ({"interval": 0.02}, 1.0, BAD, "a message every 0.02 s, but dt = 0.01: dt is wrong"),
+        ({"rate": 95.0}, 1.0, NOTE, "expected 100 a second"),  # a simulation that is a bit slow
+        ({"rate": 95.0, "source": "arrival"}, 1.0, BAD, "expected 100 a second"),
+        ({"rate": 200.0}, 1.0, BAD, "set 'pace' in the rig file"),
+        ({"rate": 200.0}, 2.0, OK, "200 a second"),
+    ],
+)
+def test_arrivals_are_judged_by_losses_interval_and_rate(rhythm, pace, level, text):
+    finding = judge_arrivals(DT, RHYTHM._replace(**rhythm), pace)
+    assert finding.level == level
+    assert text in finding.text
+
+
+@pytest.mark.parametrize(
+    ("channel", "level", "text"),
+    [
+        ({}, OK, "x -1 to 1, standard deviation 0.7"),
+        ({"bad": 1.0}, BAD, "x is never a number"),
+        ({"low": 1.0}, BAD, "x is always 1: dead sensor"),
+        ({"high": 5.5}, BAD, "x -1 to 5.5, beyond its limit 5 before theta moves"),
+        ({"low": -9.0}, BAD, "beyond its limit -4"),
+        ({"held": 0.6}, BAD, "x rests at one value for 60 % of the time: stuck"),
+        ({"held": 0.2}, NOTE, "rests at one value for 20 % of the time"),
+        ({"bad": 0.01}, NOTE, "1 % are not numbers"),
+        ({"saturated": 0.1}, NOTE, "saturated for 10 % of the time"),
+        ({"quantum": 0.2}, NOTE, "resolution 0.2; coarse"),
+        ({"quantum": 0.1}, OK, "resolution 0.1"),
+    ],
+)
+def test_a_channel_is_judged_by_its_worst_fault(channel, level, text):
+    finding = judge_channel("x", CHANNEL._replace(**channel), (-4.0, 5.0))
+    assert finding.level == level
+    assert text in finding.text
+
+
+def test_other_settings_judge_otherwise():
+    strict = CheckSettings(coarse=0.1, lost=0.0)
+    assert judge_channel("x", CHANNEL._replace(quantum=0.1), settings=strict).level == NOTE
+    assert judge_arrivals(DT, RHYTHM._replace(lost=1), 1.0, strict).level == NOTE
+    with pytest.raises(ConfigError, match="stuck"):
+        CheckSettings(stuck=2.0)
+
+
+def test_a_reaction_is_told_by_its_feature():
+    how = bands(np.sin(T)[:, None], 300, DT)
+    names = name_block_features(how, ["x"])
+    assert names[0] == "x"
+    assert names[-1] == "mean x"
+    assert len(names) == compute_block_features(np.sin(T[:300])[:, None], how).size
+    level = judge_reaction(Reaction(0.01, len(names) - 1, 0.25), names, "theta from 0 to 1")
+    assert (
+        level.text
+        == "reaches the rig with 99 % confidence; theta from 0 to 1: mean x moves by 0.25"
+    )
+    halved = judge_reaction(Reaction(0.01, 0, math.log(0.5)), names, "theta from 0 to 1")
+    assert halved.text.endswith("x falls by 50 %")
+
+
+def test_further_lines_are_named_as_possible_interference():
+    one = describe_lines("x", [Line(2.0, 1.0, 0.9)])
+    assert one == Finding(OK, "spectrum", "x strongest at 2 Hz (amplitude 1)")
+    two = describe_lines("x", [Line(2.0, 1.0, 0.9), Line(50.0, 0.1, 0.1)])
+    assert "also at 50 Hz (amplitude 0.1)" in two.text
+
+
+def test_the_period_to_wait_by_is_that_of_the_oscillation():
+    noise = np.random.default_rng(8).normal(0.0, 0.01, T.size)
+    fast, slow = np.sin(2 * np.pi * 4.0 * T), 0.3 * np.sin(2 * np.pi * 0.5 * T)
+    assert choose_period(RIG, unstamped(fast + noise, fast + noise)) == pytest.approx(
+        0.25, rel=0.05
+    )
+    both = unstamped(fast + slow + noise, fast + slow + noise)
+    assert choose_period(RIG, both) == pytest.approx(1.0, rel=0.1)  # half of the slowest
+    assert choose_period(RIG, unstamped(0.0 * T, 0.0 * T)) == 64 * DT
+
+
+def test_a_sensor_that_dies_is_named_and_one_that_misses_samples_is_not():
+    x = np.column_stack([np.sin(T), np.where(T < 30.0, np.cos(T), math.nan)])
+    refuse_dead(RIG.names, x)
+    with pytest.raises(LiveError, match="y is no longer a number: dead sensor"):
+        refuse_dead(RIG.names, x[T > 31.0])
+    with pytest.raises(LiveError, match=r"x is 0.5 and does not change: dead sensor"):
+        refuse_dead(RIG.names, np.column_stack([np.full(50, 0.5), x[:50, 1]]))
+
+
+def dwelling(effect, count=12, length=400):
+    """Return samples and theta: held at two values in turn, the amplitude grows by an effect."""
+    rng, theta = np.random.default_rng(9), np.repeat(np.tile([0.0, 1.0], count // 2), length)
+    t = np.arange(theta.size) * DT
+    x = (1.0 + effect * theta) * np.sin(2 * np.pi * 2.0 * t) + rng.normal(0.0, 0.1, t.size)
+    return unstamped(x, rng.normal(size=t.size)), theta
+
+
+def test_dwell_points_of_a_recording_show_whether_theta_acts():
+    samples, theta = dwelling(1.0)
+    finding = compare_dwell_points(RIG, samples, theta)
+    assert finding.level == OK
+    assert "theta from 0 to 1, 12 rests: x" in finding.text
+    finding = compare_dwell_points(RIG, *dwelling(0.0))
+    assert finding.level == NOTE  # the order was not drawn: an effect may be missed
+    assert "no effect detected" in finding.text
+    finding = compare_dwell_points(RIG, *dwelling(1.0, count=4))
+    assert finding.level == NOTE
+    assert "4 rests: 8 rests of" in finding.text
+
+
+@pytest.mark.parametrize(("source", "pace"), [("step", 3.0), ("stamp", 3.0), ("none", 2.0)])
+def test_the_pace_of_a_recording_is_that_of_its_steps_or_stamps_else_the_rig_files(source, pace):
+    rig, n = replace(RIG, pace=2.0), 300
+    recorded = Samples(
+        np.arange(n) * DT / 3.0,
+        1.0 + np.arange(n) * DT if source == "stamp" else np.zeros(n),
+        np.arange(n) if source == "step" else np.full(n, -1),
+        np.zeros((n, 2)),
+    )
+    assert measure_pace(recorded, rig) == pytest.approx(pace)
+
+
+def test_an_unstamped_rig_that_is_simulated_faster_is_fit_at_the_pace_of_its_file():
+    """Failed before: the report had 'BAD: a message every 0.005 s, dt is not that'."""
+    rng = np.random.default_rng(10)
+    samples = unstamped(np.sin(T) + rng.normal(0, 0.1, T.size), rng.normal(size=T.size))
+    faster = samples._replace(arrival=samples.arrival / 2.0)
+    rig = replace(RIG, pace=2.0)
+    for pace in (rig.pace, measure_pace(faster, rig)):
+        assert next(judge_samples(rig, faster, pace)).level == OK
+    assert next(judge_samples(RIG, faster, measure_pace(faster, RIG))).level == BAD
