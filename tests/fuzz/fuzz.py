@@ -44,7 +44,6 @@ from koopman_lifter import cost
 from koopman_lifter.config import shipped_model
 from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram
-from koopman_lifter.fit import Fit
 from koopman_lifter.model import ModelError, build, load
 from koopman_lifter.observables import Monomials
 
@@ -136,8 +135,8 @@ def delayed_model(folder: Path) -> bytes:
     delays = Delays(1, 3, 2)
     gram = Gram.empty(Monomials(delays.n, 2))
     samples = np.random.default_rng(0).normal(size=(1, 1000))
-    gram.add_trajectory(delays.embed(samples), longest=50)
-    build(gram, 0.01, ("x",), 4, {}, delays, Fit(resamples=5)).save(folder / "delayed.npz")
+    gram.add_trajectory(delays.embed(samples))
+    build(gram, 0.01, ("x",), 4, {}, delays).save(folder / "delayed.npz")
     return (folder / "delayed.npz").read_bytes()
 
 

@@ -46,7 +46,7 @@ def record(path):
 def test_a_rig_of_one_sensor_is_damped(start, probe, tmp_path, capfd):
     record(tmp_path / "recorded")
     model = tmp_path / "model.npz"
-    what = ["--state", "/pressure:data", "--theta", "/knob:data", "--dt", str(DT)]
+    what = ["--measured", "/pressure:data", "--command", "/knob:data", "--dt", str(DT)]
     learn = ["train", str(tmp_path / "recorded"), "--contrast", "--delays", "8"]
     assert main([*learn, *what, "--out", str(model)]) == 0, capfd.readouterr()
     assert "strong_and_weak_by theta" in capfd.readouterr().out

@@ -12,7 +12,7 @@ from koop_lab.cli.main import main
 from koopman_lifter.model import load
 
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
-TRAIN = ["--state", "/state:x", "--modes", "4"]
+TRAIN = ["--measured", "/state:x", "--modes", "4"]
 
 
 @pytest.fixture(scope="module", params=["MESSAGE", "FILE"])

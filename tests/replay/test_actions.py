@@ -17,6 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
+from koop_core.config import parameter_file
 from koop_core.stream.resend import Due, Resend
 from koop_lab.cli.main import main
 from koop_lab.replay.recording import read_recording
@@ -375,8 +376,10 @@ def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp
     assert printed.count("restarted") == 2
 
 
-def test_what_the_user_sets_outlasts_a_recorded_change(eventful, capfd):
-    assert main(["replay", str(eventful), "--offline", "--set", "koopman_lifter.cost=lifted"]) == 1
+def test_what_the_user_sets_outlasts_a_recorded_change(eventful, tmp_path, capfd):
+    file = tmp_path / "controller.yaml"
+    parameter_file.write({"koopman_lifter": {"cost": "lifted"}}, file)
+    assert main(["replay", str(eventful), "--offline", "--params-file", str(file)]) == 1
     printed = capfd.readouterr().out
     assert "as recorded: koopman_lifter cost" not in printed
     assert "first at step 130" in printed

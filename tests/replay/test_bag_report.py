@@ -1,6 +1,5 @@
 """``koop bag metrics`` and ``koop bag plot`` on the golden bag."""
 
-import argparse
 import json
 import re
 from dataclasses import replace
@@ -17,12 +16,12 @@ from koop_identify.model.settled_windows import windows_of
 from koop_identify.recording.loop import read_run
 from koop_lab.cli.main import parser
 from koop_lab.commands.simulate import run as simulate
-from koop_lab.plots.report import Cost, plot_report
-from koop_lab.recorded.report import costs_under, read
+from koop_lab.plots.report import plot_report
+from koop_lab.recorded.report import costs_of, read
 from koop_loop import parameters
 from koop_loop.metrics import PAPER
 from koop_loop.parameters import make
-from koopman_lifter.config import shipped_model
+from koopman_lifter.config import LifterConfig, shipped_model
 
 LOOP = {
     "/state": "koop_msgs/msg/MeasuredState",
@@ -122,12 +121,10 @@ def test_the_plot_is_written(tmp_path, capsys):
 def test_a_cost_under_the_recorded_model_and_settings_is_the_recorded_one():
     """As computed for the page where a model is named."""
     run = read(RUN)
-    given = argparse.Namespace(model=shipped_model(), settings=[], params_file=None)
-    _, r, name = costs_under(run, given)
-    assert np.array_equal(r, run.signals.r)
-    assert name == f"r under {run.model.model_id}"
-    given.settings = ["koopman_lifter.omega_h=5"]
-    assert not np.array_equal(costs_under(run, given)[1], run.signals.r)
+    _, costs = costs_of(run, shipped_model())
+    assert list(costs) == [f"r under {run.model.model_id}", "recorded r"]
+    assert np.array_equal(costs[f"r under {run.model.model_id}"], run.signals.r)
+    assert list(costs_of(run)[1]) == ["recorded r"]
 
 
 def test_a_run_without_a_model_and_with_holes_is_drawn_too(tmp_path):
@@ -135,8 +132,7 @@ def test_a_run_without_a_model_and_with_holes_is_drawn_too(tmp_path):
     assert run.model is not None
     assert run.model.model_id == read(RUN / "bag").model.model_id
     run.signals.x[100:130] = np.nan
-    made = parameters.make({"koopman_lifter": {"omega_l": 30.0}})
-    windows = windows_of(run.signals, run.signals.r, made)
-    costs = [Cost(run.signals.r, "r")]
+    windows = windows_of(run.signals, run.signals.r, LifterConfig(omega_l=30.0))
+    costs = {"r": run.signals.r}
     plot_report(tmp_path / "report.png", run.signals, costs, windows, None, None, "holes")
     assert (tmp_path / "report.png").stat().st_size > 10_000

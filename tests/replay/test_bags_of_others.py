@@ -138,7 +138,7 @@ def test_a_model_of_another_number_of_channels_is_refused(tmp_path, capsys):
     assert code == 2
     assert "is for 1 channel (p); the state in" in printed
     assert "has 2" in printed
-    code, printed = replay(
-        RUN, capsys, "--model", tmp_path / "one.npz", "--set", "koopman_lifter.cost=raw"
-    )
+    file = tmp_path / "controller.yaml"
+    file.write_text("koopman_lifter: {ros__parameters: {cost: raw}}")
+    code, printed = replay(RUN, capsys, "--model", tmp_path / "one.npz", "--params-file", file)
     assert code == 1, printed  # which needs no model: another cost than the recorded one

@@ -35,9 +35,17 @@ def test_the_golden_bag_is_replayed_bit_for_bit(how, capfd):
     assert "theta  identical bit for bit in all 2000 steps" in printed
 
 
+def parameters(folder, text):
+    """Write a parameter file."""
+    file = folder / "controller.yaml"
+    file.write_text(text)
+    return ["--params-file", str(file)]
+
+
 @HOW
-def test_another_parameter_is_named_with_what_it_changes(how, capfd):
-    code = main(["replay", str(RUN), *how, "--set", "relay_esc.dwell=2"])
+def test_another_parameter_is_named_with_what_it_changes(how, tmp_path, capfd):
+    given = parameters(tmp_path, "relay_esc: {ros__parameters: {dwell: 2.0}}")
+    code = main(["replay", str(RUN), *how, *given])
     printed, error = capfd.readouterr()
     assert code == 1, error
     assert "what the controller would have answered" in printed
@@ -55,7 +63,8 @@ def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
     answers = []
     for how in ([], ["--offline"]):
         out = tmp_path / f"{len(answers)}.npz"
-        given = ["--set", "koopman_lifter.cost=raw", "--out", str(out)]
+        given = parameters(tmp_path, "koopman_lifter: {ros__parameters: {cost: raw}}")
+        given += ["--out", str(out)]
         assert main(["replay", str(RUN), *how, *given]) == 1
         with np.load(out) as file:
             answers.append({name: file[name] for name in file.files})
@@ -67,18 +76,14 @@ def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (
-            ["--set", "relay_esc.dwel=2"],
-            "unknown parameter 'dwel': did you mean 'dwell'?",
-        ),
-        (["--set", "dwell=2"], "--set dwell=2: write koopman_lifter.PARAMETER=VALUE or"),
-        (["--set", "relay_esc.dwell=["], "in YAML"),
-        (["--set", "relay_esc.dwell=-1"], "relay_esc: dwell = -1: must be 0 to 1e+06 s"),
-        (["--set", "relay_esc.dt=0.01"], "dt differs: lifter 0.005"),
+        ("relay_esc: {ros__parameters: {dwel: 2}}", "parameter 'dwel': did you mean 'dwell'?"),
+        ("relay_esc: {ros__parameters: {dwell: -1}}", "relay_esc: dwell = -1: must be 0 to 1e+06"),
+        ("relay_esc: {ros__parameters: {dt: 0.01}}", "dt differs: lifter 0.005"),
         (["--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
         (["--namespace", "/two"], "no koop_msgs/msg/MeasuredState on /two/state"),
     ],
 )
-def test_what_cannot_be_used_is_named(given, message, capsys):
+def test_what_cannot_be_used_is_named(given, message, tmp_path, capsys):
+    given = given if isinstance(given, list) else parameters(tmp_path, given)
     assert main(["replay", str(RUN), "--offline", *given]) == 2
     assert message in capsys.readouterr().err

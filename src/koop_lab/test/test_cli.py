@@ -73,7 +73,7 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
         (["demo", "--time-scale", "2"], "--time-scale needs --pace scaled"),
         (["inspect", __file__], "truncated, damaged or not a model file"),
         (["train", "--degree", "0"], "degree = 0: must be 1 to 8"),
-        (["train", "bag", "--horizons", "1,x"], "--horizons 1,x: write steps"),
+        (["train", "--delays", "8"], "--delays is for training on bags"),
         (["bag", "metrics", "nowhere"], "koop bag metrics: error: there is no bag nowhere"),
     ],
 )

@@ -9,15 +9,14 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.linalg import expm
 
+from koop_core.config import parameter_file
 from koop_core.stream.arrival import Arrival
 from koop_identify.model.settled_windows import windows_of
-from koop_identify.recording import segments
-from koop_identify.recording.samples import StateSpec
-from koop_identify.recording.signals import Source, read_signals
+from koop_identify.recording.samples import recorded_source
+from koop_identify.recording.segmentation import BagReading
+from koop_identify.recording.signals import read_signals
 from koop_lab.cli.main import main
-from koop_lab.cli.source_options import WAYS
 from koop_lab.plots.views import draw_cost_by_theta, frequencies, mark_modes
-from koop_loop import parameters
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.edmd import Gram
@@ -101,9 +100,13 @@ def pressure(tmp_path_factory):
     )
 
 
+def reading(measured, command=None, dt=DT):
+    command = recorded_source(command) if command else None
+    return BagReading(recorded_source(measured), command, dt)
+
+
 def test_theta_is_the_last_one_received_before_each_state(joints):
-    source = Source(StateSpec.parse(JOINTS), StateSpec.parse("/command:data"), dt=DT)
-    signals = read_signals(joints, source)
+    signals = read_signals(joints, reading(JOINTS, "/command:data"))
     t = np.arange(10_000) * DT
     np.testing.assert_allclose(signals.t, t, atol=1e-6)
     np.testing.assert_allclose(signals.x, rig(t), atol=1e-9)
@@ -115,8 +118,7 @@ def test_theta_is_the_last_one_received_before_each_state(joints):
 
 
 def test_states_between_two_messages_have_the_theta_of_the_earlier(joints):
-    source = Source(StateSpec.parse(JOINTS), StateSpec.parse("/command:data"), dt=0.003)
-    signals = read_signals(joints, source)
+    signals = read_signals(joints, reading(JOINTS, "/command:data", dt=0.003))
     assert signals.way == "linear"
     before = np.floor(signals.t / DT + 1e-6).astype(int)  # number of the message
     given = falling(np.floor(before / 10 + 1e-6) * 0.1)  # none is interpolated
@@ -124,20 +126,10 @@ def test_states_between_two_messages_have_the_theta_of_the_earlier(joints):
 
 
 def test_states_without_stamps_are_counted_and_theta_is_held_between_its_changes(pressure):
-    source = Source(StateSpec.parse(PRESSURE), StateSpec.parse("/knob:data"), dt=DT)
-    signals = read_signals(pressure, source)
+    signals = read_signals(pressure, reading(PRESSURE, "/knob:data"))
     np.testing.assert_allclose(np.diff(signals.t), DT, atol=1e-9)
     np.testing.assert_array_equal(signals.theta, np.repeat(np.arange(10.0), 1000))
     assert signals.covered == pytest.approx(100.0)
-
-
-def test_states_that_are_taken_as_they_are_are_one_dt_apart(pressure):
-    source = Source(StateSpec.parse(PRESSURE), StateSpec.parse("/knob:data"), dt=0.04, way="none")
-    signals = read_signals(pressure, source)  # recorded four times as fast as the rig was
-    np.testing.assert_allclose(signals.t, 0.04 * np.arange(10_000))
-    assert signals.step.tolist() == list(range(1, 10_001))
-    np.testing.assert_array_equal(signals.theta, np.repeat(np.arange(10.0), 1000))
-    assert signals.covered == signals.recorded == pytest.approx(400.0)
 
 
 def test_a_theta_that_comes_often_and_stops_is_not_known_any_more(tmp_path, capsys):
@@ -147,7 +139,7 @@ def test_a_theta_that_comes_often_and_stops_is_not_known_any_more(tmp_path, caps
         joint_states=(joint_state, "sensor_msgs/msg/JointState", t, rig(t)),
         command=(number, "std_msgs/msg/Float64", often, falling(often)),
     )
-    given = ["--state", JOINTS, "--theta", "/command:data", "--dt", "0.01"]
+    given = ["--measured", JOINTS, "--command", "/command:data", "--dt", "0.01"]
     assert main(["bag", "metrics", str(bag), *given]) == 0
     printed = capsys.readouterr().out
     assert "the figures cover 57.91 of 100 s ONLY" in printed  # and the second that it is held
@@ -161,7 +153,7 @@ def test_a_theta_that_comes_often_and_stops_is_not_known_any_more(tmp_path, caps
 
 
 def test_the_metrics_of_a_rig_need_no_optimum(joints, capsys):
-    given = ["--state", JOINTS, "--theta", "/command:data", "--dt", "0.01", "--limits=-3.4,5"]
+    given = ["--measured", JOINTS, "--command", "/command:data"]
     assert main(["bag", "metrics", str(joints), *given, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     position = result["amplitude"]["channels"]["position0"]
@@ -172,8 +164,7 @@ def test_the_metrics_of_a_rig_need_no_optimum(joints, capsys):
     assert result["theta"]["mean"] == pytest.approx(-3.0, abs=0.05)
     assert result["theta"]["swing"] == pytest.approx(1.0, abs=0.05)
     assert result["theta"]["settled_at"] == pytest.approx(36.4, abs=0.2)  # 2 - (t - 10) / 6 = -2.4
-    # a cycle is below -3.4 for 0.1 of it, from 40 s on
-    assert result["theta"]["at_limit"] == pytest.approx(0.6 * 0.1, abs=0.015)
+    assert (result["theta"]["at_limit"], result["dt"]) == (None, 0.01)  # of the messages
     assert "iae_theta" not in result
     assert main(["bag", "metrics", str(joints), *given]) == 0
     printed = capsys.readouterr().out
@@ -182,7 +173,16 @@ def test_the_metrics_of_a_rig_need_no_optimum(joints, capsys):
 
 
 def test_with_theta_star_the_paper_s_metrics_stand_beside(joints, capsys):
-    given = ["--state", JOINTS, "--theta", "/command:data", "--dt", "0.01", "--theta-star", "-3"]
+    given = [
+        "--measured",
+        JOINTS,
+        "--command",
+        "/command:data",
+        "--dt",
+        "0.01",
+        "--theta-star",
+        "-3",
+    ]
     assert main(["bag", "metrics", str(joints), *given, "--start", "50", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     # a triangle of 0.5: mean 0.25 over 50 s
@@ -199,12 +199,11 @@ def test_with_theta_star_the_paper_s_metrics_stand_beside(joints, capsys):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ([], "no states of a loop on /state. For other messages name the fields: --state /TOPIC"),
-        (["--state", "/joint:position[0]"], "no messages on /joint; it has /command (std_msgs/msg"),
-        (["--state", JOINTS, "--dt", "0.01", "--theta", "/knob:data"], "no messages on /knob"),
-        (["--state", JOINTS], "give --dt (the usual time between two messages is 0.01 s)"),
-        (["--theta", "/command:data"], "--theta needs --state"),
-        (["--state", JOINTS, "--dt", "0.01", "--theta", "/joint_states:position"],
+        ([], "no states of a loop on /state. For other messages name the fields: --measured"),
+        (["--measured", "/joint:position[0]"], "no messages on /joint; it has /command (std"),
+        (["--measured", JOINTS, "--dt", "0.01", "--command", "/knob:data"], "no messages on /knob"),
+        (["--command", "/command:data"], "--command needs --measured"),
+        (["--measured", JOINTS, "--dt", "0.01", "--command", "/joint_states:position"],
          "name one of them"),
     ],
 )  # fmt: skip
@@ -215,20 +214,16 @@ def test_what_cannot_be_read_is_named(joints, given, message, capsys):
     assert message in capsys.readouterr().err
 
 
-def test_the_ways_of_the_option_are_those_of_the_segments():
-    assert ("auto", *segments.WAYS) == WAYS
-
-
 # -- open loop ----------------------------------------------------------------------------------
 
-TRAIN = ["--dt", "0.01", "--degree", "2", "--modes", "3", "--resamples", "0"]
+TRAIN = ["--dt", "0.01", "--degree", "2", "--modes", "3", "--delays", "4"]
 
 
 @pytest.fixture(scope="module")
 def model(pressure, tmp_path_factory):
     """A model of one channel and four of its samples."""
     out = tmp_path_factory.mktemp("model") / "pressure.npz"
-    given = ["--state", PRESSURE, *TRAIN, "--delays", "4", "--spacing", "0.1"]
+    given = ["--measured", PRESSURE, *TRAIN]
     assert main(["train", str(pressure), *given, "--out", str(out)]) == 0
     return out
 
@@ -236,14 +231,13 @@ def model(pressure, tmp_path_factory):
 def test_a_replay_of_any_states_says_what_the_nodes_would(pressure, model, tmp_path, capsys):
     """Beside it the same kernel, called state by state as the nodes call it."""
     out = tmp_path / "answers.csv"
-    given = ["--offline", "--state", PRESSURE, "--theta", "/knob:data", "--model", str(model)]
+    given = ["--offline", "--measured", PRESSURE, "--command", "/knob:data", "--model", str(model)]
     assert main(["replay", str(pressure), *given, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "OPEN LOOP" in printed
     assert "identical" not in printed
     found = np.genfromtxt(out, delimiter=",", names=True)
-    source = Source(StateSpec.parse(PRESSURE), dt=DT)
-    states = np.ascontiguousarray(read_signals(pressure, source).x)
+    states = np.ascontiguousarray(read_signals(pressure, reading(PRESSURE)).x)
     lifter, relay = LifterConfig(dt=DT), EscConfig(dt=DT)
     lifting = load(model).lifting()
     detector, state, work = cost.initial(), relay.initial(), cost.workspace(lifting)
@@ -265,34 +259,36 @@ def test_a_replay_of_any_states_says_what_the_nodes_would(pressure, model, tmp_p
 
 
 def test_an_open_loop_replay_is_drawn_and_follows_the_settings(joints, tmp_path, capsys):
-    given = ["--offline", "--state", JOINTS, "--dt", "0.01", "--set", "koopman_lifter.cost=raw"]
-    drawn = tmp_path / "open.png"
+    given, drawn = ["--offline", "--measured", JOINTS], tmp_path / "open.png"
     assert main(["replay", str(joints), *given, "--plot", str(drawn)]) == 0
     usual = capsys.readouterr().out
-    assert "cost raw, omega_h 20" in usual
+    assert "cost raw, omega_h 20" in usual  # no model
     assert drawn.read_bytes().startswith(b"\x89PNG")
-    assert main(["replay", str(joints), *given, "--set", "relay_esc.theta_initial=-1"]) == 0
+    file = tmp_path / "controller.yaml"
+    parameter_file.write({"relay_esc": {"theta_initial": -1.0}}, file)
+    assert main(["replay", str(joints), *given, "--params-file", str(file)]) == 0
     assert "theta  would have gone from -1 to" in capsys.readouterr().out
+    parameter_file.write({"relay_esc": {"dt": 0.02}}, file)
+    assert main(["replay", str(joints), *given, "--params-file", str(file)]) == 2
+    assert "dt differs: states" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["--offline"], "the lifted cost needs a model of this rig: give --model FILE"),
-        (["--model", "MODEL"], "--state needs --offline"),
+        (["--model", "MODEL"], "--measured needs --offline"),
         (["--offline", "--model", "MODEL"], "is for 1 channel (data); /joint_states:position[0]"),
-        (["--offline", "--model", "MODEL", "--set", "relay_esc.dt=0.02"], "dt differs: states"),
     ],
 )
 def test_an_open_loop_replay_that_makes_no_sense_is_refused(joints, model, given, message, capsys):
     given = [str(model) if word == "MODEL" else word for word in given]
-    given += ["--state", JOINTS, "--dt", "0.01"]
+    given += ["--measured", JOINTS, "--dt", "0.01"]
     assert main(["replay", str(joints), *given]) == 2
     assert message in capsys.readouterr().err
 
 
 def test_a_model_learned_at_another_dt_is_refused(pressure, model, capsys):
-    given = ["--offline", "--state", PRESSURE, "--dt", "0.02", "--model", str(model)]
+    given = ["--offline", "--measured", PRESSURE, "--dt", "0.02", "--model", str(model)]
     assert main(["replay", str(pressure), *given]) == 2
     assert "--dt 0.02: the model was learned at 0.01 s" in capsys.readouterr().err
 
@@ -320,9 +316,8 @@ def test_the_modes_are_marked_where_the_oscillator_oscillates():
 
 
 def test_a_view_that_cannot_be_drawn_says_why(joints):
-    without = read_signals(joints, Source(StateSpec.parse(JOINTS), dt=DT))
-    made = parameters.make({"koopman_lifter": {"dt": DT}, "relay_esc": {"dt": DT}})
-    windows = windows_of(without, without.r, made)
+    without = read_signals(joints, reading(JOINTS))
+    windows = windows_of(without, without.r, LifterConfig(dt=DT))
     axis = panel()
     draw_cost_by_theta(axis, windows)
     assert "theta is not in the recording" in axis.texts[0].get_text()
@@ -331,31 +326,7 @@ def test_a_view_that_cannot_be_drawn_says_why(joints):
 
 def test_the_page_of_any_bag_is_drawn_under_a_model(pressure, model, tmp_path, capsys):
     out = tmp_path / "page.png"
-    given = ["--state", PRESSURE, "--theta", "/knob:data", "--model", str(model)]
+    given = ["--measured", PRESSURE, "--command", "/knob:data", "--model", str(model)]
     assert main(["bag", "plot", str(pressure), *given, "--out", str(out)]) == 0
     assert out.read_bytes().startswith(b"\x89PNG")
     assert "the figures cover 100 of 100 s" in capsys.readouterr().out
-
-
-def test_a_model_is_judged_on_a_recording_as_the_cost_that_it_is_for(pressure, model, capsys):
-    given = ["--state", PRESSURE, "--theta", "/knob:data", "--set", "koopman_lifter.omega_l=3"]
-    assert main(["inspect", str(model), str(pressure), *given]) == 0
-    printed = capsys.readouterr().out
-    assert "cost: lifted, the energy of" in printed
-    assert "10000 states (linear)" in printed
-    assert "error on this recording over the state's standard deviation" in printed
-    rows = {line.split()[0]: line.split()[1:] for line in printed.splitlines() if line.strip()}
-    for name in ("lifted", "raw"):
-        # the amplitude falls as the knob goes from 0 to 4; of the other half noise decides
-        assert float(rows[name][0]) > 0.6
-        assert float(rows[name][1]) > 0.5
-        assert float(rows[name][2]) > 3.0
-    assert "over 10 settled windows of 8.4" in printed  # 95 % of 10 s but the detector's 1.15 s
-
-
-def test_a_model_that_does_not_fit_the_recording_is_refused(joints, model, capsys):
-    assert main(["inspect", str(model), str(joints), "--state", JOINTS]) == 2
-    assert "is for 1 channel (data)" in capsys.readouterr().err
-    given = ["--state", JOINTS, "--dt", "0.02"]
-    assert main(["inspect", str(model), str(joints), *given]) == 2
-    assert "--dt 0.02: the model was learned at 0.01 s" in capsys.readouterr().err

@@ -14,7 +14,6 @@ from koop_core.kernels import njit
 from koopman_lifter.contrast import TrajectoryMoments, with_contrast
 from koopman_lifter.delays import Delays
 from koopman_lifter.edmd import Gram
-from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
 from vdp_plant import waves
@@ -119,7 +118,6 @@ def train(
     config: TrainingConfig,
     contrast: bool = False,
     delays: Delays = PLAIN,
-    fit: Fit | None = None,
 ) -> KoopmanModel:
     """Train a model on simulated trajectories, for the paper's cost or for ``contrast``.
 
@@ -137,5 +135,5 @@ def train(
         **{name: getattr(config, name) for name in config.__dataclass_fields__},
         **({"variant": "contrast"} if contrast else {}),
     }
-    model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance, delays, fit)
+    model = build(gram, plant.dt, STATE_NAMES, config.modes, provenance, delays)
     return with_contrast(model, *moments.result()) if moments is not None else model

@@ -11,8 +11,9 @@ from tqdm import tqdm
 from koop_bag.bag.reader import BagReader
 from koop_core.config.parameter import ConfigError
 from koop_identify.model.from_bags import BagTraining, load_bags, train_from_bags
-from koop_identify.recording.loaded import THETA
-from koop_identify.recording.samples import StateSpec
+from koop_identify.recording.loaded import LOOP_COMMAND
+from koop_identify.recording.samples import recorded_source
+from koop_identify.recording.segmentation import BagReading
 from koop_tune.excitation import progress
 from koop_tune.excitation.features import Bands
 from koop_tune.folder import CONTROLLER, FIGURES, MODEL
@@ -57,10 +58,10 @@ def tune_folders(
     bags, bands = find_bags(folders, rig)
     if (out / CONTROLLER).exists():
         raise ConfigError(f"{out / CONTROLLER} exists already: choose another --out")
-    loaded, training = load_bags(bags, training_of(bags[0], rig))
+    loaded, reading = load_bags(bags, reading_of(bags[0], rig))
     if loaded.x.shape[0] != len(rig.names):
         raise ConfigError(
-            f"{bags[0]}: {training.state} has {loaded.x.shape[0]} channels, the rig file "
+            f"{bags[0]}: {reading.measured} has {loaded.x.shape[0]} channels, the rig file "
             f"{len(rig.names)}"
         )
     out.mkdir(parents=True, exist_ok=True)
@@ -71,7 +72,7 @@ def tune_folders(
             bar.update(100.0 * share)
 
         try:
-            tuning = tune(loaded, rig, training, bands, seed, effort, report, slowdown)
+            tuning = tune(loaded, rig, BagTraining(reading), bands, seed, effort, report, slowdown)
         except NoOptimum as refusal:
             bar.close()
             progress.write_whole(out / FIGURES, as_json.of_refusal(refusal))
@@ -90,8 +91,8 @@ def tune_folders(
     return True
 
 
-def training_of(bag: Path, rig: RigFile) -> BagTraining:
-    """Return how models are learned from recordings of a rig.
+def reading_of(bag: Path, rig: RigFile) -> BagReading:
+    """Return how recordings of a rig are read.
 
     The lifter's and the controller's topics are read where the bag has them, else the rig's own.
 
@@ -102,9 +103,9 @@ def training_of(bag: Path, rig: RigFile) -> BagTraining:
     """
     with BagReader(bag) as reader:
         topics = {topic.name for topic in reader.topics if topic.count}
-    state = f"{STATE}:x" if STATE in topics else rig.measured
-    theta = THETA if THETA.partition(":")[0] in topics else rig.command
-    return BagTraining(StateSpec.parse(state), dt=rig.dt, held_out=0.0, theta=theta)
+    measured = recorded_source(f"{STATE}:x" if STATE in topics else rig.measured)
+    command = LOOP_COMMAND if LOOP_COMMAND.topic in topics else recorded_source(rig.command)
+    return BagReading(measured, command, rig.dt)
 
 
 def find_bags(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands | None]:

@@ -25,6 +25,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.errors import InputError
 from koopman_lifter.delays import Delays
 from koopman_lifter.model import KoopmanModel
 
@@ -57,7 +58,7 @@ def with_contrast(
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If a state, or a combination of states, never moves.
     """
     n = model.observables.n
@@ -70,7 +71,7 @@ def with_contrast(
         else:
             direction, weak = _by_theta(covariances, theta)
     except np.linalg.LinAlgError:
-        raise ValueError(
+        raise InputError(
             "a state, or a combination of states, never moves: it has no contrast"
         ) from None
     direction = direction / np.abs(direction).sum()
@@ -216,10 +217,10 @@ class TrajectoryMoments:
 
         Raises
         ------
-        ValueError
+        koop_core.errors.InputError
             If there are fewer than two trajectories.
         """
         if len(self._parts) < 2:
-            raise ValueError("the contrast needs weak and strong oscillation: two trajectories")
+            raise InputError("the contrast needs weak and strong oscillation: two trajectories")
         covariances, means = zip(*self._parts, strict=True)
         return np.concatenate(covariances), np.concatenate(means)

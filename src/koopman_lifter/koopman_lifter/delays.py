@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from koop_core.errors import InputError
+
 SPAN = 0.125  # of the oscillation's period, from the newest to the oldest sample
 
 
@@ -120,7 +122,7 @@ def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If there are too few samples, or no channel moves.
     """
     from scipy.signal import spectrogram  # slow to import, and only training asks
@@ -130,7 +132,7 @@ def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
     length = int(min(half, sizes.sum() // 20))
     deviation = np.hstack(list(pieces)).std(axis=1) if pieces else np.zeros(1)
     if length < 32 or not (deviation > 0.0).any():
-        raise ValueError(
+        raise InputError(
             f"{sizes.sum():.0f} samples are too few, or do not move: they tell no period to choose "
             "the spacing of delays or the length of windows by"
         )

@@ -11,20 +11,17 @@ it a cut-off on singular values would drop whole observables.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from koop_core.errors import InputError
 from koopman_lifter.observables import Monomials
 from koopman_lifter.products import products
 
-BLOCK = 65536  # most pairs of a stretch while there are few
-STRETCHES = 64  # of the data whose sums are kept, at most
-STRETCH_BYTES = 2**28  # of their sums; fewer are kept of many observables
 
-
-class RankDeficient(ValueError):
+class RankDeficient(InputError):
     """The data do not tell the observables apart."""
 
 
@@ -44,9 +41,6 @@ class Gram:
         L = sum_k g(x_{k+1}) g(x_{k+1})^T.
     pairs : int
         Number of snapshot pairs M.
-    stretches : list of Gram
-        The same sums over consecutive stretches of the data, which have none of their own: what
-        ``koopman_lifter.bootstrap`` draws from. Some tens, however much data there is.
     """
 
     observables: Monomials
@@ -54,7 +48,6 @@ class Gram:
     yx: NDArray[np.float64]
     yy: NDArray[np.float64]
     pairs: int = 0
-    stretches: list[Gram] = field(default_factory=list, repr=False)
 
     @classmethod
     def empty(cls, observables: Monomials) -> Gram:
@@ -66,15 +59,9 @@ class Gram:
         """Return the sums over the monomials up to a lower degree: they come first."""
         observables = Monomials(self.observables.n, degree)
         p = observables.p
-        parts = [self, *self.stretches]
-        total, *stretches = (
-            Gram(observables, part.xx[:p, :p], part.yx[:p, :p], part.yy[:p, :p], part.pairs)
-            for part in parts
-        )
-        total.stretches = stretches
-        return total
+        return Gram(observables, self.xx[:p, :p], self.yx[:p, :p], self.yy[:p, :p], self.pairs)
 
-    def add_trajectory(self, states: ArrayLike, longest: int = BLOCK) -> None:
+    def add_trajectory(self, states: ArrayLike) -> None:
         """Add the consecutive pairs of one trajectory.
 
         Parameters
@@ -82,8 +69,6 @@ class Gram:
         states : array_like, shape (n, M + 1)
             States at a uniform step, one a column. A gap needs two calls: the pair across it is no
             pair of consecutive states.
-        longest : int
-            Most pairs of a stretch, while there are few stretches.
 
         Raises
         ------
@@ -97,42 +82,23 @@ class Gram:
             )
         if not np.isfinite(array).all():
             raise ValueError("the trajectory holds a value that is not finite")
-        block = min(longest, BLOCK)
-        for start in range(0, array.shape[1] - 1, block):
-            piece = array[:, start : start + block + 1]
-            part = Gram(self.observables, *products(self.observables, piece), piece.shape[1] - 1)
-            self._add(part)
-            self._stretch([part])
+        if array.shape[1] > 1:
+            xx, yx, yy = products(self.observables, array)
+            self.xx += xx
+            self.yx += yx
+            self.yy += yy
+            self.pairs += array.shape[1] - 1
 
     def __add__(self, other: Gram) -> Gram:
         if self.observables != other.observables:
             raise ValueError(f"cannot add Gram sums of {self.observables} and {other.observables}")
-        total = Gram.empty(self.observables)
-        for gram in (self, other):
-            total._add(gram)
-            total._stretch(gram.stretches)
-        return total
-
-    def _add(self, other: Gram) -> None:
-        self.xx += other.xx
-        self.yx += other.yx
-        self.yy += other.yy
-        self.pairs += other.pairs
-
-    def _stretch(self, parts: list[Gram]) -> None:
-        """Go on with the last stretch, or begin another one; join neighbours if they are many."""
-        most = max_stretches(self.observables.p)
-        usual = 2 * self.pairs // most
-        for part in parts:
-            if self.stretches and self.stretches[-1].pairs < usual:
-                self.stretches[-1]._add(part)
-            else:
-                self.stretches.append(Gram.empty(self.observables))
-                self.stretches[-1]._add(part)
-            if len(self.stretches) > most:
-                for one, next_one in zip(self.stretches[::2], self.stretches[1::2], strict=False):
-                    one._add(next_one)
-                self.stretches = self.stretches[::2]
+        return Gram(
+            self.observables,
+            self.xx + other.xx,
+            self.yx + other.yx,
+            self.yy + other.yy,
+            self.pairs + other.pairs,
+        )
 
     @property
     def scale(self) -> NDArray[np.float64]:
@@ -143,11 +109,6 @@ class Gram:
         """Return ``xx``, ``yx`` or ``yy`` as a mean over observables of unit root mean square."""
         scale = self.scale
         return np.asarray(sums / self.pairs / np.outer(scale, scale), dtype=np.float64)
-
-
-def max_stretches(p: int) -> int:
-    """Return of how many stretches the sums over p observables are kept, an even number."""
-    return max(8, min(STRETCHES, STRETCH_BYTES // (3 * 8 * p**2) // 2 * 2))
 
 
 @dataclass(frozen=True)
@@ -187,18 +148,18 @@ def edmd(gram: Gram) -> Koopman:
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If there are fewer pairs than observables; `RankDeficient` if the data do not excite every
         observable (equilibrated Psi_X rank deficient to double precision).
     """
     p = gram.observables.p
     if gram.pairs < p:
-        raise ValueError(
+        raise InputError(
             f"{gram.pairs} snapshot pairs cannot determine {p} observables: record for longer"
         )
     scale = gram.scale
     if not (np.isfinite(scale).all() and (scale > 0.0).all()):
-        raise ValueError("an observable is zero or overflows on all of the data: check the units")
+        raise InputError("an observable is zero or overflows on all of the data: check the units")
     correlation = gram.equilibrated(gram.xx)
     eigenvalues = np.linalg.eigvalsh(correlation)
     if eigenvalues[0] <= p * np.finfo(float).eps * eigenvalues[-1]:

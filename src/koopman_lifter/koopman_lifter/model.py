@@ -4,7 +4,7 @@ A model is a NumPy ``.npz`` archive (zip of ``.npy`` arrays, no pickle) plus one
 entry ``meta``. The SHA-256 over the arrays and that text identifies the model: a damaged file is
 refused, and ``model_id`` in every recorded cost names the model that made it.
 
-Format version 2 adds delays, a projector with a row count of its own, and what the modes are worth.
+Format version 2 adds delays, a projector with a row count of its own, and the modes' residuals.
 A model without them is written as version 1, which is read as ever.
 """
 
@@ -23,13 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.errors import InputError
-from koopman_lifter.bootstrap import eigenvalue_spread
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.cost import Lifting
 from koopman_lifter.delays import Delays
-from koopman_lifter.edmd import Gram
-from koopman_lifter.estimators import ESTIMATORS
-from koopman_lifter.fit import Fit
+from koopman_lifter.edmd import Gram, edmd
 from koopman_lifter.modes import decompose, projector, select
 from koopman_lifter.observables import Monomials
 
@@ -46,7 +43,7 @@ _ARRAYS = {  # entry: (dtype, shape in terms of p observables, N kept modes and 
     "V_dom": (np.complex128, ("p", "N")),
     "projector": (np.float64, ("R", "p")),
 }
-_WORTH = {"residuals": (np.float64, ("p",)), "spread": (np.float64, ("p",))}  # where known
+_RESIDUALS = (np.float64, ("p",))  # not in a file of version 1
 
 
 class ModelError(InputError):
@@ -84,8 +81,6 @@ class KoopmanModel:
         Where the training data came from, in JSON terms.
     residuals : ndarray, shape (p,), or None
         Residual of every mode on the training data; None in a file of version 1.
-    spread : ndarray, shape (p,), or None
-        Standard deviation of every eigenvalue; None where it was not asked for or cannot be told.
     """
 
     observables: Monomials
@@ -100,13 +95,12 @@ class KoopmanModel:
     projector: NDArray[np.float64]
     provenance: dict[str, Any]
     residuals: NDArray[np.float64] | None = None
-    spread: NDArray[np.float64] | None = None
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The part of the model that is arrays."""
-        known = [name for name in _WORTH if getattr(self, name) is not None]
-        return {name: getattr(self, name) for name in (*_ARRAYS, *known)}
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        return arrays if self.residuals is None else {**arrays, "residuals": self.residuals}
 
     @property
     def meta(self) -> dict[str, Any]:
@@ -174,7 +168,6 @@ def build(
     count: int,
     provenance: dict[str, Any],
     delays: Delays | None = None,
-    fit: Fit | None = None,
 ) -> KoopmanModel:
     """Learn a model from summed training data.
 
@@ -193,19 +186,15 @@ def build(
         Source of the data; the numbers of pairs and modes are added here.
     delays : Delays, optional
         What the states in ``gram`` are; None: the channels as they are.
-    fit : Fit, optional
-        How to get from the sums to the modes; None: as the paper.
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If the data cannot determine K, or ``count`` is less than 1.
     """
-    fit = fit or Fit()
-    solve = ESTIMATORS[fit.estimator]
-    koopman = solve(gram)
+    koopman = edmd(gram)
     modes = decompose(koopman, gram)
-    kept = select(modes, min(count, modes.energies.size), fit.select, fit.residual_limit)
+    kept = select(modes, min(count, modes.energies.size))
     v_dom = modes.vectors[:, kept]
     return KoopmanModel(
         gram.observables,
@@ -220,14 +209,12 @@ def build(
         projector(v_dom, modes.eigenvalues[kept]),
         {
             **provenance,
-            **{name: value for name, value in vars(fit).items() if value != vars(Fit())[name]},
             "pairs": gram.pairs,
             "condition": round(koopman.condition, 3),
             "modes_asked": count,
             "modes_kept": int(kept.sum()),
         },
         modes.residuals,
-        eigenvalue_spread(gram, modes.eigenvalues, solve, fit.resamples),
     )
 
 
@@ -345,8 +332,8 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
     if sizes["N"] == 0:
         raise ModelError("keeps no mode")
     stored = dict(_ARRAYS)
-    if meta["version"] > 1:
-        stored |= {name: _WORTH[name] for name in _WORTH if name in entries}
+    if meta["version"] > 1 and "residuals" in entries:
+        stored["residuals"] = _RESIDUALS
     for name, (dtype, axes) in stored.items():
         array, shape = entries[name], tuple(sizes[axis] for axis in axes)
         if array.dtype != dtype or array.shape != shape:

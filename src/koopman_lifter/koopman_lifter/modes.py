@@ -17,9 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.errors import InputError
 from koopman_lifter.edmd import Gram, Koopman
-
-SELECTIONS = ("energy", "residual", "trusted")
 
 
 @dataclass(frozen=True)
@@ -108,10 +107,8 @@ def partner(eigenvalues: NDArray[np.complex128], j: int) -> int:
     return int(np.argmin(np.abs(eigenvalues - eigenvalues[j].conj())))
 
 
-def select(
-    modes: Modes, count: int, by: str = "energy", residual_limit: float = np.inf
-) -> NDArray[np.bool_]:
-    """Choose ``count`` modes and never split a complex pair.
+def select(modes: Modes, count: int) -> NDArray[np.bool_]:
+    """Choose the ``count`` modes of largest energy and never split a complex pair.
 
     If the cut falls inside a pair, the pair is kept whole and one mode more than asked for is
     returned: half of a pair is not a real-valued quantity.
@@ -122,12 +119,6 @@ def select(
         p of them.
     count : int
         N, 1 to p.
-    by : str
-        ``energy``: the modes of largest energy, as the paper. ``residual``: of smallest residual.
-        ``trusted``: of largest energy among those whose residual is at most ``residual_limit``;
-        fewer than N where there are no more.
-    residual_limit : float
-        Used with ``trusted`` only.
 
     Returns
     -------
@@ -136,22 +127,14 @@ def select(
 
     Raises
     ------
-    ValueError
-        If ``count`` is not within 1..p, or if no mode has so small a residual.
+    koop_core.errors.InputError
+        If ``count`` is not within 1..p.
     """
     p = modes.energies.size
     if not 1 <= count <= p:
-        raise ValueError(f"cannot keep {count} of {p} modes: choose 1 to {p}")
-    order = np.argsort(modes.residuals if by == "residual" else -modes.energies, kind="stable")
-    if by == "trusted":
-        order = order[modes.residuals[order] <= residual_limit]
-        if not order.size:
-            raise ValueError(
-                f"no mode has a residual of at most {residual_limit:g}: "
-                f"the smallest is {modes.residuals.min():.3g}"
-            )
+        raise InputError(f"cannot keep {count} of {p} modes: choose 1 to {p}")
     kept = np.zeros(p, dtype=np.bool_)
-    for j in order:
+    for j in np.argsort(-modes.energies, kind="stable"):
         if kept.sum() >= count:
             break
         kept[[j, partner(modes.eigenvalues, int(j))]] = True

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from koopman_lifter.model import KoopmanModel
 
+HORIZONS = (1, 10, 50, 200)  # steps ahead
 BLOCK = 16384  # states lifted at a time
 
 
@@ -28,7 +29,7 @@ class Forecast:
         Steps ahead, each at least 1.
     """
 
-    def __init__(self, model: KoopmanModel, horizons: tuple[int, ...]) -> None:
+    def __init__(self, model: KoopmanModel, horizons: tuple[int, ...] = HORIZONS) -> None:
         n = model.delays.channels
         self.model, self.horizons = model, horizons
         with np.errstate(over="ignore", invalid="ignore"):  # a mode may grow without bound

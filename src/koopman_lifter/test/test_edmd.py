@@ -1,7 +1,5 @@
 """EDMD and the modes against systems whose Koopman operator is known."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import scipy.linalg
@@ -206,30 +204,6 @@ def modes_of(eigenvalues, energies):
 def test_the_most_energetic_modes_are_kept_and_no_pair_is_split(count, kept):
     modes = modes_of([1.0, 0.9, 0.8 + 0.1j, 0.8 - 0.1j], [9.0, 1.0, 5.0, 5.0])
     assert np.flatnonzero(select(modes, count)).tolist() == kept
-
-
-@pytest.mark.parametrize(
-    ("by", "count", "kept"),
-    [
-        ("residual", 1, [0]),
-        ("residual", 2, [0, 2, 3]),
-        ("residual", 4, [0, 1, 2, 3]),
-        ("trusted", 1, [2, 3]),
-        ("trusted", 4, [0, 2, 3]),  # the fourth is not trusted
-    ],
-)
-def test_modes_can_be_chosen_by_what_their_residual_says(by, count, kept):
-    modes = replace(
-        modes_of([1.0, 0.9, 0.8 + 0.1j, 0.8 - 0.1j], [1.0, 9.0, 5.0, 5.0]),
-        residuals=np.array([0.0, 0.5, 0.1, 0.1]),
-    )
-    assert np.flatnonzero(select(modes, count, by, 0.2)).tolist() == kept
-
-
-def test_a_limit_that_no_mode_meets_is_refused():
-    modes = replace(modes_of([0.9, 0.8], [1.0, 2.0]), residuals=np.array([0.3, 0.4]))
-    with pytest.raises(ValueError, match=r"at most 0\.2: the smallest is 0\.3"):
-        select(modes, 1, "trusted", 0.2)
 
 
 def test_the_real_projector_measures_the_norm_of_the_complex_projection():

@@ -18,7 +18,7 @@ from koop_tune.excitation.progress import Progress
 from koop_tune.folder import FIGURES, TUNED
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.stays import Scale
-from koop_tune.tune_folders import training_of
+from koop_tune.tune_folders import reading_of
 
 VERIFIED, RIG = "verify.json", "rig.yaml"
 
@@ -125,7 +125,7 @@ def _load(rig: RigFile, bags: Sequence[Path]) -> tuple[Loaded | None, str]:
     if not bags:
         return None, "nothing is recorded"
     try:
-        return load_bags(bags, training_of(bags[0], rig))[0], ""
+        return load_bags(bags, reading_of(bags[0], rig))[0], ""
     except (BagError, ValueError) as error:
         return None, str(error)
 

@@ -33,6 +33,14 @@ class Source(NamedTuple):
     topic: str
     fields: tuple[Path, ...]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The fields as text."""
+        return tuple(map(format_field, self.fields))
+
+    def __str__(self) -> str:
+        return f"{self.topic}:{','.join(self.names)}"
+
 
 def parse_field(text: str) -> Path:
     """Return the steps from a message to a number: (name, index or None) each.
@@ -62,10 +70,16 @@ def format_field(path: Path) -> str:
 def parse_source(text: str) -> Source:
     """Return the topic and the fields of ``topic:field,field``.
 
+    The one grammar of what is measured and what is commanded: in rig files, node parameters and
+    the options ``--measured`` and ``--command``.
+
+    >>> parse_source("/joint_states:position[0],velocity[0]").names
+    ('position[0]', 'velocity[0]')
+
     Raises
     ------
     koop_core.config.parameter.ConfigError
-        If the text is anything else.
+        If the text is anything else, or a field is named twice.
     """
     topic, colon, fields = text.strip().partition(":")
     if not colon or not _TOPIC.fullmatch(topic):
@@ -76,7 +90,10 @@ def parse_source(text: str) -> Source:
     names = fields.split(",", MAX_FIELDS)
     if len(names) > MAX_FIELDS:
         raise ConfigError(f"more than {MAX_FIELDS} fields")
-    return Source(topic, tuple(parse_field(name) for name in names))
+    source = Source(topic, tuple(parse_field(name) for name in names))
+    if len(set(source.fields)) < len(source.fields):
+        raise ConfigError(f"{_short(text)} names a field twice")
+    return source
 
 
 def check_topic(text: str) -> str:

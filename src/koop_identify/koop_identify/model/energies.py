@@ -1,4 +1,4 @@
-"""The instantaneous energy y_out of recorded states: by the lifter's kernel, or of a band."""
+"""The instantaneous energy y_out of recorded states: by the lifter's kernel."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import Arrival
-from koop_identify.recording.loaded import pieces
 from koopman_lifter import cost
 from koopman_lifter.cost import Lifting, Workspace
 from koopman_lifter.model import KoopmanModel
@@ -53,22 +52,3 @@ def _energies(
     for k in range(y_out.shape[0]):
         arrival = Arrival.JOIN if begins[k] else Arrival.NEXT
         y_out[k], _ = cost.energy(source, lifting, arrival, k, states[k], work)
-
-
-def band_energy(
-    x: NDArray[np.float64], begins: NDArray[np.bool_], dt: float, period: float
-) -> NDArray[np.float64]:
-    """Return the energy of the channels in the octave about a period [s].
-
-    What needs no model: a Butterworth band-pass filter of second order (causal, as in a loop), the
-    channels over their deviation, the sum of squares.
-    """
-    from scipy.signal import butter, sosfilt  # slow to import
-
-    edges = np.array([2**-0.5, 2**0.5]) / period
-    sections = butter(2, np.minimum(edges, 0.49 / dt), "bandpass", fs=1.0 / dt, output="sos")
-    deviation = x.std(axis=1, keepdims=True)
-    scaled = (x - x.mean(axis=1, keepdims=True)) / np.where(deviation > 0.0, deviation, 1.0)
-    for piece in pieces(begins):
-        scaled[:, piece] = sosfilt(sections, scaled[:, piece], axis=1)
-    return np.asarray((scaled**2).sum(axis=0))

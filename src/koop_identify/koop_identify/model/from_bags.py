@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_identify.model.merit import cut_windows
-from koop_identify.model.windows import period_of, training_windows
-from koop_identify.recording.counted import mean_period
-from koop_identify.recording.loaded import Loaded, load_states, theta_of
-from koop_identify.recording.recorded_parameters import recorded_values
-from koop_identify.recording.samples import STEP, Batch, StateSpec, batches, sha256, state_names
-from koop_identify.recording.segments import Segment, Segmentation, Segmenter, counted_spacing
+from koop_core.config.fields import Source
+from koop_core.errors import InputError
+from koop_identify.model.windows import cut_windows, period_of, training_windows
+from koop_identify.recording.loaded import Loaded, load_states, load_with_command
+from koop_identify.recording.samples import batches, sha256, state_names
+from koop_identify.recording.segmentation import BagReading, find_segmentation
+from koop_identify.recording.segments import Segment, Segmentation, Segmenter
 from koopman_lifter.contrast import can_tell, moments, with_contrast
 from koopman_lifter.delays import Delays, embedded_degree, spacing_for
-from koopman_lifter.edmd import STRETCHES, Gram, RankDeficient
-from koopman_lifter.fit import Fit
+from koopman_lifter.edmd import Gram, RankDeficient
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
-from koopman_lifter.prediction import Forecast
-
-GAPS = 3.0  # a pause of more than so many usual periods, or Dt, is a gap
+from koopman_lifter.prediction import HORIZONS, Forecast
 
 
 @dataclass(frozen=True)
@@ -35,20 +32,8 @@ class BagTraining:
 
     Attributes
     ----------
-    state : StateSpec
-        Fields that are the state.
-    dt : float or None
-        Time between two states [s]; None: the recorded loop's.
-    way : str
-        One of koop_identify.recording.segments.WAYS, or `auto`: by steps where the messages
-        have them and are one dt apart, else linear.
-    gap : float or None
-        Longest pause that is bridged [s]; None: three times the usual period, at least three dt.
-        Without stamps, the time in which no sample was taken, however late those before came.
-    held_out : float
-        Share of the data that is not learned from, 0 to 0.5.
-    horizons : tuple of int
-        Steps ahead of which the error on the held-out data is found.
+    reading : BagReading
+        How a bag becomes states.
     degree : int or None
         Largest degree of the monomials; None: 3, or less where delays would make that too many.
     modes : int
@@ -64,18 +49,9 @@ class BagTraining:
         Samples of every channel that make up the state.
     spacing : float or None
         Time between two of them [s]; None: so that they span an eighth of the dominant period.
-    theta : str or None
-        Field that is theta, such as /knob:data; None: /theta:theta if the bag has it.
-    fit : Fit
-        From the sums over the data to the modes.
     """
 
-    state: StateSpec
-    dt: float | None = None
-    way: str = "auto"
-    gap: float | None = None
-    held_out: float = 0.2
-    horizons: tuple[int, ...] = (1, 10, 50, 200)
+    reading: BagReading
     degree: int | None = None
     modes: int = 8
     names: tuple[str, ...] = ()
@@ -83,28 +59,12 @@ class BagTraining:
     period: float | None = None
     delays: int = 1
     spacing: float | None = None
-    theta: str | None = None
-    fit: Fit = field(default_factory=Fit)
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.held_out <= 0.5:
-            raise ValueError(f"held-out share {self.held_out:g}: must be 0 to 0.5")
-        if not self.horizons or min(self.horizons) < 1:
-            raise ValueError("horizons are steps ahead, each at least 1")
         if self.degree is not None and not 1 <= self.degree <= 8:
-            raise ValueError(f"degree = {self.degree}: must be 1 to 8")
+            raise InputError(f"degree = {self.degree}: must be 1 to 8")
         if self.delays < 1:
-            raise ValueError(f"{self.delays} delays: at least 1, the newest sample")
-        if self.spacing is not None and self.delays == 1:
-            raise ValueError("--spacing is that of --delays: give both")
-        for name, value in (
-            ("dt", self.dt),
-            ("gap", self.gap),
-            ("period", self.period),
-            ("spacing", self.spacing),
-        ):
-            if value is not None and not 0.0 < value < 1e6:
-                raise ValueError(f"{name} = {value:g} s: must be positive")
+            raise InputError(f"{self.delays} delays: at least 1, the newest sample")
 
     def degree_for(self, delays: Delays) -> int:
         """Return the largest degree of the monomials."""
@@ -118,102 +78,124 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     ------
     koop_bag.errors.BagError
         If a bag cannot be read or lacks the topic or a field.
-    ValueError
+    koop_core.errors.InputError
         If the bags do not fit together or cannot determine the model.
     """
-    gram: Gram | None = None
-    segmentations: list[Segmentation] = []
-    described: list[dict[str, Any]] = []
-    loaded: list[Loaded] = []
+    sums = _Sums(training)
     for path in paths:
         with BagReader(path) as bag:
-            segmentation, n = find_segmentation(bag, path, training)
-            if gram is None:
-                training = replace(training, dt=segmentation.dt)  # of all bags
-                delays = _delays(bag, training, segmentation, n)
-                degree = training.degree_for(delays)
-                gram = Gram.empty(Monomials(delays.n, degree))
-                names = training.names or state_names(training.state, n)
-                if len(names) != n:
-                    raise ValueError(f"{len(names)} state names for {n} states")
-            if n != delays.channels:
-                raise ValueError(f"{path}: {n} numbers in {training.state}, other bags have "
-                                 f"{delays.channels}")  # fmt: skip
-            count = bag.topic(training.state.topic).count
-            segmenter = Segmenter(segmentation, count)
-            before, stretch = gram.pairs, max(1, count // STRETCHES)
-            segments = _segments(bag, training.state, segmenter)
-            for segment, _ in joined(segments, delays.depth):
-                if not segment.held_out:
-                    gram.add_trajectory(delays.embed(segment.states), stretch)
-            if training.contrast:
-                theta = theta_of(bag, training.theta)
-                loaded.append(load_states(bag, training.state, segmentation, theta))
-            segmentations.append(segmentation)
-            described.append(
-                {
-                    "name": path.name,
-                    "sha256": sha256(path),
-                    "pairs": gram.pairs - before,
-                    **segmenter.described(),
-                }
-            )
-    assert gram is not None
-    assert training.dt is not None
-    dropped = sum(bag["not_finite"] for bag in described)
-    if not gram.pairs and dropped:
-        raise ValueError(f"no pair of states: {dropped} samples of {training.state} are not finite")
-    provenance: dict[str, Any] = {
-        "source": "bags",
-        "state": str(training.state),
-        "held_out": training.held_out,
-        "degree": degree,
-        "bags": described,
-    }
-    if delays.count > 1:
-        provenance |= {"delays": delays.count, "spacing": delays.every * training.dt}
-    model = built(gram, training, names, provenance, delays)
-    if training.contrast:
-        whole = Loaded.joined(loaded)
-        period = training.period or period_of(whole, training.dt)
-        model = contrasted(model, whole, period)
-    if not training.held_out:
+            sums.add(bag, path)
+    model = sums.model()
+    if not training.reading.held_out:
         return model
-    forecast = Forecast(model, training.horizons)
-    for path, segmentation in zip(paths, segmentations, strict=True):
+    forecast = Forecast(model)
+    overlap = max(HORIZONS) + model.delays.depth - 1
+    for path, segmentation in zip(paths, sums.segmentations, strict=True):
         with BagReader(path) as bag:
-            segmenter = Segmenter(segmentation, bag.topic(training.state.topic).count)
-            segments = _segments(bag, training.state, segmenter)
-            overlap = max(training.horizons) + delays.depth - 1
-            for segment, known in joined(segments, overlap):
+            for segment, known in _joined_segments(bag, training, segmentation, overlap):
                 if segment.held_out:
                     forecast.add(segment.states, known)
     return replace(model, provenance={**model.provenance, "forecast": forecast.result()})
 
 
-def load_bags(paths: Sequence[Path], training: BagTraining) -> tuple[Loaded, BagTraining]:
-    """Hold recordings in memory, theta included; the training is returned with the dt of all.
+class _Sums:
+    """What one pass over the bags collects.
+
+    Parameters
+    ----------
+    training : BagTraining
+        What to learn; the first bag says which dt it has, unless that is given.
+
+    Attributes
+    ----------
+    segmentations : list of Segmentation
+        Of each bag.
+    """
+
+    def __init__(self, training: BagTraining) -> None:
+        self.segmentations: list[Segmentation] = []
+        self._training = training
+        self._gram: Gram | None = None
+        self._delays = Delays(1)
+        self._bags: list[dict[str, Any]] = []
+        self._loaded: list[Loaded] = []
+
+    def add(self, bag: BagReader, path: Path) -> None:
+        """Add the pairs of a bag."""
+        training = self._training
+        measured = training.reading.measured
+        segmentation, n = find_segmentation(bag, path, training.reading)
+        if self._gram is None:
+            # of all bags
+            training = replace(training, reading=replace(training.reading, dt=segmentation.dt))
+            self._training = training
+            self._delays = _find_delays(bag, training, segmentation, n)
+            observables = Monomials(self._delays.n, training.degree_for(self._delays))
+            self._gram = Gram.empty(observables)
+        if n != self._delays.channels:
+            raise InputError(
+                f"{path}: {n} numbers in {measured}, other bags have {self._delays.channels}"
+            )
+        before = self._gram.pairs
+        segmenter = Segmenter(segmentation, bag.topic(measured.topic).count)
+        for segment, _ in joined(_segments(bag, measured, segmenter), self._delays.depth):
+            if not segment.held_out:
+                self._gram.add_trajectory(self._delays.embed(segment.states))
+        if training.contrast:
+            self._loaded.append(load_with_command(bag, training.reading, segmentation))
+        self.segmentations.append(segmentation)
+        origin = {"name": path.name, "sha256": sha256(path), "pairs": self._gram.pairs - before}
+        self._bags.append({**origin, **segmenter.described()})
+
+    def model(self) -> KoopmanModel:
+        """Return the model."""
+        training, gram = self._training, self._gram
+        assert gram is not None
+        reading, dt = training.reading, training.reading.known_dt
+        dropped = sum(bag["not_finite"] for bag in self._bags)
+        if not gram.pairs and dropped:
+            raise InputError(
+                f"no pair of states: {dropped} samples of {reading.measured} are not finite"
+            )
+        provenance: dict[str, Any] = {
+            "source": "bags",
+            "measured": str(reading.measured),
+            "held_out": reading.held_out,
+            "degree": gram.observables.degree,
+            "bags": self._bags,
+        }
+        if self._delays.count > 1:
+            provenance |= {"delays": self._delays.count, "spacing": self._delays.every * dt}
+        names = training.names or state_names(reading.measured, self._delays.channels)
+        model = build_from(gram, training, names, provenance, self._delays)
+        if not training.contrast:
+            return model
+        loaded = Loaded.joined(self._loaded)
+        return contrasted(model, loaded, training.period or period_of(loaded, dt))
+
+
+def load_bags(paths: Sequence[Path], reading: BagReading) -> tuple[Loaded, BagReading]:
+    """Hold recordings in memory, theta included; the reading is returned with the dt of all.
 
     Raises
     ------
     koop_bag.errors.BagError
         If a bag cannot be read or lacks the topic or a field.
-    ValueError
+    koop_core.errors.InputError
         If the bags do not fit together.
     """
     parts = []
     for path in paths:
         with BagReader(path) as bag:
-            segmentation, _ = find_segmentation(bag, path, training)
-            training = replace(training, dt=segmentation.dt)  # of all bags
-            theta = theta_of(bag, training.theta)
-            parts.append(load_states(bag, training.state, segmentation, theta))
+            segmentation, _ = find_segmentation(bag, path, reading)
+            reading = replace(reading, dt=segmentation.dt)  # of all bags
+            parts.append(load_with_command(bag, reading, segmentation))
     if len({part.x.shape[0] for part in parts}) > 1:
-        raise ValueError("the bags hold different numbers of channels")
-    return Loaded.joined(parts), training
+        raise InputError("the bags hold different numbers of channels")
+    return Loaded.joined(parts), reading
 
 
-def built(
+def build_from(
     gram: Gram,
     training: BagTraining,
     names: tuple[str, ...],
@@ -225,15 +207,15 @@ def built(
     Products of samples that follow each other closely hardly differ. The provenance then says which
     degree was given up.
     """
-    assert training.dt is not None
     degree = gram.observables.degree
     try:
-        return build(gram, training.dt, names, training.modes, provenance, delays, training.fit)
+        return build(gram, training.reading.known_dt, names, training.modes, provenance, delays)
     except RankDeficient:
         if training.degree is not None or delays.count == 1 or degree == 1:
             raise
         lower = {"degree": degree - 1, "rank_deficient_at_degree": degree}
-        return built(gram.of_degree(degree - 1), training, names, provenance | lower, delays)
+        lowered = gram.of_degree(degree - 1)
+        return build_from(lowered, training, names, provenance | lower, delays)
 
 
 def contrasted(model: KoopmanModel, loaded: Loaded, period: float) -> KoopmanModel:
@@ -243,7 +225,7 @@ def contrasted(model: KoopmanModel, loaded: Loaded, period: float) -> KoopmanMod
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If the recording has too few windows, or a channel never moves.
     """
     starts, length = training_windows(loaded, model.delays, model.dt, period)
@@ -251,26 +233,28 @@ def contrasted(model: KoopmanModel, loaded: Loaded, period: float) -> KoopmanMod
     theta = None
     if loaded.theta is not None:
         theta = cut_windows(loaded.theta, starts, length).mean(axis=1)
-    told = can_tell(theta)
+    by_theta = can_tell(theta)
     provenance = {
         **model.provenance,
         "variant": "contrast",
         "windows": int(starts.size),
         "window": float(f"{length * model.dt:.4g}"),
-        "strong_and_weak_by": "theta" if told else "amplitude",
+        "strong_and_weak_by": "theta" if by_theta else "amplitude",
     }
-    model = with_contrast(model, covariances, means, theta if told else None)
+    model = with_contrast(model, covariances, means, theta if by_theta else None)
     return replace(model, provenance=provenance)
 
 
-def _delays(bag: BagReader, training: BagTraining, segmentation: Segmentation, n: int) -> Delays:
+def _find_delays(
+    bag: BagReader, training: BagTraining, segmentation: Segmentation, n: int
+) -> Delays:
     """Return the delays, their spacing from the recording where none was given."""
     if training.delays == 1:
         return Delays(n)
     dt, spacing = segmentation.dt, training.spacing
     if spacing is None:
-        period = period_of(load_states(bag, training.state, segmentation, None), dt)
-        spacing = spacing_for(period, training.delays)
+        loaded = load_states(bag, training.reading.measured, segmentation, None)
+        spacing = spacing_for(period_of(loaded, dt), training.delays)
     return Delays.spaced(n, training.delays, spacing, dt)
 
 
@@ -295,62 +279,14 @@ def joined(segments: Iterator[Segment], overlap: int) -> Iterator[tuple[Segment,
         yield part._replace(states=states), known
 
 
-def _segments(bag: BagReader, state: StateSpec, segmenter: Segmenter) -> Iterator[Segment]:
-    for batch in segmenter.segmentation.timed(batches(bag, state)):
+def _joined_segments(
+    bag: BagReader, training: BagTraining, segmentation: Segmentation, overlap: int
+) -> Iterator[tuple[Segment, int]]:
+    measured = training.reading.measured
+    segmenter = Segmenter(segmentation, bag.topic(measured.topic).count)
+    yield from joined(_segments(bag, measured, segmenter), overlap)
+
+
+def _segments(bag: BagReader, measured: Source, segmenter: Segmenter) -> Iterator[Segment]:
+    for batch in segmenter.segmentation.timed(batches(bag, measured)):
         yield from segmenter.split(batch)
-
-
-def find_segmentation(
-    bag: BagReader, path: Path, training: BagTraining
-) -> tuple[Segmentation, int]:
-    """Return how to split a bag into segments, as far as possible from what it says itself, and n.
-
-    Raises
-    ------
-    ValueError
-        If the topic is empty, nothing says what dt is, or there is no time to go by.
-    """
-    first = next(batches(bag, training.state), None)
-    if first is None or first.time.size < 2:
-        raise ValueError(f"{path}: fewer than two messages on {training.state.topic}")
-    period = _period(first)
-    recorded = recorded_values(bag, path, training.state.topic.rpartition("/")[0] or "/")
-    own = recorded.get("koopman_lifter", {}).get("dt")
-    dt = training.dt or own
-    if dt is None:
-        raise ValueError(
-            f"{path}: nothing in the bag says what the time between two states is to be; "
-            f"give --dt (the usual time between two messages is {period:.6g} s)"
-        )
-    way = training.way
-    if way == "auto":
-        stepped = first.step is not None and (own == dt or abs(_step_time(first) / dt - 1.0) < 0.01)
-        way = "steps" if stepped else "linear"
-    if way == "steps" and first.step is None:
-        raise ValueError(f"{path}: messages on {training.state.topic} have no field '{STEP}'")
-    counted = way in ("linear", "zoh") and not first.stamped
-    if counted and period <= 0.0:
-        raise ValueError(
-            f"{path}: messages on {training.state.topic} have no stamp and were all received at "
-            "one time: if they are one dt apart, give --resample none"
-        )
-    usual = counted_spacing(period, dt) if counted else period
-    gap = training.gap or GAPS * max(usual, dt)
-    segmentation = Segmentation(
-        way, float(dt), float(gap), training.held_out, period if counted else 0.0
-    )
-    return segmentation, first.x.shape[1]
-
-
-def _period(batch: Batch) -> float:
-    """Return the usual time between two samples [s]."""
-    if not batch.stamped:  # they may have come in batches
-        return mean_period(batch.time) * 1e-9
-    return float(np.median(np.diff(batch.time))) * 1e-9
-
-
-def _step_time(batch: Batch) -> float:
-    """Return the usual time between two steps [s]; NaN if they do not grow."""
-    assert batch.step is not None
-    steps, apart = np.diff(batch.step), np.diff(batch.time)
-    return float(np.median(apart[steps == 1])) * 1e-9 if (steps == 1).any() else float("nan")

@@ -1,4 +1,4 @@
-"""A recording in settled windows: theta, amplitude and cost of each, and the merit of the cost."""
+"""A recording in settled windows: theta, amplitude and cost of each."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_identify.model.merit import Merit, cut_windows, merit, oscillation, settled_windows
+from koop_identify.model.windows import cut_windows, settled_windows
 from koop_identify.recording.signals import Signals
 from koop_loop.oscillation import amplitude
-from koop_loop.parameters import LoopParameters
+from koopman_lifter.config import LifterConfig
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,6 @@ class Windows:
         Mean cost of each; NaN where there is none.
     amplitude : ndarray, shape (n, K)
         Of each channel.
-    merit : Merit
-        What they say of the cost.
     """
 
     length: float
@@ -38,10 +36,9 @@ class Windows:
     theta: NDArray[np.float64] | None
     r: NDArray[np.float64]
     amplitude: NDArray[np.float64]
-    merit: Merit
 
 
-def windows_of(signals: Signals, r: NDArray[np.float64], made: LoopParameters) -> Windows:
+def windows_of(signals: Signals, r: NDArray[np.float64], lifter: LifterConfig) -> Windows:
     """Cut a recording into settled windows.
 
     Parameters
@@ -50,30 +47,24 @@ def windows_of(signals: Signals, r: NDArray[np.float64], made: LoopParameters) -
         The recording.
     r : ndarray, shape (M,)
         Cost of each state; NaN where there is none.
-    made : LoopParameters
-        The detector's filters say how long to wait after a jump of theta, the relay's dwell over
-        what time costs are compared.
+    lifter : LifterConfig
+        Its filters say how long to wait after a jump of theta.
     """
-    settling, esc, dt = made.lifter.detector_params().settling, made.esc, signals.dt
+    settling, dt = lifter.detector_params().settling, signals.dt
     theta = signals.theta if signals.has_theta else None
     starts, length = settled_windows(theta, signals.begins, dt, settling * dt)
     if not starts.size:
         empty = np.empty(0)
-        nothing = Merit(0, None, None, None, None, None, None, 0.0)
-        held = None if theta is None else empty
         channels = np.empty((signals.x.shape[1], 0))
-        return Windows(0.0, empty, held, empty, channels, nothing)
+        return Windows(0.0, empty, None if theta is None else empty, empty, channels)
     in_windows = cut_windows(r, starts, length)
     usable = np.isfinite(in_windows).any(axis=1)
     mean = np.full(starts.size, np.nan)
     mean[usable] = np.nanmean(in_windows[usable], axis=1)
-    held = None if theta is None else cut_windows(theta, starts, length).mean(axis=1)
-    swing = esc.params().step_size * esc.dwell / esc.dt
     return Windows(
         length * dt,
         signals.t[starts],
-        held,
+        None if theta is None else cut_windows(theta, starts, length).mean(axis=1),
         mean,
         amplitude(cut_windows(signals.x.T, starts, length)),
-        merit(in_windows, oscillation(signals.x.T, starts, length), held, dt, esc.dwell, swing),
     )

@@ -1,19 +1,25 @@
-"""Windows of a recording for the contrast: as long as the data allow, theta at rest in each."""
+"""Windows of a recording in which theta rests, or nearly so, and the oscillation's period."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_identify.model.merit import settled_windows
+from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded, pieces
 from koopman_lifter.contrast import FEWEST
 from koopman_lifter.delays import Delays, dominant_period
 
-PERIODS = 10.0  # of the oscillation, that a window is long at most
-LEAST = 1.5  # periods that a window is long at least
+PERIODS = 10.0  # of the oscillation, that a window for the contrast is long at most
+LEAST = 1.5  # periods that it is long at least
 SKIP = 2.0  # periods that the rig needs after a jump of theta
 SHARE = 0.3  # of the time until the next jump, at most
+JUMP = 0.05  # share of theta's range by which theta moves in a jump
+UNTOLD = 20  # windows that a recording without theta is cut into
+QUIET = 0.1  # share of theta's range by which theta may move within a window
+SHORTER = 0.95  # than a settled piece, so that one that is a little shorter counts, too
 
 
 def period_of(loaded: Loaded, dt: float) -> float:
@@ -31,7 +37,7 @@ def jumps(theta: NDArray[np.float64]) -> NDArray[np.bool_]:
         return np.zeros(theta.size, np.bool_)
     moved = np.abs(np.diff(theta, prepend=theta[:1]))
     # NaN, where theta is not known, compares false
-    return np.asarray(moved > 0.05 * np.ptp(known))
+    return np.asarray(moved > JUMP * np.ptp(known))
 
 
 def usual_rest(theta: NDArray[np.float64] | None, dt: float) -> float:
@@ -42,10 +48,91 @@ def usual_rest(theta: NDArray[np.float64] | None, dt: float) -> float:
     return float(np.median(np.diff(places))) * dt if places.size > 1 else np.inf
 
 
+def settled_windows(
+    theta: NDArray[np.float64] | None,
+    begins: NDArray[np.bool_],
+    dt: float,
+    skip: float,
+    longest: float = math.inf,
+) -> tuple[NDArray[np.int64], int]:
+    """Cut a recording into windows of equal length in which theta rests, or nearly so.
+
+    A piece ends where the data or theta jump; what comes within ``skip`` after it is left out. The
+    length follows from the data: at most what half of the settled samples have in one piece, and at
+    most the time in which theta, where it always moves, moves by a tenth of its range.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (M,), or None
+        Control input of every sample, NaN where it is not known; None if it was not recorded.
+    begins : ndarray of bool, shape (M,)
+        Whether a sample follows on none.
+    dt : float
+        Time between two samples [s].
+    skip : float
+        Time that the rig and the detector need after a jump [s].
+    longest : float
+        Longest window [s]; a window shorter than the slowest oscillation says little.
+
+    Returns
+    -------
+    starts : ndarray of int, shape (K,)
+        First sample of each window.
+    length : int
+        Samples of a window; 0 if there is none.
+    """
+    nothing = np.empty(0, np.int64), 0
+    size, cut = begins.size, begins.copy()
+    if not size:
+        return nothing
+    cut[0] = True
+    moved, span = np.zeros(size), 0.0
+    if theta is not None and np.isfinite(theta).any():
+        known = np.isfinite(theta)
+        span = float(np.nanmax(theta) - np.nanmin(theta))
+        moved[1:] = np.nan_to_num(np.abs(np.diff(theta)))
+        cut[1:] |= known[1:] != known[:-1]
+        cut |= moved > QUIET * span
+    bounds = np.append(np.flatnonzero(cut), size)
+    usable = np.maximum(np.diff(bounds) - round(skip / dt), 0)
+    if not usable.any():
+        return nothing
+    ordered = np.sort(usable)[::-1]
+    half = ordered[np.searchsorted(np.cumsum(ordered), 0.5 * ordered.sum())]
+    limits = [longest / dt, SHORTER * half]
+    speed = float(moved[~cut].mean()) if (~cut).any() else 0.0
+    if speed > 0.0:
+        limits.append(QUIET * span / speed)
+    if span == 0.0:
+        limits.append(ordered.sum() / UNTOLD)
+    length = int(min(limits))
+    if length < 3:
+        return nothing
+    starts = np.concatenate(
+        [
+            end - count + np.arange(count // length) * length
+            for end, count in zip(bounds[1:], usable, strict=True)
+        ]
+    )
+    if span > 0.0:
+        assert theta is not None
+        # NaN, where theta is not known, compares false
+        rests = np.ptp(cut_windows(theta, starts, length), axis=1) <= 2.0 * QUIET * span
+        starts = starts[rests]
+    return starts, length
+
+
+def cut_windows(
+    values: NDArray[np.float64], starts: NDArray[np.int64], length: int
+) -> NDArray[np.float64]:
+    """Return the windows of a signal, shape (..., M), as shape (..., K, length)."""
+    return np.asarray(values[..., starts[:, None] + np.arange(length)])
+
+
 def training_windows(
     loaded: Loaded, delays: Delays, dt: float, period: float
 ) -> tuple[NDArray[np.int64], int]:
-    """Cut the training part of a recording into windows.
+    """Cut the training part of a recording into windows for the contrast, as long as data allow.
 
     Parameters
     ----------
@@ -67,17 +154,17 @@ def training_windows(
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If there are too few windows; the message says why and what to do.
     """
     skip = min(SKIP * period, SHARE * usual_rest(loaded.theta, dt))
     starts, length = settled_windows(loaded.theta, loaded.begins, dt, skip, PERIODS * period)
     starts = starts[~loaded.held_out[starts]] if starts.size else starts
     if starts.size < FEWEST or length * dt < LEAST * period or length <= 2 * delays.depth:
-        pieces, states = int(loaded.begins.sum()), loaded.begins.size
-        raise ValueError(
+        parts, states = int(loaded.begins.sum()), loaded.begins.size
+        raise InputError(
             f"the contrast compares windows of strong and weak oscillation: {starts.size} windows "
-            f"of {length * dt:.3g} s were found in {states} states ({pieces} pieces without a gap, "
+            f"of {length * dt:.3g} s were found in {states} states ({parts} pieces without a gap, "
             f"the oscillation's period is about {period:.3g} s), {FEWEST} of more than "
             f"{max(LEAST * period, 2 * delays.depth * dt):.3g} s are needed: record longer, while "
             "theta moves over its range and rests for some periods at each value"

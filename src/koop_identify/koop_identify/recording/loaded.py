@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.columns import LOG_TIME, read_columns
 from koop_bag.bag.reader import BagReader
-from koop_identify.recording.samples import StateSpec, batches
+from koop_core.config.fields import Source, parse_source
+from koop_core.errors import InputError
+from koop_identify.recording.samples import batches
+from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.segments import Segmentation, Segmenter
 
-THETA = "/theta:theta"
+LOOP_COMMAND = parse_source("/theta:theta")
 STALE = 10.0  # usual intervals of theta after which the last one is not known to hold any more
 STALE_LEAST = 1.0  # [s]
 ROUNDED = 1e-6  # more than an interpolated number of a sample is off by rounding
@@ -65,7 +68,7 @@ def pieces(begins: NDArray[np.bool_]) -> list[slice]:
 
 
 def load_states(
-    bag: BagReader, state: StateSpec, segmentation: Segmentation, theta: StateSpec | None
+    bag: BagReader, measured: Source, segmentation: Segmentation, command: Source | None
 ) -> Loaded:
     """Read a recording.
 
@@ -73,25 +76,25 @@ def load_states(
     ----------
     bag : BagReader
         The recording.
-    state : StateSpec
+    measured : Source
         Measured channels.
     segmentation : Segmentation
         How messages become states one dt apart.
-    theta : StateSpec or None
+    command : Source or None
         Control input, one number; None if there is none.
 
     Raises
     ------
     koop_bag.errors.BagError
         If the bag lacks a topic or a field.
-    ValueError
-        If ``theta`` is more than one number, or no state is left.
+    koop_core.errors.InputError
+        If ``command`` is more than one number, or no state is left.
     """
-    segmenter = Segmenter(segmentation, bag.topic(state.topic).count)
-    given = None if theta is None else _theta_at(bag, state, theta)
+    segmenter = Segmenter(segmentation, bag.topic(measured.topic).count)
+    theta = None if command is None else _theta_at(bag, measured, command)
     parts, begins, held_out, n = [], [], [], 0
     origin: int | None = None
-    for batch in segmentation.timed(batches(bag, state)):
+    for batch in segmentation.timed(batches(bag, measured)):
         origin, n = int(batch.time[0]) if origin is None else origin, batch.x.shape[1]
         # time and number of a sample go the way of its state
         time, number = (batch.time - origin) * 1e-9, batch.index + np.arange(batch.time.size)
@@ -101,36 +104,36 @@ def load_states(
             begins.append(np.arange(size) < segment.begins)
             held_out.append(np.full(size, segment.held_out))
     if not parts:
-        raise ValueError(f"no usable samples of {state}")
+        raise InputError(f"no usable samples of {measured}")
     rows_of = np.hstack(parts)
     return Loaded(
         np.ascontiguousarray(rows_of[:n]),
         np.concatenate(begins),
         np.concatenate(held_out),
-        None if given is None else given[np.floor(rows_of[n + 1] + ROUNDED).astype(np.int64)],
+        None if theta is None else theta[np.floor(rows_of[n + 1] + ROUNDED).astype(np.int64)],
         rows_of[n],
     )
 
 
-def theta_of(bag: BagReader, given: str | None) -> StateSpec | None:
-    """Return which field is theta: the given one, or the loop's own where the bag has it."""
-    if given is not None:
-        return StateSpec.parse(given)
-    own = StateSpec.parse(THETA)
-    return own if any(topic.name == own.topic for topic in bag.topics) else None
+def load_with_command(bag: BagReader, reading: BagReading, segmentation: Segmentation) -> Loaded:
+    """Read a recording with the command of the reading, or the loop's own where the bag has it."""
+    command = reading.command
+    if command is None and any(topic.name == LOOP_COMMAND.topic for topic in bag.topics):
+        command = LOOP_COMMAND
+    return load_states(bag, reading.measured, segmentation, command)
 
 
-def _theta_at(bag: BagReader, state: StateSpec, theta: StateSpec) -> NDArray[np.float64]:
+def _theta_at(bag: BagReader, measured: Source, command: Source) -> NDArray[np.float64]:
     """Return theta when each state was received, shape (K,); NaN where it is not known.
 
     The clock is the recorder's: state and theta may be stamped by others, or not at all.
     """
-    received = read_columns(bag, state.topic, [LOG_TIME])[LOG_TIME].astype(np.int64)
-    samples = list(batches(bag, theta, by_stamp=False))
+    received = read_columns(bag, measured.topic, [LOG_TIME])[LOG_TIME].astype(np.int64)
+    samples = list(batches(bag, command, by_stamp=False))
     if not samples:
         return np.full(received.size, np.nan)
     if samples[0].x.shape[1] != 1:
-        raise ValueError(f"theta {theta}: {samples[0].x.shape[1]} numbers; name one of them")
+        raise InputError(f"command {command}: {samples[0].x.shape[1]} numbers; name one of them")
     when = np.concatenate([batch.time for batch in samples])
     order = np.argsort(when, kind="stable")
     when, value = when[order], np.concatenate([batch.x[:, 0] for batch in samples])[order]

@@ -14,6 +14,7 @@ from koop_bag.bag.extent import measure
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
+from koop_core.errors import InputError
 from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, keys
 
 STAMP = "header.stamp"
@@ -174,7 +175,7 @@ def read_loop(bag: Path, namespace: str = "/") -> LoopColumns:
     ------
     koop_bag.errors.BagError
         If the bag cannot be read.
-    ValueError
+    koop_core.errors.InputError
         If it holds no states of a loop.
     """
     base = namespace.rstrip("/")
@@ -182,9 +183,9 @@ def read_loop(bag: Path, namespace: str = "/") -> LoopColumns:
         present = {topic.name: topic.type_name for topic in reader.topics if topic.count}
         if present.get(f"{base}/state") != STATE_TYPE:
             others = ", ".join(f"{name} ({kind})" for name, kind in sorted(present.items()))
-            raise ValueError(
+            raise InputError(
                 f"{bag}: no states of a loop on {base}/state. For other messages name the fields: "
-                f"--state /TOPIC:FIELD,FIELD. It has {others or 'no messages'}"
+                f"--measured /TOPIC:FIELD,FIELD. It has {others or 'no messages'}"
             )
         columns: dict[str, dict[str, Any]] = {}
         for name, wanted in FIELDS.items():
@@ -203,7 +204,7 @@ def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
     ------
     koop_bag.errors.BagError
         If the bag cannot be read.
-    ValueError
+    koop_core.errors.InputError
         If it does not hold a closed loop.
     """
     return closed_loop(read_loop(bag, namespace), bag)
@@ -214,17 +215,17 @@ def closed_loop(columns: LoopColumns, bag: Path) -> RecordedRun:
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If there are none.
     """
     for name in ("cost", "theta"):
         if not columns.has(name):
-            raise ValueError(
+            raise InputError(
                 f"{bag}: no messages on '{name}', this is not a recording of a closed loop"
             )
     rows = columns.answered
     if not rows.any():
-        raise ValueError(f"{bag}: no step has a state, a cost and a theta")
+        raise InputError(f"{bag}: no step has a state, a cost and a theta")
     truth = columns.at("ground_truth", "x")[rows] if columns.has("ground_truth") else None
     return RecordedRun(
         columns.step[rows],

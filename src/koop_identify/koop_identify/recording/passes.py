@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.errors import InputError
 from koop_core.stream.arrival import NOTHING, Arrival
 from koop_loop.kernel import listen
 
@@ -21,11 +22,11 @@ def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If a step is none.
     """
     if step.size and not 0 <= step.min() <= step.max() < MAX_STEP:
-        raise ValueError("a step is not a count: the recording is damaged")
+        raise InputError("a step is not a count: the recording is damaged")
     kinds = np.empty(step.size, np.int8)
     listen(step, 0.0, 0.0, NOTHING, kinds)
     begins = (kinds == Arrival.RESTART) | (kinds == Arrival.JOIN)

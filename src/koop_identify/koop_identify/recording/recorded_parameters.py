@@ -15,6 +15,7 @@ from koop_bag.bag.metadata import parse_map
 from koop_bag.bag.reader import BagReader
 from koop_core.config.parameter import NodeConfig
 from koop_core.config.parameter_file import ROS_OWN
+from koop_core.errors import InputError
 from koop_loop.parameters import NODES
 from koopman_lifter.config import SOURCES, shipped_model
 from koopman_lifter.model import KoopmanModel, ModelError, load
@@ -215,11 +216,11 @@ class Models:
 
         Raises
         ------
-        ValueError
+        koop_core.errors.InputError
             If it is not at hand.
         """
         if model_id not in self._files:
-            raise ValueError(
+            raise InputError(
                 f"the recording was made with model {model_id}, which is not in its folder; "
                 "give the file with --model"
             )

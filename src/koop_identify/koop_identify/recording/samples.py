@@ -14,48 +14,27 @@ from koop_bag.bag.columns import LOG_TIME, iter_columns, list_fields
 from koop_bag.bag.files import find_files
 from koop_bag.bag.reader import BagReader
 from koop_bag.mcap.stored_file import open_stored
-from koop_core.config.fields import format_field, parse_source
+from koop_core.config.fields import Source, parse_source
+from koop_core.config.parameter import ConfigError
 
 STAMP, STEP = "header.stamp", "step"
 
 
-@dataclass(frozen=True)
-class StateSpec:
-    """Which numbers of which topic are the state.
+def recorded_source(text: str) -> Source:
+    """Read `/topic:field,field` of a bag: numbers (`position[0]`) and arrays, whole (`x`).
 
-    Attributes
-    ----------
-    topic : str
-        Full name of the topic.
-    fields : tuple of str
-        Numbers (`position[0]`) and arrays, of which every element counts (`x`).
+    >>> recorded_source("/joint_states:position[0],velocity[0]").topic
+    '/joint_states'
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If the text is no such source, or its topic is not a full name.
     """
-
-    topic: str
-    fields: tuple[str, ...]
-
-    @classmethod
-    def parse(cls, text: str) -> StateSpec:
-        """Read `/topic:field,field`.
-
-        >>> StateSpec.parse("/joint_states:position[0],velocity[0]").fields
-        ('position[0]', 'velocity[0]')
-
-        Raises
-        ------
-        ValueError
-            If the text names no topic or no field.
-        """
-        source = parse_source(text)
-        if not source.topic.startswith("/"):
-            raise ValueError(f"state {text!r}: a bag knows topics by their full names: /topic")
-        names = tuple(map(format_field, source.fields))
-        if len(set(names)) < len(names):
-            raise ValueError(f"state {text!r}: a field stands there twice")
-        return cls(source.topic, names)
-
-    def __str__(self) -> str:
-        return f"{self.topic}:{','.join(self.fields)}"
+    source = parse_source(text)
+    if not source.topic.startswith("/"):
+        raise ConfigError(f"{text!r}: a bag knows topics by their full names: /topic")
+    return source
 
 
 @dataclass(frozen=True)
@@ -83,7 +62,7 @@ class Batch:
     stamped: bool = True
 
 
-def batches(bag: BagReader, spec: StateSpec, by_stamp: bool = True) -> Iterator[Batch]:
+def batches(bag: BagReader, source: Source, by_stamp: bool = True) -> Iterator[Batch]:
     """Yield the samples of a bag in the order of recording.
 
     Their time is the stamp where there is one, unless ``by_stamp`` is False, else that of
@@ -94,13 +73,13 @@ def batches(bag: BagReader, spec: StateSpec, by_stamp: bool = True) -> Iterator[
     koop_bag.errors.BagError
         If the bag has no such topic or field, or a field has another length now and then.
     """
-    known = set(list_fields(bag, spec.topic))
-    wanted = [*dict.fromkeys((*spec.fields, *(known & {STAMP, STEP}), LOG_TIME))]
+    known = set(list_fields(bag, source.topic))
+    wanted = [*dict.fromkeys((*source.names, *(known & {STAMP, STEP}), LOG_TIME))]
     index, stamped = 0, by_stamp and STAMP in known
-    for columns in iter_columns(bag, spec.topic, wanted):
+    for columns in iter_columns(bag, source.topic, wanted):
         if not index:
             stamped = stamped and bool(columns[STAMP][0])  # a source that never stamps writes zeros
-        x = np.column_stack([columns[name] for name in spec.fields]).astype(np.float64, copy=False)
+        x = np.column_stack([columns[name] for name in source.names]).astype(np.float64, copy=False)
         yield Batch(
             index,
             columns[STAMP if stamped else LOG_TIME].astype(np.int64),
@@ -111,20 +90,12 @@ def batches(bag: BagReader, spec: StateSpec, by_stamp: bool = True) -> Iterator[
         index += x.shape[0]
 
 
-def state_names(spec: StateSpec, n: int) -> tuple[str, ...]:
-    """Return a name for each of the n numbers: the field, with its index where it is an array.
-
-    Raises
-    ------
-    ValueError
-        If several fields are arrays, so that the numbers cannot be told apart.
-    """
-    arrays = n - len(spec.fields) + 1
-    if arrays == 1:
-        return tuple(_plain(name) for name in spec.fields)
-    if len(spec.fields) == 1:
-        return tuple(f"{_plain(spec.fields[0])}{i}" for i in range(n))
-    raise ValueError(f"{n} numbers in {spec}: name them with --names")
+def state_names(source: Source, n: int) -> tuple[str, ...]:
+    """Return a name for each of the n numbers: the field, with its index where it is an array."""
+    if n == len(source.names):
+        return tuple(map(_plain, source.names))
+    name = _plain(source.names[0]) if len(source.names) == 1 else "x"
+    return tuple(f"{name}{i}" for i in range(n))
 
 
 def _plain(field: str) -> str:

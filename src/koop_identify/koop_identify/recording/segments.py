@@ -1,20 +1,17 @@
 """Samples to segments: states one Dt apart, never bridged across a gap.
 
 A segment ends where a step is missing or goes back (`steps`), where the time between two samples is
-longer than the gap or not positive (`linear`, `zoh`), at a value that is not finite, at the end of
-a bag, and where training and held-out data meet. The time of a sample is its stamp; where there is
+longer than the gap or not positive (`linear`), at a value that is not finite, at the end of a bag,
+and where training and held-out data meet. The time of a sample is its stamp; where there is
 none, samples are counted (:mod:`koop_identify.recording.counted`): late messages make no gap.
 
-The ways from samples to states:
+The two ways from samples to states:
 
 - `steps`: as they are; neighbours in step are neighbours in time.
 - `linear`: interpolated on the grid t0 + j Dt of the segment; right for a smooth signal sampled at
   Dt or faster, with an error of h^2 |x''| / 8 between two samples h apart.
-- `zoh`: the last sample before each grid point; right for a source that holds its values.
-- `none`: as they are, whatever the time between them; right for a rig that samples evenly, loses
-  nothing and never pauses.
 
-No way filters: what lies above 1 / (2 Dt) in faster samples is folded down.
+Neither filters: what lies above 1 / (2 Dt) in faster samples is folded down.
 """
 
 from __future__ import annotations
@@ -30,7 +27,6 @@ from numpy.typing import NDArray
 from koop_identify.recording.counted import recount
 from koop_identify.recording.samples import Batch
 
-WAYS = ("steps", "linear", "zoh", "none")
 EVEN = 0.05  # share of dt by which the mean period of counted samples may differ and count as dt
 BLOCKS = 20  # of a bag; training and held-out data alternate in blocks, so that both see all of it
 
@@ -42,11 +38,11 @@ class Segmentation:
     Attributes
     ----------
     way : str
-        One of WAYS.
+        `steps` or `linear`.
     dt : float
         Time between two states [s].
     gap : float
-        Longest time between two samples that is bridged [s]; not used with `steps` and `none`.
+        Longest time between two samples that is bridged [s]; not used with `steps`.
     held_out : float
         Share of the blocks that are held out, 0 to 0.5.
     period : float
@@ -176,8 +172,6 @@ class Segmenter:
         if self.segmentation.way == "steps":
             assert step is not None
             return np.asarray(np.diff(step) == 1)
-        if self.segmentation.way == "none":
-            return np.ones(time.size - 1, np.bool_)
         apart = np.diff(time)
         return np.asarray((apart > 0) & (apart <= self.segmentation.gap * 1e9))
 
@@ -188,7 +182,7 @@ class Segmenter:
 
         Unless the segment begins here, the first sample is known.
         """
-        if self.segmentation.way in ("steps", "none"):
+        if self.segmentation.way == "steps":
             new = 0 if begins else 1
             return x[new:], int(time[min(new, time.size - 1)])
         start, number = (int(time[0]), 0) if begins else self._grid
@@ -199,8 +193,6 @@ class Segmenter:
         self._grid = (start, number + grid.size)
         first = int(grid[0]) if grid.size else 0
         before = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, time.size - 1)
-        if self.segmentation.way == "zoh":
-            return np.asarray(x[before]), first
         after = np.minimum(before + 1, time.size - 1)
         span = np.maximum(time[after] - time[before], 1)
         weight = ((grid - time[before]) / span)[:, None]

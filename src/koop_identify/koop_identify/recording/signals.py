@@ -2,48 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_identify.model.from_bags import BagTraining, find_segmentation
-from koop_identify.recording.loaded import load_states
+from koop_core.config.fields import Source
+from koop_core.errors import InputError
+from koop_identify.recording.loaded import load_with_command
 from koop_identify.recording.loop import LoopColumns, read_loop
-from koop_identify.recording.samples import StateSpec, batches, state_names
+from koop_identify.recording.samples import batches, state_names
+from koop_identify.recording.segmentation import BagReading, find_segmentation
 from koop_identify.recording.segments import Segmentation
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where the signals are in a bag.
-
-    Attributes
-    ----------
-    state, theta : StateSpec or None
-        Fields of any messages; None: the loop's own topics.
-    namespace : str
-        Of the loop, where its own topics are read.
-    dt : float or None
-        Time between two states [s]; None: as the bag says.
-    way : str
-        From messages to states, see koop_identify.recording.segments.
-    gap : float or None
-        Longest pause that is bridged [s].
-    """
-
-    state: StateSpec | None = None
-    theta: StateSpec | None = None
-    namespace: str = "/"
-    dt: float | None = None
-    way: str = "auto"
-    gap: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.theta is not None and self.state is None:
-            raise ValueError("--theta needs --state: which fields are the state")
 
 
 @dataclass(frozen=True)
@@ -133,48 +105,39 @@ def of_loop(columns: LoopColumns, dt: float, names: tuple[str, ...] | None = Non
     )
 
 
-def read_signals(path: Path, source: Source, dt: float | None = None) -> Signals:
+def read_signals(path: Path, reading: BagReading, dt: float | None = None) -> Signals:
     """Read the signals of a bag.
 
     Parameters
     ----------
     path : Path
         Folder of a run or of a bag, or an `.mcap` file.
-    source : Source
-        Which topics.
+    reading : BagReading
+        What is measured and commanded.
     dt : float, optional
-        Time between two states where neither the source nor the bag says it, as of a model [s].
+        Time between two states where the reading does not say it, as of a model [s].
 
     Raises
     ------
     koop_bag.errors.BagError
         If the bag cannot be read or lacks a topic or a field.
-    ValueError
-        If there are no states, or nothing says what dt is.
+    koop_core.errors.InputError
+        If there are no states.
     """
-    assert source.state is not None
-    spec = source.state
-    training = BagTraining(
-        spec, dt=source.dt or dt, way=source.way, gap=source.gap, held_out=0.0
-    )  # fmt: skip
+    reading = replace(reading, dt=reading.dt or dt)
     with BagReader(path) as bag:
-        _check_topic(bag, path, spec.topic)
-        if source.theta is not None:
-            _check_topic(bag, path, source.theta.topic)
-        segmentation, n = find_segmentation(bag, path, training)
-        received = bag.topic(spec.topic).count
-        loaded = load_states(bag, spec, segmentation, source.theta)
-        recorded, t = _duration(bag, segmentation, spec), loaded.time
-    size = t.size
-    if segmentation.way == "none":  # one dt apart, whatever the time between them
-        t = np.asarray(np.arange(size) * segmentation.dt, np.float64)
-        recorded = received * segmentation.dt
+        for source in filter(None, (reading.measured, reading.command)):
+            _check_topic(bag, path, source.topic)
+        segmentation, n = find_segmentation(bag, path, reading)
+        loaded = load_with_command(bag, reading, segmentation)
+        recorded = _duration(bag, segmentation, reading.measured)
+    size = loaded.time.size
     return Signals(
-        state_names(spec, n),
+        state_names(reading.measured, n),
         segmentation.dt,
         segmentation.way,
-        _steps(t, segmentation),
-        t,
+        _steps(loaded.time, segmentation),
+        loaded.time,
         loaded.begins,
         np.ascontiguousarray(loaded.x.T),
         np.empty((size, 0)),
@@ -193,10 +156,10 @@ def _steps(time: NDArray[np.float64], segmentation: Segmentation) -> NDArray[np.
     return np.asarray(1 + number + np.maximum.accumulate(step - number))
 
 
-def _duration(bag: BagReader, segmentation: Segmentation, spec: StateSpec) -> float:
+def _duration(bag: BagReader, segmentation: Segmentation, measured: Source) -> float:
     """Return the time from the first to the last sample, and one dt more [s]."""
     first = last = None
-    for batch in segmentation.timed(batches(bag, spec)):
+    for batch in segmentation.timed(batches(bag, measured)):
         first = batch.time[0] if first is None else first
         last = batch.time[-1]
     return 0.0 if first is None or last is None else (last - first) * 1e-9 + segmentation.dt
@@ -206,7 +169,7 @@ def _check_topic(bag: BagReader, path: Path, topic: str) -> None:
     present = {item.name: item.type_name for item in bag.topics if item.count}
     if topic not in present:
         others = ", ".join(f"{name} ({kind})" for name, kind in sorted(present.items()))
-        raise ValueError(f"{path}: no messages on {topic}; it has {others or 'none at all'}")
+        raise InputError(f"{path}: no messages on {topic}; it has {others or 'none at all'}")
 
 
 def loop_signals(

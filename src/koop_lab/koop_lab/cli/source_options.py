@@ -1,60 +1,65 @@
-"""Options that say where state and theta are in a bag; light, so that ``koop bag`` stays quick."""
+"""What is measured and commanded in a bag, as options; light, so that ``koop bag`` is quick."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from koop_core.errors import InputError
+
 if TYPE_CHECKING:
-    from koop_identify.recording.signals import Source
-
-WAYS = ("auto", "steps", "linear", "zoh", "none")
+    from koop_identify.recording.segmentation import BagReading
 
 
-def add_source_options(parser: Any) -> None:
-    """Add --state, --theta and how messages become states."""
-    group = parser.add_argument_group("a bag of other messages than the loop's")
-    group.add_argument(
-        "--state",
+def add_reading_options(parser: Any) -> None:
+    """Add --measured, --command and how messages become states."""
+    parser.add_argument(
+        "--measured",
         metavar="/TOPIC:FIELDS",
-        help="numeric fields, such as /joint_states:position[0],velocity[0]",
+        help="numeric fields, such as /joint_states:position[0],velocity[0] (default: the loop's)",
     )
-    group.add_argument(
-        "--theta", metavar="/TOPIC:FIELD", help="the control input, such as /rig/theta:data"
+    parser.add_argument(
+        "--command",
+        dest="commanded",  # 'command' is the name of the command itself
+        metavar="/TOPIC:FIELD",
+        help="the control input theta, such as /rig/theta:data (default: the loop's)",
     )
-    group.add_argument("--dt", type=float, metavar="S", help="default: the model's or the loop's")
-    group.add_argument(
-        "--resample", dest="way", choices=WAYS, default="auto",
-        help="from messages to states, as in koop train",
+    parser.add_argument(
+        "--dt", type=float, metavar="S",
+        help="time between two states (default: the model's, the loop's, or that of the messages)",
     )  # fmt: skip
-    group.add_argument(
-        "--gap", type=float, metavar="S", help="longest pause that is bridged, as in koop train"
-    )
+    parser.add_argument(
+        "--gap", type=float, metavar="S",
+        help="longest pause that is bridged (default: 3 usual periods, at least 3 dt)",
+    )  # fmt: skip
 
 
-def source_of(args: argparse.Namespace) -> Source:
-    """Return what the options of :func:`add_source_options` say.
+def reading_of(
+    args: argparse.Namespace, default: str = "", held_out: float = 0.0
+) -> BagReading | None:
+    """Return what the options of :func:`add_reading_options` say; None: the loop's own topics.
+
+    Parameters
+    ----------
+    args : argparse.Namespace
+        The options.
+    default : str
+        What is measured where ``--measured`` is not given.
+    held_out : float
+        Share of the data that is not learned from.
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If a source cannot be read, or an option has no effect without another.
     """
-    from koop_identify.recording.samples import StateSpec
-    from koop_identify.recording.signals import Source
+    from koop_identify.recording.samples import recorded_source
+    from koop_identify.recording.segmentation import BagReading
 
-    if args.state is None:
-        for name, given in (
-            ("theta", args.theta), ("gap", args.gap),
-            ("resample", None if args.way == "auto" else args.way),
-        ):  # fmt: skip
-            if given is not None:
-                raise ValueError(f"--{name} needs --state: which fields are the state")
-    return Source(
-        StateSpec.parse(args.state) if args.state else None,
-        StateSpec.parse(args.theta) if args.theta else None,
-        getattr(args, "namespace", "/"),
-        args.dt,
-        args.way,
-        args.gap,
-    )
+    if not (measured := args.measured or default):
+        for name, value in (("command", args.commanded), ("gap", args.gap)):
+            if value is not None:
+                raise InputError(f"--{name} needs --measured: which fields are the state")
+        return None
+    command = recorded_source(args.commanded) if args.commanded else None
+    return BagReading(recorded_source(measured), command, args.dt, args.gap, held_out)

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
 
 from koop_core.text_table import table
 from koop_loop.metrics import PAPER, Metrics
 from koop_loop.rig_metrics import RigMetrics
 from koopman_lifter.model import KoopmanModel
 
-if TYPE_CHECKING:
-    from koop_identify.model.merit import Merit
-
 
 def mode_table(model: KoopmanModel) -> str:
-    """Return the modes as in table 2 of the paper, with their energies and what they are worth."""
-    worth = {"residual": model.residuals, "spread": model.spread}
-    known = {name: values for name, values in worth.items() if values is not None}
+    """Return the modes as in table 2 of the paper, with their energies and residuals."""
+    residuals = model.residuals
     rows = []
     for j, value in enumerate(model.eigenvalues):
         sign = "-" if value.imag < 0 else "+"
@@ -26,64 +21,25 @@ def mode_table(model: KoopmanModel) -> str:
                 f"{value.real:.6f} {sign} {abs(value.imag):.6f}j",
                 f"{abs(value):.6f}",
                 f"{model.energies[j]:.3e}",
-                *(f"{values[j]:.2g}" for values in known.values()),
+                "-" if residuals is None else f"{residuals[j]:.2g}",
                 "Yes" if model.kept[j] else "No",
             ]
         )
-    return table(["eigenvalue", "|lambda|", "energy E_j", *known, "selected"], rows)
+    return table(["eigenvalue", "|lambda|", "energy E_j", "residual", "selected"], rows)
 
 
-def forecast_table(
-    model: KoopmanModel, forecast: Sequence[dict[str, Any]] | None = None, data: str = ""
-) -> str:
-    """Return the prediction errors of a model as shares of the deviation.
-
-    By default those on the held-out data; else ``forecast``, on the data that are named.
-    """
+def forecast_table(model: KoopmanModel) -> str:
+    """Return the prediction errors of a model on held-out data as shares of the deviation."""
     header = ["steps ahead", "time [s]", *model.state_names]
     rows = []
-    for item in model.provenance["forecast"] if forecast is None else forecast:
+    for item in model.provenance["forecast"]:
         pairs = zip(item["error"], item["no_change"], strict=True)
         cells = [f"{error:.4f} ({unchanged:.4f})" for error, unchanged in pairs]
         rows.append([str(item["steps"]), f"{item['steps'] * model.dt:g}", *cells])
     return (
-        f"error on {data or 'the held-out data'} over the state's standard deviation "
+        "error on the held-out data over the state's standard deviation "
         "(in brackets: predicting no change)\n" + table(header, rows)
     )
-
-
-def merit_table(merits: Sequence[tuple[str, Merit]]) -> str:
-    """Return how well costs tell of the oscillation of a recording, one a row."""
-    header = [
-        "cost", "rank with amplitude", "rank with theta", "theta of least r", "right", "SNR",
-    ]  # fmt: skip
-    rows = [
-        [
-            name,
-            *(
-                _optional(value, form, "-")
-                for value, form in (
-                    (merit.rank_amplitude, ".2f"),
-                    (merit.rank_theta, ".2f"),
-                    (merit.theta_least_r, ".3g"),
-                    (merit.right, ".2f"),
-                    (merit.snr, ".2f"),
-                )
-            ),
-        ]
-        for name, merit in merits
-    ]
-    first = merits[0][1]
-    lines = [
-        table(header, rows),
-        "rank: Spearman's correlation of r with the amplitude, and with the distance of theta from "
-        "where that is least; 1 is perfect, 0 chance",
-        f"right: how often r, over {first.dwell:.3g} s, orders two windows rightly that are one "
-        "dwell's move of theta apart; 0.5 is chance. SNR: the same as a signal-to-noise ratio",
-    ]
-    if first.theta_least_amplitude is not None:
-        lines.insert(1, f"theta of least amplitude: {first.theta_least_amplitude:.3g}")
-    return "\n".join(lines)
 
 
 def metrics_table(metrics: Metrics, cost: str, ours: bool = True) -> str:

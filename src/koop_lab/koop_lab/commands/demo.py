@@ -23,9 +23,10 @@ from koop_lab.cli.loop_options import loop_parameters as finite
 from koop_lab.cli.tables import metrics_table, rig_table
 from koop_lab.recorded.report import rig_metrics_of
 from koop_loop import parameters as loop_parameters
-from koop_loop.metrics import PAPER_DURATION, Metrics
+from koop_loop.metrics import LOGGING_START, PAPER_DURATION, Metrics
 from koop_loop.parameters import LoopParameters
 from koop_loop.static_map import performance
+from koop_loop.training import STATE_NAMES
 
 BAR = "{desc:<10} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
@@ -170,7 +171,7 @@ def write_results(
     notes: list[str],
 ) -> Metrics:
     """Write metrics.json and plot.png of a recorded run."""
-    from koop_lab.plots.paper import plot_run  # matplotlib takes half a second to import
+    from koop_lab.plots.signals import plot_signals  # matplotlib is slow to import
 
     dt = parameters.plant.dt
     t = run.t(dt)
@@ -188,14 +189,16 @@ def write_results(
         "notes": notes,
     }
     (folder / "metrics.json").write_text(json.dumps(result, indent=1) + "\n")
-    plot_run(
+    states = run.ground_truth if run.ground_truth.shape[1] else run.measured
+    plot_signals(
         folder / "plot.png",
         t,
-        run.ground_truth if run.ground_truth.shape[1] else run.measured,
-        run.r,
-        run.theta,
-        parameters.plant.theta_star,
+        dict(zip(STATE_NAMES, states.T, strict=True)),
+        {"cost r": run.r},
+        {"theta": run.theta},
         f"Over DDS, {parameters.lifter.cost} cost, seed {parameters.plant.seed}, "
         f"{parameters.pace.pace} pace",
+        parameters.plant.theta_star,
+        LOGGING_START,
     )
     return metrics

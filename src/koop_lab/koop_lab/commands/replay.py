@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from koop_core.errors import InputError
 from koop_core.text_table import table
-from koop_identify.recording.signals import Source, read_signals
-from koop_lab.cli.source_options import add_source_options, source_of
+from koop_identify.recording.segmentation import BagReading
+from koop_identify.recording.signals import read_signals
+from koop_lab.cli.source_options import add_reading_options, reading_of
 from koop_lab.replay.compare import Comparison, compare
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import Plan, make_plan
@@ -30,8 +32,9 @@ def register(commands: Any) -> None:
         description="Feeds the recorded states through the real lifter and controller and compares "
         "cost and theta with the recorded ones, bit by bit. Exit code 1 if they differ. With "
         "another model or other parameters it shows what the controller would have answered to "
-        "the same states; the plant does not react to it. With --state and --offline: r and theta "
-        "that lifter and controller would give to the states of any bag, open loop.",
+        "the same states; the plant does not react to it. With --measured and --offline: r and "
+        "theta that lifter and controller would give to the states of any bag, open loop; the cost "
+        "is raw without a --model.",
     )
     parser.add_argument("bag", type=Path, help="folder of a run or of a bag, or an .mcap file")
     parser.add_argument(
@@ -41,31 +44,30 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--params-file", metavar="FILE", help="ROS 2 parameter file of other parameters"
     )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
-        help="one other parameter, such as relay_esc.dwell=3; may be repeated",
-    )  # fmt: skip
     parser.add_argument("--namespace", default="/", help="namespace of the recorded loop")
     parser.add_argument(
         "--out", type=Path, metavar="FILE",
-        help="write the answers as .npz; with --state also as .csv",
+        help="write the answers as .npz; with --measured also as .csv",
     )  # fmt: skip
     parser.add_argument(
-        "--plot", type=Path, metavar="FILE", help="with --state: draw the answers (png, svg, pdf)"
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="with --measured: draw the answers (png, svg, pdf)",
     )
-    add_source_options(parser)
+    add_reading_options(parser.add_argument_group("a bag of other messages than the loop's"))
     parser.set_defaults(func=main)
 
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 1 if an answer differs."""
-    source = source_of(args)
-    if source.state is not None:
-        return open_loop_main(args, source)
+    reading = reading_of(args)
+    if reading is not None:
+        return open_loop_main(args, reading)
     if args.plot is not None:
-        raise ValueError("--plot needs --state; koop bag plot draws a run")
+        raise InputError("--plot needs --measured; koop bag plot draws a run")
     recording = read_recording(args.bag, args.namespace)
-    plan = make_plan(recording, args.params_file, args.model, args.settings)
+    plan = make_plan(recording, args.params_file, args.model)
     started = time.perf_counter()
     if args.offline:
         r, theta = replay_offline(recording, plan)
@@ -90,27 +92,39 @@ def main(args: argparse.Namespace) -> int:
     return 1 if any(result.different for result in results) else 0
 
 
-def open_loop_main(args: argparse.Namespace, source: Source) -> int:
+def open_loop_main(args: argparse.Namespace, reading: BagReading) -> int:
     """Answer the states of any bag; returns the exit code."""
     from koop_lab.replay import open_loop
 
     if not args.offline:
-        raise ValueError("--state needs --offline: through the nodes only states of a loop are fed")
+        raise InputError(
+            "--measured needs --offline: through the nodes only states of a loop are fed"
+        )
     model = load(Path(args.model)) if args.model else None
-    if model is not None and source.dt is not None and source.dt != model.dt:
-        raise ValueError(f"--dt {source.dt:g}: the model was learned at {model.dt:g} s")
-    signals = read_signals(args.bag, source, model.dt if model is not None else None)
-    made = open_loop.settings(signals.dt, args.params_file, args.model, args.settings)
-    answers = open_loop.answer(signals, made, str(source.state))
-    print(f"{args.bag}: {signals.step.size} states of {source.state} ({signals.way})")
+    if model is not None and reading.dt is not None and reading.dt != model.dt:
+        raise InputError(f"--dt {reading.dt:g}: the model was learned at {model.dt:g} s")
+    signals = read_signals(args.bag, reading, model.dt if model is not None else None)
+    made = open_loop.settings(signals.dt, args.model, args.params_file)
+    answers = open_loop.answer(signals, made, str(reading.measured))
+    print(f"{args.bag}: {signals.step.size} states of {reading.measured} ({signals.way})")
     print("\n".join(open_loop.describe(signals, made, answers)))
     if args.out is not None:
         open_loop.write(args.out, signals, answers)
         print(f"written to {args.out}")
     if args.plot is not None:
-        from koop_lab.plots.open_loop import plot_open_loop
+        from koop_lab.plots.signals import plot_signals  # matplotlib is slow to import
 
-        plot_open_loop(args.plot, signals, answers, f"{args.bag}: {source.state}, open loop")
+        thetas = {"would have said (open loop)": answers.theta}
+        if signals.has_theta:
+            thetas["recorded"] = signals.theta
+        plot_signals(
+            args.plot,
+            signals.t,
+            dict(zip(signals.names, signals.x.T, strict=True)),
+            {"r under the model": answers.r},
+            thetas,
+            f"{args.bag}: {reading.measured}, open loop",
+        )
         print(f"drawn to {args.plot}")
     return 0
 

@@ -17,9 +17,10 @@ from koop_lab.cli.loop_options import add_loop_options, given_values, loop_param
 from koop_lab.cli.tables import metrics_table
 from koop_loop.batch import GROUP, simulate_batch
 from koop_loop.loop import LoopResult, simulate
-from koop_loop.metrics import PAPER_DURATION, Metrics, evaluate
+from koop_loop.metrics import LOGGING_START, PAPER_DURATION, Metrics, evaluate
 from koop_loop.parameters import LoopParameters
 from koop_loop.static_map import performance
+from koop_loop.training import STATE_NAMES
 
 SHARES = (0.5, 0.9, 1.0)
 
@@ -81,16 +82,17 @@ def main(args: argparse.Namespace) -> int:
     if args.out is not None:
         save(args.out, result, parameters)
     if args.plot is not None:
-        from koop_lab.plots.paper import plot_run  # matplotlib takes half a second to import
+        from koop_lab.plots.signals import plot_signals  # matplotlib is slow to import
 
-        plot_run(
+        plot_signals(
             args.plot,
             result.t,
-            result.ground_truth,
-            result.r,
-            result.theta,
-            parameters.plant.theta_star,
+            dict(zip(STATE_NAMES, result.ground_truth.T, strict=True)),
+            {"cost r": result.r},
+            {"theta": result.theta},
             f"Offline, {parameters.lifter.cost} cost, seed {parameters.plant.seed}",
+            parameters.plant.theta_star,
+            LOGGING_START,
         )
     if args.json:
         print(json.dumps(metrics.as_dict(), indent=1))

@@ -26,7 +26,7 @@ def frequencies(model: KoopmanModel) -> NDArray[np.float64]:
     return np.asarray(np.abs(np.angle(model.eigenvalues)) / (2.0 * np.pi * model.dt))
 
 
-def longest_stretch(signals: Signals) -> NDArray[np.float64]:
+def longest_piece(signals: Signals) -> NDArray[np.float64]:
     """Return the states of the longest piece without a gap or a hole, shape (L, n)."""
     cut = signals.begins | ~np.isfinite(signals.x).all(axis=1)
     cut[:1] = True
@@ -37,13 +37,12 @@ def longest_stretch(signals: Signals) -> NDArray[np.float64]:
 
 def draw_spectrum(axis: Axes, signals: Signals, model: KoopmanModel | None) -> None:
     """Draw the spectral density of every channel, and where the modes of a model lie."""
-    x = longest_stretch(signals)
+    x = longest_piece(signals)
     axis.set_title("spectrum of each channel" + (", modes marked" if model is not None else ""))
     axis.set_xlabel("frequency [Hz]")
     axis.set_ylabel("share of the variance [1/Hz]")
     if x.shape[0] < 64:
-        axis.text(0.5, 0.5, "too short for a spectrum", ha="center", transform=axis.transAxes)
-        return
+        return say(axis, "too short for a spectrum")
     size = max(64, 2 * x.shape[0] // (SEGMENTS + 1))
     least = most = 1.0
     for name, values in zip(signals.names, x.T, strict=True):
@@ -80,18 +79,17 @@ def mark_modes(axis: Axes, model: KoopmanModel) -> None:
 
 
 def draw_cost_by_theta(axis: Axes, windows: Windows) -> None:
-    """Draw the mean cost of each settled window against theta, and where it is least."""
-    merit = windows.merit
-    axis.set_title("r against theta" + _rank(merit.rank_amplitude))
+    """Draw the mean cost of each settled window against theta."""
+    axis.set_title("r against theta")
     axis.set_ylabel("mean r of a window")
-    if _lacking(axis, windows, windows.r):
+    if _lacks(axis, windows, windows.r):
         return
     assert windows.theta is not None
     positive = windows.r[windows.r > 0.0]
     if positive.size and float(np.nanmax(windows.r)) > WIDE * float(positive.min()):
         axis.set_yscale("log")
-    _scatter(axis, windows, windows.r, "o", "", cmap=True)
-    _least(axis, merit.theta_least_r, merit.theta_least_amplitude)
+    drawn = axis.scatter(windows.theta, windows.r, s=14, c=windows.t, cmap="viridis")
+    axis.figure.colorbar(drawn, ax=axis, label="time [s]", pad=0.01)
 
 
 def draw_amplitude_by_theta(axis: Axes, windows: Windows, names: tuple[str, ...]) -> None:
@@ -99,51 +97,29 @@ def draw_amplitude_by_theta(axis: Axes, windows: Windows, names: tuple[str, ...]
     several = len(names) > 1
     axis.set_title(f"oscillation against theta, {windows.t.size} windows of {windows.length:.3g} s")
     axis.set_ylabel("amplitude" + (" over its median" if several else f" of {names[0]}"))
-    if _lacking(axis, windows, windows.amplitude[0]):
+    if _lacks(axis, windows, windows.amplitude[0]):
         return
+    assert windows.theta is not None
     for i, (name, values) in enumerate(zip(names, windows.amplitude, strict=True)):
         usual = float(np.nanmedian(values)) or 1.0
         shown = values / usual if several else values
-        _scatter(axis, windows, shown, "osv^D<>"[i % 7], name)
-    _least(axis, None, windows.merit.theta_least_amplitude)
+        axis.scatter(windows.theta, shown, s=12, marker="osv^D<>"[i % 7], label=name, alpha=0.7)
+    axis.legend(loc="best", fontsize="small")
 
 
-def _rank(value: float | None) -> str:
-    return "" if value is None else f" (rank correlation with amplitude {value:.2f})"
+def say(axis: Axes, text: str) -> None:
+    """Write why nothing is drawn."""
+    axis.text(0.5, 0.5, text, ha="center", transform=axis.transAxes)
 
 
-def _lacking(axis: Axes, windows: Windows, values: NDArray[np.float64]) -> bool:
+def _lacks(axis: Axes, windows: Windows, values: NDArray[np.float64]) -> bool:
+    """Return whether there is nothing to draw, and say why."""
     axis.set_xlabel("theta")
     axis.grid(alpha=0.3)
-    problem = ""
     if windows.theta is None:
-        problem = "theta is not in the recording, or not named (--theta)"
+        say(axis, "theta is not in the recording, or not named (--command)")
     elif np.count_nonzero(np.isfinite(values)) < 3:
-        problem = "fewer than three settled windows"
-    if problem:
-        axis.text(0.5, 0.5, problem, ha="center", transform=axis.transAxes)
-    return bool(problem)
-
-
-def _scatter(
-    axis: Axes, windows: Windows, values: NDArray[np.float64], marker: str, label: str,
-    cmap: bool = False,
-) -> None:  # fmt: skip
-    assert windows.theta is not None
-    if cmap:
-        drawn = axis.scatter(windows.theta, values, s=14, c=windows.t, cmap="viridis")
-        axis.figure.colorbar(drawn, ax=axis, label="time [s]", pad=0.01)
+        say(axis, "fewer than three settled windows")
     else:
-        axis.scatter(windows.theta, values, s=12, marker=marker, label=label, alpha=0.7)
-        axis.legend(loc="best", fontsize="small")
-
-
-def _least(axis: Axes, of_r: float | None, of_amplitude: float | None) -> None:
-    for value, style, color, label in (
-        (of_amplitude, "dashed", "black", "least amplitude"), (of_r, "dashdot", "C3", "least r"),
-    ):  # fmt: skip
-        if value is not None:
-            axis.axvline(value, linestyle=style, color=color, linewidth=1.0,
-                         label=f"{label}: {value:.3g}")  # fmt: skip
-    if axis.get_legend_handles_labels()[0]:
-        axis.legend(loc="best", fontsize="small")
+        return False
+    return True

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_bag.errors import BagError
+from koop_core.errors import InputError, KoopError
 from koop_core.text_table import table
 from koop_identify.recording.loop import LoopColumns, closed_loop
 from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
-from koop_identify.recording.signals import Signals, Source, loop_signals, read_signals
-from koop_lab.cli.source_options import source_of
+from koop_identify.recording.segmentation import BagReading
+from koop_identify.recording.signals import Signals, loop_signals, read_signals
+from koop_lab.cli.source_options import reading_of
 from koop_lab.cli.tables import metrics_table, rig_table
 from koop_loop.metrics import LOGGING_START, TAIL, TOLERANCE, Metrics, evaluate
 from koop_loop.parameters import NODES, LoopParameters, make, with_model_beside
@@ -61,47 +62,56 @@ class Run:
         return self.parameters.plant.theta_star if self.simulated and self.parameters else None
 
 
-def read(path: Path, source: Source = Source(), model: Path | None = None) -> Run:  # noqa: B008
+def read(
+    path: Path,
+    reading: BagReading | None = None,
+    namespace: str = "/",
+    model: Path | None = None,
+    dt: float | None = None,
+) -> Run:
     """Read a run, or a bag of any messages.
 
     Parameters
     ----------
     path : Path
         Folder of a run or of a bag, or an `.mcap` file.
-    source : Source
-        Which topics.
+    reading : BagReading, optional
+        What is measured and commanded; None: the loop's own topics.
+    namespace : str
+        Of the loop, where its own topics are read.
     model : Path, optional
         Model file, if it is not in the run's folder.
+    dt : float, optional
+        Time between two states of the loop [s]; None: as the bag says.
 
     Raises
     ------
     koop_bag.errors.BagError
         If the bag cannot be read.
-    ValueError
+    koop_core.errors.InputError
         If there is no state in it, or the model file cannot be used.
     """
     given = load(model) if model is not None else None
-    if source.state is not None:
-        signals = read_signals(path, source, given.dt if given else None)
+    if reading is not None:
+        signals = read_signals(path, reading, given.dt if given else None)
         return Run(path, signals, None, None, False, given)
     with BagReader(path) as bag:
-        values = recorded_values(bag, path, source.namespace, NODES)
-    known = {
-        node: {k: v for k, v in given.items() if k in known_parameters(node)}
-        for node, given in values.items()
+        values = recorded_values(bag, path, namespace, NODES)
+    recorded = {
+        node: {k: v for k, v in section.items() if k in known_parameters(node)}
+        for node, section in values.items()
     }
-    parameters = make(known) if known else None
-    dt = parameters.lifter.dt if parameters else given.dt if given else None
-    names = given.state_names if given else None
-    loop, signals = loop_signals(path, source.namespace, source.dt or dt, names)
-    found = given
-    if found is None and (wanted := loop.first_model):
-        named = str(known.get("koopman_lifter", {}).get("model", ""))
+    parameters = make(recorded) if recorded else None
+    dt = dt or (parameters.lifter.dt if parameters else given.dt if given else None)
+    loop, signals = loop_signals(path, namespace, dt, given.state_names if given else None)
+    used = given
+    if used is None and (model_id := loop.first_model):
+        named = str(recorded.get("koopman_lifter", {}).get("model", ""))
         try:
-            found = Models(path, named).load(wanted)
-        except ValueError:
-            found = None
-    return Run(path, signals, loop, parameters, "vdp_plant" in known, found)
+            used = Models(path, named).load(model_id)
+        except InputError:
+            used = None
+    return Run(path, signals, loop, parameters, "vdp_plant" in recorded, used)
 
 
 def metrics_of(
@@ -131,21 +141,16 @@ def metrics_of(
 
 
 def rig_metrics_of(
-    signals: Signals,
-    window: float | None = None,
-    start: float | None = None,
-    limits: tuple[float, float] | None = None,
+    signals: Signals, window: float | None = None, start: float | None = None
 ) -> tuple[RigMetrics, tuple[str, ...]]:
     """Return the metrics that need no theta*, and the names of their channels."""
-    limited = signals.limited
-    if limits is not None:
-        limited = (signals.theta <= limits[0]) | (signals.theta >= limits[1])
     true = tuple(f"true {i}" for i in range(signals.ground_truth.shape[1]))
     if len(true) == len(signals.names):
         true = tuple(f"true {name}" for name in signals.names)
     channels = np.hstack((signals.x, signals.ground_truth))
     theta = signals.theta if signals.has_theta else None
-    return rig_metrics(signals.t, channels, theta, limited, window, start), signals.names + true
+    metrics = rig_metrics(signals.t, channels, theta, signals.limited, window, start)
+    return metrics, signals.names + true
 
 
 def coverage(run: Run) -> dict[str, Any]:
@@ -188,9 +193,9 @@ def coverage_lines(run: Run) -> list[str]:
 def run_figures(folder: Path, namespace: str) -> str:
     """Return what a run achieved in words, for its end; or why that is not known."""
     try:
-        run = read(folder, Source(namespace=namespace or "/"))
+        run = read(folder, namespace=namespace or "/")
         rig, names = rig_metrics_of(run.signals)
-    except (BagError, ValueError) as error:
+    except KoopError as error:
         return f"no figures of the run: {error}"
     return "\n".join([rig_table(rig, names), *coverage_lines(run)])
 
@@ -218,40 +223,62 @@ def signal_table(figures: dict[str, dict[str, float]]) -> str:
 
 def metrics_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop bag metrics``; returns the exit code."""
-    run = read(args.run, source_of(args), args.model)
+    run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
     tolerance = TOLERANCE if args.tolerance is None else args.tolerance
     metrics = metrics_of(run, args.theta_star, args.start, tolerance)
-    rig, names = rig_metrics_of(run.signals, args.window, args.start, args.limits)
-    figures, loop = tail_figures(run.signals), run.loop
-    cost = run.parameters.lifter.cost if run.parameters else "lifted"
+    rig, names = rig_metrics_of(run.signals, args.window, args.start)
     if args.json:
-        paper = {}
-        if metrics is not None:
-            best = run.theta_star if args.theta_star is None else args.theta_star
-            start = LOGGING_START if args.start is None else args.start
-            start = start if run.signals.t[-1] > start else float(run.signals.t[0])
-            paper = {**metrics.as_dict(), "cost": cost, "theta_star": best,
-                     "tolerance": tolerance, "start": start}  # fmt: skip
-        counts = {"steps": loop.counts["state"], "rate_hz": _rate(loop), "lost": loop.lost} if (
-            loop is not None
-        ) else {"steps": int(run.signals.t.size)}  # fmt: skip
-        result = {
-            **paper, **counts, **rig.as_dict(names), "last_30_percent": figures,
-            "coverage": coverage(run), "resample": run.signals.way, "dt": run.signals.dt,
-        }  # fmt: skip
-        print(json.dumps(result, indent=1))
+        figures = _as_dict(run, metrics, args.theta_star, args.start, tolerance)
+        print(json.dumps({**figures, **rig.as_dict(names)}, indent=1))
         return 0
     if metrics is not None:
-        print(metrics_table(metrics, cost, run.simulated) + "\n")
+        print(metrics_table(metrics, _cost_name(run), run.simulated) + "\n")
     print(rig_table(rig, names) + "\n")
-    print(signal_table(figures) + "\n")
-    if loop is not None:
-        lost = ", ".join(f"{count} on {topic}" for topic, count in loop.lost.items() if count)
-        print(f"{loop.counts['state']} states, {_rate(loop):.1f} /s; lost: {lost or 'none'}")
+    print(signal_table(tail_figures(run.signals)) + "\n")
+    if run.loop is not None:
+        lost = ", ".join(f"{count} on {topic}" for topic, count in run.loop.lost.items() if count)
+        rate = _rate(run.loop)
+        print(f"{run.loop.counts['state']} states, {rate:.1f} /s; lost: {lost or 'none'}")
     else:
         print(f"{run.signals.t.size} states, one each {run.signals.dt:g} s ({run.signals.way})")
     print("\n".join(coverage_lines(run)))
     return 0
+
+
+def _as_dict(
+    run: Run,
+    metrics: Metrics | None,
+    theta_star: float | None,
+    start: float | None,
+    tolerance: float,
+) -> dict[str, Any]:
+    """Return the figures of a run in JSON terms, but those of the rig."""
+    signals, loop = run.signals, run.loop
+    paper: dict[str, Any] = {}
+    if metrics is not None:
+        start = LOGGING_START if start is None else start
+        paper = {
+            **metrics.as_dict(),
+            "cost": _cost_name(run),
+            "theta_star": run.theta_star if theta_star is None else theta_star,
+            "tolerance": tolerance,
+            "start": start if signals.t[-1] > start else float(signals.t[0]),
+        }
+    counts: dict[str, Any] = {"steps": int(signals.t.size)}
+    if loop is not None:
+        counts = {"steps": loop.counts["state"], "rate_hz": _rate(loop), "lost": loop.lost}
+    return {
+        **paper,
+        **counts,
+        "last_30_percent": tail_figures(signals),
+        "coverage": coverage(run),
+        "way": signals.way,
+        "dt": signals.dt,
+    }
+
+
+def _cost_name(run: Run) -> str:
+    return run.parameters.lifter.cost if run.parameters else "lifted"
 
 
 def _rate(loop: LoopColumns) -> float:
@@ -264,46 +291,39 @@ def plot_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop bag plot``; returns the exit code."""
     # matplotlib takes half a second to import
     from koop_identify.model.settled_windows import windows_of
-    from koop_lab.plots.report import Cost, plot_report
+    from koop_lab.plots.report import plot_report
 
-    source = source_of(args)
-    run = read(args.run, source, args.model)
-    signals, costs = run.signals, []
-    if run.signals.has_r:
-        costs.append(Cost(signals.r, "recorded r"))
-    made, r, name = costs_under(run, args)
-    if r is not None:
-        costs.insert(0, Cost(r, name))
-    windows = windows_of(signals, costs[0].r, made)
+    run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
+    parameters, costs = costs_of(run, args.model)
+    windows = windows_of(run.signals, next(iter(costs.values())), parameters.lifter)
     folder = args.run if args.run.is_dir() else args.run.parent
     out = args.out or folder / "report.png"
-    theta_star = run.theta_star if args.theta_star is None else args.theta_star
-    plot_report(out, signals, costs, windows, run.model, theta_star, f"{args.run}")
+    plot_report(out, run.signals, costs, windows, run.model, run.theta_star, f"{args.run}")
     print(f"written to {out}")
     print("\n".join(coverage_lines(run)))
     return 0
 
 
-def costs_under(
-    run: Run, args: argparse.Namespace
-) -> tuple[LoopParameters, NDArray[np.float64] | None, str]:
-    """Return settings, the cost under them, and its name; no cost where the recorded one serves.
+def costs_of(
+    run: Run, model: Path | None = None
+) -> tuple[LoopParameters, dict[str, NDArray[np.float64]]]:
+    """Return the settings of a run, and its costs by name: as computed, and as recorded.
 
-    The user's settings win over the recorded ones. Without a model the cost is raw.
+    One is computed where a model is given or none was recorded; without a model it is raw.
     """
     from koop_lab.replay import open_loop
 
     recorded = run.parameters.as_ros() if run.parameters is not None else {}
     for folder in (run.path.parent, run.path):  # of a bag in its run, or of the run
         recorded = with_model_beside(folder / "parameters.yaml", recorded)
-    asked = args.model is not None or args.settings or args.params_file
-    changes = list(args.settings)
-    if run.model is None and not any("koopman_lifter.cost" in text for text in changes):
-        changes.append("koopman_lifter.cost=raw")
-    given = str(args.model) if args.model else None
-    made = open_loop.settings(run.signals.dt, args.params_file, given, changes, recorded)
-    if run.signals.has_r and not asked:
-        return made, None, ""
-    answers = open_loop.answer(run.signals, made, f"the state in {run.path}")
-    lifted = made.lifter.cost == "lifted" and run.model is not None
-    return made, answers.r, f"r under {run.model.model_id}" if lifted and run.model else "raw r"
+    file = str(model) if model else None
+    parameters = open_loop.settings(
+        run.signals.dt, file, recorded=recorded, lifted=run.model is not None
+    )
+    costs = {"recorded r": run.signals.r} if run.signals.has_r else {}
+    if costs and model is None:
+        return parameters, costs
+    r = open_loop.answer(run.signals, parameters, f"the state in {run.path}").r
+    lifted = parameters.lifter.cost == "lifted" and run.model is not None
+    name = f"r under {run.model.model_id}" if lifted and run.model else "raw r"
+    return parameters, {name: r, **costs}

@@ -6,7 +6,7 @@ says how the controller would have begun, and where it would have turned; not wh
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,10 +36,10 @@ class Answers:
 
 def settings(
     dt: float,
-    params: str | None,
-    model: str | None,
-    changes: Iterable[str] = (),
+    model: str | None = None,
+    params: str | None = None,
     recorded: Mapping[str, Mapping[str, Any]] | None = None,
+    lifted: bool | None = None,
 ) -> LoopParameters:
     """Return the parameters of an open-loop replay; what is not given is the default.
 
@@ -47,14 +47,14 @@ def settings(
     ----------
     dt : float
         Time between two states [s].
-    params : str, optional
-        ROS 2 parameter file.
     model : str, optional
         Model file.
-    changes : iterable of str
-        `node.parameter=value`.
+    params : str, optional
+        ROS 2 parameter file.
     recorded : mapping, optional
         Recorded parameters by node, which the others win over.
+    lifted : bool, optional
+        Whether there is a model, without which the cost is raw; default: whether one is named.
 
     Raises
     ------
@@ -62,19 +62,14 @@ def settings(
         If one cannot be used, or the lifted cost has no model of this dt.
     """
     known = recorded or {}
-    given = {
-        node: {**known.get(node, {}), **values, **OWN_TOPICS[node]}
-        for node, values in given_values(params, model, changes).items()
+    values = {
+        node: {"dt": dt, **known.get(node, {}), **given, **OWN_TOPICS[node]}
+        for node, given in given_values(params, model).items()
     }
-    lifter = given["koopman_lifter"]
-    if lifter.get("cost", "lifted") == "lifted" and "model" not in lifter:
-        raise ConfigError(
-            "the lifted cost needs a model of this rig: give --model FILE, "
-            "or --set koopman_lifter.cost=raw"
-        )
-    for node in given.values():
-        node.setdefault("dt", dt)
-    made = parameters.make(given)
+    lifter = values["koopman_lifter"]
+    if not ("model" in lifter if lifted is None else lifted):
+        lifter["cost"] = "raw"
+    made = parameters.make(values)
     made.load_model()
     if made.esc.dt != made.lifter.dt or made.lifter.dt != dt:
         raise ConfigError(

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
-from koop_core.config.yaml_file import one_setting
 from koop_identify.recording.recorded_parameters import CONTROLLER, Change, Models, known_parameters
 from koop_lab.replay.recording import Recording
 from koop_lab.replay.unheard import joined_at, unheard_costs
@@ -65,10 +64,7 @@ class Plan:
     unheard: NDArray[np.bool_]
 
 
-def make_plan(
-    recording: Recording, params: str | None = None, model: str | None = None,
-    settings: Iterable[str] = (),
-) -> Plan:  # fmt: skip
+def make_plan(recording: Recording, params: str | None = None, model: str | None = None) -> Plan:
     """Combine the recorded parameters with the user's.
 
     Parameters
@@ -79,15 +75,13 @@ def make_plan(
         ROS 2 parameter file; what it gives takes the place of the recorded values.
     model : str, optional
         Model file to use throughout.
-    settings : iterable of str
-        `node.parameter=value`; they come last.
 
     Raises
     ------
     ValueError
         If a parameter or a model cannot be used.
     """
-    given = given_values(params, model, settings)
+    given = given_values(params, model)
     notes, recorded = _known(recording.values)
     first = recording.first_model
     named = [recorded["koopman_lifter"], *(change.values for change in recording.changes)]
@@ -143,7 +137,7 @@ def make_plan(
     return Plan(stretches, differences, notes, unheard)
 
 
-def given_values(params: str | None, model: str | None, settings: Iterable[str]) -> Values:
+def given_values(params: str | None, model: str | None) -> Values:
     """Return the user's values of the lifter and the controller.
 
     Raises
@@ -152,9 +146,6 @@ def given_values(params: str | None, model: str | None, settings: Iterable[str])
         If one cannot be used.
     """
     given = parameters.read(params) if params else {}
-    for text in settings:
-        node, parameter, value = one_setting(text, CONTROLLER)
-        given.setdefault(node, {})[parameter] = value
     if model is not None:
         given.setdefault("koopman_lifter", {})["model"] = model
     parameters.make({node: given.get(node, {}) for node in CONTROLLER})  # names what is wrong

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.columns import Columns, read_columns, read_tables
 from koop_bag.bag.reader import BagReader
+from koop_core.errors import InputError
 from koop_core.stream.arrival import Arrival
 from koop_identify.recording.passes import STATE_TYPE, keys
 from koop_identify.recording.recorded_parameters import (
@@ -155,7 +156,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
     ------
     koop_bag.errors.BagError
         If the bag cannot be read.
-    ValueError
+    koop_core.errors.InputError
         If it holds no states of a loop.
     """
     base = namespace.rstrip("/")
@@ -163,7 +164,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
     with BagReader(path) as bag:
         types = {item.name: item.type_name for item in bag.topics if item.count}
         if types.get(topic) != STATE_TYPE:
-            raise ValueError(f"{path}: no {STATE_TYPE} on {topic}, there is nothing to replay")
+            raise InputError(f"{path}: no {STATE_TYPE} on {topic}, there is nothing to replay")
         wanted = {name: fields for name, fields in FIELDS.items() if f"{base}/{name}" in types}
         tables = read_tables(
             bag, {topic: ["step"], **{f"{base}/{name}": f for name, f in wanted.items()}}

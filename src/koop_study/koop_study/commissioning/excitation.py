@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.recording.loaded import Loaded
-from koop_identify.recording.samples import StateSpec
+from koop_identify.recording.samples import recorded_source
+from koop_identify.recording.segmentation import BagReading
 from koop_study.family import oscillator
 from koop_study.family.rig import Rig
 from koop_study.laws.plants import time_of
@@ -78,7 +79,8 @@ def file_of(rig: Rig, rate: float, time: float) -> RigFile:
 def training_of(rig: Rig) -> BagTraining:
     """Return how models of the rig are learned."""
     names = tuple(f"x{i}" for i in range(rig.channels))
-    return BagTraining(StateSpec.parse("/state:x"), dt=rig.params.dt, held_out=0.0, names=names)
+    reading = BagReading(recorded_source("/state:x"), dt=rig.params.dt)
+    return BagTraining(reading, names=names)
 
 
 class Running:

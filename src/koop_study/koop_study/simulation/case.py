@@ -19,7 +19,6 @@ from koop_study.simulation.scenario import ScenarioConfig
 from koop_study.simulation.sensing import SensingConfig
 from koop_study.simulation.variants import COSTS, make
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.fit import Fit
 from koopman_lifter.model import KoopmanModel
 from relay_esc.config import EscConfig
 from vdp_plant.config import PlantConfig
@@ -48,7 +47,6 @@ class Case:
     training: TrainingConfig = field(default_factory=TrainingConfig)
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     sensing: SensingConfig = field(default_factory=SensingConfig)
-    fit: Fit = field(default_factory=Fit)
     adaptive: AdaptiveConfig = field(default_factory=AdaptiveConfig)
     perturbation: PerturbationConfig = field(default_factory=PerturbationConfig)
 
@@ -81,8 +79,7 @@ class Case:
 
 # by controller and by cost; empty: all of a part
 WITHOUT_EFFECT: dict[str, dict[str, tuple[str, ...]]] = {
-    "raw": {"fit": (), "sensing": ("delays", "spacing", "training_noise")},
-    "contrast": {"fit": ()},
+    "raw": {"sensing": ("delays", "spacing", "training_noise")},
     "relay": {"adaptive": (), "perturbation": ()},
     "adaptive": {"perturbation": (), "esc": ("objective",)},
     "perturbation": {
@@ -97,7 +94,6 @@ NODES_ONLY = {  # settings of the nodes that a study has no use for, and why
     "esc.command_topic": "a study has no topics",
     "esc.command_type": "a study has no topics",
     "esc.command_field": "a study has no topics",
-    "fit.resamples": "a study has seeds",
 }
 DRAWN = (  # what `seeded` draws
     "plant.seed", "plant.interference_phase_1", "plant.interference_phase_2", "training.seed",
@@ -183,4 +179,4 @@ def model_of(case: Case) -> KoopmanModel | None:
         interference_lag_y=case.scenario.interference_lag_y,
     )
     learned = learn(plant, channels, case.training, case.sensing)
-    return make(case.cost, learned, plant.dt, case.training.modes, case.fit)
+    return make(case.cost, learned, plant.dt, case.training.modes)

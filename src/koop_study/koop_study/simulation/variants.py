@@ -23,18 +23,14 @@ from numpy.typing import NDArray
 
 from koop_study.simulation.learning import Learned
 from koopman_lifter.contrast import with_contrast
-from koopman_lifter.edmd import Koopman
-from koopman_lifter.estimators import ESTIMATORS
-from koopman_lifter.fit import Fit
+from koopman_lifter.edmd import Koopman, edmd
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.modes import Modes, decompose, partner, projector
 
 CORRELATION_MODES = 4  # N of ``correlation``
 
 
-def make(
-    variant: str, learned: Learned, dt: float, modes: int, fit: Fit | None = None
-) -> KoopmanModel:
+def make(variant: str, learned: Learned, dt: float, modes: int) -> KoopmanModel:
     """Return the model of a lifted cost.
 
     Parameters
@@ -47,14 +43,12 @@ def make(
         Time between consecutive states [s].
     modes : int
         N of the variants that keep the modes of largest energy.
-    fit : Fit, optional
-        From the sums to the modes; default the paper's.
     """
     sensing = learned.sensing
     model = build(
-        learned.gram, dt, sensing.names, modes, {"variant": variant}, sensing.embedding(dt), fit
+        learned.gram, dt, sensing.names, modes, {"variant": variant}, sensing.embedding(dt)
     )
-    koopman = ESTIMATORS[(fit or Fit()).estimator](learned.gram)
+    koopman = edmd(learned.gram)
     return VARIANTS[variant](model, learned, koopman, decompose(koopman, learned.gram))
 
 

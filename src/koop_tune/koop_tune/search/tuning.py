@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.errors import InputError
-from koop_identify.model.compare import BAND_LIMITED, Cost, costs
+from koop_identify.model.compare import Cost, costs
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.model.windows import period_of
 from koop_identify.recording.loaded import Loaded
@@ -217,8 +217,6 @@ def look(loaded: Loaded, rig: RigFile, training: BagTraining, how: Bands | None 
     omega = 2.0 * math.pi / period
     judged: list[Judged] = []
     for cost in costs(loaded, training, period, LEARNED):
-        if cost.name == BAND_LIMITED:
-            continue
         maps = {}
         if cost.y_out is not None:
             for factor in HIGH:

@@ -1,0 +1,108 @@
+"""How a bag becomes states one dt apart, as far as possible from what the bag says itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from koop_bag.bag.reader import BagReader
+from koop_core.config.fields import Source
+from koop_core.errors import InputError
+from koop_identify.recording.counted import mean_period
+from koop_identify.recording.recorded_parameters import recorded_values
+from koop_identify.recording.samples import Batch, batches
+from koop_identify.recording.segments import Segmentation, counted_spacing
+
+GAPS = 3.0  # a pause of more than so many usual periods, or dt, is a gap
+STEPPED = 0.01  # share of dt by which the usual time between two steps may differ from it
+
+
+@dataclass(frozen=True)
+class BagReading:
+    """Which numbers of a bag are measured and commanded, and how they become states.
+
+    Attributes
+    ----------
+    measured : Source
+        Fields that are the state.
+    command : Source or None
+        Field that is theta; None: the loop's own where the bag has it.
+    dt : float or None
+        Time between two states [s]; None: the recorded loop's, else that of the messages.
+    gap : float or None
+        Longest pause that is bridged [s]; None: three times the usual period, at least three dt.
+        Without stamps, the time in which no sample was taken, however late those before came.
+    held_out : float
+        Share of the data that is not learned from, 0 to 0.5.
+    """
+
+    measured: Source
+    command: Source | None = None
+    dt: float | None = None
+    gap: float | None = None
+    held_out: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.held_out <= 0.5:
+            raise ValueError(f"held-out share {self.held_out:g}: must be 0 to 0.5")
+        for name, value in (("dt", self.dt), ("gap", self.gap)):
+            if value is not None and not 0.0 < value < 1e6:
+                raise InputError(f"{name} = {value:g} s: must be positive")
+
+    @property
+    def known_dt(self) -> float:
+        """The time between two states [s], once it is known."""
+        assert self.dt is not None
+        return self.dt
+
+
+def find_segmentation(bag: BagReader, path: Path, reading: BagReading) -> tuple[Segmentation, int]:
+    """Return how to split a bag into segments, and the number of measured values.
+
+    Raises
+    ------
+    koop_core.errors.InputError
+        If the topic has fewer than two messages, or no time to go by.
+    """
+    topic = reading.measured.topic
+    first = next(batches(bag, reading.measured), None)
+    if first is None or first.time.size < 2:
+        raise InputError(f"{path}: fewer than two messages on {topic}")
+    period = _period(first)
+    recorded = recorded_values(bag, path, topic.rpartition("/")[0] or "/")
+    recorded_dt = recorded.get("koopman_lifter", {}).get("dt")
+    if period <= 0.0 and not (first.stamped or first.step is not None):
+        raise InputError(
+            f"{path}: messages on {topic} have no stamp and were all received at one time"
+        )
+    dt = float(reading.dt or recorded_dt or _sampling_time(first, period))
+    stepped = recorded_dt == dt or abs(_step_time(first) / dt - 1.0) < STEPPED
+    way = "steps" if first.step is not None and stepped else "linear"
+    counted = way == "linear" and not first.stamped
+    usual = counted_spacing(period, dt) if counted else period
+    gap = reading.gap or GAPS * max(usual, dt)
+    segmentation = Segmentation(way, dt, gap, reading.held_out, period if counted else 0.0)
+    return segmentation, first.x.shape[1]
+
+
+def _period(batch: Batch) -> float:
+    """Return the usual time between two samples [s]."""
+    if not batch.stamped:  # they may have come in batches
+        return mean_period(batch.time) * 1e-9
+    return float(np.median(np.diff(batch.time))) * 1e-9
+
+
+def _sampling_time(batch: Batch, period: float) -> float:
+    """Return the dt of messages of which nothing else tells it [s], without their jitter."""
+    step_time = _step_time(batch)
+    return float(f"{step_time if np.isfinite(step_time) else period:.3g}")
+
+
+def _step_time(batch: Batch) -> float:
+    """Return the usual time between two steps [s]; NaN if there are none."""
+    if batch.step is None:
+        return float("nan")
+    steps, apart = np.diff(batch.step), np.diff(batch.time)
+    return float(np.median(apart[steps == 1])) * 1e-9 if (steps == 1).any() else float("nan")

@@ -1,0 +1,121 @@
+"""State, cost and control input over time: the paper's figure of a run, and part of the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+matplotlib.use("Agg")  # a file is written: no display is needed or looked for
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+
+from koop_loop.thinning import extremes
+
+POINTS = 4000  # columns of the drawing; more cannot be seen
+Named = Mapping[str, NDArray[np.float64]]
+
+
+def plot_signals(
+    path: Path,
+    t: NDArray[np.float64],
+    channels: Named,
+    costs: Named,
+    thetas: Named,
+    title: str,
+    theta_star: float | None = None,
+    begin: float = 0.0,
+) -> None:
+    """Draw a run as in figures 5 and 6 of the paper.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; the ending chooses the format.
+    t : ndarray, shape (M,)
+        Time [s].
+    channels, costs, thetas : mapping of str to ndarray, shape (M,)
+        States, one or two costs, and control inputs by their labels.
+    title : str
+        Heading.
+    theta_star : float, optional
+        Optimal control input, a dashed line.
+    begin : float
+        The axes of state and cost fit what comes after it [s]: an initial transient, which the
+        paper leaves out, is orders of magnitude larger.
+    """
+    figure, axes = plt.subplots(3, 1, sharex=True, figsize=(8, 7), layout="constrained")
+    figure.suptitle(title)
+    after = t >= begin if t[-1] > begin else t >= t[0]
+    draw_signals(axes, t, channels, costs, thetas, theta_star, after)
+    axes[2].set_xlabel("time [s]")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def draw_signals(
+    axes: Sequence[Axes],
+    t: NDArray[np.float64],
+    channels: Named,
+    costs: Named,
+    thetas: Named,
+    theta_star: float | None,
+    after: NDArray[np.bool_],
+) -> None:
+    """Draw states, costs and control inputs into three axes; the first two fit what is ``after``.
+
+    Each of two costs has an axis of its own.
+    """
+    state, cost, theta = axes
+    for axis, label, curves in (
+        (state, "measured state", channels),
+        (theta, "control input θ", thetas),
+    ):
+        for name, values in curves.items():
+            envelope(axis, t, values, name)
+        axis.set_ylabel(label)
+    fit(state, np.stack([values[after] for values in channels.values()]))
+    state.legend(loc="upper right", ncols=max(4, len(channels)), fontsize="small")
+    if len(thetas) > 1:
+        theta.legend(loc="upper right", fontsize="small")
+    if theta_star is not None:
+        theta.axhline(theta_star, linestyle="--", color="black", linewidth=1.0)
+        theta.annotate(
+            "θ*", (t[-1], theta_star), xytext=(3, 0), textcoords="offset points", va="center"
+        )
+    for i, (name, values) in enumerate(costs.items()):
+        axis = cost.twinx() if i else cost
+        axis.set_ylabel(name, color=f"C{3 * i}")
+        if np.isfinite(values[after]).any():
+            envelope(axis, t, values, name, f"C{3 * i}")
+            fit(axis, values[after])
+    for axis in axes:
+        axis.grid(alpha=0.3)
+        axis.margins(x=0.0)
+
+
+def fit(axis: Axes, y: NDArray[np.float64]) -> None:
+    """Let the vertical axis fit the values, a little wider."""
+    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    margin = 0.05 * (high - low) or 1.0
+    axis.set_ylim(low - margin, high + margin)
+
+
+def envelope(
+    axis: Axes,
+    t: NDArray[np.float64],
+    y: NDArray[np.float64],
+    label: str,
+    color: str | None = None,
+) -> None:
+    """Plot a signal; a long one as the band between its extremes, so that no peak is lost."""
+    block = -(-t.size // POINTS)
+    if block == 1:
+        axis.plot(t, y, linewidth=0.8, label=label, color=color)
+        return
+    edges = np.stack(extremes(y, block), axis=1)
+    twice = np.repeat(t[::block][: len(edges)], 2)
+    axis.plot(twice, edges.ravel(), linewidth=0.6, label=label, color=color)
