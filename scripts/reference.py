@@ -12,16 +12,19 @@ import re
 import textwrap
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import Field
 from pathlib import Path
+from typing import Any
 
 from koop_bag.player.config import PlayerConfig
 from koop_bag.recorder.config import RecorderConfig
+from koop_core.config.describe import parameters_of
+from koop_core.config.parameter import NodeConfig, spec_of
+from koop_core.config.parameter_file import as_yaml
 from koop_lab.cli.main import overview, parser
 from koop_loop.parameters import NODES
-from koop_core.config.config import NodeConfig, spec_of
-from koop_core.config.describe import parameters_of
-from koop_core.config.parameter_file import as_yaml
 from koop_view.config import ViewConfig
+from vdp_plant.config import PaceConfig, PlantConfig
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH = 100
@@ -34,7 +37,7 @@ LOOP = {
     "recorder": (RecorderConfig,),
 }
 OTHERS = {
-    "vdp_plant": NODES["vdp_plant"],
+    "vdp_plant": (PaceConfig,),
     "player": (PlayerConfig,),
     "server": (ViewConfig,),
 }
@@ -74,8 +77,13 @@ def shortened(text: str, room: int) -> str:
     if len(text) <= room:
         return text
     ends = [m.start() for m in re.finditer(r"[;:.,] | \(", text)]
-    fitting = [end for end in ends if end <= room and text[:end].count("(") == text[:end].count(")")]
+    fitting = [e for e in ends if room // 3 < e <= room and balanced(text[:e])]
     return text[: fitting[-1]] if fitting else textwrap.shorten(text, room, placeholder=" …")
+
+
+def balanced(text: str) -> bool:
+    """Return whether a text closes every bracket that it opens."""
+    return text.count("(") == text.count(")")
 
 
 def row(cell: str, text: str) -> str:
@@ -107,7 +115,7 @@ def positionals(command: argparse.ArgumentParser) -> str:
 
 def summaries(root: argparse.ArgumentParser, name: str = "") -> dict[str, str]:
     """Return what each command does, in a line."""
-    texts = dict(re.findall(r"^  (\w+) +(.+)$", overview(), re.MULTILINE)) if not name else {}
+    texts: dict[str, str] = {}
     for action in root._actions:
         if isinstance(action, argparse._SubParsersAction):
             texts |= {f"{name} {c.dest}".strip(): c.help or "" for c in action._choices_actions}
@@ -120,17 +128,15 @@ def commands_page() -> str:
     """Return docs/reference/commands.md."""
     root = parser()
     commands = leaves(root)
-    texts = dict(re.findall(r"^  (\w+) +(.+)$", overview(), re.MULTILINE))
-    texts = summaries(root) | texts
+    texts = summaries(root) | dict(re.findall(r"^  (\w+) +(.+)$", overview(), re.MULTILINE))
     uses = Counter((flag(o), o.help) for c in commands.values() for o in options(c))
     shared = {use for use, count in uses.items() if count >= SHARED}
-    total = sum(uses.values())
-    own = scripts_own()
+    count, own = counts(), scripts_own()
     lines = [
         "# Commands",
         "",
         *textwrap.wrap(
-            f"{len(commands) + len(own)} commands with {total} options, written by "
+            f"{count['commands']} commands with {count['options']} options, written by "
             "`scripts/reference.py`. `./koop COMMAND --help` has every word; options that several "
             "commands share are listed at the end.",
             WIDTH,
@@ -165,28 +171,50 @@ def groups(commands: Commands) -> Iterator[tuple[str, list[str]]]:
         yield title.capitalize(), [n for w in words for n in commands if n.split()[0] == w]
 
 
+def own_parameters(node: str) -> list[Field[Any]]:
+    """Return the parameters of a node, without those that every node has."""
+    items = parameters_of((COMMON | LOOP | OTHERS)[node])
+    return [i for i in items if node in COMMON or i.name not in NodeConfig.__dataclass_fields__]
+
+
+def counts() -> dict[str, int]:
+    """Return how many commands, options and parameters of a rig's loop there are."""
+    commands = leaves(parser())
+    return {
+        "commands": len(commands) + len(scripts_own()),
+        "options": sum(len(options(command)) for command in commands.values()),
+        "parameters": sum(len(own_parameters(node)) for node in COMMON | LOOP),
+    }
+
+
 def parameters_page() -> str:
     """Return docs/reference/parameters.md."""
-    count = sum(len(parameters_of(classes)) for classes in (COMMON | LOOP).values())
     head = (
-        f"The nodes of a rig's loop have {count} parameters. Written by `scripts/reference.py`; "
-        "`./koop params` writes the parameters of a loop into a file with their ranges, `--help` of "
-        "a node prints them. *Fixed* ones cannot change while the node runs."
+        f"The nodes of a rig's loop have {counts()['parameters']} parameters. Written by "
+        "`scripts/reference.py`; `./koop params` and `--help` of a node have ranges and every "
+        "word. (f): fixed while the node runs."
     )
     lines = ["# Parameters", "", *textwrap.wrap(head, WIDTH)]
-    for node, classes in (COMMON | LOOP | OTHERS).items():
+    for node in COMMON | LOOP | OTHERS:
         title = node if node in COMMON else f"`{node}`"
-        lines += ["", f"## {title[0].upper()}{title[1:]}", ""]
-        for item in parameters_of(classes):
-            if node not in COMMON and item.name in NodeConfig.__dataclass_fields__:
-                continue
-            spec = spec_of(item)
-            default = f"{item.default:.4g}" if isinstance(item.default, float) else as_yaml(item.default)
-            unit = f" {spec.unit}" if spec.unit else ""
-            fixed = " (*fixed*)" if spec.read_only else ""
-            text = f"- `{item.name}: {default}`{unit}{fixed}: {spec.description}"
-            lines += textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_on_hyphens=False)
+        lines += ["", f"## {title[0].upper()}{title[1:]}", "", "| name: default | meaning |"]
+        lines += ["|---|---|", *map(parameter_row, own_parameters(node))]
+    constants = ", ".join(map(default_of, parameters_of((PlantConfig,))))
+    lines += ["", *textwrap.wrap(f"Constants of the plant: {constants}.", WIDTH)]
     return "\n".join(lines) + "\n"
+
+
+def default_of(item: Field[Any]) -> str:
+    """Return name, default and unit of a parameter."""
+    value = f"{item.default:.4g}" if isinstance(item.default, float) else as_yaml(item.default)
+    unit = spec_of(item).unit
+    return f"`{item.name}: {value}`" + (f" {unit}" if unit else "")
+
+
+def parameter_row(item: Field[Any]) -> str:
+    """Return the row of a parameter."""
+    spec = spec_of(item)
+    return row(default_of(item) + (" (f)" if spec.read_only else ""), spec.description)
 
 
 PAGES = {
