@@ -20,9 +20,18 @@ def package(tmp_path, monkeypatch):
     (tmp_path / "another-1.0.dist-info/METADATA").write_text("Name: another\nVersion: 1.0\n")
     (tmp_path / "another-1.0.dist-info/entry_points.txt").write_text(
         "[koop.commands]\nhello = another_package:hello\nbag = another_package:to_bag\n"
+        "mistake = another_package:mistake\nfault = another_package:fault\n"
     )
     (tmp_path / "another_package.py").write_text(
         "from koop_bag.cli import bag_commands\n"
+        "import numpy\n"
+        "from koop_core.errors import KoopError\n"
+        "def raise_(error):\n"
+        "    raise error\n"
+        "def mistake(commands):\n"
+        "    commands.add_parser('mistake').set_defaults(func=lambda a: raise_(KoopError('no')))\n"
+        "def fault(commands):\n"
+        "    commands.add_parser('fault').set_defaults(func=lambda a: numpy.eye(2) + numpy.eye(3))\n"
         "def hello(commands):\n"
         "    commands.add_parser('hello').set_defaults(func=lambda args: 7)\n"
         "def to_bag(commands):\n"
@@ -50,10 +59,20 @@ def test_a_command_of_an_entry_point_is_there(name, capsys):
 
 
 def test_another_package_brings_a_command_and_adds_to_one(package):
-    assert overview().endswith("\nothers\n  hello\n")
+    assert overview().endswith("\nothers\n  fault\n  hello\n  mistake\n")
     assert main(["hello"]) == 7
     assert main(["bag", "count"]) == 8
     assert main(["bag", "info", "nowhere"]) == 2
+
+
+def test_what_a_user_can_mend_is_one_line_and_a_fault_of_ours_is_a_traceback(package, capsys):
+    assert main(["mistake"]) == 2
+    assert capsys.readouterr().err == "koop mistake: error: no\n"
+    assert main(["fault"]) == 70
+    error = capsys.readouterr().err
+    assert "Traceback" in error
+    assert "could not be broadcast" in error
+    assert "please report it" in error
 
 
 @pytest.mark.parametrize(

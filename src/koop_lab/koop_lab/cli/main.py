@@ -14,19 +14,26 @@ import os
 import re
 import signal
 import sys
+import traceback
 from importlib.metadata import EntryPoint, entry_points
 from importlib.resources import files
 from types import FrameType
 
 from koop_core.errors import KoopError
 
+FAULT = 70  # exit code of a fault of this software, as in sysexits.h
+REPORT = (
+    "koop: this is a fault of koop, not of your input: please report it with the lines above and "
+    "the command (CONTRIBUTING.md says where)"
+)
+
 
 def registered() -> dict[str, list[EntryPoint]]:
     """Return the entry points of every command."""
-    found: dict[str, list[EntryPoint]] = {}
+    commands: dict[str, list[EntryPoint]] = {}
     for entry in entry_points(group="koop.commands"):
-        found.setdefault(entry.name, []).append(entry)
-    return found
+        commands.setdefault(entry.name, []).append(entry)
+    return commands
 
 
 def overview() -> str:
@@ -55,8 +62,12 @@ def parser(*names: str) -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run a command; bad input ends in one line on stderr and exit code 2."""
-    if isinstance(sys.stdout, io.TextIOWrapper):  # in a pipe, too, what is said comes at once
+    """Run a command and return its exit code.
+
+    What a user can mend ends in one line on stderr and exit code 2; any other exception is a fault
+    of this software and ends in its traceback and exit code 70.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):  # in a pipe, too, each line comes at once
         sys.stdout.reconfigure(line_buffering=True)
     words = sys.argv[1:] if argv is None else argv
     if not words or words[0] in ("-h", "--help"):
@@ -65,8 +76,8 @@ def main(argv: list[str] | None = None) -> int:
             end="",
         )
         return 0
-    if words[0] not in (known := registered()):
-        near = difflib.get_close_matches(words[0], known, 1)
+    if words[0] not in (commands := registered()):
+        near = difflib.get_close_matches(words[0], commands, 1)
         hint = f"did you mean '{near[0]}'?" if near else "see koop --help"
         kind = "option" if words[0].startswith("-") else "command"
         print(f"koop: error: no {kind} '{words[0]}': {hint}", file=sys.stderr)
@@ -81,16 +92,20 @@ def main(argv: list[str] | None = None) -> int:
         code = int(args.func(args))
         sys.stdout.flush()
         return code
-    except BrokenPipeError:  # `| head` has seen enough
+    except BrokenPipeError:  # `| head` has ended
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
         return 0
-    except (KoopError, ValueError, OSError, ArithmeticError, MemoryError) as error:
-        words = [args.command, *(getattr(args, name, "") for name in ("action", "benchmark"))]
-        print(f"koop {' '.join(filter(None, words))}: error: {error}", file=sys.stderr)
+    except (KoopError, OSError, MemoryError) as error:  # the user's input, or the machine's limits
+        command = " ".join(filter(None, (args.command, getattr(args, "action", ""))))
+        print(f"koop {command}: error: {error or 'out of memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+    except Exception:
+        traceback.print_exc()
+        print(REPORT, file=sys.stderr)
+        return FAULT
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
