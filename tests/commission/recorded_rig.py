@@ -10,7 +10,8 @@ from koop_study.commissioning.verification import Controller
 from koop_study.family.config import FamilyConfig
 from koop_study.family.rig import draw
 from koop_study.laws.plants import time_of
-from koop_tune.excitation import staircase
+from koop_tune.excitation import progress
+from koop_tune.rig.scale import Scale
 from koop_tune.search import search
 
 CALM = {"drift": (0.0, 0.0), "frequency": (1.0, 1.0), "log_scaled": 0.0, "maximised": 0.0}
@@ -30,8 +31,8 @@ def file_of(rig):
 def excited(rig, seed=0, stay=8.0, windows=8):
     """Return theta and x of a staircase up and down, then at random."""
     p = rig.params
-    values = staircase.values(p.theta_min, p.theta_max)
-    order = [*staircase.passes(True), *np.random.default_rng(seed).permutation(len(values))]
+    values = Scale(p.theta_min, p.theta_max).divide(9)
+    order = [*progress.staircase(True, 9), *np.random.default_rng(seed).permutation(len(values))]
     rest = max(round(stay * time_of(rig) / p.dt), windows * round(4 / rig.frequency / p.dt))
     parts, now = [], values[0]
     for level in order:
@@ -104,6 +105,6 @@ def damped(rig, found, seed, end):
     """
     task, constants = found.task, found.best.constants
     esc = search.esc_of(task, constants, rig.theta_initial)
-    controller = Controller(search.lifter_of(task, constants), esc, found.chosen.cost.model)
+    controller = Controller(search.lifter_of(task, constants), esc, found.chosen.maps.cost.model)
     noise = verification.noise_of(rig, task.steps, seed)
     return verification.close(rig, controller, end, noise, seed).ratio

@@ -11,10 +11,11 @@ from recorded_rig import excited, file_of, loaded_of, rig_of, write_bag
 
 from koop_commission.report import write_report
 from koop_lab.cli.main import main
-from koop_tune.excitation import progress, staircase
+from koop_tune.excitation import progress
 from koop_tune.excitation.features import bands, features
+from koop_tune.excitation.visits import Visit, summarise
 from koop_tune.rig import rig_file
-from koop_tune.rig_model.stays import Scale, rests
+from koop_tune.rig_model.dwells import find_rests
 
 QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05),
          "optimum": (0.3, 0.7), "channels": (2, 2), "noise_driven": 0.0}  # fmt: skip
@@ -30,13 +31,13 @@ def excitation(folder, rig):
     dt, loaded = rig.params.dt, loaded_of(theta, x)
     how = bands(x, round(8.0 / rig.frequency / dt), dt)
     visits = []
-    values = staircase.values(file.theta_min, file.theta_max)
-    for level, begin, end in rests(loaded, Scale(file.theta_min, file.theta_max), how.length)[1]:
+    values = file.scale.divide(9)
+    for level, begin, end in find_rests(loaded, file.scale, how.length)[1]:
         series = np.array([features(x[k : k + how.length], how)
                            for k in range(begin, end, how.length)])  # fmt: skip
-        judged = staircase.judge(series, [0])
-        visits.append(staircase.Visit(level, tuple(judged.mean.tolist()),
-                                      tuple(judged.error.tolist()), judged.skip * how.length * dt,
+        summary = summarise(series, [0])
+        visits.append(Visit(level, tuple(summary.mean.tolist()),
+                                      tuple(summary.error.tolist()), summary.skip * how.length * dt,
                                       (end - begin) * dt))  # fmt: skip
     state = progress.Progress(0, values, how, visits, [], theta.size * dt, ["part-1"], True)
     progress.save(state, file, folder)

@@ -21,16 +21,16 @@ from koop_core.config import parameter_file
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_lab.cli.main import main
-from koop_tune.excitation import progress, staircase
+from koop_tune.excitation import progress
 from koop_tune.excitation.features import Bands
-from koop_tune.excitation.staircase import Visit
+from koop_tune.excitation.visits import Visit
 from koop_tune.folder import find_controller
 from koop_tune.rig import rig_file
 
 pytestmark = pytest.mark.ros
 LONG = 3.0 * TIMEOUT  # [s] for a command that starts four nodes on a busy machine
 ONE = replace(RIG, measured="/fast:data[0]", channel_max=(8.0,), theta_rate=4.0)
-VALUES = staircase.values(RIG.theta_min, RIG.theta_max)
+VALUES = RIG.scale.divide(9)
 TUNED = {
     "verdict": "tuned", "feature": "data[0]", "theta_best": BEST, "time": 0.2,
     "windows": {"length": 50, "edges": [1, 3, 6, 10], "dt": DT, "feature": 0},

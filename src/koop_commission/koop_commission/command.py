@@ -16,12 +16,13 @@ from koop_commission.theta.commander_client import note_of
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_tune.excitation import progress
-from koop_tune.excitation.staircase import unknown_twice
+from koop_tune.excitation.visits import unknown_twice
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import ROUNDS
 from koop_tune.search.rounds import Round, find_slowdown, kept_index
+from koop_tune.search.settings import TuningSettings
 
 NAME, RIG = "commission.json", "rig.yaml"
 RECORDINGS = Path("recordings")
@@ -167,8 +168,9 @@ class Commissioning:
             print(f"the rig is taken to be {slowdown:.3g} times slower than its dwell points show")
         try:
             return tune_folders(
-                self._rig, [self._folder, *loops], out, seed=number - 1, slowdown=slowdown
-            )
+                self._rig, [self._folder, *loops], out,
+                TuningSettings(seed=number - 1, slowdown=slowdown),
+            )  # fmt: skip
         except OSError as error:
             (out / CONTROLLER).unlink(missing_ok=True)  # written last: it may be torn
             raise LiveError(progress.not_written(out, error)) from None

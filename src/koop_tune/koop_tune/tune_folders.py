@@ -19,7 +19,9 @@ from koop_tune.excitation.features import Bands
 from koop_tune.folder import CONTROLLER, FIGURES, MODEL
 from koop_tune.result import as_json, as_text
 from koop_tune.rig.rig_file import STATE, RigFile
-from koop_tune.search.tuning import NoOptimum, tune
+from koop_tune.search.findings import NoOptimum
+from koop_tune.search.settings import TUNING, TuningSettings
+from koop_tune.search.tuning import tune
 
 BAR = "{desc:<40.40} |{bar}| {n:.0f} %"
 
@@ -28,9 +30,7 @@ def tune_folders(
     rig: RigFile,
     folders: Sequence[Path],
     out: Path,
-    seed: int = 0,
-    effort: float = 1.0,
-    slowdown: float = 1.0,
+    settings: TuningSettings = TUNING,
 ) -> bool:
     """Tune from recordings, write the results and print them; return whether there is an optimum.
 
@@ -42,12 +42,8 @@ def tune_folders(
         Folders of ``koop excite``, or bags.
     out : Path
         Folder of the results; the parameter file is written last.
-    seed : int
-        Seed of all random numbers.
-    effort : float
-        Search budget (1 = default).
-    slowdown : float
-        Factor by which a closed loop showed the rig to be slower than its dwell points do.
+    settings : TuningSettings
+        Budget and thresholds.
 
     Raises
     ------
@@ -72,7 +68,7 @@ def tune_folders(
             bar.update(100.0 * share)
 
         try:
-            tuning = tune(loaded, rig, BagTraining(reading), bands, seed, effort, report, slowdown)
+            tuning = tune(loaded, rig, BagTraining(reading), bands, settings, report)
         except NoOptimum as refusal:
             bar.close()
             progress.write_whole(out / FIGURES, as_json.of_refusal(refusal))
@@ -80,12 +76,12 @@ def tune_folders(
             print(f"\nno optimum ({refusal.kind}): {refusal}")
             return False
     model = None
-    if tuning.chosen.cost.training is not None:
+    if tuning.chosen.maps.cost.training is not None:
         model = out / MODEL
-        train_from_bags(bags, tuning.chosen.cost.training).save(model)
+        train_from_bags(bags, tuning.chosen.maps.cost.training).save(model)
     progress.write_whole(out / FIGURES, as_json.of_tuning(tuning, rig, model))
     progress.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model))
-    print(as_text.as_table(tuning.seen))
+    print(as_text.as_table(tuning.seen, tuning))
     print("\n" + as_text.as_words(tuning))
     print(f"\ntuned in {time.monotonic() - began:.0f} s; written to {out}")
     return True

@@ -17,7 +17,7 @@ from koop_tune.excitation.features import Bands
 from koop_tune.excitation.progress import Progress
 from koop_tune.folder import FIGURES, TUNED
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.rig_model.stays import Scale
+from koop_tune.rig.scale import Scale
 from koop_tune.tune_folders import reading_of
 
 VERIFIED, RIG = "verify.json", "rig.yaml"

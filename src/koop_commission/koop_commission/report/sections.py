@@ -18,7 +18,7 @@ from koop_commission.report.verdict import excited_map, told
 from koop_core.config.parameter import spec_of
 from koop_tune.excitation.features import Bands
 from koop_tune.rig.rig_file import RigFile, as_values
-from koop_tune.rig_model.stays import SHORTEST, spectra_by_theta
+from koop_tune.rig_model.dwells import SHORTEST, spectra_by_theta
 from koop_view.report.document import Cell, Column, Figure, Mark, Panel, Section, Series, Table
 
 SEEN, BEST, NOISE, OTHER = 0, 2, 1, 3  # colours: what was seen, the best theta, interference
@@ -205,7 +205,7 @@ def costs(g: Gathered) -> Section:
     for cost in every:
         found = cost["map"]
         best = found["theta_best"] if found else None
-        rows.append((cost["name"], best, cost["sure"], cost["score"], cost["problem"] or ""))
+        rows.append((cost["name"], best, cost["evidence"], cost["score"], cost["problem"] or ""))
         if not found:
             continue
         theta, r = found["theta"], found["r"]
@@ -222,7 +222,7 @@ def costs(g: Gathered) -> Section:
                   g.scale.logarithmic, True, marks=marks)
         )  # fmt: skip
     columns = (Column("cost", "cost"), Column("best", "best at theta"),
-               Column("sure", "how sure", ".0f"), Column("score", "score", ".3g"),
+               Column("evidence", "evidence (Δχ²)", ".0f"), Column("score", "score", ".3g"),
                Column("problem", "why not", words=True))  # fmt: skip
     intro = "What the controller would see: r where the rig settled at each value of theta."
     if g.found:
@@ -231,7 +231,7 @@ def costs(g: Gathered) -> Section:
         intro += f" {g.tuned['why'][0].upper()}{g.tuned['why'][1:]}."
     table = Table(
         "costs",
-        "Candidates; how sure: by how much a valley fits better than a slope (chi-squared); "
+        "Candidates; evidence: by how much a valley fits better than a slope, in chi-squared; "
         "score: 1 is perfect",
         columns,
         rows,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_tune.excitation.channels import Line, peaks
-from koop_tune.rig_model.stays import Spectra
+from koop_tune.rig_model.dwells import Spectra
 
 FINE = 200  # bins that are kept as they are
 COARSER = 1.02  # ratio of neighbouring frequencies above

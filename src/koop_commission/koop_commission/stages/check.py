@@ -47,7 +47,6 @@ from koop_node.client.client import Client
 from koop_node.process.domain import current_domain
 from koop_tune.excitation.channels import listens
 from koop_tune.excitation.features import Bands, bands, bridged
-from koop_tune.excitation.staircase import away
 from koop_tune.rig.rig_file import RigFile, read
 
 SLOW_RETURN = 5.0  # [s] from which on the return of theta is announced
@@ -220,7 +219,7 @@ class LiveCheck:
     def _run_series(self, commander: CommanderClient, theta: float, period: float) -> Finding:
         """Test with blocks of growing length until the rig reacts or the time is over."""
         rig, own = self.rig, self.settings
-        other = away(theta, rig.theta_min, rig.theta_max, own.step)
+        other = rig.scale.step_away(theta, own.step)
         finding = None
         for factor, stages in SERIES:
             observe = max(64, math.ceil(factor * own.observe * period / rig.dt))

@@ -22,9 +22,9 @@ from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError, LiveError
 from koop_core.text_table import table
 from koop_tune.excitation import progress as progress_file
-from koop_tune.excitation import staircase
 from koop_tune.excitation.progress import Progress
-from koop_tune.excitation.survey import SHORTEST, Survey
+from koop_tune.excitation.survey import SURVEY, Survey
+from koop_tune.excitation.visits import unknown_twice
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 
@@ -67,7 +67,7 @@ def main(args: argparse.Namespace) -> int:
     print("\n" + describe_result(rig, folder, progress))
     print(try_report(folder))
     print(f"next: ./koop tune {args.rig} {folder}")
-    return 1 if staircase.unknown_twice(progress.visits, len(progress.values)) else 0
+    return 1 if unknown_twice(progress.visits, len(progress.values)) else 0
 
 
 def describe_result(rig: RigFile, folder: Path, progress: Progress) -> str:
@@ -194,7 +194,7 @@ class Excitation:
         """Choose the windows from the oscillation before theta moves."""
         dt = self._rig.dt
         while self._survey.listens(x := self._listener.samples(self._begin).x):
-            self._session.wait_for_states(math.ceil(0.2 * SHORTEST / dt))
+            self._session.wait_for_states(math.ceil(0.2 * SURVEY.shortest / dt))
         try:
             periods = self._survey.look(x)
         except KoopError as error:

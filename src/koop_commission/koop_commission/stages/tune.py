@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from koop_core.config.parameter import ConfigError
 from koop_tune.excitation import progress
 from koop_tune.folder import TUNED
 from koop_tune.rig import rig_file
+from koop_tune.search.settings import TuningSettings
 
 
 def register(commands: Any) -> None:
@@ -41,11 +41,10 @@ def main(args: argparse.Namespace) -> int:
     from koop_commission.report import try_report  # slow to import
     from koop_tune.tune_folders import tune_folders
 
-    if not 0.0 < args.effort < 1e3:
-        raise ConfigError("--effort: must be above 0 and below 1000")
     folder = args.folders[0]
     out = args.out or folder / TUNED
-    tuned = tune_folders(rig_file.read(args.rig), args.folders, out, effort=args.effort)
+    settings = TuningSettings(effort=args.effort)
+    tuned = tune_folders(rig_file.read(args.rig), args.folders, out, settings)
     if args.out is None and (folder / progress.NAME).exists():
         print(try_report(folder))
     if tuned:

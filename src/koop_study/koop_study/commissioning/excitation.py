@@ -17,7 +17,7 @@ from koop_study.family.rig import Rig
 from koop_study.laws.plants import time_of
 from koop_tune.excitation import progress
 from koop_tune.excitation.progress import Progress
-from koop_tune.excitation.survey import SHORTEST, Survey
+from koop_tune.excitation.survey import SURVEY, Survey
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
 
 PERIODS = 10.0  # windows are as long as the slowest oscillation asks, an interference's too
@@ -147,9 +147,9 @@ def excite(rig: Rig, file: RigFile, seed: int) -> Excitation:
     """
     state = progress.begin(seed, file)
     survey, running = Survey(file, state), Running(rig, file.theta_rate, seed)
-    heard = running.stay(math.ceil(SHORTEST / file.dt))
+    heard = running.stay(math.ceil(SURVEY.shortest / file.dt))
     while survey.listens(heard):
-        more = max(0.2 * SHORTEST / file.dt, OFTEN * heard.shape[0])
+        more = max(0.2 * SURVEY.shortest / file.dt, OFTEN * heard.shape[0])
         heard = np.concatenate([heard, running.stay(math.ceil(more))])
     survey.look(heard)
     assert state.how is not None

@@ -32,20 +32,20 @@ from koop_study.family.rig import Rig, draw
 from koop_study.laws import run as laws_run
 from koop_study.laws.catalogue import Constants
 from koop_study.laws.plants import NO_EXPOSURE, PAPER, Setting, family_of, time_of
+from koop_tune.excitation.static_map import StaticMap
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.rig_model.static_map import StaticMap
 from koop_tune.search.agreement import (
     ROUNDS,
     aim_of,
-    as_predicted,
     disagreements,
-    kept_round,
     measure,
-    slower,
 )
+from koop_tune.search.findings import NoOptimum
+from koop_tune.search.rounds import Round, Run, find_slowdown, kept_index
 from koop_tune.search.search import esc_of, lifter_of
-from koop_tune.search.tuning import NoOptimum, Tuning, tune
+from koop_tune.search.settings import TuningSettings
+from koop_tune.search.tuning import Tuning, tune
 from koopman_lifter import cost
 from koopman_lifter.config import SOURCES, LifterConfig
 from koopman_lifter.model import KoopmanModel
@@ -110,7 +110,7 @@ def commission_plant(
     try:
         found = commissioned(rig, file, recorded, loops, seed, effort, row, watch)
         row |= {"verdict": "tuned", "why": found.why, "doubt": found.seen.doubt,
-                "cost": found.chosen.cost.name, "constants": asdict(found.best.constants),
+                "cost": found.chosen.name, "constants": asdict(found.best.constants),
                 "time_ratio": found.time / own, "predicted": found.prediction.excess.high,
                 }  # fmt: skip
         seen = found.seen.amplitude
@@ -121,11 +121,11 @@ def commission_plant(
         row |= {"verdict": "error", "why": str(error)}
         seen = None
     if seen is not None:
-        row |= {"gain": seen.gain, "map": seen.mean.tolist(), "errors": seen.error.tolist(),
-                "u_best": seen.best()}  # fmt: skip
+        row |= {"gain": seen.evidence.gain, "map": seen.mean.tolist(),
+                "errors": seen.error.tolist(), "u_best": seen.best()}  # fmt: skip
     watch.lap("tune")
     if rig.has_optimum:
-        model = None if found is None else found.chosen.cost.model
+        model = None if found is None else found.chosen.maps.cost.model
         noises = loops.noises
         row["runs"] = row.get("runs", {}) | beside(
             after, model, rate, noises, seed, grid, stochastic
@@ -142,29 +142,33 @@ def commissioned(
 
     The recordings of the loops are not learned from, only how slow they say that the rig is.
     """
-    rounds: list[dict[str, Any]] = []
+    rounds: list[Round] = []
     tried: list[tuple[Tuning, Row]] = []
-    while len(rounds) < ROUNDS and not (rounds and as_predicted(rounds[-1])):
-        found = tune(recorded.loaded, file, training_of(rig), recorded.progress.how,
-                     seed + len(rounds), effort, slower=slower(rounds), workers=1)  # fmt: skip
+    while len(rounds) < ROUNDS and not (rounds and rounds[-1].damped_as_predicted):
+        settings = TuningSettings(
+            seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
+        )
+        how = recorded.progress.how
+        found = tune(recorded.loaded, file, training_of(rig), how, settings)
         watch.lap("tune")
         if not rig.has_optimum:
             return found
         closed = loops.close(found)
         aim = aim_of(as_json.of_tuning(found, file, None), file)
-        measured = [measure(aim, loop.x[: BEFORE * aim.how.length], loop.x, loop.theta)
-                    for loop in closed]  # fmt: skip
-        agrees = not any(disagreements(aim, run) for run in measured)
-        rounds.append({"agrees": agrees, "prediction": aim.predicted.as_json(),
-                       "runs": [asdict(run) for run in measured]})  # fmt: skip
+        runs = tuple(
+            Run(start, measure(aim, loop.x[: BEFORE * aim.how.length], loop.x, loop.theta))
+            for start, loop in zip((file.theta_min, file.theta_max), closed, strict=True)
+        )
+        agrees = not any(disagreements(aim, run.measured) for run in runs)
+        rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees))
         result = {"ratio": [loop.ratio for loop in closed],
                   "converged": [loop.converged for loop in closed]}  # fmt: skip
         tried.append((found, result))
         watch.lap("verify")
-    which = kept_round(rounds)
+    which = kept_index(rounds)
     found, result = tried[which]
     row |= {"runs": {"first": tried[0][1], "tuned": result}, "rounds": len(rounds),
-            "damped_as_predicted": as_predicted(rounds[which])}  # fmt: skip
+            "damped_as_predicted": rounds[which].damped_as_predicted}  # fmt: skip
     return found
 
 
@@ -186,7 +190,7 @@ class _Loops:
         tuned = Controller(
             lifter_of(task, constants),
             esc_of(task, constants, rig.theta_initial),
-            found.chosen.cost.model,
+            found.chosen.maps.cost.model,
         )
         return [close(rig, tuned, end, self.noises[end], self._seed + end * OTHER) for end in ENDS]
 

@@ -1,30 +1,27 @@
-"""Has a static map an optimum inside, or only slopes? Pure: points with errors in, figures out.
+"""Has a static map an optimum inside, or only slopes? Points with errors in, figures out.
 
 Of all curves that fall and then rise, and of all that only fall or only rise, those are fitted that
-are nearest to the points (isotonic regression). By how much chi-squared of the second is larger
-tells whether the ends are worse than the inside.
+are nearest to the points (isotonic regression). The evidence for an optimum inside is by how much
+chi-squared of the second is larger:
 
-    gain = min(chi2_rising, chi2_falling) - chi2_valley
+    evidence = min(chi2_rising, chi2_falling) - chi2_valley
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
-SURE = 12.0  # gain from which on there is an optimum: 3 sigma, and the choice of the feature
-SURER = 1.5  # times that, with which an excitation ends
-ENDS = 1.5  # standard errors by which the values beside an end are worse: it is the best
-CLEAR = 3.0  # standard errors by which an end is better than the value beside it: there is none
-FLAT = 25.0  # chi-squared about a constant, below which 9 values show nothing
+from koop_core.config.parameter import parameter, validate
 
 
-class Shape(NamedTuple):
-    """What points say.
+class Evidence(NamedTuple):
+    """What points say about an optimum.
 
     Attributes
     ----------
@@ -38,19 +35,83 @@ class Shape(NamedTuple):
     rising: bool
 
 
-def shape(y: NDArray[np.float64], error: NDArray[np.float64]) -> Shape:
-    """Judge points, of which the least are the best, with their standard errors; shape (N,)."""
-    w = 1.0 / error**2
-    left = _misfit(y, w, False)  # the first k points fall
-    right = _misfit(y[::-1], w[::-1], False)[::-1]  # the last ones rise
+@dataclass(frozen=True)
+class OptimumTest:
+    """Thresholds of the test, and the decisions made with them.
+
+    Points are given as ``y``, of which the least are the best, with standard errors; shape (N,).
+    """
+
+    gain: float = parameter(
+        12.0, "evidence (chi-squared) from which on there is an optimum inside", low=0.0,
+        origin="3 sigma, and a margin for the choice of the feature",
+    )  # fmt: skip
+    margin: float = parameter(
+        1.5, "factor on that, with which an excitation ends", low=1.0, origin="study commission"
+    )
+    end: float = parameter(
+        1.5, "standard errors by which points beside an end are worse if it is the best", low=0.0,
+        origin="study commission",
+    )  # fmt: skip
+    clear: float = parameter(
+        3.0, "standard errors by which an end is better than its neighbour if there is no optimum",
+        low=0.0, origin="3 sigma",
+    )  # fmt: skip
+    flat: float = parameter(
+        25.0, "chi-squared about a constant, below which 9 points show nothing", low=0.0,
+        origin="study commission",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+    def is_flat(self, y: NDArray[np.float64], error: NDArray[np.float64]) -> bool:
+        """Return whether points show nothing at all."""
+        return clarity(y, error) < self.flat * max(1.0, (y.size - 1) / 8.0)
+
+    def best_end(self, y: NDArray[np.float64], error: NDArray[np.float64]) -> int | None:
+        """Return the end, 0 or N - 1, that is the best of all beyond doubt; None if none is.
+
+        The two points beside it count together: one of them may be as good by chance.
+        """
+        best = int(np.argmin(y))
+        if best not in (0, y.size - 1):
+            return None
+        beside = [1, 2] if best == 0 else [y.size - 2, y.size - 3]
+        difference = float(y[beside].mean() - y[best])
+        deviation = math.hypot(error[best], 0.5 * math.hypot(*error[beside]))
+        return best if difference > self.end * deviation else None
+
+    def undecided(self, y: NDArray[np.float64], error: NDArray[np.float64]) -> list[int]:
+        """Return the points that leave open whether there is an optimum inside.
+
+        Those from the best one to the end towards which it may only get better; empty if it is
+        decided.
+        """
+        evidence = weigh(y, error)
+        if evidence.gain > self.margin * self.gain or self.is_flat(y, error):
+            return []
+        best, last = int(np.argmin(y)), y.size - 1
+        if best in (0, last):
+            beside = 1 if best == 0 else last - 1
+            if y[beside] - y[best] > self.clear * math.hypot(error[beside], error[best]):
+                return []
+        if evidence.rising:
+            return list(range(min(max(best, 1), last) + 1))
+        return list(range(max(min(best, last - 1), 0), last + 1))
+
+
+def weigh(y: NDArray[np.float64], error: NDArray[np.float64]) -> Evidence:
+    """Return the evidence for an optimum inside; arguments as of :class:`OptimumTest`."""
+    left, right = _misfits(y, error)
     valley = min(left[k] + right[k] for k in range(y.size + 1))
-    return Shape(float(min(right[0], left[-1]) - valley), right[0] < left[-1])
+    return Evidence(float(min(right[0], left[-1]) - valley), right[0] < left[-1])
 
 
-def nearest(y: NDArray[np.float64], error: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest_valley(y: NDArray[np.float64], error: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the points of the nearest curve that falls and then rises."""
     w = 1.0 / error**2
-    left, right = _misfit(y, w, False), _misfit(y[::-1], w[::-1], False)[::-1]
+    left, right = _misfits(y, error)
     k = min(range(y.size + 1), key=lambda k: left[k] + right[k])
     return np.concatenate(
         [
@@ -60,53 +121,25 @@ def nearest(y: NDArray[np.float64], error: NDArray[np.float64]) -> NDArray[np.fl
     )
 
 
-def flat(y: NDArray[np.float64], error: NDArray[np.float64]) -> bool:
-    """Return whether points show nothing at all."""
-    return clarity(y, error) < FLAT * max(1.0, (y.size - 1) / 8.0)
-
-
 def clarity(y: NDArray[np.float64], error: NDArray[np.float64]) -> float:
     """Return chi-squared of points about a constant."""
     w = 1.0 / error**2
     return float((w * (y - np.average(y, weights=w)) ** 2).sum())
 
 
-def best_end(y: NDArray[np.float64], error: NDArray[np.float64]) -> int | None:
-    """Return the end, 0 or N - 1, that is the best of all beyond doubt; None if none is.
+def _misfits(y: NDArray[np.float64], error: NDArray[np.float64]) -> tuple[list[float], list[float]]:
+    """Return chi-squared of the first k points about a falling curve, of the rest about a rising.
 
-    The two values beside it count together: one of them may be as good by chance.
+    Each list has one for k = 0 .. N.
     """
-    best = int(np.argmin(y))
-    if best not in (0, y.size - 1):
-        return None
-    beside = [1, 2] if best == 0 else [y.size - 2, y.size - 3]
-    way = float(y[beside].mean() - y[best])
-    sure = math.hypot(error[best], 0.5 * math.hypot(*error[beside]))
-    return best if way > ENDS * sure else None
+    w = 1.0 / error**2
+    return _falling(y, w), _falling(y[::-1], w[::-1])[::-1]
 
 
-def in_doubt(y: NDArray[np.float64], error: NDArray[np.float64]) -> list[int]:
-    """Return the points that leave open whether there is an optimum inside; empty if none do.
-
-    Those from the best one to the end towards which it may only get better.
-    """
-    found = shape(y, error)
-    if found.gain > SURER * SURE or flat(y, error):
-        return []
-    best, last = int(np.argmin(y)), y.size - 1
-    if best in (0, last):
-        beside = 1 if best == 0 else last - 1
-        if y[beside] - y[best] > CLEAR * math.hypot(error[beside], error[best]):
-            return []
-    if found.rising:
-        return list(range(min(max(best, 1), last) + 1))
-    return list(range(max(min(best, last - 1), 0), last + 1))
-
-
-def _misfit(y: NDArray[np.float64], w: NDArray[np.float64], rising: bool) -> list[float]:
-    """Return chi-squared of the first 0, 1 .. n points about the nearest monotone curve."""
-    found = [0.0]
+def _falling(y: NDArray[np.float64], w: NDArray[np.float64]) -> list[float]:
+    """Return chi-squared of the first 0, 1 .. n points about the nearest falling curve."""
+    misfits = [0.0]
     for k in range(1, y.size + 1):
-        fit = isotonic_regression(y[:k], weights=w[:k], increasing=rising).x
-        found.append(float((w[:k] * (y[:k] - fit) ** 2).sum()))
-    return found
+        fit = isotonic_regression(y[:k], weights=w[:k], increasing=False).x
+        misfits.append(float((w[:k] * (y[:k] - fit) ** 2).sum()))
+    return misfits

@@ -9,16 +9,21 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
-from koop_tune.excitation import staircase
 from koop_tune.excitation.features import Bands
-from koop_tune.excitation.staircase import Point, Visit
+from koop_tune.excitation.static_map import StaticMap
+from koop_tune.excitation.visits import Visit
 from koop_tune.rig.rig_file import RigFile, as_values
+from koop_tune.rig.scale import Scale
 
 NAME = "excite.json"
+LEVELS = 9  # values of theta
+MOST_ERROR = 1e3  # of a logarithm, where too few windows tell none
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -29,9 +34,9 @@ class Progress:
     Attributes
     ----------
     seed : int
-        Of the order of theta's values.
+        Seed of the order of theta's values.
     values : list of float
-        Of theta, rising; a visit's level is the number of one.
+        Values of theta, rising; a visit's level is the number of one.
     how : Bands or None
         How windows are looked at, once that is known.
     visits : list of Visit
@@ -44,6 +49,8 @@ class Progress:
         Folders of the recordings.
     done : bool
         Whether it has come to its end.
+    added_values : int
+        How many of the values were added, beside a cliff.
     """
 
     seed: int
@@ -54,26 +61,76 @@ class Progress:
     elapsed: float
     parts: list[str]
     done: bool = False
+    added_values: int = 0
+
+    @property
+    def levels(self) -> int:
+        """Number of values that it began with."""
+        return len(self.values) - self.added_values
+
+    @property
+    def staircase(self) -> int:
+        """Number of visits up and down."""
+        return 2 * self.levels - 1
+
+    @property
+    def reached(self) -> list[int]:
+        """Numbers of the values at which theta was, rising."""
+        return sorted({visit.level for visit in self.visits})
 
     def add(self, level: int, value: float) -> None:
         """Add a value of theta below the one of that number."""
         self.values.insert(level, value)
+        self.added_values += 1
         self.visits = [
             replace(visit, level=visit.level + (visit.level >= level)) for visit in self.visits
         ]
 
+    def static_map(self, feature: int, sense: float = 1.0) -> StaticMap:
+        """Return the map of one feature over the values that were reached."""
+        reached = self.reached
+        u = Scale(self.values[0], self.values[-1]).u(np.array([self.values[i] for i in reached]))
+        visits = [
+            (reached.index(visit.level), visit.mean[feature], min(visit.error[feature], MOST_ERROR))
+            for visit in self.visits
+        ]
+        return StaticMap.from_visits(u, visits, sense)
+
+    def clearest(self, features: Sequence[int]) -> int:
+        """Return the feature whose map stands out most from its errors."""
+        return max(features, key=lambda feature: self.static_map(feature).clarity)
+
     def map_of(self, features: Sequence[int]) -> tuple[int, list[Point | None]]:
-        """Return the feature whose map is the clearest, and the map."""
-        count = len(self.values)
-        feature = staircase.clearest(self.visits, features, count)
-        return feature, staircase.static_map(self.visits, feature, count)
+        """Return the feature with the clearest map, and its points; None where theta was not."""
+        feature = self.clearest(features)
+        found, reached = self.static_map(feature), self.reached
+        points: list[Point | None] = [None] * len(self.values)
+        for i, level in enumerate(reached):
+            points[level] = Point(float(found.mean[i]), float(found.error[i]))
+        return feature, points
+
+
+class Point(NamedTuple):
+    """One value of the static map: mean and error of a feature."""
+
+    mean: float
+    error: float
 
 
 def begin(seed: int, rig: RigFile) -> Progress:
     """Return the progress of an excitation that begins: the values up and down, or down and up."""
     up = rig.theta_start <= 0.5 * (rig.theta_min + rig.theta_max)
-    values = staircase.values(rig.theta_min, rig.theta_max)
-    return Progress(seed, values, None, [], staircase.passes(up), 0.0, [])
+    return Progress(seed, rig.scale.divide(LEVELS), None, [], staircase(up, LEVELS), 0.0, [])
+
+
+def staircase(up_first: bool, count: int) -> list[int]:
+    """Return the numbers of all values up and down, or down and up.
+
+    >>> staircase(False, 3)
+    [2, 1, 0, 1, 2]
+    """
+    up = list(range(count))
+    return [*up, *up[-2::-1]] if up_first else [*up[::-1], *up[1:]]
 
 
 def save(progress: Progress, rig: RigFile, folder: Path) -> None:

@@ -1,4 +1,8 @@
-"""What an excitation decides: what is heard first, where theta goes, when it goes on. Pure: no ROS.
+"""What an excitation decides: what is heard first, where theta goes, when it goes on.
+
+Theta goes up and down through its values, then through them at random, so that neither a memory of
+the rig nor a drift is taken for the map. It stays at each until the rig has settled and the error
+is small enough: longer where it is noisy. Beside a cliff of the static map values are added.
 
 :class:`Survey` is told what the rig said, window by window, and says what is next; who moves theta
 and who listens is another's, be it ``koop excite`` with a rig or a study with a simulated one.
@@ -6,27 +10,83 @@ and who listens is another's, be it ``koop excite`` with a rig or a study with a
 
 from __future__ import annotations
 
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import parameter, validate
 from koop_core.errors import InputError
-from koop_tune.excitation import staircase
 from koop_tune.excitation.channels import lines, listens
 from koop_tune.excitation.features import Bands, bands, bridged, features, window_length
 from koop_tune.excitation.progress import Progress
-from koop_tune.excitation.staircase import Visit
+from koop_tune.excitation.static_map import StaticMap
+from koop_tune.excitation.visits import Visit, summarise
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.rig_model.stays import Scale
 
-WINDOW = 4.0  # periods of the strongest oscillation
-SLOWEST = 2.0  # periods of the slowest one, where that is longer
-LISTEN = 40.0  # windows' worth of periods is not known before: periods that are listened to first
-SHORTEST, LONGEST = 3.0, 120.0  # [s] of that
-LONGEST_SHARE = 0.02  # of the time that all may take, where that is longer
-SOON = 0.02  # of the windows of a stay, after which it is judged again
-MOST_SHARE = 0.15  # of the time, that theta stays at one value at most
+
+@dataclass(frozen=True)
+class SurveySettings:
+    """When enough was heard, how long theta rests, and when the map is known."""
+
+    window: float = parameter(
+        4.0, "length of a window, in periods of the strongest oscillation", low=1.0,
+        origin="study commission",
+    )  # fmt: skip
+    slowest: float = parameter(
+        2.0, "the same in periods of the slowest one, where that is longer", low=1.0,
+        origin="study commission",
+    )  # fmt: skip
+    listen: float = parameter(
+        40.0, "periods that are listened to before theta moves", low=1.0, origin="study commission"
+    )
+    shortest: float = parameter(3.0, "time of that at least", unit="s", low=0.1)
+    longest: float = parameter(120.0, "time of that at most", unit="s", low=1.0)
+    longest_share: float = parameter(
+        0.02, "the same as a share of the rig file's time, where that is longer", low=0.0, high=1.0
+    )
+    fewest: int = parameter(6, "windows at a value", low=4, origin="study commission")
+    reserve: float = parameter(
+        2.0, "rest at a value at least, in times that the rig was seen to need", low=1.0,
+        origin="study commission",
+    )  # fmt: skip
+    most_share: float = parameter(
+        0.15, "rest at one value at most, as a share of the rig file's time", low=0.01, high=1.0
+    )
+    soon: float = parameter(
+        0.02, "share of the windows of a rest, after which it is judged again", low=0.0, high=1.0
+    )
+    error: float = parameter(
+        0.03, "standard error of an amplitude that is good enough", low=1e-3,
+        origin="study commission",
+    )  # fmt: skip
+    error_of_span: float = parameter(
+        0.05, "the same as a share of the map's span, where that is larger", low=0.0, high=1.0,
+        origin="study commission",
+    )  # fmt: skip
+    visits: int = parameter(6, "most visits of a value that is not known well enough", low=2)
+    visits_in_doubt: int = parameter(
+        16, "most visits of a value that leaves open whether there is an optimum", low=2,
+        origin="study commission",
+    )  # fmt: skip
+    finest: float = parameter(
+        0.04, "distance of two values, in ranges, within which none is added", low=1e-3, high=1.0,
+        origin="JSBSim's aircraft",
+    )  # fmt: skip
+    added: int = parameter(4, "values added at most", low=0, high=20, origin="JSBSim's aircraft")
+    linger: int = parameter(
+        48, "windows at a value beside a cliff: an oscillation begins slowly there", low=4,
+        origin="JSBSim's aircraft",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+SURVEY = SurveySettings()
 
 
 class Heard(NamedTuple):
@@ -45,23 +105,27 @@ class Survey:
         The rig.
     state : Progress
         What was done; it grows.
+    settings : SurveySettings
+        Thresholds.
     """
 
-    def __init__(self, rig: RigFile, state: Progress) -> None:
+    def __init__(self, rig: RigFile, state: Progress, settings: SurveySettings = SURVEY) -> None:
         self._rig = rig
         self._state = state
+        self._settings = settings
         self._level = self._next = 0
-        self._least = self._most = staircase.FEWEST
-        self._guide: list[int] = []
-        self._target = staircase.FLOOR
+        self._least = self._most = settings.fewest
+        self._guides: list[int] = []
+        self._target = settings.error
         self._series: list[NDArray[np.float64]] = []
 
     # -- before theta moves ---------------------------------------------------------------------
 
     def listens(self, x: NDArray[np.float64]) -> bool:
         """Return whether more must be heard than x, shape (M, n), before theta moves."""
-        longest = max(LONGEST, LONGEST_SHARE * self._rig.time)
-        return listens(x, self._rig.dt, SHORTEST, LISTEN, longest)
+        s = self._settings
+        longest = max(s.longest, s.longest_share * self._rig.time)
+        return listens(x, self._rig.dt, s.shortest, s.listen, longest)
 
     def look(self, x: NDArray[np.float64]) -> Heard:
         """Choose the windows from what was heard, shape (M, n).
@@ -72,12 +136,12 @@ class Survey:
             If no channel moves.
         """
         dt, x = self._rig.dt, bridged(x)
-        found = [line for column in x.T for line in lines(column, dt)]
-        if not found:
+        peaks = [line for column in x.T for line in lines(column, dt)]
+        if not peaks:
             raise InputError("no channel moves: dead sensors, or other fields")
-        strongest = 1.0 / max(found, key=lambda line: line.share).frequency
-        slowest = 1.0 / min(line.frequency for line in found)
-        window = max(WINDOW * strongest, SLOWEST * slowest)
+        strongest = 1.0 / max(peaks, key=lambda line: line.share).frequency
+        slowest = 1.0 / min(line.frequency for line in peaks)
+        window = max(self._settings.window * strongest, self._settings.slowest * slowest)
         length = min(window_length(window, 1.0, dt), x.shape[0])
         self._state.how = bands(x, length, dt)
         return Heard(strongest, slowest)
@@ -88,83 +152,118 @@ class Survey:
         """Return where theta goes next; None once the static map is known well enough."""
         state = self._state
         if not state.queue:
-            state.queue = self._next_round()
-            if not state.queue:
-                state.queue = staircase.from_both_sides(self._add_values())
+            state.queue = self._next_round() or from_both_sides(self._add_values())
             if not state.queue:
                 state.done = True
                 return None
         return state.values[state.queue[0]]
 
     def _next_round(self) -> list[int]:
+        """Return the values for another round, at random; empty if the map is known well enough.
+
+        The first round has all of them.
+        """
         state = self._state
-        return staircase.next_round(
-            state.visits, self._feature(), state.seed, self._sense, len(state.values)
-        )
+        count = len(state.values)
+        wanted = list(range(count))
+        if len(state.visits) > state.staircase:
+            wanted = self._wanted(state.static_map(self._feature(), self._rig.sense))
+        random.Random(f"{state.seed} {len(state.visits)}").shuffle(wanted)
+        last = state.visits[-1].level
+        if len(wanted) > 1 and wanted[0] == last:
+            wanted.append(wanted.pop(0))
+        if len(wanted) == 1 and wanted[0] == last:  # a visit is an arrival
+            wanted.insert(0, wanted[0] + (1 if wanted[0] + 1 < count else -1))
+        return wanted
+
+    def _wanted(self, found: StaticMap) -> list[int]:
+        """Return the values at which the map is not known well enough, and may be some day."""
+        s, visits = self._settings, [levels.size for levels in found.visits]
+        target, doubtful = self._target_error(found), found.undecided
+        cliff = self._state.added_values > 0  # what is beyond need not be known well
+        worst = float(found.y.min()) + np.log(found.settings.cliff)
+        return [
+            i
+            for i in range(found.u.size)
+            if visits[i] < 2
+            or (
+                (not cliff or found.y[i] < worst)
+                and (
+                    (visits[i] < s.visits and found.error[i] > target)
+                    or (visits[i] < s.visits_in_doubt and i in doubtful)
+                )
+            )
+        ]
+
+    def _target_error(self, found: StaticMap) -> float:
+        """Return the standard error at which a map is known well enough."""
+        return max(self._settings.error, self._settings.error_of_span * float(np.ptp(found.mean)))
 
     def _add_values(self) -> list[int]:
-        """Add values of theta beside the best one where the map is steep; return their numbers."""
-        state, rig = self._state, self._rig
-        scale = Scale(rig.theta_min, rig.theta_max)
-        at = scale.u(np.array(state.values)).tolist()
-        found = staircase.between(state.visits, self._feature(), self._sense, at)
-        for level, u in found:
-            state.add(level, scale.theta_at(u))
-        levels = [level for level, _ in found]
-        return [level + sum(other < level for other in levels) for level in levels]
+        """Add values between the good ones and a cliff, until it is known; return their numbers."""
+        state, s = self._state, self._settings
+        found = state.static_map(self._feature(), self._rig.sense)
+        added: list[int] = []
+        for side in (1, -1):  # the upper one first: the numbers below stay
+            cliff = found.cliff(side)
+            if cliff is None or state.added_values >= s.added:
+                continue
+            a, b = found.u[cliff.inner], found.u[cliff.outer]
+            if abs(b - a) > s.finest:
+                above = max(cliff.inner, cliff.outer)
+                state.add(above, self._rig.scale.theta_at(0.5 * float(a + b)))
+                added = [above, *(level + 1 for level in added)]
+        return added[::-1]
 
     def arrive(self, elapsed: float) -> None:
-        """Begin a stay at that value, after so much of the rig's time [s]."""
-        state, how = self._state, self._how
+        """Begin a rest at that value, after so much of the rig's time [s]."""
+        state, how, s = self._state, self._how, self._settings
         self._level, self._series, self._next = state.queue[0], [], 0
-        self._guide = self._guiding()
-        count, guide = len(state.values), self._guide[0]
-        slow = staircase.beside_cliff(state.visits, guide, self._sense, self._level, count)
-        self._least = staircase.LINGER if slow else staircase.FEWEST
-        points = staircase.static_map(state.visits, guide, count)
-        self._target = staircase.target_error(points)
+        self._guides = self._guiding()
+        self._least, self._target = s.fewest, s.error
+        if state.visits:
+            found = state.static_map(self._guides[0], self._rig.sense)
+            self._target = self._target_error(found)
+            if state.added_values and beside_cliff(found, state.reached, self._level):
+                self._least = s.linger
         left = max(self._rig.time - elapsed, 0.0)
-        fair = min(MOST_SHARE * self._rig.time, 2.0 * left / self.visits_left)
-        self._most = max(staircase.FEWEST, int(fair / (how.length * how.dt)))
+        fair = min(s.most_share * self._rig.time, 2.0 * left / self.visits_left)
+        self._most = max(s.fewest, int(fair / (how.length * how.dt)))
         self._least = min(self._least, self._most)
 
     def take(self, x: NDArray[np.float64]) -> bool:
         """Take a window of samples, shape (length, n); return whether theta may go on."""
-        how, state = self._how, self._state
+        how, s = self._how, self._settings
         self._series.append(features(x, how))
         length, count = how.length * how.dt, len(self._series)
-        if count < max(staircase.FEWEST, self._next):
+        if count < max(s.fewest, self._next):
             return False
-        self._next = count + 1 + int(SOON * count)
-        judged = staircase.judge(np.array(self._series), self._guide)
-        seen = [visit.settled for visit in state.visits]
-        if staircase.stays(
-            judged, count, length, self._guide, self._target, seen, self._least, self._most
-        ):
+        self._next = count + 1 + int(s.soon * count)
+        summary = summarise(np.array(self._series), self._guides)
+        settled = [visit.settled for visit in self._state.visits]
+        needed = s.reserve * float(np.quantile(settled, 0.75)) / length if settled else 0.0
+        small = bool((summary.error[self._guides] <= self._target).all())
+        enough = count >= max(self._least, needed) and summary.settled and small
+        if count < self._most and not enough:
             return False
-        state.queue.pop(0)
-        state.visits.append(
-            Visit(
-                self._level,
-                tuple(map(float, judged.mean)),
-                tuple(map(float, judged.error)),
-                judged.skip * length,
-                count * length,
-            )
+        mean, error = (tuple(map(float, part)) for part in (summary.mean, summary.error))
+        self._state.queue.pop(0)
+        self._state.visits.append(
+            Visit(self._level, mean, error, summary.skip * length, count * length)
         )
         return True
 
     @property
     def windows(self) -> int:
-        """How many windows this stay has."""
+        """How many windows this rest has."""
         return len(self._series)
 
     @property
     def visits_left(self) -> int:
-        """How many stays are to come, with the first round at random."""
+        """How many visits are to come, with the first round at random."""
         queue = len(self._state.queue)
-        first = len(self._state.visits) + queue <= len(staircase.passes(True))
-        return queue + staircase.LEVELS * first
+        first = len(self._state.visits) + queue <= self._state.staircase
+        return queue + self._state.levels * first
 
     @property
     def _how(self) -> Bands:
@@ -172,17 +271,35 @@ class Survey:
         return self._state.how
 
     def _guiding(self) -> list[int]:
-        """Return the features that tell how long theta stays."""
-        if len(self._state.visits) >= len(staircase.passes(True)):
+        """Return the features that tell how long theta rests."""
+        if len(self._state.visits) >= self._state.staircase:
             return [self._feature()]
         each = len(self._how.edges)  # until then each channel's amplitude at all frequencies
         return [i * each for i in range(len(self._rig.names))]
 
     def _feature(self) -> int:
         """Return the feature that tells theta best."""
-        every = len(self._how.edges) * len(self._rig.names)
-        return staircase.clearest(self._state.visits, range(every), len(self._state.values))
+        return self._state.clearest(range(len(self._how.edges) * len(self._rig.names)))
 
-    @property
-    def _sense(self) -> float:
-        return 1.0 if self._rig.objective == "minimise" else -1.0
+
+def beside_cliff(found: StaticMap, reached: Sequence[int], level: int) -> bool:
+    """Return whether a value is the last good one before a cliff, or between that and beyond.
+
+    ``reached`` holds the numbers of the map's values.
+    """
+    for side in (1, -1):
+        cliff = found.cliff(side)
+        if cliff is not None:
+            inner, outer = reached[cliff.inner], reached[cliff.outer]
+            if min(inner, outer) <= level <= max(inner, outer) and level != outer:
+                return True
+    return False
+
+
+def from_both_sides(added: Sequence[int]) -> list[int]:
+    """Return the way to values that were added, from above and from below.
+
+    >>> from_both_sides([5])
+    [6, 5, 4, 5]
+    """
+    return [level for own in added for level in (own + 1, own, own - 1, own)]

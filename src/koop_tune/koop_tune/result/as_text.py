@@ -1,4 +1,4 @@
-"""What a tuning comes to in words: the table, the parameter file with its reasons."""
+"""A tuning in words: table, summary, and the parameter file with its reasons."""
 
 from __future__ import annotations
 
@@ -13,149 +13,152 @@ from koop_core.config.fields import format_field
 from koop_core.text_table import table
 from koop_tune.result.parameter_text import HEAD, KNOWN
 from koop_tune.rig.rig_file import RigFile
+from koop_tune.search.findings import Findings
 from koop_tune.search.search import esc_of, lifter_of
-from koop_tune.search.tuning import Seen, Tuning
+from koop_tune.search.tuning import Tuning
 
 LEAST_TIMEOUT, TIMEOUT = 0.5, 20.0  # [s]; samples
 
+Parameters = dict[str, tuple[Any, str]]  # value and reason by name
 
-def as_table(seen: Seen) -> str:
+
+def as_table(seen: Findings, tuning: Tuning | None = None) -> str:
     """Return the static map and what each cost shows of it."""
-    theta = seen.scale.theta(seen.stays.u)
+    theta = seen.scale.theta(seen.dwells.u)
     rows = [
-        [f"{value:.4g}", f"{math.exp(mean):.4g}", f"{100 * error:.2g} %", str(own.size)]
-        for value, mean, error, own in zip(
+        [f"{value:.4g}", f"{math.exp(mean):.4g}", f"{100 * error:.2g} %", str(levels.size)]
+        for value, mean, error, levels in zip(
             theta, seen.amplitude.mean, seen.amplitude.error, seen.amplitude.visits, strict=True
         )
     ]
     lines = [
         f"amplitude of {seen.feature}; the oscillation's period is {seen.period:.3g} s",
-        table(["theta", "amplitude", "error", "stays"], rows),
+        table(["theta", "amplitude", "error", "visits"], rows),
     ]
     if seen.costs:
+        scores = {s.name: math.exp(s.score) for s in tuning.searched} if tuning else {}
         rows = []
-        for judged in seen.costs:
-            if not judged.maps:
-                rows.append([judged.cost.name, "-", "-", "-"])
+        for candidate in seen.costs:
+            name = candidate.cost.name
+            if candidate.clearest is None:
+                rows.append([name, "-", "-", "-"])
                 continue
-            best = max(judged.maps.values(), key=lambda found: found.gain)
-            where = f"{seen.scale.theta_at(best.best()):.4g}"
-            score = f"{math.exp(judged.tried[0].score):.3g}" if judged.tried else "-"
-            inside = where if judged.usable else "none inside"
-            rows.append([judged.cost.name, inside, f"{best.gain:.3g}", score])
-        lines += ["", table(["cost", "best at theta", "how sure", "score"], rows)]
-        lines += [f"{j.cost.name}: {j.cost.problem}" for j in seen.costs if j.cost.problem]
+            found = candidate.clearest[1]
+            where = (
+                f"{seen.scale.theta_at(found.best()):.4g}" if candidate.usable else "none inside"
+            )
+            score = f"{scores[name]:.3g}" if name in scores else "-"
+            rows.append([name, where, f"{found.evidence.gain:.3g}", score])
+        lines += ["", table(["cost", "best at theta", "evidence (Δχ²)", "score"], rows)]
+        lines += [f"{c.cost.name}: {c.cost.problem}" for c in seen.costs if c.cost.problem]
     return "\n".join(lines)
 
 
-def as_words(found: Tuning) -> str:
+def as_words(tuning: Tuning) -> str:
     """Return what was chosen, why, and what it will do."""
-    c, p = found.best.constants, found.prediction
-    s = found.task.any
-    span = "of log theta's range" if s.logarithmic else "of theta's range"
-    better = "down" if found.task.sense > 0 else "up"
-    doubt = [f"in doubt: {found.seen.doubt}"] if found.seen.doubt else []
-    doubt += [f"narrower: {found.seen.limits.why}"] if found.seen.limits.why else []
+    c, p = tuning.best.constants, tuning.prediction
+    span = "of log theta's range" if tuning.seen.scale.logarithmic else "of theta's range"
+    direction = "down" if tuning.task.sense > 0 else "up"
+    notes = [f"in doubt: {tuning.seen.doubt}"] if tuning.seen.doubt else []
+    notes += [f"narrower: {tuning.seen.limits.why}"] if tuning.seen.limits.why else []
     return "\n".join(
         [
-            *doubt,
-            f"cost {found.chosen.cost.name}: {found.why}",
+            *notes,
+            f"cost {tuning.chosen.name}: {tuning.why}",
             f"law {c.law}, omega_h {c.omega_h:.3g} rad/s, omega_l {c.omega_l:.3g} rad/s, "
             f"dwell {c.dwell:.3g} s, tau_f {c.tau_f:.3g} s",
             f"predicted, from either end of the range ({p.runs} runs; median, 5 to 95 %):",
             f"  converges in {p.converges.as_text()} s",
             f"  then |theta - theta*| is {p.distance.as_text(100.0)} % {span} on average",
             f"  amplitude over the best one {p.excess.as_text()}",
-            f"  amplitude {better} by a factor of {p.reduction.as_text()}",
+            f"  amplitude {direction} by a factor of {p.reduction.as_text()}",
         ]
     )
 
 
-def nodes_of(found: Tuning, rig: RigFile, model: Path | None) -> dict[str, dict[str, Any]]:
-    """Return the parameters that are not the defaults, by node."""
-    esc = esc_of(found.task, found.best.constants, rig.theta_start)
-    detector = lifter_of(found.task, found.best.constants)
-    timeout = max(LEAST_TIMEOUT, TIMEOUT * rig.dt)
-    lifter: dict[str, Any] = {
-        "cost": "raw" if model is None else "lifted",
-        "omega_h": detector.omega_h,
-        "omega_l": detector.omega_l,
-        "y_out_max": float(f"{found.y_out_max:.3g}"),
-        "dt": rig.dt,
-        "state_timeout": timeout,
+def list_parameters(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Parameters]:
+    """Return the parameters that are not the defaults by node, each with its reason."""
+    timeout = (max(LEAST_TIMEOUT, TIMEOUT * rig.dt),
+               f"{TIMEOUT:g} samples, at least {LEAST_TIMEOUT:g} s")  # fmt: skip
+    return {
+        "koopman_lifter": _lifter(tuning, rig, model) | {"state_timeout": timeout},
+        "relay_esc": _esc(tuning, rig) | {"cost_timeout": timeout},
     }
-    if model is not None:
-        lifter["model"] = model.name  # beside the file: the folder may be moved
-    lifter |= rig.lifter_input
-    start = found.seen.scale.u(np.array(rig.theta_start))
-    names = ("law", "theta_scale", "step_size", "step_ratio", "dwell", "tau_f", "theta_min",
-             "theta_max", "rate_limit", "objective", "theta_initial", "dt")  # fmt: skip
-    own = {name: getattr(esc, name) for name in names}
-    own["epsilon_initial"] = 1 if start > found.seen.amplitude.best() else -1
-    own["cost_timeout"] = timeout
-    if not rig.takes_answers:
-        own |= {
-            "command_topic": rig.knob.topic,
-            "command_type": rig.command_type,
-            "command_field": format_field(rig.knob.fields[0]),
-        }
-    return {"koopman_lifter": lifter, "relay_esc": own}
 
 
-def reasons_of(found: Tuning, rig: RigFile) -> dict[str, dict[str, str]]:
-    """Return why each parameter is what it is."""
-    c, time, period = found.best.constants, found.time, found.seen.period
-    slow = time - 2.0 * period
-    best = found.seen.scale.theta_at(found.seen.amplitude.best())
+OF_RIG = "as the rig file says"
+
+
+def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
+    c, period = tuning.best.constants, tuning.seen.period
+    detector = lifter_of(tuning.task, c)
     searched = (
         f"the best of a search on the rig that the recording shows, whose oscillation has a period "
-        f"of {period:.3g} s and whose amplitude follows theta within about {slow:.3g} s"
+        f"of {period:.3g} s and whose amplitude follows theta within about "
+        f"{tuning.time - 2.0 * period:.3g} s"
     )
-    of_rig = "as the rig file says"
-    timeout = f"{TIMEOUT:g} samples, at least {LEAST_TIMEOUT:g} s"
-    return {
-        "koopman_lifter": {
-            "cost": found.why,
-            "model": "learned from the excitation",
-            "omega_h": f"{c.omega_h * period / (2 * math.pi):.3g} times the oscillation's "
-            "frequency; " + searched,
-            "omega_l": f"averages over {1.0 / c.omega_l:.3g} s, {1 / c.omega_l / period:.3g} "
-            "periods; of the same search",
-            "y_out_max": "ten times the largest of the recording",
-            "dt": of_rig,
-            "state_timeout": timeout,
-            "input_fields": of_rig,
-            "input_type": of_rig,
-        },
-        "relay_esc": {
-            "law": "of the same search",
-            "theta_scale": "theta's limits are a factor of "
-            f"{rig.theta_max / rig.theta_min:.3g} apart" if found.task.any.logarithmic
-            else "theta's limits are not far apart by a factor, or not above 0",
-            "step_size": f"crosses the range in {1.0 / c.speed:.3g} s; within theta_rate",
-            "step_ratio": "of the same search",
-            "dwell": f"{c.dwell / time:.3g} times the rig's own time of {time:.3g} s",
-            "tau_f": f"{c.tau_f / time:.3g} times the rig's own time",
-            "theta_min": found.seen.limits.why_low or of_rig,
-            "theta_max": found.seen.limits.why_high or of_rig,
-            "rate_limit": "theta_rate of the rig file" + (
-                " over theta_max: the rate of log theta" if found.task.any.logarithmic else ""),
-            "objective": of_rig,
-            "theta_initial": "theta_start of the rig file: no jump when the loop is closed",
-            "epsilon_initial": f"towards {best:.4g}, where the recording is best",
-            "dt": of_rig,
-            "cost_timeout": timeout,
-            "command_topic": of_rig,
-            "command_type": of_rig,
-            "command_field": of_rig,
-        },
+    parameters: Parameters = {
+        "cost": ("raw" if model is None else "lifted", tuning.why),
+        "omega_h": (
+            detector.omega_h,
+            f"{c.omega_h * period / (2 * math.pi):.3g} times the oscillation's frequency; "
+            + searched,
+        ),
+        "omega_l": (
+            detector.omega_l,
+            f"averages over {1.0 / c.omega_l:.3g} s, {1 / c.omega_l / period:.3g} periods; of the "
+            "same search",
+        ),
+        "y_out_max": (float(f"{tuning.y_out_max:.3g}"), "ten times the largest of the recording"),
+        "dt": (rig.dt, OF_RIG),
+    }
+    if model is not None:  # beside the file: the folder may be moved
+        parameters["model"] = (model.name, "learned from the excitation")
+    return parameters | {name: (value, OF_RIG) for name, value in rig.lifter_input.items()}
+
+
+def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
+    c, seen, time = tuning.best.constants, tuning.seen, tuning.time
+    best = seen.amplitude.best()
+    theta_best, logarithmic = seen.scale.theta_at(best), seen.scale.logarithmic
+    ratio = rig.theta_max / rig.theta_min if rig.theta_min else math.nan
+    reasons = {
+        "law": "of the same search",
+        "theta_scale": f"theta's limits are a factor of {ratio:.3g} apart" if logarithmic
+        else "theta's limits are not far apart by a factor, or not above 0",
+        "step_size": f"crosses the range in {1.0 / c.speed:.3g} s; within theta_rate",
+        "step_ratio": "of the same search",
+        "dwell": f"{c.dwell / time:.3g} times the rig's own time of {time:.3g} s",
+        "tau_f": f"{c.tau_f / time:.3g} times the rig's own time",
+        "theta_min": seen.limits.why_low or OF_RIG,
+        "theta_max": seen.limits.why_high or OF_RIG,
+        "rate_limit": "theta_rate of the rig file"
+        + (" over theta_max: the rate of log theta" if logarithmic else ""),
+        "objective": OF_RIG,
+        "theta_initial": "theta_start of the rig file: no jump when the loop is closed",
+        "dt": OF_RIG,
     }  # fmt: skip
+    esc = esc_of(tuning.task, c, rig.theta_start)
+    parameters: Parameters = {name: (getattr(esc, name), why) for name, why in reasons.items()}
+    above = float(seen.scale.u(np.array(rig.theta_start))) > best
+    parameters["epsilon_initial"] = (
+        1 if above else -1, f"towards {theta_best:.4g}, where the recording is best"
+    )  # fmt: skip
+    if not rig.takes_answers:
+        parameters |= {
+            "command_topic": (rig.knob.topic, OF_RIG),
+            "command_type": (rig.command_type, OF_RIG),
+            "command_field": (format_field(rig.knob.fields[0]), OF_RIG),
+        }
+    return parameters
 
 
-def as_parameters(found: Tuning, rig: RigFile, model: Path | None) -> str:
+def as_parameters(tuning: Tuning, rig: RigFile, model: Path | None) -> str:
     """Return the annotated parameter file."""
-    nodes = ("koopman_lifter", "relay_esc", "recorder")
-    text = parameter_file(
-        {node: KNOWN[node] for node in nodes}, nodes_of(found, rig, model), reasons_of(found, rig)
+    listed = list_parameters(tuning, rig, model)
+    values, reasons = (
+        {node: {name: pair[i] for name, pair in own.items()} for node, own in listed.items()}
+        for i in (0, 1)
     )
-    return HEAD + text
+    nodes = {node: KNOWN[node] for node in (*listed, "recorder")}
+    return HEAD + parameter_file(nodes, values, reasons)

@@ -21,6 +21,7 @@ from koop_core.config.parameter import (
 )
 from koop_core.config.parameter_file import as_yaml
 from koop_core.config.yaml_file import LinedLoader, read_yaml
+from koop_tune.rig.scale import Scale
 
 STATE, STATE_TYPE = "/state", "koop_msgs/msg/MeasuredState"
 THETA, THETA_TYPE = "/theta", "koop_msgs/msg/ControlInput"
@@ -154,6 +155,16 @@ class RigFile:
     def span(self) -> float:
         """Range of theta."""
         return self.theta_max - self.theta_min
+
+    @property
+    def scale(self) -> Scale:
+        """Positions in theta's range."""
+        return Scale(self.theta_min, self.theta_max)
+
+    @property
+    def sense(self) -> float:
+        """+1 if little of the oscillation is wanted, else -1."""
+        return 1.0 if self.objective == "minimise" else -1.0
 
 
 REQUIRED = ("measured", "measured_type", "command", "command_type", "dt", "theta_min", "theta_max",

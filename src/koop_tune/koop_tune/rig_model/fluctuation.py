@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_tune.rig_model.stays import Stays
+from koop_tune.rig_model.dwells import Dwells
 
 SHORTEST, COUNT = 0.3, 60  # windows of the shortest decay; decays that are tried
 PART = 0.1  # of the longest stay, as long as a decay may be
@@ -42,9 +42,9 @@ class Fluctuation(NamedTuple):
     share: float
 
 
-def fluctuation(stays: Stays) -> Fluctuation:
+def fluctuation(dwells: Dwells) -> Fluctuation:
     """Fit the autocovariance of the power in the windows of all stays once the rig had settled."""
-    parts = relative_power(stays)
+    parts = relative_power(dwells)
     longest = max(part.size for part in parts)
     lags = max(int(LAGS * longest), 3)
     found, count = autocovariance(parts, lags)
@@ -55,7 +55,7 @@ def fluctuation(stays: Stays) -> Fluctuation:
     windows = 1.0
     if np.isfinite(misfits).any():
         windows = 2.0 * float(decays[int(np.argmax(misfits <= AS_GOOD * misfits.min()))])
-    return Fluctuation(windows * stays.how.length * stays.how.dt, float(found[0]))
+    return Fluctuation(windows * dwells.how.length * dwells.how.dt, float(found[0]))
 
 
 def _misfit(
@@ -68,12 +68,12 @@ def _misfit(
     return float((w * (y - share * e - const) ** 2).sum()) if share > least else math.inf
 
 
-def relative_power(stays: Stays) -> list[NDArray[np.float64]]:
+def relative_power(dwells: Dwells) -> list[NDArray[np.float64]]:
     """Return the power in the windows of each stay over that of all stays at its theta, less 1."""
-    settled = stays.settled(stays.amplitude)
+    settled = dwells.settled(dwells.amplitude)
     top = max(float(values.max()) for values in settled)
     power = [np.exp(2.0 * (values - top)) for values in settled]
-    levels = np.array([stay.level for stay in stays.stays])
+    levels = np.array([dwell.level for dwell in dwells.dwells])
     mean = {
         level: float(np.concatenate([power[i] for i in np.flatnonzero(levels == level)]).mean())
         for level in np.unique(levels)

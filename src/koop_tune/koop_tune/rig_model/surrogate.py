@@ -29,9 +29,10 @@ from scipy.signal import lfilter
 from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
 from koop_identify.recording.loaded import Loaded, pieces
+from koop_tune.excitation.static_map import GRID, StaticMap
+from koop_tune.rig.scale import Scale
+from koop_tune.rig_model.dwells import Dwells
 from koop_tune.rig_model.fluctuation import fluctuation
-from koop_tune.rig_model.static_map import GRID, StaticMap
-from koop_tune.rig_model.stays import Scale, Stays
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams
 from relay_esc import relay
@@ -101,7 +102,7 @@ class Surrogate(NamedTuple):
     coarse: bool
 
 
-def high_passed(
+def high_pass(
     y_out: NDArray[np.float64], loaded: Loaded, omega_h: float, dt: float
 ) -> NDArray[np.float64]:
     """Return y_hp of the detector for every sample of a recording."""
@@ -116,14 +117,16 @@ def high_passed(
     return found
 
 
-def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, dt: float) -> Times:
+def fit_times(
+    loaded: Loaded, dwells: Dwells, amplitude: StaticMap, scale: Scale, dt: float
+) -> Times:
     """Fit the time constants to the amplitude's logarithm in the windows of all stays.
 
     Where noise drives the oscillation its amplitude is seldom where theta leads it: how it comes
     and goes by itself tells the time constant far better than how it follows theta does.
     """
     assert loaded.theta is not None
-    every = max(1, stays.how.length // 4)
+    every = max(1, dwells.how.length // 4)
     curve = amplitude.curve(amplitude.mean)
     position = np.nan_to_num(scale.u(loaded.theta), nan=0.5)
     target = np.interp(position[::every], np.linspace(0.0, 1.0, GRID), curve)
@@ -131,17 +134,17 @@ def fit_times(loaded: Loaded, stays: Stays, amplitude: StaticMap, scale: Scale, 
     begins = np.zeros(target.size, np.bool_)
     begins[np.flatnonzero(jumps) // every] = True
     starts = (
-        np.concatenate([np.arange(s.begin, s.end, stays.how.length) for s in stays.stays]) // every
+        np.concatenate([np.arange(s.begin, s.end, dwells.how.length) for s in dwells.dwells])
+        // every
     )
-    seen = np.concatenate(stays.amplitude)
+    seen = np.concatenate(dwells.amplitude)
     middle = float(np.mean(curve))
-    usual = 0.02 + float(np.median([v[s.skip :].std() for s, v in
-                                    zip(stays.stays, stays.amplitude, strict=True)]))  # fmt: skip
-    own = fluctuation(stays)
+    usual = 0.02 + float(np.median([v.std() for v in dwells.settled(dwells.amplitude)]))
+    own = fluctuation(dwells)
     if own.share > WANDERS:
         return Times(math.log(own.time), 0.0, 0.0, middle)
-    longest = max(s.end - s.begin for s in stays.stays) * dt
-    shortest = 0.05 * stays.how.length * dt
+    longest = max(s.end - s.begin for s in dwells.dwells) * dt
+    shortest = 0.05 * dwells.how.length * dt
     found = np.empty(target.size)
 
     def loss(c: NDArray[np.float64]) -> float:

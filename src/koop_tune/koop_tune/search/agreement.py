@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
 from koop_tune.excitation.features import Bands, features
-from koop_tune.excitation.staircase import standard_error
+from koop_tune.excitation.visits import standard_error
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.rig_model.stays import Scale
+from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.surrogate import BLOCKS
 from koop_tune.search.prediction import Prediction
-from koop_tune.search.search import GOOD, PART
+from koop_tune.search.settings import CONVERGENCE
 
 SMOOTHED = 3  # windows at least, in whose mean an amplitude counts as converged
 ERRORS = 2.0  # standard errors that a band is widened by
@@ -106,13 +106,13 @@ def aim_of(figures: dict[str, Any], rig: RigFile) -> Aim:
         If it is not that of a controller.
     """
     windows = figures["windows"]
-    sense = 1.0 if rig.objective == "minimise" else -1.0
+    sense = rig.sense
     levels = sense * np.log(figures["static_map"]["amplitude"])
     best, worst = float(levels.min()), float(levels.max())
-    bound = best + math.log(min(GOOD, 1.0 + PART * (math.exp(worst - best) - 1.0)))
+    bound = best + CONVERGENCE.bound(worst - best)
     return Aim(
         Bands(windows["length"], tuple(windows["edges"]), windows["dt"]),
-        windows["feature"], figures["feature"], Scale(rig.theta_min, rig.theta_max), sense,
+        windows["feature"], figures["feature"], rig.scale, sense,
         figures["theta_best"], sense * best, sense * bound, figures["time"],
         Prediction.from_json(figures["predicted"]),
     )  # fmt: skip
@@ -169,7 +169,7 @@ class Measured:
     @property
     def damped(self) -> bool:
         """Whether the amplitude ended near the best one."""
-        return self.excess <= GOOD
+        return self.excess <= CONVERGENCE.good
 
 
 def measure(
@@ -291,7 +291,7 @@ def as_predicted(item: dict[str, Any]) -> bool:
     >>> as_predicted({"agrees": True, "runs": [{"excess": 1.2}, {"excess": 3.0}]})
     False
     """
-    return bool(item["agrees"]) and _worst(item) <= GOOD
+    return bool(item["agrees"]) and _worst(item) <= CONVERGENCE.good
 
 
 def kept_round(rounds: Sequence[dict[str, Any]]) -> int:
@@ -318,7 +318,7 @@ def agreement(item: dict[str, Any]) -> str:
     'as predicted, or better, but 1.83 times the best of the static map: not damped'
     """
     said, worst = "as predicted, or better", _worst(item)
-    if worst <= GOOD:
+    if worst <= CONVERGENCE.good:
         return said
     return f"{said}, but {worst:.3g} times the best of the static map: not damped"
 

@@ -1,4 +1,4 @@
-"""What a tuned loop will do: figures with their bands."""
+"""What a tuned loop will do: figures with their bands, of runs on surrogates."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+
+from koop_tune.excitation.visits import mean_level
+from koop_tune.rig_model.dwells import Dwells
+from koop_tune.search.findings import Findings
+from koop_tune.search.search import Outcome, Task, Trial, try_out
 
 PERCENTILES = (5.0, 50.0, 95.0)
 
@@ -93,3 +98,37 @@ class Prediction:
 
 
 BANDS = ("converges", "distance", "excess", "reduction")
+
+
+def predict(
+    task: Task, trial: Trial, seen: Findings, seed: int, count: int
+) -> tuple[Prediction, list[Outcome]]:
+    """Run what was chosen some times, with fresh random numbers.
+
+    What the amplitude of a time as long as half a run differs by itself, and the error of the best
+    one, widen the bands.
+    """
+    runs = [try_out(task, trial.constants, n, seed) for n in range(count)]
+    wander = find_wander(seen.dwells, 0.5 * task.steps)
+    error = float(seen.amplitude.error[int(np.argmin(seen.amplitude.y))])
+    rng = np.random.default_rng(seed)
+    noise = np.exp(math.hypot(wander, error) * rng.standard_normal(count)).tolist()
+    prediction = Prediction(
+        Band.of([o.converged for o in runs]),
+        Band.of([o.distance for o in runs]),
+        Band.of([o.excess * e for o, e in zip(runs, noise, strict=True)]),
+        Band.of([o.reduction / e for o, e in zip(runs, noise, strict=True)]),
+        task.steps * task.dt,
+        count,
+    )
+    return prediction, runs
+
+
+def find_wander(dwells: Dwells, samples: float) -> float:
+    """Return by how much the logarithm of an amplitude over some samples differs by itself."""
+    errors = []
+    for values in dwells.settled(dwells.amplitude):
+        error = float(mean_level(values[:, None])[1][0])
+        if math.isfinite(error):
+            errors.append(error * math.sqrt(values.size * dwells.how.length / samples))
+    return float(np.median(errors)) if errors else 0.0

@@ -9,7 +9,7 @@ from typing import Any
 
 from koop_tune.search.agreement import MOST_SLOWER, Measured
 from koop_tune.search.prediction import Prediction
-from koop_tune.search.search import GOOD
+from koop_tune.search.settings import CONVERGENCE
 
 
 @dataclass(frozen=True)
@@ -104,13 +104,13 @@ class Round:
     @property
     def damped_as_predicted(self) -> bool:
         """Whether the rig was damped, and not worse than predicted."""
-        return bool(self.agrees) and self.worst_excess <= GOOD
+        return bool(self.agrees) and self.worst_excess <= CONVERGENCE.good
 
     @property
     def agreement(self) -> str:
         """In words, what it means that a round agrees with its prediction."""
         text = "as predicted, or better"
-        if self.worst_excess <= GOOD:
+        if self.worst_excess <= CONVERGENCE.good:
             return text
         return f"{text}, but {self.worst_excess:.3g} times the best of the static map: not damped"
 

@@ -6,7 +6,7 @@ several surrogates, with the optimum at rest and in motion; the better half gets
 (successive halving; Jamieson and Talwalkar 2016), then the surroundings of the best are drawn from
 once more. A run's score is
 
-    log(amplitude over its second half / least amplitude) + SLOWNESS (share of the run to converge)
+    log(amplitude over its second half / least amplitude) + slowness (share of the run to converge)
 
 and a constant's score the 90th percentile over its runs. Of constants that score alike those are
 taken that serve most rigs (USUAL): a surrogate is not the rig, and what is best on it by a hair may
@@ -27,31 +27,12 @@ from scipy.stats import qmc
 
 from koop_tune.rig_model import surrogate
 from koop_tune.rig_model.surrogate import BLOCKS, Surrogate
+from koop_tune.search.settings import SEARCH, SearchSettings
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 
-HIGH = (1.0, 3.0, 10.0, 30.0)  # omega_h in units of the oscillation's frequency
-RANGES = {  # of what else is searched; omega_l in 1/T, speed in ranges of theta per T, times in T
-    "omega_l": (0.5, 10.0),
-    "speed": (0.004, 0.2),
-    "dwell": (0.4, 8.0),
-    "tau_f": (0.2, 5.0),
-    "step_ratio": (0.03, 0.5),
-}
-USUAL = {"omega_l": 2.0, "speed": 0.08, "dwell": 1.5, "tau_f": 0.7, "step_ratio": 0.15}
-ANCHORS = {"speed": (0.01, 0.03, 0.1), "dwell": (1.0, 4.0)}  # that are tried beside those drawn
-UNUSUAL = 0.02  # what a score must be better by for a constant that is a factor of 3 off the usual
-LENGTH = 80.0  # of a run, in T
-SLOWNESS = 0.15
-DRIFT = 0.05  # of the range, by which the optimum moves in a run at most
-PERCENTILE = 90.0
-GOOD = 1.5  # times the least amplitude, and
-PART = 0.25  # of what theta can do above it: whatever is less counts as converged
-FIRST = 64  # constants in the first round
-TOP, FINE = 12, 3  # constants of the last coarse round; of those that are run sample by sample
-FINE_RUNS = 12  # of each of these
-COARSE_DT = 0.01  # of a controller in blocks [s]
+SEARCHED = ("omega_l", "speed", "dwell", "tau_f", "step_ratio")  # besides law and omega_h
 
 
 @dataclass(frozen=True)
@@ -99,6 +80,8 @@ class Task:
         Largest change of theta per second.
     low, high : float
         Limits of the controller's theta; inside those of the rig file, or these.
+    settings : SearchSettings
+        How constants are drawn and judged.
     """
 
     surrogates: dict[float, list[Surrogate]]
@@ -109,6 +92,7 @@ class Task:
     rate: float
     low: float
     high: float
+    settings: SearchSettings = SEARCH
 
     @property
     def any(self) -> Surrogate:
@@ -119,7 +103,8 @@ class Task:
     def steps(self) -> int:
         """Of a run."""
         s = self.any
-        return round(LENGTH * max(self.time, 0.2 * (s.high - s.low) / self.rate) / self.dt)
+        shortest = max(self.time, 0.2 * (s.high - s.low) / self.rate)
+        return round(self.settings.length * shortest / self.dt)
 
 
 @dataclass(frozen=True)
@@ -178,19 +163,19 @@ def esc_of(task: Task, c: Constants, theta: float) -> EscConfig:
     )
 
 
-def slowed(esc: EscConfig, every: int) -> EscConfig:
+def slow_down(esc: EscConfig, every: int, dt: float) -> EscConfig:
     """Return a controller that does with one of ``every`` samples what this one does with all.
 
-    In units of time in which its dt is one that a controller may have.
+    In units of time in which its time step is ``dt``, one that a controller may have.
     """
-    unit = COARSE_DT / (every * esc.dt)
+    unit = dt / (every * esc.dt)
     return replace(
         esc,
         step_size=esc.step_size * every,
         dwell=esc.dwell * unit,
         tau_f=esc.tau_f * unit,
         rate_limit=esc.rate_limit / unit,
-        dt=COARSE_DT,
+        dt=dt,
     )
 
 
@@ -219,11 +204,12 @@ def try_out(
     theta = s.low * (s.high / s.low) ** end if s.logarithmic else s.low + end * (s.high - s.low)
     every = round(s.dt / task.dt)
     steps = task.steps // every
-    drift = 0.0 if number % 4 < 2 else float(rng.uniform(-DRIFT, DRIFT)) / steps
+    limit = task.settings.drift
+    drift = 0.0 if number % 4 < 2 else float(rng.uniform(-limit, limit)) / steps
     esc = replace(esc_of(task, c, theta), epsilon_initial=1 if end > 0.5 else -1)
     detector = lifter_of(task, c).detector_params()
     if s.coarse:
-        esc = slowed(esc, every)
+        esc = slow_down(esc, every, task.settings.coarse_dt)
         detector = cost.detector_params(c.omega_h, c.omega_l, s.dt)._replace(alpha_hp=0.0)
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
     surrogate.run(
@@ -242,8 +228,7 @@ def outcome(
     logs = 0.5 * task.sense * np.log(power) - best  # above 0, more or less
     half = BLOCKS // 2
     late = 0.5 * task.sense * math.log(float(power[half:].mean())) - best
-    bound = math.log(min(GOOD, 1.0 + PART * (math.exp(worst - best) - 1.0)))
-    inside = np.flatnonzero(logs <= bound)
+    inside = np.flatnonzero(logs <= task.settings.convergence.bound(worst - best))
     share = (inside[0] + 1) / BLOCKS if inside.size else 2.0
     distance = float(np.abs(np.clip(u, 0.0, 1.0)[half:] - i / (s.amplitudes.size - 1)).mean())
     start = 0.5 * task.sense * math.log(float(power[0])) - best
@@ -254,29 +239,24 @@ def outcome(
         math.exp(start - late),
         u,
         power,
-        late + SLOWNESS * share,
+        late + task.settings.slowness * share,
     )
-
-
-def score_of(outcomes: Sequence[Outcome]) -> float:
-    """Return the percentile that counts."""
-    return float(np.percentile([o.score for o in outcomes], PERCENTILE))
 
 
 def draw(task: Task, count: int, seed: int) -> list[Constants]:
     """Return constants from all over the ranges."""
     high = sorted(task.surrogates)
-    points = qmc.Sobol(len(RANGES) + 2, seed=seed).random(count)
-    found = []
+    points = qmc.Sobol(len(SEARCHED) + 2, seed=seed).random(count)
+    drawn = []
     for point in points:
-        values = {
-            name: low * (top / low) ** x
-            for (name, (low, top)), x in zip(RANGES.items(), point, strict=False)
-        }
+        values = {}
+        for name, x in zip(SEARCHED, point, strict=False):
+            low, _, top = getattr(task.settings, name)
+            values[name] = low * (top / low) ** x
         omega_h = high[min(int(point[-2] * len(high)), len(high) - 1)]
-        law = "relay" if point[-1] < 0.3 else "adaptive"
-        found.append(_in_units(task, law, omega_h, values))
-    return found
+        law = "relay" if point[-1] < task.settings.relays else "adaptive"
+        drawn.append(_in_units(task, law, omega_h, values))
+    return drawn
 
 
 def _in_units(task: Task, law: str, omega_h: float, v: dict[str, float]) -> Constants:
@@ -289,23 +269,19 @@ def _in_units(task: Task, law: str, omega_h: float, v: dict[str, float]) -> Cons
     )  # fmt: skip
 
 
-def around(
-    task: Task,
-    centres: Sequence[Constants],
-    count: int,
-    rng: np.random.Generator,
-    spread: float,
+def draw_near(
+    centres: Sequence[Constants], count: int, rng: np.random.Generator, spread: float
 ) -> list[Constants]:
     """Return constants near some."""
-    found = []
+    drawn = []
     for i in range(count):
         c = centres[i % len(centres)]
-        own: dict[str, Any] = {
-            name: getattr(c, name) * math.exp(rng.normal(0.0, spread)) for name in RANGES
+        values: dict[str, Any] = {
+            name: getattr(c, name) * math.exp(rng.normal(0.0, spread)) for name in SEARCHED
         }
-        own["step_ratio"] = min(max(own["step_ratio"], 0.01), 1.0)
-        found.append(replace(c, **own))
-    return found
+        values["step_ratio"] = min(max(values["step_ratio"], 0.01), 1.0)
+        drawn.append(replace(c, **values))
+    return drawn
 
 
 def anchors(task: Task) -> list[Constants]:
@@ -313,22 +289,26 @@ def anchors(task: Task) -> list[Constants]:
     high = sorted(task.surrogates)
     omega_h = high[min(2, len(high) - 1)]
     return [
-        _in_units(task, law, omega_h, {**USUAL, "speed": speed, "dwell": dwell})
+        _in_units(task, law, omega_h, {**_usual(task), "speed": speed, "dwell": dwell})
         for law in ("relay", "adaptive")
-        for speed in ANCHORS["speed"]
-        for dwell in ANCHORS["dwell"]
+        for speed in task.settings.speeds
+        for dwell in task.settings.dwells
     ]
+
+
+def _usual(task: Task) -> dict[str, float]:
+    return {name: getattr(task.settings, name)[1] for name in SEARCHED}
 
 
 def unusual(task: Task, c: Constants) -> float:
     """Return by how much a score must be better for constants that are not the usual ones."""
-    usual = _in_units(task, c.law, c.omega_h, USUAL)
-    far = [math.log(getattr(c, name) / getattr(usual, name)) / math.log(3.0) for name in USUAL]
-    return UNUSUAL * sum(x * x for x in far)
+    usual = _in_units(task, c.law, c.omega_h, _usual(task))
+    far = [math.log(getattr(c, name) / getattr(usual, name)) / math.log(3.0) for name in SEARCHED]
+    return task.settings.unusual * sum(x * x for x in far)
 
 
 @dataclass(frozen=True)
-class Tried:
+class Trial:
     """Constants and how they did.
 
     Attributes
@@ -336,33 +316,36 @@ class Tried:
     constants : Constants
         What was tried.
     outcomes : list of Outcome
-        Of each run.
+        Each run's.
     unusual : float
         See :func:`unusual`.
+    percentile : float
+        Of the runs' scores, that counts.
     """
 
     constants: Constants
     outcomes: list[Outcome]
     unusual: float
-
-    @property
-    def rank(self) -> float:
-        """Return what the best has least of."""
-        return self.score + self.unusual
+    percentile: float
 
     @property
     def score(self) -> float:
-        """Return the score."""
-        return score_of(self.outcomes)
+        """The percentile that counts."""
+        return float(np.percentile([o.score for o in self.outcomes], self.percentile))
+
+    @property
+    def rank(self) -> float:
+        """What the best has least of."""
+        return self.score + self.unusual
 
 
 def search(
     task: Task,
     effort: float,
     seed: int,
-    said: Callable[[float], None] = lambda share: None,
+    report: Callable[[float], None] = lambda share: None,
     workers: int = 1,
-) -> list[Tried]:
+) -> list[Trial]:
     """Return the best constants first, the better half of each round having run more often.
 
     Parameters
@@ -370,46 +353,48 @@ def search(
     task : Task
         What is to be controlled.
     effort : float
-        Of the search, in units of the usual one.
+        Search budget (1 = default).
     seed : int
-        Of the draws.
-    said : callable
-        Told of every run, as a share of all.
+        Seed of the draws.
+    report : callable
+        Is told of every run, as a share of all.
     workers : int
         Threads.
     """
-    first = 2 ** max(round(math.log2(FIRST * effort)), 3)
+    s = task.settings
+    first = 2 ** max(round(math.log2(s.first * effort)), 3)
     rng = np.random.default_rng([seed, 7])
-    total = 8 * first + 16 * TOP + 2 * len(anchors(task))
+    total = 8 * first + 16 * s.top + 2 * len(anchors(task))
 
     with ThreadPoolExecutor(workers) as pool:
 
-        def more(tried: list[Tried], upto: int) -> list[Tried]:
-            def results(t: Tried) -> list[Outcome]:
+        def run_more(trials: list[Trial], upto: int) -> list[Trial]:
+            def results(t: Trial) -> list[Outcome]:
                 done = range(len(t.outcomes), upto)
                 return [try_out(task, t.constants, n, seed, fine=False) for n in done]
 
-            found = []
-            for t, outcomes in zip(tried, pool.map(results, tried), strict=True):
-                said(len(outcomes) / total)
-                found.append(replace(t, outcomes=t.outcomes + outcomes))
-            return sorted(found, key=lambda t: t.rank)
+            longer = []
+            for t, outcomes in zip(trials, pool.map(results, trials), strict=True):
+                report(len(outcomes) / total)
+                longer.append(replace(t, outcomes=t.outcomes + outcomes))
+            return sorted(longer, key=lambda t: t.rank)
 
-        def new(constants: Sequence[Constants], runs: int) -> list[Tried]:
-            return more([Tried(c, [], unusual(task, c)) for c in constants], runs)
+        def begin(constants: Sequence[Constants], runs: int) -> list[Trial]:
+            return run_more([Trial(c, [], unusual(task, c), s.percentile) for c in constants], runs)
 
-        tried = new([*anchors(task), *draw(task, first, seed)], 2)
-        tried = more(tried[: first // 4], 8)
+        trials = begin([*anchors(task), *draw(task, first, seed)], 2)
+        trials = run_more(trials[: first // 4], 8)
         for spread in (0.35, 0.2):
-            near = around(task, [t.constants for t in tried[:4]], first // 4, rng, spread)
-            tried = sorted([*new(near, 8), *tried], key=lambda t: t.rank)
-        return more(tried[:TOP], 24)
+            near = draw_near([t.constants for t in trials[:4]], first // 4, rng, spread)
+            trials = sorted([*begin(near, 8), *trials], key=lambda t: t.rank)
+        return run_more(trials[: s.top], 24)
 
 
-def confirm(task: Task, tried: Sequence[Tried], seed: int) -> list[Tried]:
+def confirm(task: Task, trials: Sequence[Trial], seed: int) -> list[Trial]:
     """Return the best constants, the best first, as they do sample by sample."""
-    found = [
-        replace(t, outcomes=[try_out(task, t.constants, n, seed) for n in range(FINE_RUNS)])
-        for t in tried[:FINE]
+    numbers = range(task.settings.fine_runs)
+    confirmed = [
+        replace(t, outcomes=[try_out(task, t.constants, n, seed) for n in numbers])
+        for t in trials[: task.settings.fine]
     ]
-    return sorted(found, key=lambda t: t.rank)
+    return sorted(confirmed, key=lambda t: t.rank)

@@ -1,0 +1,61 @@
+"""Theta's range, and positions in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+LOGARITHMIC = 20.0  # ratio of the limits from which on positions are those of log theta
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Position u of theta in its range, 0 to 1; by its logarithm where the limits are far apart."""
+
+    low: float
+    high: float
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether positions are those of log theta."""
+        return self.low > 0.0 and self.high / self.low >= LOGARITHMIC
+
+    def u(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return positions."""
+        inside = np.clip(theta, self.low, self.high)
+        if self.logarithmic:
+            return np.asarray(np.log(inside / self.low) / math.log(self.high / self.low))
+        return np.asarray((inside - self.low) / (self.high - self.low))
+
+    def theta(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return theta at positions."""
+        if self.logarithmic:
+            return np.asarray(self.low * (self.high / self.low) ** np.asarray(u))
+        return np.asarray(self.low + np.asarray(u) * (self.high - self.low))
+
+    def theta_at(self, u: float) -> float:
+        """Return theta at one position."""
+        return float(self.theta(np.array(u)))
+
+    def divide(self, count: int) -> list[float]:
+        """Return values of theta at even positions, both limits among them.
+
+        >>> Scale(0.5, 50.0).divide(3)
+        [0.5, 5.0, 50.0]
+        """
+        return [*(self.theta_at(i / (count - 1)) for i in range(count - 1)), self.high]
+
+    def step_away(self, theta: float, share: float) -> float:
+        """Return the value that is a share of the range from theta, towards the limit further off.
+
+        >>> Scale(0.5, 8.0).step_away(1.0, 0.25), Scale(0.5, 50.0).step_away(1.0, 0.5)
+        (2.875, 10.0)
+        """
+        if self.logarithmic:
+            up = self.high / theta >= theta / self.low
+            return theta * (self.high / self.low) ** (share if up else -share)
+        up = self.high - theta >= theta - self.low
+        return theta + share * (self.high - self.low) * (1 if up else -1)

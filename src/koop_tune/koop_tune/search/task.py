@@ -1,0 +1,98 @@
+"""Rigs that a recording may be of, for the search to close the loop on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_identify.recording.loaded import Loaded
+from koop_tune.excitation.static_map import StaticMap
+from koop_tune.rig.rig_file import RigFile
+from koop_tune.rig_model.dwells import Dwells
+from koop_tune.rig_model.surrogate import Surrogate, Times, high_pass
+from koop_tune.search.findings import CostMaps, Findings
+from koop_tune.search.search import Task
+from koop_tune.search.settings import TuningSettings
+
+
+class Recorded(NamedTuple):
+    """Pieces of a signal in a row: see :class:`koop_tune.rig_model.surrogate.Surrogate`."""
+
+    y: NDArray[np.float64]
+    begins: NDArray[np.int64]
+    first: NDArray[np.int64]
+    dt: float
+
+
+def make_task(
+    loaded: Loaded, seen: Findings, cost: CostMaps, times: Times, time: float, rig: RigFile,
+    settings: TuningSettings,
+) -> Task:  # fmt: skip
+    """Return the rigs that the recording may be of, for one cost and each corner frequency."""
+    y_out = cost.cost.y_out
+    assert y_out is not None
+    every = max(1, int(time / (settings.blocks * rig.dt)))
+    parts, first = cut_pieces(y_out, seen.dwells)
+    y, begins = np.concatenate(parts), np.cumsum([0, *(part.size for part in parts)])
+    recorded = Recorded(y, begins, first, rig.dt)
+    fine: dict[float, list[Surrogate]] = {}
+    coarse: dict[float, list[Surrogate]] = {}
+    for omega_h, found in cost.usable.items():
+        fine[omega_h] = draw_surrogates(seen, found, recorded, times, settings)
+        filtered, _ = cut_pieces(high_pass(y_out, loaded, omega_h, rig.dt), seen.dwells)
+        blocks = [block_rms(part, every) for part in filtered]
+        ends = np.cumsum([0, *(block.size for block in blocks)])
+        coarse[omega_h] = [
+            s._replace(y=np.concatenate(blocks), begins=ends, dt=every * rig.dt, coarse=True)
+            for s in fine[omega_h]
+        ]
+    low, high = seen.limits[:2]
+    return Task(fine, coarse, rig.sense, time, rig.dt, rig.theta_rate, low, high, settings.search)
+
+
+def cut_pieces(
+    values: NDArray[np.float64], dwells: Dwells
+) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
+    """Return a signal of each rest once the rig had settled, without its mean, by theta.
+
+    The second array has the first piece of each value of theta.
+    """
+    by_level = sorted(dwells.dwells, key=lambda d: d.level)
+    parts = []
+    for dwell in by_level:
+        part = values[dwell.begin + dwell.skip * dwells.how.length : dwell.end]
+        part = part[np.isfinite(part)]
+        parts.append(part - part.mean() if part.size else np.zeros(2))
+    return parts, np.searchsorted([d.level for d in by_level], np.arange(dwells.u.size + 1))
+
+
+def block_rms(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
+    """Return the root mean square of blocks."""
+    every = min(every, values.size)
+    whole = values[: values.size // every * every].reshape(-1, every)
+    return np.asarray(np.sqrt((whole**2).mean(axis=1)))
+
+
+def draw_surrogates(
+    seen: Findings, found: StaticMap, recorded: Recorded, times: Times, settings: TuningSettings
+) -> list[Surrogate]:
+    """Return rigs that the recording may be of; the first one is as it was measured."""
+    rng = np.random.default_rng(settings.seed)
+    drawn = []
+    for i in range(settings.surrogates):
+        weights = found.draw_weights(rng)
+        shift = float(rng.normal(0.0, settings.tau_spread))
+        if i == 0:
+            weights, shift = [np.full(v.size, 1.0 / v.size) for v in found.visits], 0.0
+        drawn.append(
+            Surrogate(
+                found.curve(found.reweigh(weights)),
+                seen.amplitude.curve(seen.amplitude.reweigh(weights)),
+                seen.dwells.u, found.mean, recorded.y, recorded.begins, recorded.first,
+                times._replace(usual=times.usual + shift), recorded.dt, seen.scale.low,
+                seen.scale.high, seen.scale.logarithmic, False,
+            )
+        )  # fmt: skip
+    return drawn
