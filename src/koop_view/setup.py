@@ -6,10 +6,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={
-        "koop_view": ["page/index.html"],
-        "koop_view.report": ["page.js", "page.css", "vendor/*"],
-    },
+    package_data={"koop_view": ["page/*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),

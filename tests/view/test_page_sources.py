@@ -1,5 +1,6 @@
-"""The operator's page: the checked-in file is what its sources give, and its logic is right."""
+"""The pages of koop_view: the checked-in files are what their sources give; their logic is right."""
 
+import fcntl
 import hashlib
 import json
 import os
@@ -14,52 +15,52 @@ from rosbags.highlevel import AnyReader
 
 ROOT = Path(__file__).parents[2]
 WEB = ROOT / "src" / "koop_view" / "web"
-PAGE = ROOT / "src" / "koop_view" / "koop_view" / "page" / "index.html"
-HOUSE = ROOT / "src" / "koop_lab" / "koop_lab" / "page" / "page.css"
+PAGES = [ROOT / "src" / "koop_view" / "koop_view" / "page" / f"{n}.html" for n in ("index", "report")]
 GOLDEN = ROOT / "recordings" / "golden" / "run" / "bag"
 NO_NETWORK = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ECONNRESET|ETIMEDOUT|ENETUNREACH")
 BUILD = "cd src/koop_view/web && npm ci && npm run build"
 
 
-def test_the_page_was_made_of_the_sources_that_are_here():
-    own = [
-        "build.mjs",
-        "package-lock.json",
-        *(f"src/{path.name}" for path in (WEB / "src").iterdir()),
-    ]
-    found = hashlib.sha256()
-    for name in sorted(own):
-        found.update(f"{name}\n".encode() + (WEB / name).read_bytes())
-    found.update(b"page.css\n" + HOUSE.read_bytes())
-    named = re.search('name="sources" content="([0-9a-f]*)"', PAGE.read_text(encoding="utf-8"))
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_was_made_of_the_sources_that_are_here(page):
+    sources = [f"src/{path.name}" for path in (WEB / "src").iterdir()]
+    digest = hashlib.sha256()
+    for name in sorted(["build.mjs", "package-lock.json", *sources]):
+        digest.update(f"{name}\n".encode() + (WEB / name).read_bytes())
+    named = re.search('name="sources" content="([0-9a-f]*)"', page.read_text(encoding="utf-8"))
     assert named, f"the page does not name its sources: {BUILD}"
-    assert named[1] == found.hexdigest(), f"the page is older than its sources: {BUILD}"
+    assert named[1] == digest.hexdigest(), f"the page is older than its sources: {BUILD}"
 
 
-def test_the_page_needs_no_network():
-    page = PAGE.read_text(encoding="utf-8")
-    assert not re.search(r"<(script|link|img|iframe)[^>]*(src|href)=(?!\"data:)", page)
-    assert not re.search(r"@import|url\((?!data:)", page)
-    assert not re.search(r"[^.\w](eval|Function|importScripts)\(|\bimport\(", page)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_needs_no_network(page):
+    text = page.read_text(encoding="utf-8")
+    assert not re.search(r"<(script|link|img|iframe)[^>]*(src|href)=(?!\"data:)", text)
+    assert not re.search(r"@import|url\((?!data:)", text)
+    assert not re.search(r"[^.\w](eval|Function|importScripts)\(|\bimport\(", text)
 
 
 @pytest.fixture(scope="module")
-def web(tmp_path_factory):
-    """Return a copy of the sources with the packages that they need."""
+def web():
+    """Return the folder of the sources, with the packages that they need, installed once."""
     if not (shutil.which("node") and shutil.which("npm")):
-        pytest.skip("the page is built with Node.js and npm, which are not installed")
-    folder = tmp_path_factory.mktemp("web") / "web"
-    shutil.copytree(WEB, folder, ignore=shutil.ignore_patterns("node_modules"))
-    install = ["npm", "ci", "--no-audit", "--no-fund", "--ignore-scripts", "--prefer-offline"]
-    done = subprocess.run(install, cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode and NO_NETWORK.search(done.stderr):
-        pytest.skip("npm could not install what the page is built with: there is no network")
-    assert done.returncode == 0, done.stderr
-    return folder
+        pytest.skip("the pages are built with Node.js and npm, which are not installed")
+    lock, installed = WEB / "package-lock.json", WEB / "node_modules" / ".installed"
+    with (WEB / ".npm.lock").open("w") as guard:  # tests run side by side
+        fcntl.flock(guard, fcntl.LOCK_EX)
+        if not (installed.is_file() and installed.read_bytes() == lock.read_bytes()):
+            install = ["npm", "ci", "--no-audit", "--no-fund", "--ignore-scripts",
+                       "--prefer-offline"]  # fmt: skip
+            done = subprocess.run(install, cwd=WEB, capture_output=True, text=True, check=False)
+            if done.returncode and NO_NETWORK.search(done.stderr):
+                pytest.skip("npm could not install what builds the pages: there is no network")
+            assert done.returncode == 0, done.stderr
+            shutil.copy(lock, installed)
+    return WEB
 
 
 def run(web, *command, **more_environment):
-    environment = {**os.environ, "KOOP_PAGE_CSS": str(HOUSE), **more_environment}
+    environment = {**os.environ, **more_environment}
     done = subprocess.run(
         command, cwd=web, capture_output=True, text=True, check=False, env=environment
     )
@@ -67,9 +68,16 @@ def run(web, *command, **more_environment):
     return done.stdout
 
 
-def test_the_sources_give_the_page_byte_for_byte(web):
-    run(web, "node", "build.mjs", "--out", "built.html")
-    assert (web / "built.html").read_bytes() == PAGE.read_bytes(), BUILD
+def test_the_sources_are_formatted_and_have_the_types_they_say(web):
+    command = ["npm", "run", "check"]
+    done = subprocess.run(command, cwd=web, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_sources_give_the_pages_byte_for_byte(web, tmp_path):
+    run(web, "node", "build.mjs", "--out", str(tmp_path))
+    for page in PAGES:
+        assert (tmp_path / page.name).read_bytes() == page.read_bytes(), BUILD
 
 
 def simple(value):
@@ -101,8 +109,8 @@ def test_the_logic_of_the_page(web, tmp_path):
             lines.append(given | {"values": values})
     messages = tmp_path / "messages.jsonl"
     messages.write_text("\n".join(map(json.dumps, lines)), encoding="utf-8")
-    built = tmp_path / "tests"
-    run(web, "node", "build.mjs", "--tests", str(built))
-    said = run(web, "node", "--test", str(built), KOOP_MESSAGES=str(messages))
-    assert re.search(r"^# pass (?!0$)\d+$", said, re.M)
-    assert re.search(r"^# skipped 0$", said, re.M), said
+    bundle = tmp_path / "tests"
+    run(web, "node", "build.mjs", "--tests", str(bundle))
+    report = run(web, "node", "--test", str(bundle), KOOP_MESSAGES=str(messages))
+    assert re.search(r"^# pass (?!0$)\d+$", report, re.M)
+    assert re.search(r"^# skipped 0$", report, re.M), report

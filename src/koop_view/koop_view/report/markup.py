@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.resources import files
@@ -22,29 +23,18 @@ def page(title: str, body: Sequence[str], sections: Sequence[Section]) -> str:
     Parameters
     ----------
     title : str
-        Of the window.
+        Title of the window.
     body : sequence of str
         HTML, part after part; empty ones are left out.
     sections : sequence of Section
-        Whose figures the body has.
+        The sections in the body; their figures are stored in the page.
     """
-    folder = files("koop_view.report")
-    vendor = folder / "vendor"
-    license_text = (vendor / "LICENSE").read_text().strip()
+    frame = (files("koop_view") / "page" / "report.html").read_text(encoding="utf-8")
     figures = {f.name: _plain(asdict(f)) for part in sections for f in part.figures}
     data = json.dumps(figures, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    head, middle, script, end = re.split("<!--(?:TITLE|BODY|FIGURES)-->", frame)
     data = data.replace("<", "\\u003c")  # no string may end the script element
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<link rel="icon" href="data:,">\n'
-        f"<title>{html.escape(title)}</title>\n"
-        f"<style>\n{(vendor / 'uPlot.min.css').read_text()}\n"
-        f"{(folder / 'page.css').read_text()}</style>\n</head>\n<body>\n{lines(body)}\n"
-        f'<script type="application/json" id="figures">{data}</script>\n'
-        f"<script>\n/* uPlot: {license_text} */\n{(vendor / 'uPlot.iife.min.js').read_text()}\n"
-        f"</script>\n<script>\n{(folder / 'page.js').read_text()}</script>\n</body>\n</html>\n"
-    )
+    return "".join([head, html.escape(title), middle, lines(body), script, data, end])
 
 
 def _plain(value: Any) -> Any:

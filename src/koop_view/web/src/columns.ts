@@ -1,11 +1,5 @@
 // Smallest and largest value of equal spans of time: a curve of any length in bounded memory.
 
-/** Points of a curve; `null` breaks the line. */
-export interface Points {
-  t: number[];
-  v: (number | null)[];
-}
-
 /**
  * Columns over the last `span` seconds, or over all time.
  *
@@ -13,116 +7,87 @@ export interface Points {
  * become one whenever there is no room left, so that the width doubles.
  */
 export class Columns {
-  width: number;
-  private low: Float64Array<ArrayBuffer>;
-  private high: Float64Array<ArrayBuffer>;
-  private rising: Uint8Array<ArrayBuffer>; // whether the smallest value came first
-  private first = 0; // number of the oldest column that may hold something; number times width is its time
+  width: number; // [s]
+  private readonly low: Float64Array;
+  private readonly high: Float64Array;
+  private readonly rising: Uint8Array; // whether the smallest value came first
+  private first = 0; // the oldest column that may hold something; its time is first * width
   private last = -1;
 
-  constructor(readonly span: number, readonly count: number, finest = 0.01) {
+  constructor(
+    readonly span: number,
+    readonly count: number,
+    finest = 0.01,
+  ) {
     this.width = span > 0 ? span / count : finest;
     this.low = new Float64Array(count).fill(NaN);
     this.high = new Float64Array(count).fill(NaN);
     this.rising = new Uint8Array(count);
   }
 
-  clear(): void {
-    this.low.fill(NaN);
-    this.high.fill(NaN);
-    this.first = 0;
-    this.last = -1;
-  }
-
   push(t: number, v: number): void {
-    let at = Math.floor(t / this.width);
+    const at = Math.floor(t / this.width);
     if (this.last < this.first) this.first = this.last = at;
-    if (this.span > 0) {
-      if (at <= this.last - this.count) return; // older than all that is kept
-      this.advance(at);
-      if (at < this.first) this.first = at;
-    } else {
-      if (at < this.first) at = this.first;
-      while (at - this.first >= this.count) {
-        this.halve();
-        at = Math.floor(t / this.width);
-      }
-      if (at > this.last) this.last = at;
+    if (this.span === 0 && at - this.first >= this.count) {
+      this.halve();
+      this.push(t, v);
+      return;
     }
-    if (!Number.isFinite(v)) return;
-    const slot = this.slot(at);
-    const low = this.low[slot]!;
-    if (Number.isNaN(low)) {
-      this.low[slot] = this.high[slot] = v;
-      this.rising[slot] = 1;
-    } else if (v < low) {
-      this.low[slot] = v;
-      this.rising[slot] = 0;
-    } else if (v > this.high[slot]!) {
-      this.high[slot] = v;
-      this.rising[slot] = 1;
-    }
+    if (at <= this.last - this.count) return; // older than all that is kept
+    this.advance(at);
+    this.first = Math.min(this.first, at);
+    if (Number.isFinite(v)) this.merge(at, v, v, true);
   }
 
-  /** Call `take(start, low, high, smallest first)` for every column in [from, to] that holds something. */
-  each(from: number, to: number, take: (t: number, low: number, high: number, rising: boolean) => void): void {
-    const begin = Math.max(this.first, Math.floor(from / this.width));
+  /** Call `take(start, low, high, smallest first)` for every column in [from, to] with a value. */
+  each(
+    from: number,
+    to: number,
+    take: (t: number, low: number, high: number, rising: boolean) => void,
+  ): void {
     const end = Math.min(this.last, Math.floor(to / this.width));
-    for (let at = begin; at <= end; at += 1) {
+    for (let at = Math.max(this.first, Math.floor(from / this.width)); at <= end; at += 1) {
       const slot = this.slot(at);
       const low = this.low[slot]!;
-      if (!Number.isNaN(low)) take(at * this.width, low, this.high[slot]!, this.rising[slot] === 1);
+      const isRising = this.rising[slot] === 1;
+      if (!Number.isNaN(low)) take(at * this.width, low, this.high[slot]!, isRising);
     }
   }
 
   private slot(at: number): number {
-    return this.span > 0 ? ((at % this.count) + this.count) % this.count : at - this.first;
+    return ((at % this.count) + this.count) % this.count;
   }
 
-  /** Make room up to column `at`, forgetting what is older than the span. */
+  /** Take values into a column that came after those it holds. */
+  private merge(at: number, low: number, high: number, rising: boolean): void {
+    const slot = this.slot(at);
+    const isLower = !(low >= this.low[slot]!); // also if there is none yet
+    const isHigher = !(high <= this.high[slot]!);
+    if (isLower) this.low[slot] = low;
+    if (isHigher) this.high[slot] = high;
+    if (isLower || isHigher) this.rising[slot] = Number(isLower && isHigher ? rising : isHigher);
+  }
+
+  /** Make room up to a column, forgetting the oldest. */
   private advance(at: number): void {
-    if (at <= this.last) return;
-    if (at - this.last >= this.count) {
-      this.low.fill(NaN);
-      this.high.fill(NaN);
-      this.first = at;
-    } else {
-      for (let k = this.last + 1; k <= at; k += 1) {
-        const slot = this.slot(k);
-        this.low[slot] = this.high[slot] = NaN;
-      }
-      this.first = Math.max(this.first, at - this.count + 1);
+    for (let k = Math.max(this.last + 1, at - this.count + 1); k <= at; k += 1) {
+      this.low[this.slot(k)] = this.high[this.slot(k)] = NaN;
     }
-    this.last = at;
+    this.last = Math.max(this.last, at);
+    this.first = Math.max(this.first, this.last - this.count + 1);
   }
 
   /** Make one of every two columns. */
   private halve(): void {
-    const first = Math.floor(this.first / 2), last = Math.floor(this.last / 2);
-    const low = new Float64Array(this.count).fill(NaN), high = new Float64Array(this.count).fill(NaN);
-    const rising = new Uint8Array(this.count);
-    for (let at = first; at <= last; at += 1) {
-      for (const old of [2 * at - this.first, 2 * at + 1 - this.first]) {
-        if (old < 0 || old >= this.count || Number.isNaN(this.low[old]!)) continue;
-        const slot = at - first;
-        if (Number.isNaN(low[slot]!)) {
-          low[slot] = this.low[old]!;
-          high[slot] = this.high[old]!;
-          rising[slot] = this.rising[old]!;
-          continue;
-        }
-        if (this.low[old]! < low[slot]!) {
-          low[slot] = this.low[old]!;
-          rising[slot] = 0;
-        }
-        if (this.high[old]! > high[slot]!) {
-          high[slot] = this.high[old]!;
-          rising[slot] = 1;
-        }
-      }
-    }
-    [this.low, this.high, this.rising] = [low, high, rising];
-    [this.first, this.last] = [first, last];
+    const columns: [number, number, number, boolean][] = [];
+    this.each(-Infinity, Infinity, (t, low, high, rising) => {
+      columns.push([Math.floor(Math.round(t / this.width) / 2), low, high, rising]);
+    });
+    this.low.fill(NaN);
+    this.high.fill(NaN);
     this.width *= 2;
+    this.first = Math.floor(this.first / 2);
+    this.last = Math.floor(this.last / 2);
+    for (const column of columns) this.merge(...column);
   }
 }

@@ -1,14 +1,18 @@
-// The connection to `koop serve`: the Foxglove WebSocket protocol, with a new try whenever it is lost.
+// The connection to `koop serve`: the Foxglove WebSocket protocol, reconnected whenever it is lost.
 
 import { parse } from "@foxglove/rosmsg";
 import { MessageReader, MessageWriter } from "@foxglove/rosmsg2-serialization";
-import { FoxgloveClient, type Channel, type ParameterValue, type Service } from "@foxglove/ws-protocol";
+import type { ParameterValue, ServerInfo } from "@foxglove/ws-protocol";
+import { type Channel, FoxgloveClient, type Service } from "@foxglove/ws-protocol";
 
 const SUBPROTOCOLS = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
-const FIRST_WAIT = 0.5, LONGEST_WAIT = 5; // [s] between two tries
-const ANSWER_WITHIN = 8; // [s]
+const FIRST_WAIT = 0.5; // [s] between two attempts
+const LONGEST_WAIT = 5; // [s]
+const ANSWER_TIMEOUT = 8; // [s]
 const UNAUTHORIZED = 401;
+const REQUEST = "koop"; // identifies the page's requests for parameters
 
+/** Names of a loop's nodes and topics. */
 export interface LoopNames {
   namespace: string;
   plant: string | null;
@@ -22,42 +26,52 @@ export interface LoopNames {
 export interface ServerState {
   mode: string;
   operate: boolean;
-  version: string;
   loops: LoopNames[];
   session: string;
-  about: string; // what whoever started the loops does now
+  about: string; // what the command that runs the loops does now
 }
 
+export type Message = Record<string, unknown>;
+
+/** What the link passes on. */
 export interface Handlers {
   opened(): void;
   closed(): void;
-  server(state: ServerState): void;
-  message(topic: string, time: number, message: Record<string, unknown>, bytes: number): void;
-  parameters(values: Map<string, ParameterValue>): void;
+  takeServer(state: ServerState): void;
+  message(topic: string, time: number, message: Message): void;
+  takeParameters(values: Map<string, ParameterValue>): void;
   complete(): void;
   note(text: string): void;
   tokenRefused(): void;
   services(): void;
 }
 
+interface Call {
+  service: Service;
+  resolve(answer: Message): void;
+  reject(error: Error): void;
+}
+
 export class Link {
   private client: FoxgloveClient | undefined;
   private socket: WebSocket | undefined;
+  private opened = false;
+  private wait = FIRST_WAIT; // [s] before the next attempt
   private channels = new Map<string, Channel>();
-  private topics = new Map<number, string>(); // of subscriptions
+  private services = new Map<string, Service>();
   private readers = new Map<string, MessageReader>();
-  private subscriptions = new Map<string, number>();
-  private wanted: string[] = [];
-  private available = new Map<string, Service>();
-  private calls = new Map<number, { resolve: (data: Record<string, unknown>) => void; reject: (error: Error) => void; service: Service }>();
+  private subscriptions = new Map<number, string>(); // topics
+  private calls = new Map<number, Call>();
+  private topics: string[] = []; // to be subscribed to
+  private watched: string[] = []; // parameters
+  private notes = new Set<string>();
   private nextSubscription = 1;
   private nextCall = 1;
-  private wait = FIRST_WAIT;
-  private opened = false;
-  private asked: string[] = [];
-  private told = new Set<string>();
 
-  constructor(private readonly handlers: Handlers, private token: string) {}
+  constructor(
+    private readonly handlers: Handlers,
+    private token: string,
+  ) {}
 
   connect(): void {
     const scheme = location.protocol === "https:" ? "wss" : "ws";
@@ -73,110 +87,104 @@ export class Link {
       this.handlers.opened();
     });
     client.on("error", () => undefined); // a close follows
-    client.on("close", () => { if (this.client === client) this.lost(); });
-    client.on("serverInfo", (info) => this.handlers.server({
-      mode: info.metadata?.["koop_mode"] ?? "live",
-      operate: info.metadata?.["koop_operate"] === "true",
-      version: info.metadata?.["koop_version"] ?? "",
-      loops: loopsOf(info.metadata?.["koop_loops"]),
-      session: info.sessionId ?? "",
-      about: info.metadata?.["koop_about"] ?? "",
-    }));
-    client.on("status", (status) => {
-      if (status.message === "recording complete") this.handlers.complete();
-      else this.handlers.note(status.message);
+    client.on("close", () => this.lose());
+    client.on("serverInfo", (info) => this.handlers.takeServer(stateOf(info)));
+    client.on("status", ({ message }) => {
+      if (message === "recording complete") this.handlers.complete();
+      else this.handlers.note(message);
     });
     client.on("advertise", (channels) => {
       for (const channel of channels) this.channels.set(channel.topic, channel);
       this.subscribe();
     });
     client.on("unadvertise", (ids) => {
-      for (const [topic, channel] of this.channels) {
-        if (!ids.includes(channel.id)) continue;
+      for (const { id, topic } of [...this.channels.values()]) {
+        if (!ids.includes(id)) continue;
         this.channels.delete(topic);
-        const subscription = this.subscriptions.get(topic);
-        this.subscriptions.delete(topic);
-        if (subscription !== undefined) this.topics.delete(subscription);
+        const numbers = [...this.subscriptions.keys()];
+        for (const n of numbers)
+          if (this.subscriptions.get(n) === topic) this.subscriptions.delete(n);
       }
     });
     client.on("advertiseServices", (services) => {
-      for (const service of services) this.available.set(service.name, service);
-      this.handlers.services();
-    });
-    client.on("unadvertiseServices", (ids) => {
-      for (const [name, service] of this.available) if (ids.includes(service.id)) this.available.delete(name);
+      for (const service of services) this.services.set(service.name, service);
       this.handlers.services();
     });
     client.on("message", ({ subscriptionId, timestamp, data }) => {
-      const topic = this.topics.get(subscriptionId);
-      if (topic === undefined) return;
+      const topic = this.subscriptions.get(subscriptionId) ?? "";
       const channel = this.channels.get(topic);
       if (!channel) return;
       try {
-        const message = this.reader(channel.schema).readMessage<Record<string, unknown>>(data);
-        this.handlers.message(topic, Number(timestamp) / 1e9, message, data.byteLength);
+        const message = this.reader(channel.schema).readMessage<Message>(data);
+        this.handlers.message(topic, Number(timestamp) / 1e9, message);
       } catch (error) {
-        this.once(`${topic} cannot be decoded: ${(error as Error).message}`);
+        this.noteOnce(`${topic} cannot be decoded: ${(error as Error).message}`);
       }
     });
     client.on("parameterValues", ({ parameters }) =>
-      this.handlers.parameters(new Map(parameters.map((p) => [p.name, p.value]))));
+      this.handlers.takeParameters(new Map(parameters.map((p) => [p.name, p.value]))),
+    );
     client.on("serviceCallResponse", ({ callId, data }) => {
-      const call = this.calls.get(callId);
+      const call = this.end(callId);
       if (!call) return;
-      this.calls.delete(callId);
       try {
         const schema = call.service.response?.schema ?? call.service.responseSchema ?? "";
-        call.resolve(this.reader(schema).readMessage<Record<string, unknown>>(data));
+        call.resolve(this.reader(schema).readMessage<Message>(data));
       } catch (error) {
-        call.reject(new Error(`its answer cannot be decoded: ${(error as Error).message}`));
+        call.reject(new Error(`the answer cannot be decoded: ${(error as Error).message}`));
       }
     });
     client.on("serviceCallFailure", ({ callId, message }) => {
-      this.calls.get(callId)?.reject(new Error(message));
-      this.calls.delete(callId);
+      this.end(callId)?.reject(new Error(message));
     });
   }
 
-  /** Ask for the messages of these topics only, all in one request: a recording then keeps their order. */
-  want(topics: string[]): void {
-    this.wanted = topics;
+  /** Subscribe to these topics only, in one request: a recording then keeps their order. */
+  follow(topics: string[]): void {
+    this.topics = topics;
     this.subscribe();
   }
 
-  /** Ask for these parameters now and whenever they change. */
+  /** Get these parameters now and whenever they change. */
   watch(names: string[]): void {
     if (!this.client || !this.opened) return;
-    if (this.asked.length) this.client.unsubscribeParameterUpdates(this.asked);
-    this.asked = names;
-    if (!names.length) return;
-    this.client.getParameters(names, "koop");
-    this.client.subscribeParameterUpdates(names);
+    if (this.watched.length) this.client.unsubscribeParameterUpdates(this.watched);
+    this.watched = names;
+    if (names.length) this.client.subscribeParameterUpdates(names);
+    this.refresh();
   }
 
-  /** Ask again for what is watched. */
+  /** Get the watched parameters again. */
   refresh(): void {
-    if (this.client && this.opened && this.asked.length) this.client.getParameters(this.asked, "koop");
+    if (this.opened && this.watched.length) this.client?.getParameters(this.watched, REQUEST);
   }
 
   offers(service: string): boolean {
-    return this.available.has(service);
+    return this.services.has(service);
   }
 
-  async call(name: string, request: Record<string, unknown>): Promise<Record<string, unknown>> {
-    const service = this.available.get(name);
-    if (!service || !this.client) throw new Error(`${name} is not there: has its node ended?`);
+  async call(name: string, request: Message): Promise<Message> {
+    const { client } = this;
+    const service = this.services.get(name);
+    if (!service || !client) throw new Error(`${name} is not available: its node may have ended`);
     const schema = service.request?.schema ?? service.requestSchema ?? "";
-    const data = new MessageWriter(parse(schema, { ros2: true })).writeMessage(request);
+    const bytes = new MessageWriter(parse(schema, { ros2: true })).writeMessage(request);
     const callId = this.nextCall++;
-    const client = this.client;
     return await new Promise((resolve, reject) => {
       this.calls.set(callId, { resolve, reject, service });
-      setTimeout(() => {
-        if (this.calls.delete(callId)) reject(new Error(`no answer within ${ANSWER_WITHIN} s`));
-      }, ANSWER_WITHIN * 1000);
-      client.sendServiceCallRequest({ serviceId: service.id, callId, encoding: "cdr", data: new DataView(data.buffer, data.byteOffset, data.byteLength) });
+      setTimeout(
+        () => this.end(callId)?.reject(new Error(`no answer within ${ANSWER_TIMEOUT} s`)),
+        ANSWER_TIMEOUT * 1000,
+      );
+      const data = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+      client.sendServiceCallRequest({ serviceId: service.id, callId, encoding: "cdr", data });
     });
+  }
+
+  private end(callId: number): Call | undefined {
+    const call = this.calls.get(callId);
+    this.calls.delete(callId);
+    return call;
   }
 
   private reader(schema: string): MessageReader {
@@ -189,71 +197,69 @@ export class Link {
   }
 
   private subscribe(): void {
-    if (!this.socket || !this.opened) return;
-    const gone = [...this.subscriptions].filter(([topic]) => !this.wanted.includes(topic));
-    if (gone.length) {
-      this.send({ op: "unsubscribe", subscriptionIds: gone.map(([, id]) => id) });
-      for (const [topic, id] of gone) {
-        this.subscriptions.delete(topic);
-        this.topics.delete(id);
-      }
-    }
-    const fresh = this.wanted.filter((topic) => this.channels.has(topic) && !this.subscriptions.has(topic));
-    if (!fresh.length) return;
-    const subscriptions = fresh.map((topic) => {
+    if (!this.opened) return;
+    const all = [...this.subscriptions];
+    const subscriptionIds = all.filter(([, t]) => !this.topics.includes(t)).map(([id]) => id);
+    for (const id of subscriptionIds) this.subscriptions.delete(id);
+    if (subscriptionIds.length) this.send({ op: "unsubscribe", subscriptionIds });
+    const subscribed = new Set(this.subscriptions.values());
+    const channels = this.topics
+      .filter((topic) => !subscribed.has(topic))
+      .flatMap((topic) => this.channels.get(topic) ?? []);
+    const subscriptions = channels.map((channel) => {
       const id = this.nextSubscription++;
-      this.subscriptions.set(topic, id);
-      this.topics.set(id, topic);
-      return { id, channelId: this.channels.get(topic)!.id };
+      this.subscriptions.set(id, channel.topic);
+      return { id, channelId: channel.id };
     });
-    this.send({ op: "subscribe", subscriptions });
+    if (subscriptions.length) this.send({ op: "subscribe", subscriptions });
   }
 
   private send(message: object): void {
     this.socket?.send(JSON.stringify(message));
   }
 
-  private once(text: string): void {
-    if (this.told.has(text)) return;
-    this.told.add(text);
-    this.handlers.note(text);
+  private noteOnce(text: string): void {
+    if (!this.notes.has(text)) this.handlers.note(text);
+    this.notes.add(text);
   }
 
-  private lost(): void {
-    const refused = !this.opened && this.token !== "";
+  private lose(): void {
+    const mayBeRefused = !this.opened && this.token !== "";
     this.client = undefined;
     this.opened = false;
-    this.channels.clear();
-    this.topics.clear();
-    this.subscriptions.clear();
-    this.available.clear();
-    this.asked = [];
+    for (const map of [this.channels, this.subscriptions, this.services]) map.clear();
+    this.watched = [];
     for (const call of this.calls.values()) call.reject(new Error("the connection was lost"));
     this.calls.clear();
     this.handlers.services();
     this.handlers.closed();
-    // A browser does not say why a WebSocket was refused; to a request the server says it.
-    const again = (): void => { setTimeout(() => this.connect(), this.wait * 1000); };
-    this.wait = Math.min(LONGEST_WAIT, this.wait * 1.6);
-    if (!refused) {
-      again();
-      return;
-    }
-    fetch(`/?token=${encodeURIComponent(this.token)}`, { cache: "no-store" }).then((answer) => {
-      if (answer.status === UNAUTHORIZED) {
+    void this.reconnect(mayBeRefused);
+  }
+
+  /** A browser does not say why a WebSocket was refused; the server says it to a request. */
+  private async reconnect(mayBeRefused: boolean): Promise<void> {
+    if (mayBeRefused) {
+      const request = fetch(`/?token=${encodeURIComponent(this.token)}`, { cache: "no-store" });
+      const status = await request.then(
+        (answer) => answer.status,
+        () => 0,
+      );
+      if (status === UNAUTHORIZED) {
         this.token = "";
         this.handlers.tokenRefused();
       }
-      again();
-    }, again);
+    }
+    this.wait = Math.min(LONGEST_WAIT, this.wait * 1.6);
+    setTimeout(() => this.connect(), this.wait * 1000);
   }
 }
 
-function loopsOf(text: string | undefined): LoopNames[] {
-  try {
-    const found: unknown = JSON.parse(text ?? "[]");
-    return Array.isArray(found) ? (found as LoopNames[]) : [];
-  } catch {
-    return [];
-  }
+function stateOf({ metadata, sessionId }: ServerInfo): ServerState {
+  return {
+    mode: metadata?.["koop_mode"] ?? "live",
+    operate: metadata?.["koop_operate"] === "true",
+    loops: JSON.parse(metadata?.["koop_loops"] ?? "[]") as LoopNames[],
+    session: sessionId ?? "",
+    about: metadata?.["koop_about"] ?? "",
+  };
 }

@@ -14,22 +14,40 @@ function plain(value: unknown): unknown {
   if (typeof value === "number") return Number.isFinite(value) ? value : String(value);
   if (ArrayBuffer.isView(value)) return [...(value as unknown as Iterable<number>)].map(plain);
   if (Array.isArray(value)) return value.map(plain);
-  if (value && typeof value === "object") return Object.fromEntries(Object.entries(value).map(([k, v]) => [k, plain(v)]));
+  if (value && typeof value === "object")
+    return Object.fromEntries(Object.entries(value).map(([k, v]) => [k, plain(v)]));
   return value;
 }
 
 test("the messages of a bag decode to what another reader finds in them", { skip: !file }, () => {
-  const readers = new Map<string, MessageReader>(), loop = new Loop({ namespace: "/", plant: null, lifter: null, controller: null, state: "/state", cost: "/cost", theta: "/theta" });
-  const seen = { "/state": [] as number[][], "/cost": [] as number[][], "/theta": [] as number[][] };
-  let schemas: Record<string, string> = {}, n = 0;
+  const readers = new Map<string, MessageReader>(),
+    loop = new Loop({
+      namespace: "/",
+      plant: null,
+      lifter: null,
+      controller: null,
+      state: "/state",
+      cost: "/cost",
+      theta: "/theta",
+    });
+  const seen = {
+    "/state": [] as number[][],
+    "/cost": [] as number[][],
+    "/theta": [] as number[][],
+  };
+  let schemas: Record<string, string> = {},
+    n = 0;
   for (const line of readFileSync(file!, "utf8").trim().split("\n")) {
     const item = JSON.parse(line);
     if (item.schemas) {
       schemas = item.schemas;
-      for (const [name, schema] of Object.entries(schemas)) readers.set(name, new MessageReader(parse(schema, { ros2: true })));
+      for (const [name, schema] of Object.entries(schemas))
+        readers.set(name, new MessageReader(parse(schema, { ros2: true })));
       continue;
     }
-    const message = readers.get(item.type)!.readMessage<Record<string, unknown>>(new Uint8Array(Buffer.from(item.hex, "hex")));
+    const message = readers
+      .get(item.type)!
+      .readMessage<Record<string, unknown>>(new Uint8Array(Buffer.from(item.hex, "hex")));
     assert.deepEqual(plain(message), item.values);
     n += 1;
     const kept = seen[item.topic as keyof typeof seen];
@@ -40,8 +58,20 @@ test("the messages of a bag decode to what another reader finds in them", { skip
   }
   assert.ok(n > 100);
   // and what is kept for the figures are these values, in their order
-  assert.deepEqual(loop.state.raw("x[1]").v, seen["/state"].map((x) => x[1]));
-  assert.deepEqual(loop.cost.raw("r").v.map(plain), seen["/cost"].map((x) => x[0]));
-  assert.deepEqual(loop.cost.raw("y_out").v.map(plain), seen["/cost"].map((x) => x[1]));
-  assert.deepEqual(loop.theta.raw("theta").v, seen["/theta"].map((x) => x[0]));
+  assert.deepEqual(
+    loop.state.raw("x[1]").v,
+    seen["/state"].map((x) => x[1]),
+  );
+  assert.deepEqual(
+    loop.cost.raw("r").v.map(plain),
+    seen["/cost"].map((x) => x[0]),
+  );
+  assert.deepEqual(
+    loop.cost.raw("y_out").v.map(plain),
+    seen["/cost"].map((x) => x[1]),
+  );
+  assert.deepEqual(
+    loop.theta.raw("theta").v,
+    seen["/theta"].map((x) => x[0]),
+  );
 });

@@ -1,42 +1,81 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { inputAge, judge, losses, verdict, type Node, type Report, type Situation } from "../src/health";
+import {
+  inputAge,
+  judge,
+  type LoopNode,
+  losses,
+  type Report,
+  type Situation,
+  verdict,
+} from "../src/health";
 
-const report = (at: number, more: Partial<Report> = {}): Report => ({ at, level: "ok", message: "lifting", values: { lifecycle_state: "active" }, ...more });
-const lifter = (more: Partial<Node> = {}): Node => ({
-  name: "/koopman_lifter", role: "lifter", report: report(99.5), output: { at: 99.99, rate: 200 }, input: { at: 99.99, rate: 200 }, ...more,
+const report = (at: number, more: Partial<Report> = {}): Report => ({
+  at,
+  level: "ok",
+  message: "lifting",
+  values: { lifecycle_state: "active" },
+  ...more,
+});
+const lifter = (more: Partial<LoopNode> = {}): LoopNode => ({
+  name: "/koopman_lifter",
+  role: "lifter",
+  report: report(99.5),
+  output: { at: 99.99, rate: 200 },
+  input: { at: 99.99, rate: 200 },
+  ...more,
 });
 
 test("a node that reports and answers is what it says it is", () => {
   assert.deepEqual(judge(lifter(), 100), { level: "ok", text: "lifting" });
-  const broken = lifter({ report: report(99.5, { level: "error", message: "2 publishers on 'state'" }) });
+  const broken = lifter({
+    report: report(99.5, { level: "error", message: "2 publishers on 'state'" }),
+  });
   assert.deepEqual(judge(broken, 100), { level: "error", text: "2 publishers on 'state'" });
 });
 
 test("a killed lifter is stale within two seconds, whenever it had last reported", () => {
   for (const last of [99.01, 99.5, 99.99]) {
-    const killed = lifter({ report: report(last), output: { at: 100, rate: 200 }, input: { at: 102, rate: 200 } });
+    const killed = lifter({
+      report: report(last),
+      output: { at: 100, rate: 200 },
+      input: { at: 102, rate: 200 },
+    });
     assert.equal(judge(killed, 102).level, "stale");
     assert.equal(judge(killed, 100.5).level, "ok");
   }
 });
 
-test("who gets no input is not blamed for giving no output", () => {
-  const starved = lifter({ report: report(102), output: { at: 100, rate: 200 }, input: { at: 100, rate: 200 } });
+test("a node without input is not blamed for missing output", () => {
+  const starved = lifter({
+    report: report(102),
+    output: { at: 100, rate: 200 },
+    input: { at: 100, rate: 200 },
+  });
   assert.equal(judge(starved, 102.5).level, "ok");
-  const deaf = lifter({ report: report(102), output: { at: 100, rate: 200 }, input: { at: 102.4, rate: 200 } });
+  const deaf = lifter({
+    report: report(102),
+    output: { at: 100, rate: 200 },
+    input: { at: 102.4, rate: 200 },
+  });
   assert.deepEqual(judge(deaf, 102.5), { level: "stale", text: "no cost for 2.5 s" });
 });
 
 test("a node that is slow by nature is not silent between two messages", () => {
-  const slow: Node = { name: "rig", role: "rig", output: { at: 97, rate: 0.5 } };
+  const slow: LoopNode = { name: "rig", role: "rig", output: { at: 97, rate: 0.5 } };
   assert.equal(judge(slow, 100).level, "ok");
   assert.equal(judge(slow, 108).level, "stale");
 });
 
 test("a rig without diagnostics is judged by its state", () => {
-  assert.deepEqual(judge({ name: "/state", role: "rig", output: { at: 99.9, rate: 200 } }, 100), { level: "ok", text: "sends state" });
-  assert.deepEqual(judge({ name: "/state", role: "rig", output: { at: NaN, rate: 0 } }, 100), { level: "off", text: "no state yet" });
+  assert.deepEqual(judge({ name: "/state", role: "rig", output: { at: 99.9, rate: 200 } }, 100), {
+    level: "ok",
+    text: "publishes state",
+  });
+  assert.deepEqual(judge({ name: "/state", role: "rig", output: { at: NaN, rate: 0 } }, 100), {
+    level: "off",
+    text: "no state yet",
+  });
 });
 
 test("an inactive node is said to be", () => {
@@ -45,53 +84,134 @@ test("an inactive node is said to be", () => {
 });
 
 test("losses are added up over the inputs, ages are the oldest", () => {
-  const values = { "state missed_steps": "3", "cost missed_steps": "2", "cost late": "0", "cost too_old": "1", "state age_s": "0.004", "cost age_s": "nan" };
+  const values = {
+    "state missed_steps": "3",
+    "cost missed_steps": "2",
+    "cost late": "0",
+    "cost too_old": "1",
+    "state age_s": "0.004",
+    "cost age_s": "nan",
+  };
   assert.equal(losses(report(0, { values })), "5 missed, 1 too old");
   assert.equal(inputAge(report(0, { values })), "0.004 s");
 });
 
 const healthy: Situation = {
-  connection: "open", lostFor: 0, mode: "live", loop: true, gone: false, about: "", rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
-  holding: false, commanded: false, settling: false, costUsable: true, saturated: false, theta: -2.5, limits: [-5, 5], r: 0.01, rate: 200, reading: undefined, number: String,
+  connection: "open",
+  lostFor: 0,
+  recorded: false,
+  read: undefined,
+  hasLoop: true,
+  gone: false,
+  about: "",
+  rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
+  holding: false,
+  commanded: false,
+  settling: false,
+  saturated: false,
+  theta: -2.5,
+  limits: [-5, 5],
+  r: 0.01,
+  rate: 200,
 };
 
 test("the verdict names what comes first", () => {
-  assert.deepEqual(verdict(healthy), { level: "ok", text: "Healthy, seeking: θ = -2.5 in [-5, 5], r = 0.01, 200 steps a second." });
-  const stale = { ...healthy, rows: [...healthy.rows, { node: lifter(), judgement: { level: "stale" as const, text: "no cost for 2.0 s" } }] };
-  assert.deepEqual(verdict(stale), { level: "stale", text: "Not healthy: lifter – no cost for 2.0 s." });
-  const fault = { ...stale, rows: [...stale.rows, { node: lifter({ role: "rig" }), judgement: { level: "error" as const, text: "diverged" } }] };
+  assert.deepEqual(verdict(healthy), {
+    level: "ok",
+    text: "Healthy, seeking: θ = −2.5 in [−5, 5], r = 0.01, 200 steps per second.",
+  });
+  const stale = {
+    ...healthy,
+    rows: [
+      ...healthy.rows,
+      { node: lifter(), judgement: { level: "stale" as const, text: "no cost for 2.0 s" } },
+    ],
+  };
+  assert.deepEqual(verdict(stale), {
+    level: "stale",
+    text: "Not healthy: lifter – no cost for 2.0 s.",
+  });
+  const fault = {
+    ...stale,
+    rows: [
+      ...stale.rows,
+      { node: lifter({ role: "rig" }), judgement: { level: "error" as const, text: "diverged" } },
+    ],
+  };
   assert.deepEqual(verdict(fault), { level: "error", text: "Fault: rig – diverged." });
-  assert.match(verdict({ ...fault, connection: "lost", lostFor: 3 }).text, /^No connection to koop serve for 3 s/);
-  assert.match(verdict({ ...fault, gone: true }).text, /^This loop has gone: none of its nodes is left/);
-  assert.equal(verdict({ ...fault, gone: true, about: "commissioning: tune, round 1" }).level, "off");
+  assert.match(
+    verdict({ ...fault, connection: "lost", lostFor: 3 }).text,
+    /^No connection to koop serve for 3 s/,
+  );
+  assert.match(
+    verdict({ ...fault, gone: true }).text,
+    /^This loop has ended: none of its nodes is left/,
+  );
+  assert.equal(
+    verdict({ ...fault, gone: true, about: "commissioning: tune, round 1" }).level,
+    "off",
+  );
   assert.doesNotMatch(verdict({ ...healthy, rate: NaN }).text, /steps|rest/); // not known yet
-  assert.match(verdict({ ...healthy, loop: false, rows: [] }).text, /^No loop is running/);
+  assert.match(verdict({ ...healthy, hasLoop: false, rows: [] }).text, /^No loop is running/);
 });
 
 test("a hold says why", () => {
-  const held = { ...healthy, holding: true, rows: [{ node: lifter({ role: "controller" as const }), judgement: { level: "warn" as const, text: "holding theta" } }] };
-  assert.match(verdict(held).text, /^Holding as asked: θ = -2.5/);
+  const held = {
+    ...healthy,
+    holding: true,
+    rows: [
+      {
+        node: lifter({ role: "controller" as const }),
+        judgement: { level: "warn" as const, text: "holding theta" },
+      },
+    ],
+  };
+  assert.match(verdict(held).text, /^Holding as requested: θ = −2.5/);
   assert.doesNotMatch(verdict(held).text, /Warning/); // that it holds is said once
-  assert.match(verdict({ ...held, costUsable: false, r: NaN }).text, /^Holding because there is no usable cost: /);
-  assert.match(verdict({ ...held, settling: true }).text, /^Holding until the filters have settled: /);
+  assert.match(verdict({ ...held, r: NaN }).text, /^Holding because there is no usable cost: /);
+  assert.match(
+    verdict({ ...held, settling: true }).text,
+    /^Holding until the filters have settled: /,
+  );
   assert.equal(verdict(held).level, "warn");
 });
 
 test("a warning does not hide what the controller does", () => {
-  const rig = { node: lifter({ role: "rig" as const }), judgement: { level: "warn" as const, text: "27 late ticks" } };
+  const rig = {
+    node: lifter({ role: "rig" as const }),
+    judgement: { level: "warn" as const, text: "27 late ticks" },
+  };
   assert.deepEqual(verdict({ ...healthy, rows: [...healthy.rows, rig] }), {
-    level: "warn", text: "Seeking: θ = -2.5 in [-5, 5], r = 0.01, 200 steps a second. Warning: rig – 27 late ticks.",
+    level: "warn",
+    text: "Seeking: θ = −2.5 in [−5, 5], r = 0.01, 200 steps per second. Warning: rig – 27 late ticks.",
   });
-  assert.match(verdict({ ...healthy, rows: [rig], holding: true }).text, /^Holding as asked: .* Warning: rig – 27 late ticks\.$/);
+  assert.match(
+    verdict({ ...healthy, rows: [rig], holding: true }).text,
+    /^Holding as requested: .* Warning: rig – 27 late ticks\.$/,
+  );
   assert.deepEqual(verdict({ ...healthy, saturated: true }).level, "warn");
 });
 
-test("a theta that no controller gives is not said to be sought or held", () => {
-  const waiting = { node: lifter({ role: "controller" as const }), judgement: { level: "warn" as const, text: "not active: inactive" } };
+test("a commanded theta is neither sought nor held", () => {
+  const waiting = {
+    node: lifter({ role: "controller" as const }),
+    judgement: { level: "warn" as const, text: "not active: inactive" },
+  };
   const found = verdict({ ...healthy, commanded: true, holding: true, rows: [waiting] });
-  assert.deepEqual(found, { level: "ok", text: "Open loop: θ is commanded, not sought: θ = -2.5 in [-5, 5], r = 0.01, 200 steps a second." });
-  const report = { at: 10, level: "ok" as const, message: "", values: { lifecycle_state: "inactive" } };
-  const unknown = { node: lifter({ name: "/esc", role: "other" as const, report }), judgement: waiting.judgement }; // it has published nothing yet
+  assert.deepEqual(found, {
+    level: "ok",
+    text: "Open loop: θ is commanded, not sought: θ = −2.5 in [−5, 5], r = 0.01, 200 steps per second.",
+  });
+  const report = {
+    at: 10,
+    level: "ok" as const,
+    message: "",
+    values: { lifecycle_state: "inactive" },
+  };
+  const unknown = {
+    node: lifter({ name: "/esc", role: "other" as const, report }),
+    judgement: waiting.judgement,
+  }; // it has published nothing yet
   assert.equal(verdict({ ...healthy, commanded: true, rows: [unknown] }).level, "ok");
   assert.equal(verdict({ ...healthy, rows: [unknown] }).level, "warn");
   assert.match(verdict({ ...healthy, commanded: true, rate: 0 }).text, /^At rest/);

@@ -2,11 +2,32 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Loop, type Status } from "../src/loop";
 
-const names = { namespace: "/", plant: "/rig", lifter: "/lifter", controller: "/esc", state: "/state", cost: "/cost", theta: "/theta" };
-const status = (name: string, more: Partial<Status> = {}): Status => ({ name, hardware: "koop", level: 0, message: "", values: { lifecycle_state: "active" }, ...more });
-const theta = (epsilon: number, holding: boolean): Record<string, unknown> => ({ step: 1n, theta: 0.5, epsilon, holding, saturated: false });
+const names = {
+  namespace: "/",
+  plant: "/rig",
+  lifter: "/lifter",
+  controller: "/esc",
+  state: "/state",
+  cost: "/cost",
+  theta: "/theta",
+};
+const status = (name: string, more: Partial<Status> = {}): Status => ({
+  name,
+  hardware: "koop",
+  level: 0,
+  message: "",
+  values: { lifecycle_state: "active" },
+  ...more,
+});
+const theta = (epsilon: number, holding: boolean): Record<string, unknown> => ({
+  step: 1n,
+  theta: 0.5,
+  epsilon,
+  holding,
+  saturated: false,
+});
 
-test("a loop that nobody looks at is judged by the reports of its nodes", () => {
+test("a loop that is not shown is judged by the reports of its nodes", () => {
   const loop = new Loop(names);
   assert.equal(loop.level(100), "off");
   for (const name of ["/lifter", "/esc", "/recorder"]) loop.report(status(name), 100);
@@ -17,19 +38,28 @@ test("a loop that nobody looks at is judged by the reports of its nodes", () => 
   assert.equal(loop.level(102.5), "stale"); // the lifter says nothing
 });
 
-test("of a loop that has left, what comes after it misses nobody", () => {
+test("after a loop has ended, the next one misses none of its nodes", () => {
   const loop = new Loop(names);
   loop.report(status("/esc"), 100);
   loop.end();
   assert.equal(loop.level(101), "stale");
-  assert.deepEqual(new Set(loop.rows(101, "live").map((row) => row.judgement.text)), new Set(["has left"]));
+  assert.deepEqual(
+    new Set(loop.rows(101, "live").map((row) => row.judgement.text)),
+    new Set(["has ended"]),
+  );
   loop.rename({ ...names, controller: null });
-  assert.deepEqual(loop.rows(200, "live").map((row) => row.judgement.level), ["off", "off"]);
+  assert.deepEqual(
+    loop.rows(200, "live").map((row) => row.judgement.level),
+    ["off", "off"],
+  );
   loop.rename({ ...names, lifter: null }); // one that dies while others are there stays
-  assert.deepEqual(loop.rows(200, "live").map((row) => row.node.name), ["/rig", "/lifter", "/esc"]);
+  assert.deepEqual(
+    loop.rows(200, "live").map((row) => row.node.name),
+    ["/rig", "/lifter", "/esc"],
+  );
 });
 
-test("where a commander gives theta, its rests are of the map, and nothing flips", () => {
+test("with a commander, its dwell points belong to the map, and nothing flips", () => {
   const loop = new Loop(names);
   loop.take("/cost", 1, 1, { step: 1n, r: 2, y_out: 1, settling: false, source: 0, model_id: "" });
   loop.take("/theta", 1, 1, theta(1, true));

@@ -1,0 +1,20 @@
+// Numbers, times and names as they are shown.
+
+export function short(value: number | null | undefined): string {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  if (value !== 0 && (size >= 1e5 || size < 1e-3)) {
+    const text = value.toExponential(2).replace(/\.?0+e/, "e");
+    return text.replace("e+", "e").replaceAll("-", "−");
+  }
+  return String(Number(value.toPrecision(4))).replace("-", "−");
+}
+
+export function clock(t: number): string {
+  return new Date(t * 1000).toTimeString().slice(0, 8);
+}
+
+/** The last part of a name: `/rig1/relay_esc` is `relay_esc`. */
+export function shortName(name: string): string {
+  return name.slice(name.lastIndexOf("/") + 1);
+}

@@ -1,0 +1,150 @@
+// The parts of the page that are words: health, loops, what is in force.
+
+import type { ParameterValue } from "@foxglove/ws-protocol";
+import { byId, make, onClick, setChildren, setText } from "./dom";
+import { short, shortName } from "./format";
+import { inputAge, type Level, losses, type Row, silence, urgency } from "./health";
+import { costName, type Loop } from "./loop";
+import type { TimeAxis } from "./time_axis";
+
+export const WORDS = { ok: "OK", warn: "WARN", error: "ERROR", stale: "STALE", off: "–" };
+const MOST_BAD = 3; // loops that are named beside the selector
+
+/** The parameters that are shown, with their units. */
+export const PARAMETERS = {
+  controller: {
+    law: "",
+    objective: "",
+    theta_min: "",
+    theta_max: "",
+    theta_initial: "",
+    theta_scale: "",
+    step_size: "",
+    dwell: "s",
+    tau_f: "s",
+    rate_limit: "1/s",
+  },
+  lifter: { cost: "", model: "", omega_h: "rad/s", omega_l: "rad/s", dt: "s" },
+};
+
+export function showSpans(time: TimeAxis): void {
+  for (const button of document.querySelectorAll<HTMLButtonElement>("#spans button")) {
+    const isPressed = !time.isZoomed && Number(button.value) === time.span;
+    button.setAttribute("aria-pressed", String(isPressed));
+  }
+  byId("zoomed").hidden = !time.isZoomed;
+}
+
+interface Fleet {
+  chosen: string;
+  loops: ReadonlyMap<string, Loop>;
+  choose(namespace: string): void;
+}
+
+/** Each loop with its level in the selector, and those that need somebody beside it. */
+export function showLoops(levels: ReadonlyMap<string, Level>, fleet: Fleet): void {
+  const describe = (namespace: string): string => {
+    const name = namespace === "/" ? "/ (no namespace)" : namespace;
+    const level = levels.get(namespace) ?? "off";
+    if (level === "off") return name;
+    return `${name}: ${fleet.loops.get(namespace)?.gone ? "ENDED" : WORDS[level]}`;
+  };
+  const names = [...fleet.loops.keys()].sort();
+  const select = byId<HTMLSelectElement>("loop");
+  byId("loop-label").hidden = names.length < 2;
+  if (names.join() !== Array.from(select.options, (option) => option.value).join()) {
+    select.replaceChildren(...names.map((name) => new Option(name, name)));
+  }
+  for (const option of select.options) setText(option, describe(option.value));
+  select.value = fleet.chosen;
+  const urgencyOf = (namespace: string): number => urgency(levels.get(namespace) ?? "off");
+  const bad = names.filter((name) => names.length > 1 && urgencyOf(name) > urgency("ok"));
+  bad.sort((a, b) => urgencyOf(b) - urgencyOf(a));
+  const buttons = bad.slice(0, MOST_BAD).map((loop) => {
+    const data = { loop, level: levels.get(loop) ?? "off" };
+    const button = make("button", { text: describe(loop), title: "show this loop", data });
+    onClick(button, () => fleet.choose(loop));
+    return button;
+  });
+  const more = `and ${bad.length - MOST_BAD} more of ${names.length}`;
+  const rest = bad.length > MOST_BAD ? [make("span", { class: "soft", text: more })] : [];
+  setChildren(byId("fleet"), [...buttons, ...rest]);
+}
+
+export function showHealth(
+  rows: readonly Row[],
+  loop: Loop | undefined,
+  recorded: boolean,
+  now: number,
+): void {
+  setChildren(
+    byId("health"),
+    rows.map((row) => healthRow(row, loop, recorded, now)),
+  );
+}
+
+function healthRow(
+  { node, judgement }: Row,
+  loop: Loop | undefined,
+  recorded: boolean,
+  now: number,
+): HTMLElement {
+  const arrival = loop?.arrival(node.role);
+  const silent = arrival && !recorded ? silence(arrival, now) : 0;
+  const age = silent ? `${silent.toFixed(1)} s` : inputAge(node.report);
+  let rate = silent ? 0 : (arrival?.rate ?? NaN);
+  if (recorded) rate = loop?.meanRate(node.role) ?? NaN;
+  else if (!Number.isFinite(arrival?.at)) rate = Number(node.report?.values["rate_hz"] ?? NaN);
+  const rateText = Number.isFinite(rate) ? `${rate.toFixed(rate < 10 ? 1 : 0)} /s` : "";
+  const lost = losses(node.report);
+  return make(
+    "li",
+    { data: { node: node.name, level: judgement.level } },
+    make("span", { class: "mark", text: WORDS[judgement.level] }),
+    make("b", { text: shortName(node.name), title: node.name }),
+    make("span", { class: "figure", text: rateText, title: "messages per second" }),
+    make("span", {
+      class: "figure",
+      text: age && !recorded ? `age ${age}` : "",
+      title: "age of the newest input",
+    }),
+    make("span", { class: "says", text: judgement.text }),
+    make("span", { class: "lost", text: lost && `since its start: ${lost}` }),
+  );
+}
+
+interface Controlled {
+  loop: Loop | undefined;
+  parameter(name: string): ParameterValue;
+}
+
+/** Cost, model and parameters that are in force. */
+export function showForce(desk: Controlled): void {
+  const { loop } = desk;
+  const isSought = loop !== undefined && !loop.commanded;
+  const finite = (value: number | undefined): string =>
+    isSought && Number.isFinite(value) ? short(value) : "";
+  const step = loop?.state.lastStep ?? -1;
+  const file = String(desk.parameter("lifter.model") ?? "").replace(/^.*\//, "");
+  const cost = costName(loop?.source ?? -1) || String(desk.parameter("lifter.cost") ?? "");
+  const pairs: [string, string][] = [
+    ["cost", `${cost}${loop?.settling ? " (settling)" : ""}`],
+    ["model", [loop?.modelId, file].filter(Boolean).join(" – ")],
+    ["step", step >= 0 ? step.toLocaleString("en") : ""],
+    ["slope dr/dθ", finite(loop?.gradient)],
+    ["confidence", finite(loop?.confidence)],
+    ["swing", loop?.swing === 1 ? "" : finite(loop?.swing)],
+    ["stamps", loop?.stamp === 0 ? "none: the rig sets no header stamp" : ""],
+  ];
+  for (const [role, units] of Object.entries(PARAMETERS)) {
+    for (const [key, unit] of Object.entries(units)) {
+      const value = desk.parameter(`${role}.${key}`);
+      if (value === undefined || key === "cost" || key === "model") continue;
+      const text = typeof value === "number" ? `${short(value)} ${unit}` : String(value);
+      pairs.push([key, key === "rate_limit" && value === 0 ? "none" : text]);
+    }
+  }
+  const items = pairs.filter(([, text]) => text);
+  const rows = items.map(([key, text]) => [make("dt", { text: key }), make("dd", { text })]);
+  setChildren(byId("force"), rows.flat());
+}
