@@ -24,7 +24,6 @@ from koop_core.config.parameter_file import as_yaml
 from koop_lab.cli.main import overview, parser
 from koop_loop.parameters import NODES
 from koop_view.config import ViewConfig
-from vdp_plant.config import PaceConfig, PlantConfig
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH = 100
@@ -37,7 +36,7 @@ LOOP = {
     "recorder": (RecorderConfig,),
 }
 OTHERS = {
-    "vdp_plant": (PaceConfig,),
+    "vdp_plant": NODES["vdp_plant"],
     "player": (PlayerConfig,),
     "server": (ViewConfig,),
 }
@@ -195,12 +194,14 @@ def parameters_page() -> str:
         "word. (f): fixed while the node runs."
     )
     lines = ["# Parameters", "", *textwrap.wrap(head, WIDTH)]
-    for node in COMMON | LOOP | OTHERS:
+    for node in COMMON | LOOP:
         title = node if node in COMMON else f"`{node}`"
         lines += ["", f"## {title[0].upper()}{title[1:]}", "", "| name: default | meaning |"]
         lines += ["|---|---|", *map(parameter_row, own_parameters(node))]
-    constants = ", ".join(map(default_of, parameters_of((PlantConfig,))))
-    lines += ["", *textwrap.wrap(f"Constants of the plant: {constants}.", WIDTH)]
+    lines += ["", "## Other nodes"]
+    for node in OTHERS:
+        names = ", ".join(map(default_of, own_parameters(node)))
+        lines += ["", *textwrap.wrap(f"`{node}`: {names}.", WIDTH)]
     return "\n".join(lines) + "\n"
 
 
