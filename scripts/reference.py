@@ -200,16 +200,16 @@ def parameters_page() -> str:
         lines += ["|---|---|", *map(parameter_row, own_parameters(node))]
     lines += ["", "## Other nodes"]
     for node in OTHERS:
-        names = ", ".join(map(default_of, own_parameters(node)))
+        names = ", ".join(default_of(item, "=") for item in own_parameters(node))
         lines += ["", *textwrap.wrap(f"`{node}`: {names}.", WIDTH)]
     return "\n".join(lines) + "\n"
 
 
-def default_of(item: Field[Any]) -> str:
+def default_of(item: Field[Any], between: str = ": ") -> str:
     """Return name, default and unit of a parameter."""
     value = f"{item.default:.4g}" if isinstance(item.default, float) else as_yaml(item.default)
     unit = spec_of(item).unit
-    return f"`{item.name}: {value}`" + (f" {unit}" if unit else "")
+    return f"`{item.name}{between}{value}`" + (f" {unit}" if unit else "")
 
 
 def parameter_row(item: Field[Any]) -> str:
