@@ -28,6 +28,6 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="Launch files, YAML configurations and viewer layouts of the loop.",
+    description="What starts nodes: launch file, plan, running loops; configurations and viewer layouts.",
     license="Apache-2.0",
 )

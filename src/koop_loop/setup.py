@@ -21,6 +21,6 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="The closed loop as a pure function, shared by all tools.",
+    description="The closed loop as a pure function, its metrics and training. Needs no ROS.",
     license="Apache-2.0",
 )

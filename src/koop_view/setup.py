@@ -22,7 +22,7 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="A page that shows a loop and operates it, over the Foxglove WebSocket protocol.",
+    description="The page that shows and operates a loop, the Foxglove protocol, and the pages of reports.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": ["server = koop_view.executable:server"],
