@@ -37,7 +37,6 @@ setup(
         "koop.commands": [
             "bag = koop_lab.commands.bag:register",
             "demo = koop_lab.commands.demo:register",
-            "fleet = koop_lab.commands.fleet:register",
             "inspect = koop_lab.commands.train:register",
             "params = koop_lab.commands.params:register",
             "replay = koop_lab.commands.replay:register",

@@ -43,9 +43,15 @@ OPTIONAL = {
     "fsspec": "store",
     "jsbsim": "plants",
     "pyarrow": "export",
+    "pydmd": "bench",
+    "pykoop": "bench",
+    "sklearn": "bench",
     "upath": "store",
 }
-PYPI = {"upath": "universal-pathlib"}  # under another name than the module's
+PYPI = {
+    "sklearn": "scikit-learn",
+    "upath": "universal-pathlib",
+}  # under another name than the module's
 
 
 def sources(package):

@@ -6,18 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_bench.identify import Case, check, difference, measure, recording
-from koop_lab.cli.main import main
-
-SOURCE = Path(__file__).parents[2] / "benchmarks" / "identify.py"
+from koop_bench.identify import Case, check_python, difference, identify, make_recording
+from koop_core.errors import InputError
 
 
 def test_the_recording_is_identified_as_numpy_does_it_whole(tmp_path):
     file = tmp_path / "samples.npy"
-    np.save(file, recording(300_016))
+    np.save(file, make_recording(300_016))
     case = Case(4, 2, {})
     figures = {
-        name: measure(SOURCE, Path(sys.executable), name, file, case, 300_000)
+        name: identify(Path(sys.executable), name, file, case, 300_000)
         for name in ("koop", "numpy")
     }
     ours, whole = figures["koop"], figures["numpy"]
@@ -32,12 +30,11 @@ def test_spectra_are_compared_eigenvalue_by_eigenvalue():
     assert difference(ours, np.array([0.2, 0.9 - 0.1j, 0.9 + 0.13j])) == pytest.approx(0.03)
 
 
-def test_a_python_without_the_others_is_told_what_it_needs(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(SOURCE.parents[1])
+def test_a_python_without_the_others_is_refused(tmp_path):
     bare = tmp_path / "python"
     bare.write_text("#!/bin/sh\nexit 1\n")
     bare.chmod(0o755)
-    with pytest.raises(ValueError, match="lacks PyDMD or pykoop"):
-        check(bare)
-    assert main(["bench", "identify", "--python", str(tmp_path / "none")]) == 2
-    assert "No such file" in capsys.readouterr().err
+    with pytest.raises(InputError, match="lacks PyDMD or pykoop"):
+        check_python(bare)
+    with pytest.raises(InputError, match="No such file"):
+        check_python(tmp_path / "none")

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_bench.offline import Loop, compile_c, time_c, time_kernel
+from koop_bench.offline import SOURCE, Loop, compile_c, time_c, time_kernel
+from koop_core.errors import KoopError
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import LifterConfig
 from vdp_plant.config import PlantConfig
-
-SOURCE = Path(__file__).parents[2] / "benchmarks" / "closed_loop.c"
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler 'cc' on the PATH")
@@ -34,5 +33,5 @@ def test_a_source_that_does_not_compile_is_an_error(tmp_path: Path) -> None:
         pytest.skip("no C compiler 'cc' on the PATH")
     source = tmp_path / "x.c"
     source.write_text("int main(void) { return oops; }\n")
-    with pytest.raises(ValueError, match="does not compile"):
+    with pytest.raises(KoopError, match="does not compile"):
         compile_c(source, tmp_path)

@@ -10,7 +10,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.linalg import expm
 
-from koop_bench.training import STORED, peak_of_training, write_states
 from koop_identify.model.compare import costs
 from koop_identify.model.from_bags import BagTraining, joined, load_bags, train_from_bags
 from koop_identify.model.windows import period_of
@@ -361,16 +360,6 @@ def test_what_cannot_be_learned_is_said(tmp_path, given, message, capsys):
     assert message in error
     assert error.count("\n") == 1
     assert not out.exists()
-
-
-def test_a_bag_3_times_as_large_takes_no_more_memory(tmp_path):
-    peaks = []
-    for megabytes in (10, 30):  # the smaller one fills a batch, which is what is held at once
-        size = write_states(tmp_path / str(megabytes), round(megabytes * 1e6 / STORED))
-        assert size == pytest.approx(megabytes * 1e6, rel=0.1)
-        peaks.append(peak_of_training(tmp_path / str(megabytes)))
-    # all messages read in one batch add 70 MB
-    assert peaks[1] - peaks[0] < 30e6
 
 
 PIECE = 2000  # samples of one strength

@@ -1,6 +1,7 @@
-"""Lets these tests use the helpers of the package's own tests."""
+"""Lets these tests use the helpers beside them and those of the package's own tests."""
 
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "src" / "koop_bag" / "test"))
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE), str(HERE.parents[1] / "src" / "koop_bag" / "test")]

@@ -1,11 +1,9 @@
-"""What a recording loses under load: nothing at the loop's rate, and never silently.
-
-Short versions of ``koop bench record``, which takes ten minutes.
-"""
+"""What a recording loses under load: nothing at the loop's rate, and never silently."""
 
 import pytest
+from recording_load import record_load
 
-from koop_bench.record import record_load, reported_losses
+from koop_bench.record import reported_losses
 
 
 @pytest.mark.ros

@@ -15,7 +15,9 @@ from rosbags.highlevel import AnyReader
 
 ROOT = Path(__file__).parents[2]
 WEB = ROOT / "src" / "koop_view" / "web"
-PAGES = [ROOT / "src" / "koop_view" / "koop_view" / "page" / f"{n}.html" for n in ("index", "report")]
+PAGES = [
+    ROOT / "src" / "koop_view" / "koop_view" / "page" / f"{n}.html" for n in ("index", "report")
+]
 GOLDEN = ROOT / "recordings" / "golden" / "run" / "bag"
 NO_NETWORK = re.compile("ENOTFOUND|EAI_AGAIN|ECONNREFUSED|ECONNRESET|ETIMEDOUT|ENETUNREACH")
 BUILD = "cd src/koop_view/web && npm ci && npm run build"

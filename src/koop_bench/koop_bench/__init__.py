@@ -1,1 +1,1 @@
-"""Benchmarks that print ratios to a baseline of the same run."""
+"""Measurements of this machine, as ratios to a baseline of the same run."""

@@ -1,7 +1,7 @@
 """The baseline of ``koop bench realtime``: a program that does nothing but wake at every tick.
 
-Run as ``python -m koop_bench.bare_timer RATE SECONDS PRIORITY``; prints a line of JSON. What it
-misses is the machine's, not the nodes'.
+Run as ``python -m koop_bench.bare_timer RATE SECONDS PRIORITY``; prints a line of JSON. The
+ticks that it misses are the machine's, not the nodes'.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""``koop bench identify``: identification beside PyDMD and pykoop, on the same recording."""
+"""Identification beside NumPy, PyDMD and pykoop, on the same recording.
+
+Processor time on one thread of the fastest run; memory beyond what was held before.
+"""
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -11,19 +13,17 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_bench.figures import Figure, Settings
+from koop_core.errors import InputError, KoopError
+
 OURS = "koop"
-NAMES = {
-    OURS: "koop",
-    "numpy": "numpy lstsq",
-    "pykoop": "pykoop",
-    "hankel_dmd": "PyDMD HankelDMD",
-    "kernel_edmd": "PyDMD EDMD (kernel)",
-}
+OTHERS = {"numpy": "numpy lstsq", "pykoop": "pykoop", "hankel_dmd": "PyDMD HankelDMD"}
+TOOL = Path(__file__).with_name("identify_tool.py")
+SNAPSHOTS = 400_000
 DT = 0.05  # [s]
 
 
@@ -35,14 +35,14 @@ class Case:
     ----------
     delays, degree : int
         Samples of the channel that are the state, degree of their monomials.
-    most : dict of str to int
-        Snapshots that a tool gets, where it would need more memory than this machine has, or more
-        than some minutes, for all of them.
+    limits : dict of str to int
+        Snapshots for a tool that would need more memory than this machine has, or more than some
+        minutes, for all of them.
     """
 
     delays: int
     degree: int
-    most: dict[str, int]
+    limits: dict[str, int]
 
     @property
     def observables(self) -> int:
@@ -51,151 +51,113 @@ class Case:
 
 
 CASES = (
-    Case(1, 3, {"kernel_edmd": 1000}),
-    Case(4, 3, {"numpy": 500_000, "hankel_dmd": 500_000, "kernel_edmd": 1000}),
-    Case(16, 1, {"kernel_edmd": 1000}),
-    Case(16, 3, {"numpy": 10_000, "pykoop": 200_000, "hankel_dmd": 10_000, "kernel_edmd": 0}),
+    Case(1, 3, {}),
+    Case(4, 3, {"numpy": 100_000, "hankel_dmd": 100_000}),
+    Case(16, 3, {"numpy": 10_000, "pykoop": 40_000, "hankel_dmd": 10_000}),
 )
 
 
-WORKLOADS = Path(__file__).parent / "workloads"
-
-
-def register(benchmarks: Any) -> None:
-    """Add the benchmark to the subparsers of ``koop bench``."""
-    parser = benchmarks.add_parser("identify", help="identification beside PyDMD and pykoop")
-    parser.add_argument(
-        "--snapshots", type=int, default=2_000_000, metavar="N", help="of the recording"
-    )
-    parser.add_argument(
-        "--share", type=float, default=1.0, metavar="X",
-        help="of the snapshots that each tool gets (default 1; less is a quick look)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--python", type=Path, default=Path(sys.executable), metavar="FILE",
-        help="Python that has PyDMD and pykoop, which need not be this one",
-    )  # fmt: skip
-    parser.add_argument(
-        "--source", type=Path, default=WORKLOADS / "identify.py",
-        metavar="FILE",
-        help="what is measured",
-    )  # fmt: skip
-    parser.set_defaults(func=main)
-
-
 @dataclass(frozen=True)
-class Figures:
-    """What one identification took: processor time [s], memory [B]; and its eigenvalues."""
+class Identification:
+    """Processor time [s] and memory [B] of one identification, and its eigenvalues."""
 
     time: float
     memory: float
     eigenvalues: NDArray[np.complex128]
 
 
-def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code."""
-    if not args.source.is_file():
-        raise ValueError(f"{args.source} is not there: run this in the repository's root")
-    check(args.python)
+def run(settings: Settings) -> list[Figure]:
+    """Identify case by case with every tool that there is."""
+    others = dict(OTHERS)
+    try:
+        check_python(settings.python)
+    except InputError as error:
+        settings.show(f"only beside NumPy: {error}")
+        others = {"numpy": OTHERS["numpy"]}
+    figures: list[Figure] = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "samples.npy"
-        np.save(file, recording(args.snapshots + max(case.delays for case in CASES)))
-        print(
-            "processor time on one thread, fastest run; memory beyond what was held before; "
-            "ratios to koop on as many snapshots"
-        )
+        np.save(file, make_recording(SNAPSHOTS + max(case.delays for case in CASES)))
         for case in CASES:
-            one_case(args, file, case)
-    return 0
+            figures += run_case(settings, others, file, case)
+    return figures
 
 
-def one_case(args: argparse.Namespace, file: Path, case: Case) -> None:
+def run_case(settings: Settings, others: dict[str, str], file: Path, case: Case) -> list[Figure]:
     """Measure and print one case."""
-    print(
+    settings.show(
         f"\n{case.delays} sample{'s' * (case.delays > 1)} of one channel, degree {case.degree}: "
         f"{case.observables} observables\n{'':22}{'snapshots':>10}{'time':>11}{'memory':>11}"
         f"{'time':>8}{'memory':>8}{'spectrum differs by':>21}"
     )
-    ours: dict[int, Figures] = {}
-
-    def koop(snapshots: int) -> Figures:
+    figures = []
+    ours: dict[int, Identification] = {}
+    for tool, label in others.items():
+        snapshots = min(SNAPSHOTS, case.limits.get(tool, SNAPSHOTS))
         if snapshots not in ours:
-            ours[snapshots] = measure(
-                args.source, Path(sys.executable), OURS, file, case, snapshots
-            )
-            print(line(OURS, snapshots, ours[snapshots]), flush=True)
-        return ours[snapshots]
-
-    whole = round(args.snapshots * args.share)
-    long, short = koop(whole), koop(whole // 2)
-    for tool in NAMES:
-        snapshots = min(whole, round(case.most.get(tool, args.snapshots) * args.share))
-        if tool == OURS or snapshots <= case.observables:
-            continue
-        same = koop(snapshots)
-        python = Path(sys.executable) if tool == "numpy" else args.python
-        figures = measure(args.source, python, tool, file, case, snapshots)
-        apart = difference(same.eigenvalues, figures.eigenvalues)
-        print(
-            line(tool, snapshots, figures)
-            + f"{figures.time / same.time:8.1f}{figures.memory / max(same.memory, 1):8.1f}"
-            + f"{apart:21.1e}",
-            flush=True,
+            ours[snapshots] = identify(Path(sys.executable), OURS, file, case, snapshots)
+            settings.show(columns(OURS, snapshots, ours[snapshots]))
+        same = ours[snapshots]
+        python = Path(sys.executable) if tool == "numpy" else settings.python
+        other = identify(python, tool, file, case, snapshots)
+        settings.show(
+            columns(label, snapshots, other)
+            + f"{other.time / same.time:8.1f}{other.memory / max(same.memory, 1):8.1f}"
+            + f"{difference(same.eigenvalues, other.eigenvalues):21.1e}"
         )
-    growth = long.memory / max(short.memory, 1)
-    print(f"koop's memory for twice the snapshots: {growth:.2f} times as much")
+        what = f"{case.observables} observables, {snapshots} snapshots"
+        figures.append(Figure(what, f"{same.time:.3f} s", same.time / other.time, label))
+    return figures
 
 
-def line(tool: str, snapshots: int, figures: Figures) -> str:
+def columns(label: str, snapshots: int, result: Identification) -> str:
     """Return the columns that every tool has."""
-    return f"  {NAMES[tool]:20}{snapshots:10d}{figures.time:9.3f} s{figures.memory / 1e6:8.1f} MB"
+    return f"  {label:20}{snapshots:10d}{result.time:9.3f} s{result.memory / 1e6:8.1f} MB"
 
 
-def check(python: Path) -> None:
-    """Raise a ValueError unless that Python has what is compared."""
+def check_python(python: Path) -> None:
+    """Raise InputError unless that Python has what is compared."""
     command = [str(python), "-c", "import pydmd, pykoop"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:
-        raise ValueError(f"--python {python}: {error.strerror}") from None
+        raise InputError(f"--python {python}: {error.strerror}") from None
     if done.returncode:
-        raise ValueError(
-            f"{python} lacks PyDMD or pykoop, which are requirements of this benchmark only: make "
-            "an environment (python -m venv DIR && DIR/bin/pip install pydmd pykoop) and give it "
-            "with --python DIR/bin/python"
+        raise InputError(
+            f"{python} lacks PyDMD or pykoop, which only this benchmark needs: make an environment "
+            "(python -m venv DIR && DIR/bin/pip install pydmd pykoop) and name it with --python "
+            "DIR/bin/python"
         )
 
 
-def recording(count: int) -> NDArray[np.float64]:
+def make_recording(count: int) -> NDArray[np.float64]:
     """Return samples of two tones with noise of a tenth, which excites every monomial."""
     t = DT * np.arange(count)
     noise = np.random.default_rng(0).normal(size=count)
     return np.asarray(np.cos(t) + 0.5 * np.cos(2.3 * t) + 0.1 * noise)
 
 
-def measure(
-    source: Path, python: Path, tool: str, file: Path, case: Case, snapshots: int
-) -> Figures:
+def identify(python: Path, tool: str, file: Path, case: Case, snapshots: int) -> Identification:
     """Identify in a process of its own, with one thread.
 
     Raises
     ------
-    ValueError
+    KoopError
         If it fails.
     """
     numbers = map(str, (case.delays, case.degree, snapshots))
     done = subprocess.run(
-        [str(python), str(source), tool, str(file), *numbers],
+        [str(python), str(TOOL), tool, str(file), *numbers],
         capture_output=True,
         text=True,
         check=False,
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
     )
     if done.returncode:
-        raise ValueError(f"{NAMES[tool]}, {snapshots} snapshots: {done.stderr.strip()[-300:]}")
-    said = json.loads(done.stdout)
-    eigenvalues = np.array(said["real"]) + 1j * np.array(said["imag"])
-    return Figures(said["time"], said["memory"], eigenvalues)
+        raise KoopError(f"{tool}, {snapshots} snapshots: {done.stderr.strip()[-300:]}")
+    result = json.loads(done.stdout)
+    eigenvalues = np.array(result["real"]) + 1j * np.array(result["imag"])
+    return Identification(result["time"], result["memory"], eigenvalues)
 
 
 def difference(ours: NDArray[np.complex128], theirs: NDArray[np.complex128]) -> float:

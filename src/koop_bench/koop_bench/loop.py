@@ -1,70 +1,66 @@
-"""``koop bench loop``: lockstep rate of the loop beside a bare rclpy chain of the same messages."""
+"""Lockstep rate of the loop beside a bare rclpy chain of the same messages."""
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from typing import Any
 
+from koop_bag.bag.columns import read_columns
+from koop_bag.bag.reader import BagReader
+from koop_bench.figures import Figure, Settings
 from koop_bringup.live.loop import LiveLoop
-from koop_bringup.live.monitor import Progress
 from koop_bringup.live.process import TiedProcess
 from koop_core.errors import LiveError
-from koop_identify.recording.loop import read_run
 from koop_loop.ending import told
 from koop_loop.parameters import make
 
-
-def register(benchmarks: Any) -> None:
-    """Add the benchmark to the subparsers of ``koop bench``."""
-    parser = benchmarks.add_parser("loop", help="lockstep rate against a bare rclpy chain")
-    parser.add_argument("--steps", type=int, default=40_000, help="steps of each measurement")
-    parser.add_argument("--rounds", type=int, default=3, help="measurements, bare and loop in turn")
-    parser.set_defaults(func=main)
+DT = 0.005  # [s] of a step
+DURATION = 200.0  # [s] simulated
+ROUNDS = 3
 
 
-def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code."""
+def run(settings: Settings) -> list[Figure]:
+    """Measure bare chain and loop in turn; of the ratios the median counts."""
+    steps = round((settings.duration or DURATION) / DT)
     ratios: list[tuple[float, float, float]] = []
-    print(
-        f"{args.steps} steps a round; bare: a -> b -> c -> a, three rclpy processes, same message "
-        "types, Fast DDS as it comes; raw: the same in one process, bytes in and bytes out; loop: "
-        "plant, lifter and controller, while a recorder in a process of its own records all topics"
+    settings.show(
+        f"{steps} steps a round; bare: a -> b -> c -> a, three rclpy processes, same message "
+        "types, Fast DDS as it comes;\nraw: the same in one process, bytes in and bytes out; loop: "
+        "plant, lifter and controller, while a recorder\nin a process of its own records all topics"
     )
-    for number in range(args.rounds):
-        bare, raw = bare_rate(args.steps), bare_rate(args.steps, raw=True)
-        apart, composed = loop_rate(args.steps, False), loop_rate(args.steps, True)
+    for number in range(settings.rounds or ROUNDS):
+        bare, raw = bare_rate(steps), bare_rate(steps, raw=True)
+        apart, composed = loop_rate(steps, False), loop_rate(steps, True)
         ratios.append((apart / bare, composed / bare, composed / raw))
-        print(
+        settings.show(
             f"round {number + 1}: bare {bare:.0f} /s, raw {raw:.0f} /s; loop in processes "
             f"{apart:.0f} /s, {apart / bare:.2f} of bare; in one process {composed:.0f} /s, "
-            f"{composed / bare:.2f} of bare, {composed / raw:.2f} of raw",
-            flush=True,
+            f"{composed / bare:.2f} of bare, {composed / raw:.2f} of raw"
         )
-    apart, composed, of_raw = (sorted(each)[len(each) // 2] for each in zip(*ratios, strict=True))
-    print(
-        f"median: {apart:.2f} of bare in processes, {composed:.2f} of bare and {of_raw:.2f} of raw "
-        "in one process"
-    )
-    return 0
+    of_bare, in_one, of_raw = (sorted(each)[len(each) // 2] for each in zip(*ratios, strict=True))
+    return [
+        Figure("loop in processes", f"{apart:.0f} steps/s", of_bare, "the bare chain"),
+        Figure("loop in one process", f"{composed:.0f} steps/s", in_one, "the bare chain"),
+        Figure("loop in one process", f"{composed:.0f} steps/s", of_raw, "the raw chain"),
+    ]
 
 
 def loop_rate(steps: int, composed: bool) -> float:
     """Return the lockstep rate [1/s] of plant, lifter, controller and recorder."""
-    parameters = make({"vdp_plant": {"duration": steps * 0.005, "pace": "lockstep"}})
+    parameters = make({"vdp_plant": {"duration": steps * DT, "pace": "lockstep"}})
     with tempfile.TemporaryDirectory() as folder:
         with LiveLoop(Path(folder), parameters, composed=composed) as loop:
-            loop.run(_ignore)
-        run = read_run(Path(folder) / "bag")
-    return (run.counts["state"] - 1) / run.duration
+            loop.run(lambda progress: None)
+        with BagReader(Path(folder) / "bag") as bag:
+            times = read_columns(bag, "/state", ["log_time"])["log_time"]
+    return (times.size - 1) / (int(times[-1]) - int(times[0])) * 1e9
 
 
 def bare_rate(steps: int, raw: bool = False) -> float:
     """Return the rate [1/s] of a bare chain: typed in three processes, or raw in one."""
-    command = [sys.executable, "-m", "koop_bench.bare_chain"]
+    command = [sys.executable, "-m", f"{__package__}.bare_chain"]
     words = [str(steps), *(["raw"] if raw else [])]
     others = [] if raw else [TiedProcess([*command, role, *words]) for role in "bc"]
     first = TiedProcess([*command, "abc" if raw else "a", *words], stdout=subprocess.PIPE)
@@ -78,7 +74,3 @@ def bare_rate(steps: int, raw: bool = False) -> float:
     if first.returncode != 0:
         raise LiveError(told("the bare chain", first.returncode))
     return float(printed.split()[-1])
-
-
-def _ignore(progress: Progress) -> None:
-    """Watch without showing anything."""

@@ -1,15 +1,17 @@
-"""``koop bench memory``: memory of a node, of a loop in processes and in one, of loops more."""
+"""Resident memory of a node, of a loop in processes and in one, of each further loop."""
 
 from __future__ import annotations
 
-import argparse
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from koop_bringup.live.fleet import Fleet, FleetMonitor
+from koop_bench.containers import Fleet, FleetMonitor
+from koop_bench.figures import Figure, Settings
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Monitor
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess
@@ -17,6 +19,13 @@ from koop_loop.parameters import EXECUTABLES, make
 
 SETTLED = 400  # steps after which what is made at the first ones is there
 SIZES = (1, 10)  # loops in one container, whose difference is what a further one takes
+BARE = """
+import rclpy
+rclpy.init()
+node = rclpy.create_node("bare")
+print("ready", flush=True)
+rclpy.spin(node)
+"""
 
 
 class Memory(NamedTuple):
@@ -33,82 +42,94 @@ class Memory(NamedTuple):
     pss: float
     rss: float
 
-    def text(self) -> str:
-        """The figures for people."""
-        return f"{self.pss / 1e6:7.1f} MB PSS {self.rss / 1e6:7.1f} MB RSS"
 
+def run(settings: Settings) -> list[Figure]:
+    """Measure node by node, then loops."""
+    bare = bare_node()
+    figures: list[Figure] = []
 
-def register(benchmarks: Any) -> None:
-    """Add the benchmark to the subparsers of ``koop bench``."""
-    parser = benchmarks.add_parser(
-        "memory", help="resident memory of nodes, of a loop, of loops in a container"
-    )
-    parser.set_defaults(func=main)
+    def add(what: str, memory: Memory) -> None:
+        settings.show(f"{what:34}{memory.pss / 1e6:7.1f} MB PSS {memory.rss / 1e6:7.1f} MB RSS")
+        value, ratio = f"{memory.pss / 1e6:.1f} MB", memory.pss / bare.pss
+        figures.append(Figure(what, value, ratio, "a bare rclpy node"))
 
-
-def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code."""
+    add("a bare rclpy node", bare)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        in_loop(folder / "first", True)  # compiles the kernels if they are not kept yet
+        loop_memory(folder / "first", True)  # compiles the kernels if they are not kept yet
         for node in EXECUTABLES:
-            print(f"{node + ' alone':34}{alone(folder, node).text()}", flush=True)
-        for composed, label in ((False, "four processes"), (True, "composed, and its recorder")):
-            each = in_loop(folder / label, composed)
-            print(f"{label:34}{total(each.values()).text()}", flush=True)
-            if composed:
-                print(f"{'composed, without the recorder':34}{each['container'].text()}")
-        found = {loops: fleet(folder / str(loops), loops) for loops in SIZES}
-        for loops, memory in found.items():
-            print(f"{f'a container with {loops} loops':34}{memory.text()}")
-    few, many = SIZES
-    further = (found[many].pss - found[few].pss) / (many - few)
-    print(f"{'each further loop':34}{further / 1e6:7.1f} MB PSS")
-    return 0
+            add(f"{node} alone", node_memory(folder, node))
+        add("loop in four processes", total(loop_memory(folder / "apart", False).values()))
+        composed = loop_memory(folder / "composed", True)
+        add("loop in one process, and recorder", total(composed.values()))
+        add("loop in one process", composed["container"])
+        few, many = (fleet_memory(folder / str(loops), loops) for loops in SIZES)
+        more = SIZES[1] - SIZES[0]
+        further = Memory((many.pss - few.pss) / more, (many.rss - few.rss) / more)
+        add("each further loop", further)
+    return figures[1:]
 
 
-def memory_of(process: int) -> Memory:
+def process_memory(process: int) -> Memory:
     """Return the memory of a process, by its id."""
     rows = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()[1:]
     sizes = {row.split(":")[0]: int(row.split()[1]) * 1024 for row in rows}
     return Memory(float(sizes["Pss"]), float(sizes["Rss"]))
 
 
-def total(each: Iterable[Memory]) -> Memory:
+def total(memories: Iterable[Memory]) -> Memory:
     """Return the memory of several processes together."""
-    found = list(each)
-    return Memory(sum(item.pss for item in found), sum(item.rss for item in found))
+    pss, rss = map(sum, zip(*memories, strict=True))
+    return Memory(pss, rss)
 
 
-def alone(folder: Path, node: str) -> Memory:
-    """Return the memory of a node that has no others yet."""
+def bare_node() -> Memory:
+    """Return the memory of a node that does nothing."""
+    with subprocess.Popen([sys.executable, "-c", BARE], stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            return process_memory(process.pid)
+        finally:
+            process.kill()
+
+
+def node_memory(folder: Path, node: str) -> Memory:
+    """Return the memory of a node that runs alone."""
     words = ["--ros-args", "-p", f"output:={folder / 'alone'}"] if node == "recorder" else []
     with ExitStack() as stack:
         monitor = stack.enter_context(Monitor())
         process = NodeProcess(node, words, folder / f"{node}.log")
         stack.callback(process.stop)
-
-        def active() -> bool:
-            said = monitor.progress.values.get(node, {})
-            return said.get("lifecycle_state") == "active"
-
-        monitor.wait_for(active, START_TIMEOUT, f"{node} to be active")
-        return memory_of(process.process.pid)
+        wait_until_active(monitor, process)
+        return process_memory(process.process.pid)
 
 
-def in_loop(folder: Path, composed: bool) -> dict[str, Memory]:
+def wait_until_active(monitor: Monitor, process: NodeProcess) -> None:
+    """Wait for a node's report that it is active."""
+
+    def active() -> bool:
+        if process.poll() is not None:
+            raise process.failure()
+        values = monitor.progress.values.get(process.node, {})
+        return values.get("lifecycle_state") == "active"
+
+    monitor.wait_for(active, START_TIMEOUT, f"{process.node} to be active")
+
+
+def loop_memory(folder: Path, composed: bool) -> dict[str, Memory]:
     """Return the memory of every process of a loop that records itself in real time."""
     parameters = make({"vdp_plant": {"duration": 3600.0, "pace": "realtime"}})
     with LiveLoop(folder, parameters, composed=composed) as loop, Monitor("") as monitor:
         monitor.wait_for(lambda: monitor.progress.step > SETTLED, START_TIMEOUT, "the loop")
-        return {name: memory_of(pid) for name, pid in loop.process_ids().items()}
+        return {name: process_memory(pid) for name, pid in loop.process_ids().items()}
 
 
-def fleet(folder: Path, loops: int) -> Memory:
+def fleet_memory(folder: Path, loops: int) -> Memory:
     """Return the memory of a container with so many loops, in real time."""
     with (
-        Fleet(folder, loops, {"vdp_plant": {"pace": "realtime"}}, containers=1) as running,
+        Fleet(folder, loops, {"vdp_plant": {"pace": "realtime"}}, containers=1) as fleet,
         FleetMonitor() as monitor,
     ):
-        monitor.wait_until_running(running, SETTLED)
-        return memory_of(running.processes[0].process.pid)
+        monitor.wait_until_running(fleet, SETTLED)
+        return process_memory(fleet.processes[0].process.pid)

@@ -1,11 +1,10 @@
-"""``koop bench offline``: the compiled closed loop beside plain Python and C at -O2.
+"""The compiled closed loop beside plain Python and C at -O2.
 
 All times are processor time of one thread, so that other work on the machine counts little.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import subprocess
@@ -14,11 +13,12 @@ import tempfile
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_bench.figures import Figure, Settings
+from koop_core.errors import KoopError
 from koop_loop import batch
 from koop_loop.kernel import Memory
 from koop_loop.loop import controller, initial_state, run_kernel, simulate
@@ -32,6 +32,8 @@ from vdp_plant.config import PlantConfig
 STEPS = 500_000  # 2500 s
 PYTHON_STEPS = 20_000  # plain Python is some hundred times slower; time a step does not depend on k
 BATCH = 32  # loops side by side
+ROUNDS = 15  # timed runs, the best one counts
+SOURCE = Path(__file__).with_name("closed_loop.c")
 EVERY = 1000  # theta of every so many steps is compared with C
 
 
@@ -45,61 +47,49 @@ class Loop:
     esc: EscConfig = field(default_factory=EscConfig)
 
 
-WORKLOADS = Path(__file__).parent / "workloads"
-
-
-def register(benchmarks: Any) -> None:
-    """Add the benchmark to the subparsers of ``koop bench``."""
-    parser = benchmarks.add_parser("offline", help="offline loop against plain Python and C -O2")
-    parser.add_argument("--rounds", type=int, default=15, help="timed runs, the best one counts")
-    parser.add_argument(
-        "--source", type=Path, default=WORKLOADS / "closed_loop.c",
-        metavar="FILE",
-        help="the C program",
-    )  # fmt: skip
-    parser.set_defaults(func=main)
-
-
-def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code: 1 if the languages or the batch disagree in theta."""
+def run(settings: Settings) -> list[Figure]:
+    """Time the loop with either cost beside C, plain Python and a batch."""
     model = train(PlantConfig(), TrainingConfig())
+    rounds = settings.rounds or ROUNDS
     program = None
-    agree, both, same = True, 0.0, True
+    figures: list[Figure] = []
     with tempfile.TemporaryDirectory() as folder:
         if shutil.which("cc") is None:
-            print("no C compiler 'cc' on the PATH: the comparison with C is left out")
+            settings.show("no C compiler 'cc' on the PATH: the comparison with C is left out")
         else:
-            program = compile_c(args.source, Path(folder))
+            program = compile_c(SOURCE, Path(folder))
         for name in ("raw", "lifted"):
             loop = Loop(LifterConfig(cost=name), None if name == "raw" else model)
-            kernel, spent, worst = compare(loop, program, args.rounds)
-            agree, both = agree and worst < 1e-9, both + kernel
-            print(f"{name}: 2500 s closed loop, {STEPS} steps, best of {args.rounds}")
-            print(f"  kernel        {kernel:8.3f} s   {STEPS / kernel / 1e6:.2f} million steps/s")
+            kernel, c, worst = compare(loop, program, rounds)
             python = time_python(name)
-            print(
-                f"  plain Python  {python:8.1f} s   kernel is {python / kernel:.0f} times as fast"
+            batch_time, equal = time_batch(loop, min(rounds, 3))
+            settings.show(
+                f"{name}: 2500 s closed loop, {STEPS} steps, best of {rounds}\n"
+                f"  kernel        {kernel:8.3f} s   {STEPS / kernel / 1e6:.2f} million steps/s\n"
+                f"  plain Python  {python:8.1f} s\n"
+                f"  batch of {BATCH}   {batch_time:8.4f} s a loop"
             )
+            each = f"{batch_time:.4f} s a loop"
+            figures += [
+                Figure(
+                    f"speed of the kernel, {name}", f"{kernel:.3f} s", python / kernel, "Python"
+                ),
+                Figure(f"speed of a batch, {name}", each, kernel / batch_time, "the kernel", equal),
+            ]
             if program is not None:
-                print(
-                    f"  C -O2         {spent:8.3f} s   kernel at {spent / kernel:.2f} of C's speed"
-                )
-                print(f"  largest difference in theta between kernel and C: {worst:g}")
-            side_by_side, equal = time_batch(loop, min(args.rounds, 3))
-            same = same and equal
-            print(
-                f"  batch of {BATCH}   {side_by_side:8.4f} s a loop   "
-                f"{1.0 / side_by_side:.1f} loops/s a core, "
-                f"{kernel / side_by_side:.2f} times the kernel"
-                + ("" if program is None else f", {spent / side_by_side:.2f} times C")
-                + ("" if equal else "; its bits DIFFER")
-            )
-    print(f"1000 closed loops with both costs: {1000 * both:.0f} s of one core")
-    return 0 if agree and same else 1
+                settings.show(f"  C -O2         {c:8.3f} s   largest difference in theta {worst:g}")
+                same = worst < 1e-9
+                figures += [
+                    Figure(
+                        f"speed of the kernel, {name}", f"{kernel:.3f} s", c / kernel, "C", same
+                    ),
+                    Figure(f"speed of a batch, {name}", each, c / batch_time, "C", same),
+                ]
+    return figures
 
 
 def compare(loop: Loop, program: Path | None, rounds: int) -> tuple[float, float, float]:
-    """Time kernel and C in turn, so that whatever else the machine does meets both.
+    """Time kernel and C in turn, so that other work of the machine disturbs both.
 
     Returns
     -------
@@ -144,11 +134,11 @@ def time_batch(loop: Loop, rounds: int) -> tuple[float, bool]:
     best = np.inf
     for number in range(rounds + 1):
         begin = time.process_time()
-        found = batch.simulate_batch(plants, loop.lifter, loop.esc, loop.model, STEPS)
+        result = batch.simulate_batch(plants, loop.lifter, loop.esc, loop.model, STEPS)
         if number:  # the first run compiles
             best = min(best, (time.process_time() - begin) / BATCH)
     last = simulate(plants[-1], loop.lifter, loop.esc, loop.model, STEPS)
-    return float(best), bool((found.theta[-1] == last.theta).all())
+    return float(best), bool((result.theta[-1] == last.theta).all())
 
 
 def time_python(name: str) -> float:
@@ -168,7 +158,7 @@ def compile_c(source: Path, folder: Path) -> Path:
 
     Raises
     ------
-    ValueError
+    KoopError
         If it does not compile.
     """
     program = folder / "closed_loop"
@@ -179,7 +169,7 @@ def compile_c(source: Path, folder: Path) -> Path:
         check=False,
     )
     if done.returncode:
-        raise ValueError(f"{source} does not compile: {done.stderr.strip()}")
+        raise KoopError(f"{source} does not compile: {done.stderr.strip()}")
     return program
 
 

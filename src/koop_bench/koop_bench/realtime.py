@@ -1,32 +1,28 @@
-"""``koop bench realtime``: ticks and state -> theta at 200 Hz and above, as usual and in real time.
+"""Ticks and state -> theta at 200 Hz and above, as usual and with real-time priority.
 
-Each round is a composed loop, started as usual, with real-time priority and locked memory, or with
-these and on one processor. The baseline is a program that does nothing but wake at every tick. What
-a collection of garbage takes is measured beside it.
+Each round is a composed loop. The baseline is a program that does nothing but wake at every tick.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
-from koop_bringup.live.fleet import processors
-from koop_bringup.live.fleet_report import FleetReport
-from koop_lab.commands.fleet import measure
+from koop_bench.containers import measure_fleet
+from koop_bench.figures import Figure, Settings, processors
+from koop_bench.fleet_report import FleetReport
 
+DURATION = 60.0  # [s]
 RATES = (200.0, 500.0, 1000.0)  # [Hz]
 PRIORITY = 50
+BUSY = "while True: pass"
 COLUMNS = (
     "   Hz                       missed ticks   ticks behind [ms]       state -> theta [ms]\n"
     f"{'':44}p99  p99.9   most     p50    p99  p99.9   most   CPU"
 )
-BARE = "bare"
-BUSY = "while True: pass"
 COLLECTIONS = """
 import gc, time
 import koopman_lifter.node, relay_esc.node, vdp_plant.node
@@ -40,116 +36,86 @@ def timed():
 timed()
 before = min(timed() for _ in range(5))
 Housekeeping(0.0)
-made = [[number] for number in range(2000)]  # what a second leaves behind
+made = [[number] for number in range(2000)]  # garbage of a second
 print(before, min(timed() for _ in range(5)))
 """
 
 
-def register(benchmarks: Any) -> None:
-    """Add the benchmark to the subparsers of ``koop bench``."""
-    parser = benchmarks.add_parser(
-        "realtime", help="missed ticks, jitter and latency at 200 Hz, 500 Hz, 1 kHz and above"
+def run(settings: Settings) -> list[Figure]:
+    """Measure every rate: the bare timer, the loop as usual, and with priority; idle and busy."""
+    duration = settings.duration or DURATION
+    whole, new = collection_times()
+    settings.show(
+        f"one composed loop, {duration:g} s a round\na collection of garbage: {whole * 1e3:.1f} ms "
+        f"as Python does it, in mid-tick; {new * 1e3:.2f} ms between ticks, of what is new"
     )
-    parser.add_argument("--duration", type=float, default=60.0, metavar="S", help="of each round")
-    parser.add_argument("--rates", type=float, nargs="+", default=RATES, metavar="HZ")
-    parser.add_argument(
-        "--search", action="store_true", help="double the highest rate while no tick is missed"
-    )
-    parser.add_argument(
-        "--busy", action="store_true", help="a program that never waits on every processor"
-    )
-    parser.add_argument(
-        "--variants",
-        nargs="+",
-        choices=tuple(VARIANTS),
-        default=("bare", "usual", "priority"),
-        help="(default: bare usual priority)",
-    )
-    parser.set_defaults(func=main)
+    figures = [
+        Figure("collection of garbage between ticks", f"{new * 1e3:.2f} ms", new / whole, "gc")
+    ]
+    for busy in (False, True):
+        settings.show(
+            f"\n{'every processor busy' if busy else 'nothing else is started'}\n{COLUMNS}"
+        )
+        with keep_busy(busy):
+            for rate in RATES:
+                bare, line = measure_bare(rate, duration)
+                settings.show(line)
+                if not busy:
+                    usual = measure_fleet(1, rate, duration, containers=1)
+                    settings.show(report_line(rate, "usual", usual))
+                loop = measure_fleet(1, rate, duration, PRIORITY, containers=1)
+                settings.show(report_line(rate, "priority", loop))
+                figures.append(
+                    Figure(
+                        f"ticks behind, 99.9 %, {rate:g} Hz, {'busy' if busy else 'idle'}",
+                        f"{loop.behind.quantile(0.999) * 1e3:.2f} ms",
+                        loop.behind.quantile(0.999) / bare,
+                        "a bare timer",
+                    )
+                )
+    return figures
 
 
-VARIANTS: dict[str, dict[str, Any]] = {
-    BARE: {},
-    "usual": {},
-    "priority": {"priority": PRIORITY, "lock_memory": True},
-    "pinned": {"priority": PRIORITY, "lock_memory": True, "pinned": True},
-}
-
-
-def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code."""
-    load = "with every processor busy" if args.busy else "nothing else is started"
-    print(f"one composed loop, {args.duration:g} s a round, {load}")
-    before, after = collections()
-    print(
-        f"a collection of garbage: {before * 1e3:.1f} ms as Python does it, in mid-tick; "
-        f"{after * 1e3:.2f} ms between ticks, of what is new\n\n{COLUMNS}",
-        flush=True,
-    )
-    with _busy(args.busy):
-        for variant in args.variants:
-            rates = list(args.rates)
-            while rates:
-                rate = rates.pop(0)
-                if variant == BARE:
-                    print(bare(rate, args.duration), flush=True)
-                    continue
-                found = round_of(rate, args.duration, variant)
-                print(line(rate, variant, found), flush=True)
-                if args.search and not rates and not found.late:
-                    rates.append(rate * 1.25)
-    return 0
-
-
-def collections() -> tuple[float, float]:
-    """Return what a collection of garbage takes [s]: of everything, and as the nodes do it."""
+def collection_times() -> tuple[float, float]:
+    """Return the time of a collection of garbage [s]: of everything, and as the nodes do it."""
     done = subprocess.run(
         [sys.executable, "-c", COLLECTIONS], check=True, capture_output=True, text=True
     )
-    before, after = map(float, done.stdout.split())
-    return before, after
+    whole, new = map(float, done.stdout.split())
+    return whole, new
 
 
-def bare(rate: float, duration: float) -> str:
-    """Return the line of a program that only wakes at every tick, with real-time priority."""
-    command = [sys.executable, "-m", "koop_bench.bare_timer"]
+def measure_bare(rate: float, duration: float) -> tuple[float, str]:
+    """Run a program that only wakes at every tick; return what 99.9 % are behind [s], and a line.
+
+    Its priority is that of the loop.
+    """
+    command = [sys.executable, "-m", f"{__package__}.bare_timer"]
     done = subprocess.run(
         [*command, str(rate), str(duration), str(PRIORITY)],
         check=True,
         capture_output=True,
         text=True,
     )
-    said = json.loads(done.stdout)
-    behind = " ".join(f"{item * 1e3:6.2f}" for item in said["behind"])
-    missed = f"{said['late']} of {said['done'] + said['late']}"
-    notes = "".join(f"  ({problem})" for problem in said["problems"])
-    return f"{rate:7.0f} {BARE:12}{missed:>20}  {behind}{notes}"
+    result = json.loads(done.stdout)
+    behind = " ".join(f"{item * 1e3:6.2f}" for item in result["behind"])
+    missed = f"{result['late']} of {result['done'] + result['late']}"
+    notes = "".join(f"  ({problem})" for problem in result["problems"])
+    return result["behind"][1], f"{rate:7.0f} {'bare':12}{missed:>20}  {behind}{notes}"
 
 
-def round_of(rate: float, duration: float, variant: str) -> FleetReport:
-    """Run a composed loop at a rate [Hz] for a time [s]."""
-    own = argparse.Namespace(
-        rate=rate,
-        duration=duration,
-        containers=1,
-        params_file=None,
-        **{"pinned": False, "priority": 0, "lock_memory": False} | VARIANTS[variant],
-    )
-    return measure(1, own)
-
-
-def line(rate: float, variant: str, found: FleetReport) -> str:
+def report_line(rate: float, name: str, report: FleetReport) -> str:
     """Return a line of the table."""
     shares = (0.5, 0.99, 0.999, 1.0)
-    behind = " ".join(f"{found.behind.quantile(s) * 1e3:6.2f}" for s in shares[1:])
-    trips = " ".join(f"{found.p(s) * 1e3:6.2f}" for s in shares)
-    missed = f"{found.late} of {found.steps + found.late}"
-    return f"{rate:7.0f} {variant:12}{missed:>20}  {behind}  {trips} {found.cpu:5.1%}"
+    behind = " ".join(f"{report.behind.quantile(s) * 1e3:6.2f}" for s in shares[1:])
+    trips = " ".join(f"{report.p(s) * 1e3:6.2f}" for s in shares)
+    missed = f"{report.late} of {report.steps + report.late}"
+    return f"{rate:7.0f} {name:12}{missed:>20}  {behind}  {trips} {report.cpu:5.1%}"
 
 
 @contextmanager
-def _busy(wanted: bool) -> Iterator[None]:
-    """Keep every processor busy."""
+def keep_busy(wanted: bool) -> Iterator[None]:
+    """Run a program that never waits on every processor."""
     command = [sys.executable, "-c", BUSY]
     started = [subprocess.Popen(command) for _ in processors()] if wanted else []
     try:

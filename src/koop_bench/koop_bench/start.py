@@ -1,8 +1,7 @@
-"""``koop bench start``: how long ``koop --help``, a node's start and a demo's stop take."""
+"""How long ``koop --help``, a node's start, a demo's stop and a whole demo take."""
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import os
@@ -15,68 +14,68 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
+from koop_bench.figures import Figure, Settings
+from koop_bench.memory import wait_until_active
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Monitor
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess
 from koop_loop.parameters import EXECUTABLES, make
 
+ROUNDS = 3
+DURATION = 2500.0  # [s] simulated, of the whole demo
 SHORT = 20.0  # [s] simulated
 RECORDED = 400  # steps after which a demo is told to end
 DEMO = [sys.executable, "-m", "koop_lab", "demo"]
 
 
-def register(benchmarks: Any) -> None:
-    """Add the benchmark to the subparsers of ``koop bench``."""
-    parser = benchmarks.add_parser(
-        "start", help="koop --help, a node from start to active, the stop of a demo, a whole demo"
-    )
-    parser.add_argument("--rounds", type=int, default=3, help="of each, the median is printed")
-    parser.add_argument(
-        "--demo", type=float, default=2500.0, metavar="S", help="simulated time of the whole demo"
-    )
-    parser.set_defaults(func=main)
-
-
-def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code."""
+def run(settings: Settings) -> list[Figure]:
+    """Time each in turn; of the rounds the median counts."""
     entry = Path(os.environ.get("KOOP_ROOT", ".")) / "koop"
+    figures: list[Figure] = []
+    baseline = 0.0
 
-    def show(what: str, function: Callable[[], float]) -> None:
-        found = sorted(function() for _ in range(args.rounds))
-        each = ", ".join(f"{item:.2f}" for item in found)
-        print(f"{what:58}{found[len(found) // 2]:6.2f} s   ({each})", flush=True)
+    def add(what: str, function: Callable[[], float]) -> float:
+        times = sorted(function() for _ in range(settings.rounds or ROUNDS))
+        median = times[len(times) // 2]
+        each = ", ".join(f"{item:.2f}" for item in times)
+        settings.show(f"{what:58}{median:6.2f} s   ({each})")
+        ratio = median / (baseline or median)
+        figures.append(Figure(what, f"{median:.2f} s", ratio, "Python importing rclpy"))
+        return median
 
-    show("a bare Python that imports rclpy", lambda: _spent([sys.executable, "-c", "import rclpy"]))
+    bare = partial(duration_of, [sys.executable, "-c", "import rclpy"])
+    baseline = add("a bare Python that imports rclpy", bare)
     if entry.is_file():
-        show("./koop --help", lambda: _spent([str(entry), "--help"]))
-        show("./koop demo --help", lambda: _spent([str(entry), "demo", "--help"]))
+        add("./koop --help", partial(duration_of, [str(entry), "--help"]))
+        add("./koop demo --help", partial(duration_of, [str(entry), "demo", "--help"]))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        at_its_end(folder / "first")  # compiles the kernels if they are not kept yet
+        stop_at_end(folder / "first")  # compiles the kernels if they are not kept yet
         fresh = (folder / str(number) for number in itertools.count())
         for node in EXECUTABLES:
-            alone = partial(until_active, fresh, node)
-            show(f"{node}, from start to its report of being active", alone)
-        show("a demo, from its last step to its last process", lambda: at_its_end(next(fresh)))
-        show("a demo in real time, from Ctrl-C to its end", lambda: interrupted(next(fresh)))
-        whole, loop = whole_demo(next(fresh), args.demo)
-    print(f"koop demo --duration {args.demo:g}: {whole:.1f} s, {loop:.1f} s of it the loop")
-    return 0
+            start = partial(start_node, fresh, node)
+            add(f"{node}, from start to its report of being active", start)
+        add("a demo, from its last step to its last process", lambda: stop_at_end(next(fresh)))
+        add("a demo in real time, from Ctrl-C to its end", lambda: stop_early(next(fresh)))
+        length = settings.duration or DURATION
+        whole, loop = whole_demo(next(fresh), length)
+    what = f"koop demo --duration {length:g}"
+    settings.show(f"{what}: {whole:.1f} s, {loop:.1f} s of it the loop")
+    return [*figures[1:], Figure(what, f"{whole:.1f} s", whole / loop, "its loop")]
 
 
-def _spent(command: list[str]) -> float:
+def duration_of(command: list[str]) -> float:
     """Return the wall-clock time of a command [s]."""
     begin = time.monotonic()
     subprocess.run(command, check=True, capture_output=True)
     return time.monotonic() - begin
 
 
-def until_active(fresh: Iterator[Path], node: str) -> float:
-    """Return the time from a node's start until it says that it is active [s]."""
+def start_node(fresh: Iterator[Path], node: str) -> float:
+    """Return the time from a node's start to its report that it is active [s]."""
     folder = next(fresh)
     folder.mkdir()
     words = ["--ros-args", "-p", f"output:={folder / 'alone'}"] if node == "recorder" else []
@@ -85,17 +84,11 @@ def until_active(fresh: Iterator[Path], node: str) -> float:
         begin = time.monotonic()
         process = NodeProcess(node, words, folder / f"{node}.log")
         stack.callback(process.stop)
-
-        def active() -> bool:
-            if process.poll() is not None:
-                raise process.failure()
-            return monitor.progress.values.get(node, {}).get("lifecycle_state") == "active"
-
-        monitor.wait_for(active, START_TIMEOUT, f"{node} to be active")
+        wait_until_active(monitor, process)
         return time.monotonic() - begin
 
 
-def at_its_end(folder: Path) -> float:
+def stop_at_end(folder: Path) -> float:
     """Return the time from a loop's last step until none of its processes runs [s]."""
     parameters = make({"vdp_plant": {"duration": SHORT, "pace": "lockstep"}})
     with LiveLoop(folder, parameters, composed=True) as loop:
@@ -105,7 +98,7 @@ def at_its_end(folder: Path) -> float:
         return ended - int(read_columns(bag, "/theta", ["publish_time"])["publish_time"][-1]) / 1e9
 
 
-def interrupted(folder: Path) -> float:
+def stop_early(folder: Path) -> float:
     """Return the time that a demo in real time takes to end when it is told to [s]."""
     command = [*DEMO, "--pace", "realtime", "--duration", "60", "--out", str(folder)]
     with Monitor("") as monitor, open(os.devnull, "w") as nowhere:
@@ -122,6 +115,6 @@ def interrupted(folder: Path) -> float:
 
 def whole_demo(folder: Path, duration: float) -> tuple[float, float]:
     """Return the wall-clock time of a demo, plot and all, and that of its loop alone [s]."""
-    whole = _spent([*DEMO, "--duration", str(duration), "--out", str(folder)])
-    said = json.loads((folder / "metrics.json").read_text())
-    return whole, (said["steps"] - 1) / said["rate_hz"]
+    whole = duration_of([*DEMO, "--duration", str(duration), "--out", str(folder)])
+    metrics = json.loads((folder / "metrics.json").read_text())
+    return whole, (metrics["steps"] - 1) / metrics["rate_hz"]

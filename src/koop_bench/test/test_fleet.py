@@ -1,20 +1,12 @@
 """Many loops at once."""
 
-import argparse
-
 import pytest
 
+from koop_bench.containers import Fleet, FleetMonitor, parameters_at
 from koop_bench.fleet import holds
-from koop_bringup.live.fleet_report import report, snapshot
+from koop_bench.fleet_report import report, snapshot
 from koop_core.config.parameter import ConfigError
 from koop_core.stream.durations import Durations
-from koop_lab.commands.fleet import add_options, measure, values_of
-
-
-def options(*words):
-    parser = argparse.ArgumentParser()
-    add_options(parser)
-    return parser.parse_args(words)
 
 
 def said(step, late=0, missed=0, answered=0, trip=1e-3):
@@ -63,20 +55,20 @@ def test_a_fleet_holds_where_all_is_in_time_and_nothing_lost(after, expected):
 
 
 def test_another_rate_is_another_time_scale_of_the_same_loop():
-    assert values_of(options())["vdp_plant"]["pace"] == "realtime"
-    plant = values_of(options("--rate", "1000"))["vdp_plant"]
+    assert parameters_at(200.0)["vdp_plant"]["pace"] == "realtime"
+    plant = parameters_at(1000.0)["vdp_plant"]
     assert (plant["pace"], plant["time_scale"]) == ("scaled", 5.0)
-    for words in (("--rate", "0"), ("--duration", "-1"), ("--priority", "100")):
-        with pytest.raises(ConfigError):
-            values_of(options(*words))
+    with pytest.raises(ConfigError):
+        parameters_at(0.0)
 
 
 def test_two_loops_in_two_containers_run_side_by_side(own_domain, tmp_path):
     """They do not hear each other: a second publisher of a topic would be an error."""
-    found = measure(2, options("--duration", "1.5"), tmp_path)
-    assert len(found.rates) == 2
-    assert found.steps > 0
-    assert found.round_trips.count > 0
+    with Fleet(tmp_path, 2, parameters_at(200.0), containers=2) as fleet, FleetMonitor() as monitor:
+        monitor.wait_until_running(fleet, 100)
+        for each in monitor.snapshots(fleet):
+            assert each.step >= 100
+            assert each.round_trips.count > 0
     logs = [(tmp_path / f"container{number}.log").read_text() for number in (0, 1)]
     assert [log.count("loop0.koopman_lifter") > 0 for log in logs] == [True, False]
     assert not any("publishers on" in log or "Traceback" in log for log in logs)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -10,15 +10,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from koop_bringup.live.fleet_report import Snapshot, snapshot
+from koop_bench.figures import processor_time, processors
+from koop_bench.fleet_report import FleetReport, Snapshot, report, snapshot
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess, uninterrupted
 from koop_core.config import parameter_file
 from koop_core.errors import LiveError
-from koop_loop.parameters import COMPONENTS
+from koop_loop.parameters import COMPONENTS, make
 from koop_node.client.alone import alone
 from koop_node.client.client import Client
 
-LEVELS = ("OK", "WARN", "ERROR", "STALE")
+SETTLED = 2.0  # [s] after the last loop has begun
+DT = 0.005  # [s] of a step, simulated
 
 
 class Fleet:
@@ -31,13 +33,11 @@ class Fleet:
     folder : Path
         Receives logs and parameters.
     loops : int
-        How many.
+        Number of loops.
     values : mapping of str to mapping
         Parameters of the nodes by name, the same for all loops.
     containers : int
         Processes; by default one a processor that this process may use, and no more than loops.
-    pinned : bool
-        Whether each container keeps to a processor of its own.
     """
 
     def __init__(
@@ -46,14 +46,11 @@ class Fleet:
         loops: int,
         values: Mapping[str, Mapping[str, Any]],
         containers: int = 0,
-        pinned: bool = False,
     ) -> None:
         self.folder = folder
         self.namespaces = [f"/loop{number}" for number in range(loops)]
         self._values = values
-        self._processors = processors()
-        self._containers = min(containers or len(self._processors), loops)
-        self._pinned = pinned
+        self._containers = min(containers or len(processors()), loops)
         self.processes: list[NodeProcess] = []
         self._stack = ExitStack()
 
@@ -61,26 +58,20 @@ class Fleet:
         with ExitStack() as stack:
             stack.enter_context(alone("/loop0"))
             self.folder.mkdir(parents=True, exist_ok=True)
+            file = self.folder / "given_parameters.yaml"
+            parameter_file.write({name: self._values.get(name, {}) for name in COMPONENTS}, file)
             stack.callback(self.stop)
             for number in range(self._containers):
-                self.processes.append(self._start(number))
+                words = [
+                    f"{component}@{namespace}"
+                    for namespace in self.namespaces[number :: self._containers]
+                    for component in COMPONENTS.values()
+                ]
+                words += ["--ros-args", "--params-file", str(file)]
+                log = self.folder / f"container{number}.log"
+                self.processes.append(NodeProcess("container", words, log))
             self._stack = stack.pop_all()
         return self
-
-    def _start(self, number: int) -> NodeProcess:
-        file = self.folder / f"given_parameters{number}.yaml"
-        own = {}
-        if self._pinned:
-            own = {"cpus": str(self._processors[number % len(self._processors)])}
-        values = {name: {**self._values.get(name, {}), **own} for name in COMPONENTS}
-        parameter_file.write(values, file)
-        words = [
-            f"{component}@{namespace}"
-            for namespace in self.namespaces[number :: self._containers]
-            for component in COMPONENTS.values()
-        ]
-        log = self.folder / f"container{number}.log"
-        return NodeProcess("container", [*words, "--ros-args", "--params-file", str(file)], log)
 
     def __exit__(
         self,
@@ -104,18 +95,20 @@ class Fleet:
             if process.poll() is not None:
                 raise process.failure()
 
+    def processor_time(self) -> float:
+        """Return the processor time that all containers have used [s]."""
+        return sum(processor_time(process.process.pid) for process in self.processes)
+
 
 class FleetMonitor(Client):
-    """What the nodes of all loops last reported on /diagnostics.
+    """Last reports of the nodes of all loops on /diagnostics.
 
     Attributes
     ----------
     values : dict
         By the node's full name, such as ``/loop0/vdp_plant``.
-    said : dict
-        When it said so, by its own clock [s].
-    findings : dict
-        By the node's full name, of those that are not OK.
+    times : dict
+        Of the reports, by the nodes' own clocks [s].
     """
 
     def __init__(self) -> None:
@@ -123,8 +116,7 @@ class FleetMonitor(Client):
 
         super().__init__("koop_fleet")
         self.values: dict[str, dict[str, str]] = {}
-        self.said: dict[str, float] = {}
-        self.findings: dict[str, str] = {}
+        self.times: dict[str, float] = {}
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 1000)
 
     def listen(self, seconds: float, check: Callable[[], object]) -> None:
@@ -135,8 +127,8 @@ class FleetMonitor(Client):
             check()
 
     def snapshots(self, fleet: Fleet) -> list[Snapshot]:
-        """Return what each loop last said."""
-        return [snapshot(name, self.values, self.said) for name in fleet.namespaces]
+        """Return the last report of each loop."""
+        return [snapshot(name, self.values, self.times) for name in fleet.namespaces]
 
     def wait_until_running(self, fleet: Fleet, steps: int = 1) -> None:
         """Wait until every plant of a fleet has done so many steps.
@@ -146,33 +138,59 @@ class FleetMonitor(Client):
         LiveError
             If one does not begin, or a container ends.
         """
-        waiting = [f"{namespace}/vdp_plant" for namespace in fleet.namespaces]
-        deadline = time.monotonic() + START_TIMEOUT + 0.5 * len(waiting)
+        waiting = {f"{namespace}/vdp_plant" for namespace in fleet.namespaces}
+        seconds = START_TIMEOUT + 0.5 * len(waiting)
 
         def ready() -> bool:
-            return all(int(self.values.get(name, {}).get("step", 0)) >= steps for name in waiting)
+            begun = {n for n in waiting if int(self.values.get(n, {}).get("step", 0)) >= steps}
+            waiting.difference_update(begun)
+            return not waiting
 
         try:
-            self.wait_for(ready, deadline - time.monotonic(), "all loops", fleet.check)
+            self.wait_for(ready, seconds, "all loops", fleet.check)
         except LiveError as error:
-            silent = [n for n in waiting if int(self.values.get(n, {}).get("step", 0)) < steps]
-            raise LiveError(
-                f"{error}: {', '.join(silent)} did not begin; see {fleet.folder}"
-            ) from None
+            names = ", ".join(sorted(waiting))
+            raise LiveError(f"{error}: {names} did not begin; see {fleet.folder}") from None
 
     def _on_message(self, message: Any) -> None:
         stamp = message.header.stamp
         for status in message.status:
             name = status.name.split(":")[0]
             self.values[name] = {item.key: item.value for item in status.values}
-            self.said[name] = stamp.sec + 1e-9 * stamp.nanosec
-            self.findings.pop(name, None)
-            if level := status.level[0]:
-                self.findings[name] = f"{LEVELS[level]}: {status.message}"
+            self.times[name] = stamp.sec + 1e-9 * stamp.nanosec
 
 
-def processors() -> list[int]:
-    """Return the processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count() or 1))
+def parameters_at(rate: float, priority: int = 0) -> dict[str, dict[str, Any]]:
+    """Return the nodes' parameters for a rate [Hz]; with a real-time priority, locked in memory."""
+    pace: dict[str, Any] = {"pace": "realtime"}
+    if abs(rate * DT - 1.0) > 1e-9:
+        pace = {"pace": "scaled", "time_scale": rate * DT}
+    process = {"priority": priority, "lock_memory": priority > 0}
+    values: dict[str, dict[str, Any]] = {name: dict(process) for name in COMPONENTS}
+    values["vdp_plant"] |= {**pace, "duration": 0.0}
+    make(values)
+    return values
+
+
+def measure_fleet(
+    loops: int, rate: float, duration: float, priority: int = 0, containers: int = 0
+) -> FleetReport:
+    """Run a fleet at a rate [Hz]; return its report over a time [s] once all loops had settled.
+
+    Raises
+    ------
+    koop_core.errors.LiveError
+        If a container ends, or a loop does not begin.
+    """
+    values = parameters_at(rate, priority)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Fleet(Path(folder), loops, values, containers) as fleet,
+        FleetMonitor() as monitor,
+    ):
+        monitor.wait_until_running(fleet)
+        monitor.listen(SETTLED, fleet.check)
+        before, used, begin = monitor.snapshots(fleet), fleet.processor_time(), time.monotonic()
+        monitor.listen(duration, fleet.check)
+        cpu = (fleet.processor_time() - used) / (time.monotonic() - begin)
+        return report(before, monitor.snapshots(fleet), cpu)

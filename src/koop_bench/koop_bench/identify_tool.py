@@ -1,6 +1,6 @@
 """One measurement of `koop bench identify`, in a process of its own.
 
-Run as ``python workloads/identify.py TOOL FILE DELAYS DEGREE SNAPSHOTS``; prints a line of JSON:
+Run as ``python identify_tool.py TOOL FILE DELAYS DEGREE SNAPSHOTS``; prints a line of JSON:
 processor time of the fastest run [s], peak of memory above what was there before [B], eigenvalues.
 FILE holds the samples of one channel (NumPy). PyDMD and pykoop are requirements of this benchmark
 only.
@@ -36,7 +36,7 @@ def koop(file: Path, delays: int, degree: int, snapshots: int) -> Callable[[], S
         with file.open("rb") as stream:
             np.lib.format.read_magic(stream)
             np.lib.format.read_array_header_1_0(stream)
-            samples = np.empty(0)
+            samples: Any = np.empty(0)
             while left:
                 more = np.fromfile(stream, count=min(left, PART))
                 left -= more.size
@@ -90,22 +90,6 @@ def hankel_dmd(file: Path, delays: int, degree: int, snapshots: int) -> Callable
         states = _embedded(file, delays, snapshots)
         lifted = PolynomialFeatures(degree).fit_transform(states.T).T
         return HankelDMD(svd_rank=-1, d=1).fit(lifted).eigs
-
-    return run
-
-
-def kernel_edmd(file: Path, delays: int, degree: int, snapshots: int) -> Callable[[], Spectrum]:
-    """PyDMD's EDMD with the kernel (1 + x y)^degree, which spans the same monomials."""
-    from math import comb
-
-    from pydmd import EDMD
-
-    kernel = {"degree": degree, "coef0": 1, "gamma": 1}
-
-    def run() -> Spectrum:
-        rank = comb(delays + degree, degree)
-        edmd = EDMD(svd_rank=rank, kernel_metric="poly", kernel_params=kernel)
-        return edmd.fit(_embedded(file, delays, snapshots)).eigs
 
     return run
 
