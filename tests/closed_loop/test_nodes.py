@@ -296,6 +296,10 @@ def test_a_change_is_taken_whole_or_refused_whole_with_the_reason(tuned):
     assert get_parameter(tuned, TUNED, "tau_f") == 10.0
     assert set_parameters(tuned, TUNED, tau_f=5, dwell=1.0).successful
     assert get_parameter(tuned, TUNED, "dwell") == 1.0
+    stored = tuned.call(
+        GetParameters, f"/{TUNED}/get_parameters", GetParameters.Request(names=["tau_f"])
+    ).values[0]
+    assert (stored.type, stored.double_value) == (ParameterType.PARAMETER_DOUBLE, 5.0)
 
 
 def test_what_cannot_change_is_read_only(tuned):

@@ -77,6 +77,8 @@ class Parameters:
                 descriptor(spec_of(item), item.default),
                 ignore_override=True,
             )
+        self._defaults = {item.name: item.default for item in known.values()}
+        node.add_pre_set_parameters_callback(self._as_declared)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_taken)
 
@@ -96,6 +98,10 @@ class Parameters:
         return {
             name: value for config in configs.values() for name, value in asdict(config).items()
         }
+
+    def _as_declared(self, parameters: list[Parameter]) -> list[Parameter]:
+        """Return the parameters with whole numbers as floats where floats are declared."""
+        return [_in_type_of(self._defaults.get(item.name), item) for item in parameters]
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
@@ -120,8 +126,7 @@ def descriptor(spec: Spec, default: Any) -> ParameterDescriptor:
         description=spec.description + unit,
         additional_constraints="" if math.isfinite(spec.high) else spec.constraint,
         read_only=spec.read_only,
-        # a float may be written '5' and a list '[]', of which ROS would infer another type
-        dynamic_typing=isinstance(default, float | tuple),
+        dynamic_typing=isinstance(default, tuple),  # ROS cannot tell the type of an empty list
     )
     if math.isfinite(spec.low) and math.isfinite(spec.high):
         if type(default) is float:
@@ -131,6 +136,15 @@ def descriptor(spec: Spec, default: Any) -> ParameterDescriptor:
         elif type(default) is int:
             result.integer_range = [IntegerRange(from_value=int(spec.low), to_value=int(spec.high))]
     return result
+
+
+def _in_type_of(default: Any, item: Parameter) -> Parameter:
+    """Return a parameter as its default's type has it: '5' is a float where one is declared."""
+    if isinstance(default, float) and item.type_ == Parameter.Type.INTEGER:
+        return Parameter(item.name, Parameter.Type.DOUBLE, float(item.value))
+    if isinstance(default, tuple) and item.type_ == Parameter.Type.INTEGER_ARRAY:
+        return Parameter(item.name, Parameter.Type.DOUBLE_ARRAY, [float(x) for x in item.value])
+    return item
 
 
 def unknown_names(given: Iterable[str], known: set[str], args: Sequence[str]) -> list[str]:
