@@ -63,6 +63,7 @@ def test_the_end_of_one_ends_all_with_its_exit_code(start):
         ([], 2, "COMPONENT"),
         (["koop::Nothing"], 2, "there is no component 'koop::Nothing'; there are koop_bag::"),
         ([LOOP[0], "--ros-args", "-p", "dwel:=1.0"], 2, "dwel"),
+        ([LOOP[0], LOOP[0]], 2, "two nodes are named /relay_esc: put one into a namespace"),
         ([*LOOP, "--ros-args", "-p", "dwell:=1.0"], 2, "'-p NODE:NAME:=VALUE' for one"),
     ],
 )

@@ -253,7 +253,7 @@ def _own(given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _namespace(text: str) -> str:
     parts = text.strip("/").split("/") if text.strip("/") else []
-    if not all(re.fullmatch("[A-Za-z][A-Za-z0-9_]*", part) for part in parts):
+    if not all(re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", part) for part in parts):
         raise ConfigError(f"namespace:={text}: is not a namespace of ROS 2")
     return "".join(f"/{part}" for part in parts)
 

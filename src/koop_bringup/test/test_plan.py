@@ -119,6 +119,10 @@ def test_one_dt_for_all_nodes(mine):
         plan(mine("koopman_lifter: {ros__parameters: {cost: raw, dt: 0.01}}"))
 
 
+def test_a_namespace_may_begin_with_an_underscore():
+    assert plan({"namespace": "_rig/a_1"}).namespace == "/_rig/a_1"
+
+
 def test_a_loop_in_a_namespace_takes_what_the_file_says_to_it(mine):
     text = "".join(
         f"/{n}/relay_esc: {{ros__parameters: {{dwell: {n[-1]}.0}}}}\n" for n in ("r1", "r2")

@@ -57,6 +57,15 @@ def hint(words: Sequence[str], names: Sequence[str]) -> str:
     return "; '-p NAME:=VALUE' is for all nodes of a container, '-p NODE:NAME:=VALUE' for one"
 
 
+def refuse_equal_names(names: Sequence[str]) -> None:
+    """Raise ConfigError if two nodes have one name: services and parameters would be of either."""
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(
+                f"two nodes are named {name}: put one into a namespace, as in COMPONENT@/rig"
+            )
+
+
 def main() -> None:
     """Run the nodes until they are told to stop or the first one has ended."""
     parser = argparse.ArgumentParser(
@@ -89,6 +98,7 @@ def main() -> None:
                 nodes.append(load(name, namespace))
             except ConfigError as error:
                 raise ConfigError(f"{name}: {error}{hint(sys.argv, given.components)}") from None
+        refuse_equal_names([node.get_fully_qualified_name() for node in nodes])
         return nodes
 
     sys.exit(run_nodes(make, keep_going=given.keep_going))
