@@ -86,7 +86,7 @@ def main() -> None:
         "--keep-going",
         action="store_true",
         help="when a node ends, the others go on until none is left (default: the end of one ends "
-        "all, with its exit code)",
+        "all, with its exit code; 1 if it is not the last one named)",
     )
     given = parser.parse_args(remove_ros_args()[1:])
 

@@ -93,13 +93,13 @@ def run_nodes(
     args : list of str, optional
         ROS arguments; by default those of the process.
     keep_going : bool
-        Whether the others go on when a node has ended. A node that somebody shut down through its
-        lifecycle leaves the others running anyway.
+        Whether the others go on when a node has ended.
 
     Returns
     -------
     int
-        Exit code: 0 after a clean end, 1 if a node failed, 2 if one could not start.
+        Exit code: 0 after a clean end, 1 if a node failed or ended before the last one, by whose
+        end the work is judged, 2 if one could not start.
     """
     with schedule.running() as timers:
 
@@ -151,7 +151,10 @@ def _spin(
             ended = _ended(nodes)
             if ended is not None:
                 code = code or nodes[ended].exit_code or 0
-                going = len(nodes) > 1 and (keep_going or nodes[ended].was_shut_down)
+                going = len(nodes) > 1 and keep_going
+                if not keep_going and ended < len(nodes) - 1:
+                    nodes[ended].get_logger().error("has ended: the other nodes end with it")
+                    code = code or 1
                 if going:
                     _take_out(nodes, ended, executor, timers, house)
         for node in reversed(nodes):  # speakers end before those who listen to them

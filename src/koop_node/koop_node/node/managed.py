@@ -101,8 +101,6 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         There from configure to cleanup.
     exit_code : int or None
         Of the process, once the node has finished.
-    was_shut_down : bool
-        Whether it has finished because somebody shut it down through its lifecycle.
     """
 
     configs: ClassVar[tuple[type, ...]] = ()
@@ -113,7 +111,6 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         super().__init__(name, **options)
         self.exit_code: int | None = None
         self._schedule = schedule.current()
-        self.was_shut_down = False
         self.run: RunT | None = None
         self._make_run = make_run
         self._while_configured: Entities | None = None
@@ -219,7 +216,6 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._stop_working()
         self._release()
-        self.was_shut_down = True
         self.finish(0)
         return TransitionCallbackReturn.SUCCESS
 
