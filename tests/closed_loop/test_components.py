@@ -49,9 +49,9 @@ def container(own_domain):
 
 def test_a_container_runs_the_whole_loop_in_one_process(container, tmp_path):
     recorder = container(NAMES[3], output=str(tmp_path / "run"))
-    esc = container(NAMES[2], recorders=1)
-    lifter = container(NAMES[1], recorders=1)
-    plant = container(NAMES[0], recorders=1, pace="lockstep", duration=1.0)
+    esc = container(NAMES[2], listeners="next recordernode")
+    lifter = container(NAMES[1], listeners="next recordernode")
+    plant = container(NAMES[0], listeners="next recordernode", pace="lockstep", duration=1.0)
     thetas = []
     plant.create_subscription(ControlInput, "theta", thetas.append, 1000)
     executor = EventsExecutor(context=container.context)

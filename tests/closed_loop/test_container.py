@@ -58,9 +58,7 @@ def test_the_end_of_one_ends_all_with_its_exit_code(start):
 
 def test_who_shuts_one_node_down_ends_all_as_in_processes_of_their_own(start, probe):
     container = start("container", "--", *LOOP)
-    probe.spin_until(
-        lambda: ("koopman_lifter", "/") in probe.node.get_node_names_and_namespaces()
-    )
+    probe.spin_until(lambda: ("koopman_lifter", "/") in probe.node.get_node_names_and_namespaces())
     assert change(probe, "/relay_esc", Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert container.process.wait(60.0) == 1
     assert "[relay_esc]: has ended: the other nodes end with it" in container.log.read_text()

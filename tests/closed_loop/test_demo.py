@@ -64,7 +64,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
     assert "compression: none" in text
     assert "seed: 2" in text
     assert "output" not in text
-    assert "recorders" not in text
+    assert "listeners" not in text
     assert main(["demo", "--out", str(folder), "--duration", "20"]) == 2
     assert "holds a recording already: choose another --out" in capsys.readouterr().err
 

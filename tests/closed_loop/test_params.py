@@ -10,7 +10,7 @@ from koop_lab.cli.main import main
 from koop_tune.result.parameter_text import KNOWN
 
 NODES = ("relay_esc", "koopman_lifter", "vdp_plant", "recorder")
-LEFT_OUT = {"recorders", "autostart", "initial_state"}  # of how it is started; an empty list
+LEFT_OUT = {"listeners", "autostart", "initial_state"}  # of how it is started; an empty list
 
 
 def test_the_file_of_koop_params_gives_every_node_its_defaults(start, probe, tmp_path, capsys):

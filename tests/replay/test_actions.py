@@ -27,7 +27,7 @@ from koopman_lifter.config import shipped_model
 from koopman_lifter.delays import Delays
 from vdp_plant.config import RESENDS, PlantConfig
 
-LISTENERS = 2  # on the cost besides the controller: the recorder and the probe
+LISTENERS = "next recorder probe"  # on the cost
 TIMEOUT = 2.0  # [s] of states and costs: more than a busy machine lets a message wait
 
 
@@ -137,7 +137,7 @@ def eventful_run(without_shared_memory, module_start, module_probe, tmp_path_fac
     controller = [
         start(
             "relay_esc",
-            recorders=1,
+            listeners="next recorder",
             cost_timeout=TIMEOUT,
             dwell=0.05,
             step_size=0.01,
@@ -145,7 +145,7 @@ def eventful_run(without_shared_memory, module_start, module_probe, tmp_path_fac
         ),
         start(
             "koopman_lifter",
-            recorders=LISTENERS,
+            listeners=LISTENERS,
             state_timeout=TIMEOUT,
             omega_h=200.0,
             omega_l=30.0,  # settles in 23 states
@@ -225,8 +225,15 @@ def test_a_late_controller_and_another_model_are_replayed(start, probe, tmp_path
     train(PlantConfig(), TrainingConfig(trajectories=5, duration=10.0)).save(other)
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
-    start("relay_esc", recorders=1, cost_timeout=TIMEOUT, dwell=0.05, tau_f=0.02, step_size=0.01)
-    start("koopman_lifter", recorders=LISTENERS, state_timeout=TIMEOUT)
+    start(
+        "relay_esc",
+        listeners="next recorder",
+        cost_timeout=TIMEOUT,
+        dwell=0.05,
+        tau_f=0.02,
+        step_size=0.01,
+    )
+    start("koopman_lifter", listeners=LISTENERS, state_timeout=TIMEOUT)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.change_state("relay_esc", Transition.TRANSITION_DEACTIVATE)
@@ -254,9 +261,9 @@ def test_the_raw_cost_of_any_channels_needs_no_model_until_it_is_lifted(
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
     esc = {"dt": 0.01, "cost_timeout": TIMEOUT, "dwell": 0.05, "step_size": 0.01}
-    start("relay_esc", recorders=1, **esc)
+    start("relay_esc", listeners="next recorder", **esc)
     given = {"cost": "raw", "dt": 0.01, "model": "/nowhere.npz", "state_timeout": TIMEOUT}
-    lifter = start("koopman_lifter", recorders=LISTENERS, **given)
+    lifter = start("koopman_lifter", listeners=LISTENERS, **given)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     x = [0.5 * k * math.sin(0.3 * k) * np.arange(1.0, n + 1.0) for k in range(60)]
@@ -293,9 +300,9 @@ def test_a_run_with_delays_is_replayed_bit_for_bit_over_a_gap(start, probe, tmp_
     train(PlantConfig(), config, True, Delays(2, 4, 5)).save(model)
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
-    start("relay_esc", recorders=1, cost_timeout=TIMEOUT, dwell=0.05, step_size=0.01)
+    start("relay_esc", listeners="next recorder", cost_timeout=TIMEOUT, dwell=0.05, step_size=0.01)
     given = {"state_timeout": TIMEOUT, "omega_h": 200.0, "omega_l": 30.0, "model": model}
-    start("koopman_lifter", recorders=LISTENERS, **given)
+    start("koopman_lifter", listeners=LISTENERS, **given)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.swing(range(60))
@@ -354,8 +361,8 @@ def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
     # one direction: no flip so soon
-    start("relay_esc", recorders=1, cost_timeout=TIMEOUT, step_size=0.01)
-    lifter = start("koopman_lifter", recorders=LISTENERS, state_timeout=TIMEOUT)
+    start("relay_esc", listeners="next recorder", cost_timeout=TIMEOUT, step_size=0.01)
+    lifter = start("koopman_lifter", listeners=LISTENERS, state_timeout=TIMEOUT)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.swing(range(40))
@@ -364,7 +371,7 @@ def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp
     assert lifter.stop() == 0
     count = rig.publisher.get_subscription_count
     probe.spin_until(lambda: count() == 1, "the lifter to be gone")
-    start("koopman_lifter", recorders=LISTENERS, state_timeout=TIMEOUT)
+    start("koopman_lifter", listeners=LISTENERS, state_timeout=TIMEOUT)
     probe.spin_until(lambda: count() == 2, "the lifter to be back")
     rig.swing(range(80, 120))
     recorder.process.send_signal(signal.SIGINT)

@@ -58,9 +58,9 @@ def story(module_start, tmp_path_factory, reference):
     folder = tmp_path_factory.mktemp("view")
     run = folder / "run"
     recorder = module_start("recorder", output=run)
-    module_start("vdp_plant", pace="realtime", duration=0.0, recorders=1)
-    module_start("relay_esc", recorders=1)
-    lifter = module_start("koopman_lifter", recorders=1)
+    module_start("vdp_plant", pace="realtime", duration=0.0, listeners="next recorder")
+    module_start("relay_esc", listeners="next recorder")
+    lifter = module_start("koopman_lifter", listeners="next recorder")
     words = ["serve", "--port", "0", "--operate"]
     view = NodeProcess("view", words, folder / "view.log", [sys.executable, "-m", "koop_lab"])
     module_start.running.append(view)
@@ -83,7 +83,9 @@ def story(module_start, tmp_path_factory, reference):
     stop_for_a_while(seen.pid)
     receive(seen, 200)
     lose_mailboxes(seen.pid)
-    seen.browser = browsed(seen, lifter, lambda: module_start("koopman_lifter", recorders=1))
+    seen.browser = browsed(
+        seen, lifter, lambda: module_start("koopman_lifter", listeners="next recorder")
+    )
     seen.viewer.close()
     assert view.poll() is None
     for process in reversed(module_start.running):

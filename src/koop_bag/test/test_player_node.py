@@ -76,7 +76,7 @@ def padded(data):
 
 def test_a_recording_of_a_playback_is_the_recording(write_loop, tmp_path):
     bag = write_loop(n=200)
-    with Recorder(tmp_path / "again") as recorder, Player(bag, recorders=1) as player:
+    with Recorder(tmp_path / "again") as recorder, Player(bag, listeners="recorder") as player:
         assert player.end() == 0, player.output()
         recorder.stop()
     with BagReader(bag) as before, BagReader(tmp_path / "again") as after:
@@ -208,7 +208,9 @@ def test_topics_are_remapped_and_started_for_the_number_that_shall_listen(write_
     with Player(bag, pace="fast", clock="stamp", **options) as player, Talker() as talker:
         clock = talker.collect("/clock", "rosgraph_msgs/msg/Clock")
         first = talker.collect("/old/state", LOOP["/state"])
-        wait_until(lambda: "waiting for subscribers: 1 on /old/state" in player.output(), "waiting")
+        wait_until(
+            lambda: "waiting for 1 more to listen to /old/state" in player.output(), "waiting"
+        )
         with Talker("second") as other:
             second = other.collect("/old/state", LOOP["/state"])
             assert finish(player, talker) == 0

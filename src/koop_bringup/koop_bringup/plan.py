@@ -68,7 +68,7 @@ ARGUMENTS = (
     ),
     Argument("output", "folder of the recording", "recorder"),
     Argument("composed", "true: all nodes but the recorder share one process (false)"),
-    Argument("recorders", "recorders of your own that the loop waits for before it begins (0)"),
+    Argument("listeners", "further nodes, by name, that must listen before the loop begins"),
 )
 # What launch itself takes beside the arguments that a file declares.
 OF_LAUNCH = {"launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout",
@@ -169,7 +169,9 @@ def plan(given: Mapping[str, str]) -> Plan:
     if file is not None:
         values, ignored = _from_file(file, namespace, classes)
         if ignored:
-            notes.append(f"{told['params']}: 'recorders' is not used: the launch counts them")
+            notes.append(
+                f"{told['params']}: 'listeners' is not used: the launch says who must be there"
+            )
     for argument in ARGUMENTS:
         if argument.name in told and argument.node:
             if argument.node not in values:
@@ -177,9 +179,14 @@ def plan(given: Mapping[str, str]) -> Plan:
                 raise ConfigError(f"{argument.name}:={told[argument.name]}: needs {need}")
             values[argument.node][argument.name] = _value(argument, told[argument.name])
     # a rig's controller waits for no recorder: that one could have failed
-    recorders = (recorded and simulated) + _whole_number("recorders", told.get("recorders", "0"))
+    listeners = [
+        "next",
+        *(["recorder"] if recorded and simulated else []),
+        *told.get("listeners", "").split(),
+    ]
     for name in started:
-        values[name]["recorders"] = 0 if name == "recorder" else recorders
+        if name != "recorder" and len(listeners) > 1:
+            values[name]["listeners"] = " ".join(listeners)
     _check(values, classes)
     nodes = tuple(PlannedNode(name, *EXECUTABLES[name]) for name in started)
     composed = _flag("composed", told, False)
@@ -214,14 +221,14 @@ def _program(file: ParameterFile | None, namespace: str) -> tuple[str, ...]:
 def _from_file(
     file: ParameterFile, namespace: str, classes: Mapping[str, tuple[type, ...]]
 ) -> tuple[dict[str, dict[str, Any]], bool]:
-    """Return what a file says to the nodes, and whether a number of recorders is left out.
+    """Return what a file says to the nodes, and whether listeners are left out.
 
-    A recorded run's own file holds the number of its recorders: with it, a plant would wait for
-    a recorder that this launch does not start.
+    A recorded run's own file may name its recorder: with it, a plant would wait for a recorder
+    that this launch does not start.
     """
     known = {name: names_of(own) for name, own in classes.items()}
     values = with_model_beside(file.path, file.values_of(known, namespace))
-    ignored = [own.pop("recorders", 0) for own in values.values()]
+    ignored = [own.pop("listeners", "next") != "next" for own in values.values()]
     return values, any(ignored)
 
 

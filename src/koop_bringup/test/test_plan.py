@@ -12,7 +12,7 @@ from koopman_lifter.config import shipped_model
 
 MINE = """
 /**: {ros__parameters: {robot_description: x, dt: 0.005, use_sim_time: false}}
-vdp_plant: {ros__parameters: {pace: lockstep, duration: 20, seed: 7, recorders: 1}}
+vdp_plant: {ros__parameters: {pace: lockstep, duration: 20, seed: 7, listeners: next recorder}}
 koopman_lifter: {ros__parameters: {cost: raw}}
 recorder: {ros__parameters: {compression: none, queue: 77}}
 """
@@ -37,36 +37,38 @@ def names(planned):
 def test_without_arguments_nothing_is_given_and_the_nodes_take_their_own_defaults():
     planned = plan({argument.name: "" for argument in ARGUMENTS})
     assert names(planned) == ["relay_esc", "koopman_lifter", "vdp_plant"]
-    assert all(given == {"recorders": 0} for given in planned.parameters.values())
+    assert not any(planned.parameters.values())
 
 
 def test_the_file_wins_over_defaults_and_only_a_given_argument_wins_over_the_file(mine):
     planned = plan({**mine(), "record": "true", "seed": "3", "pace": "", "duration": ""})
     assert names(planned) == ["recorder", "relay_esc", "koopman_lifter", "vdp_plant"]
     given = planned.parameters
-    shared = {"dt": 0.005, "use_sim_time": False, "recorders": 1}
+    shared = {"dt": 0.005, "use_sim_time": False, "listeners": "next recorder"}
     assert given["vdp_plant"] == {**shared, "pace": "lockstep", "duration": 20, "seed": 3}
     assert given["koopman_lifter"] == {**shared, "cost": "raw"}
     assert given["recorder"] == {
-        "use_sim_time": False, "recorders": 0, "compression": "none", "queue": 77
+        "use_sim_time": False, "compression": "none", "queue": 77
     }  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("arguments", "recorders"),
+    ("arguments", "listeners"),
     [
-        ({}, 0),
-        ({"record": "true"}, 1),
-        ({"record": "true", "recorders": "2"}, 3),
-        ({"recorders": "1"}, 1),
-        ({"record": "true", "plant": "false"}, 0),
+        ({}, None),
+        ({"record": "true"}, "next recorder"),
+        ({"record": "true", "listeners": "scope"}, "next recorder scope"),
+        ({"listeners": "scope"}, "next scope"),
+        ({"record": "true", "plant": "false"}, None),
     ],
 )
-def test_the_nodes_wait_for_the_recorders_that_there_are(mine, arguments, recorders):
+def test_the_nodes_wait_for_the_recorder_that_there_is(mine, arguments, listeners):
     planned = plan({**mine(), **arguments})
-    loop = [given["recorders"] for name, given in planned.parameters.items() if name != "recorder"]
-    assert set(loop) == {recorders}
-    assert any("'recorders' is not used" in note for note in planned.notes) == (
+    loop = {
+        given.get("listeners") for name, given in planned.parameters.items() if name != "recorder"
+    }
+    assert loop == {listeners}
+    assert any("'listeners' is not used" in note for note in planned.notes) == (
         "plant" not in arguments
     )
 
@@ -146,7 +148,6 @@ def test_a_loop_in_a_namespace_takes_what_the_file_says_to_it(mine):
         ({"cost": "cooked"}, "cost = 'cooked': must be one of "),
         ({"plant": "maybe"}, "plant:=maybe: must be true or false"),
         ({"record": "2"}, "record:=2: must be true or false"),
-        ({"recorders": "99"}, "recorders = 99: must be 0 to 10"),
         ({"namespace": "a-b"}, "namespace:=a-b: is not a namespace"),
         ({"plant": "false", "pace": "lockstep"}, "pace:=lockstep: needs plant:=true"),
         ({"output": "x"}, "output:=x: needs record:=true"),

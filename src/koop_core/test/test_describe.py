@@ -42,7 +42,7 @@ def test_help_says_default_range_unit_and_meaning_of_every_parameter():
         "  none = []: list of numbers",
         "  where = '': text, fixed while the node runs",
         "  autostart = true: true or false, fixed while the node runs",
-        "  recorders = 0: whole number, 0 to 10, fixed while the node runs",
+        "  priority = 0: whole number, 0 to 99, fixed while the node runs",
     ):
         assert text in lines
 

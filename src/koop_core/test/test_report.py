@@ -16,6 +16,16 @@ def test_what_gets_worse_is_told_at_once_and_once():
     ]  # fmt: skip
 
 
+def test_what_may_be_so_at_every_start_is_told_when_it_has_lasted():
+    news, found = News(), Finding(WARN, "nothing yet", at_once=False)
+    told = [news.of(found, float(t)) for t in range(int(SETTLED) + 2)]
+    assert [item is not None for item in told] == [*[False] * int(SETTLED), True, False]
+    short = News()
+    assert not any(
+        short.of(item, float(t)) for t, item in enumerate([found, found, Finding(OK, "")])
+    )
+
+
 def test_a_recovery_is_told_when_it_has_lasted():
     quiet = int(SETTLED)
     assert lines([WARN, *[OK] * (quiet + 2)]) == [WARN, *[None] * quiet, OK, None]

@@ -97,6 +97,31 @@ def test_latency_is_from_stamp_to_arrival_and_unknown_for_simulated_stamps(monit
     assert math.isnan(StreamMonitor("state", 0.0, DT).latency(10.0, 1_700_000_000.0))
 
 
+def test_what_was_never_heard_is_not_ok_and_the_log_says_so_only_if_it_lasts(monitor):
+    assert list(monitor.findings(1.0, 0)) == [
+        Finding(WARN, "nothing on 'state' yet: no publisher", at_once=False)
+    ]
+    unheard = "'/state' is published by /rig as std_msgs/msg/Float64"
+    assert list(monitor.findings(1.0, 1, unheard=[unheard])) == [Finding(ERROR, unheard)]
+    monitor.classify(0, 0.0, 1.1)
+    assert list(monitor.findings(1.2, 1)) == []
+
+
+def test_a_source_that_has_nothing_more_to_say_has_ended():
+    monitor = StreamMonitor("cost", 0.5, DT, may_end=True)
+    monitor.classify(7, 0.0, 1.0)
+    (found,) = monitor.findings(2.0, 1, can_say_more=False)
+    assert found == Finding(OK, "'cost' has ended at step 7")
+
+
+def test_where_the_newest_counts_a_gap_is_counted_and_no_finding():
+    """A writer of depth 1 leaves out what a newer one has replaced: that is by design."""
+    monitor = StreamMonitor("theta", 0.5, DT, newest_counts=True)
+    feed(monitor, [0, 1, 5, 4, 6])
+    assert (monitor.missed, monitor.late) == (3, 1)
+    assert list(monitor.findings(0.5, 1)) == []
+
+
 def test_findings_tell_what_is_new(monitor):
     feed(monitor, [0, 3, 2, 3])
     monitor.reject("step 3: is not finite")

@@ -19,6 +19,7 @@ from rclpy.publisher import Publisher
 
 from koop_core.config.parameter import NodeConfig, parameter, validate
 from koop_hil.faults import Channel, parse
+from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
 from koop_node.node.managed import Entities, ManagedNode, Run
 from koop_node.node.qos import RELIABLE
@@ -58,14 +59,14 @@ class FaultInjectorRun(Run):
         self.parameters_changed(set())
 
     def activate(self, entities: Entities) -> None:
-        recorders = self._node.parameters[NodeConfig].recorders
+        follower, _ = listeners_of(self._node.parameters[NodeConfig].listeners, "loop")
         self._outlets = {
             "state": entities.publisher(MeasuredState, "state", RELIABLE),
             "theta": entities.publisher(ControlInput, "rig/theta", RELIABLE),
         }
         entities.subscription(ControlInput, "theta", self._on_theta, RELIABLE)
-        entities.when_matched(
-            {self._outlets["state"]: 1 + recorders},
+        entities.when_heard(
+            {self._outlets["state"]: follower},
             lambda: entities.subscription(MeasuredState, "rig/state", self._on_state, RELIABLE),
         )
 

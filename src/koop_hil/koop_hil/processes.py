@@ -156,7 +156,7 @@ class Processes:
                 if event.action == SECOND:  # it wants another theta, and nothing else
                     given[SECOND] |= {"theta_initial": event.what, "step_size": 0.0}
         for values in given.values():
-            values["recorders"] = 1
+            values["listeners"] = "next recorder"
         return given
 
     def _command(self, name: str) -> tuple[list[str], list[str] | None]:

@@ -20,7 +20,7 @@ def choose(tmp_path):
 
 
 MINE = """
-vdp_plant: {ros__parameters: {pace: scaled, time_scale: 4, duration: 30, seed: 5, recorders: 3}}
+vdp_plant: {ros__parameters: {pace: scaled, time_scale: 4, duration: 30, seed: 5, listeners: it}}
 recorder: {ros__parameters: {compression: none, output: /nowhere}}
 """
 

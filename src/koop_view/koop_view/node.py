@@ -36,7 +36,7 @@ class ViewNode(WithoutEvents):
 
     def __init__(self) -> None:
         # what it was started with is no part of the record of a run, nor to be changed
-        super().__init__("koop_view", start_parameter_services=False)
+        super().__init__("_koop_view", start_parameter_services=False)
         self.parameters = Parameters(
             self, (ViewConfig,), lambda configs, names: None, lambda names: None, sys.argv
         )

@@ -19,6 +19,7 @@ from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.adapter import StateAdapter
 from koop_node.node.entities import Writer
+from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
@@ -87,13 +88,13 @@ class LifterRun(Run):
         self._publisher: Writer | None = None
 
     def activate(self, entities: Entities) -> None:
-        recorders = self._node.parameters[NodeConfig].recorders
+        follower, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "loop")
         writer = self._publisher = entities.writer(Cost, "cost", RELIABLE)
-        needed = {writer.publisher: 1 + recorders}
+        needed = {writer.publisher: follower}
         foreign = self._foreign
         if foreign is not None:
             foreign.publisher = entities.writer(MeasuredState, "state", RELIABLE)
-            needed[foreign.publisher.publisher] = recorders
+            needed[foreign.publisher.publisher] = observers
 
         def listen() -> None:
             if foreign is None:
@@ -103,7 +104,7 @@ class LifterRun(Run):
                 qos = RELIABLE if own else BEST_EFFORT
                 entities.dated_subscription(foreign.type, self._topic, self._on_foreign, qos)
 
-        entities.when_matched(needed, listen)
+        entities.when_heard(needed, listen)
 
     def deactivate(self) -> None:
         self._publisher = None

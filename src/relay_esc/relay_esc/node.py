@@ -17,6 +17,7 @@ from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.entities import Writer
+from koop_node.node.graph import Listeners, listeners_of
 from koop_node.node.main import run
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import NEWEST, RELIABLE
@@ -56,7 +57,7 @@ class EscRun(Run):
         entities.service(SetBool, "~/hold", self._on_hold)
 
     def activate(self, entities: Entities) -> None:
-        recorders = self._node.parameters[NodeConfig].recorders
+        rig, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "any")
         topic = self._node.parameters[EscConfig].command_topic
         writer = self._publisher = entities.writer(ControlInput, "theta", RELIABLE)
         if topic:  # the rig listens there, and to nothing else
@@ -65,12 +66,10 @@ class EscRun(Run):
                 command = self._command.publisher
             else:
                 command = self._command = entities.publisher(type(self._own), topic, NEWEST)
-            needed = {command: 1, writer.publisher: recorders}
+            needed = {command: Listeners(next=rig.next), writer.publisher: observers}
         else:
-            needed = {writer.publisher: 1 + recorders}
-        entities.when_matched(
-            needed, lambda: entities.reader(Cost, "cost", self._on_cost, RELIABLE)
-        )
+            needed = {writer.publisher: rig}
+        entities.when_heard(needed, lambda: entities.reader(Cost, "cost", self._on_cost, RELIABLE))
 
     def deactivate(self) -> None:
         self._publisher = self._command = None

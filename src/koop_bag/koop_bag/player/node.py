@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
@@ -20,6 +21,7 @@ from koop_bag.player.gate import Gate
 from koop_bag.player.outlet import Outlet
 from koop_bag.player.playback import Playback, in_time_order
 from koop_core.config.parameter import NodeConfig
+from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
 from koop_node.node.managed import ERROR, OK, Entities, ManagedNode, Run
 from koop_node.node.schedule import Timer
@@ -71,10 +73,13 @@ class PlayerRun(Run):
         unknown = [name for name in counts if name not in self._outlets]
         if unknown:
             raise ValueError(f"wait_for: {', '.join(unknown)} is not played")
-        recorders = self._node.parameters[NodeConfig].recorders
-        if counts or recorders:
-            entities.when_matched(
-                {o.publisher: counts.get(name, 0) + recorders for name, o in self._outlets.items()},
+        _, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "")
+        if counts or observers.names:
+            entities.when_heard(
+                {
+                    o.publisher: replace(observers, count=counts.get(name, 0))
+                    for name, o in self._outlets.items()
+                },
                 lambda: self._start(entities),
             )
         elif config.wait_for:

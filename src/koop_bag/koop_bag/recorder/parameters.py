@@ -11,14 +11,14 @@ from rclpy.parameter import parameter_value_to_python
 
 from koop_node.client.question import Question
 
-WAITED_FOR = "recorders"  # a parameter of the nodes, see koop_core.config.parameter
+WAITED_FOR = "listeners"  # a parameter of the nodes, see koop_core.config.parameter
 
 
 class ParameterCollector:
     """Asks every node of a namespace once for all its parameters.
 
-    Left out are those that say how this run was started: `recorders`, and the recorder's `output`.
-    Who hands the file back starts another run: it would wait for a recorder that is not there, or
+    Left out are those that say how this run was started: `listeners`, and the recorder's `output`.
+    Who hands the file back starts another run: it would wait for nodes that are not there, or
     be told to write where a recording is.
 
     Later changes need no asking: they are recorded from /parameter_events.

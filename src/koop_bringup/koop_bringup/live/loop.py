@@ -214,7 +214,9 @@ class LiveLoop(LiveNodes):
         recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
         composed: bool = False,
     ) -> None:
-        given = {node: {**own, "recorders": 1} for node, own in parameters.as_ros().items()}
+        given = {
+            node: {**own, "listeners": "next recorder"} for node, own in parameters.as_ros().items()
+        }
         super().__init__(
             folder,
             {**given, "recorder": asdict(replace(recorder, output=str(folder)))},

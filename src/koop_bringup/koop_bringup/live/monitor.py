@@ -45,7 +45,7 @@ class Monitor(Client):
     def __init__(self, namespace: str | None = None) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
 
-        super().__init__("koop_monitor")
+        super().__init__("_koop_monitor")
         self.progress = Progress()
         self.levels: dict[str, int] = {}  # that every node last reported
         self._namespace = namespace

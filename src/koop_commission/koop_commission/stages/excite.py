@@ -121,7 +121,12 @@ def excite(rig: RigFile, folder: Path, watch: Watch, seed: int = 0) -> Progress:
         state.parts.append(part)
         progress_file.save(state, rig, folder)
 
-    lifter: dict[str, Any] = {"cost": "raw", "dt": rig.dt, "recorders": 0, **rig.lifter_input}
+    lifter: dict[str, Any] = {
+        "cost": "raw",
+        "dt": rig.dt,
+        "listeners": "recorder",
+        **rig.lifter_input,
+    }
     parameters: dict[str, dict[str, Any]] = {
         "recorder": {"output": str(folder / part)},
         "koopman_lifter": lifter,

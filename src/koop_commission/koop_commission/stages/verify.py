@@ -212,7 +212,7 @@ class ClosedLoop:
             "theta_initial": start,
             "epsilon_initial": -1 if below else 1,
             "command_topic": "",
-            "recorders": 1,
+            "listeners": "next recorder",
         }
         return parameters
 

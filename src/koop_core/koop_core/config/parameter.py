@@ -198,11 +198,10 @@ class NodeConfig:
     autostart: bool = parameter(
         True, "configure and activate by itself at the start", read_only=True
     )
-    recorders: int = parameter(
-        0,
-        "recorders that must listen to every topic before the loop starts",
-        low=0,
-        high=10,
+    listeners: str = parameter(
+        "next",
+        "nodes that must listen before this one begins: their names, separated by spaces, such as "
+        "recorder; 'next' is the next node of the loop, whatever its name is",
         read_only=True,
     )
     priority: int = parameter(

@@ -15,7 +15,7 @@ was not heard.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from koop_core.stream.age import AgeMeter
 from koop_core.stream.arrival import NOTHING, WINDOW, Arrival, classify
@@ -35,13 +35,24 @@ class StreamMonitor:
         Time between two steps [s].
     may_end : bool
         Whether silence is not a fault where the source has left in order.
+    newest_counts : bool
+        Whether only the newest message matters, as for commands in real time: lost and overtaken
+        ones are then counted, and no finding.
     """
 
-    def __init__(self, topic: str, timeout: float, dt: float, may_end: bool = False) -> None:
+    def __init__(
+        self,
+        topic: str,
+        timeout: float,
+        dt: float,
+        may_end: bool = False,
+        newest_counts: bool = False,
+    ) -> None:
         self.topic = topic
         self.timeout = timeout
         self.dt = dt
         self._may_end = may_end
+        self._newest_counts = newest_counts
         self.count = 0
         self.missed = self.repeated = self.late = self.restarts = self.silences = 0
         self.unusable = self.too_old = 0
@@ -125,8 +136,26 @@ class StreamMonitor:
         latency = wall - self.age(now) - self._stamp
         return latency if abs(latency) < 60.0 else math.nan
 
-    def findings(self, now: float, publishers: int) -> Iterator[Finding]:
-        """Say what is wrong; counts are those since the last call."""
+    def findings(
+        self,
+        now: float,
+        publishers: int,
+        can_say_more: bool = True,
+        unheard: Sequence[str] = (),
+    ) -> Iterator[Finding]:
+        """Say what is wrong; counts are those since the last call.
+
+        Parameters
+        ----------
+        now : float
+            Steady time [s].
+        publishers : int
+            How many publish the topic.
+        can_say_more : bool
+            Whether one of them may have something to say: its own source has not left.
+        unheard : sequence of str
+            Publishers that cannot be heard, in words.
+        """
         counts = (
             self.unusable, self.missed, self.late, self.restarts, self.repeated, self.too_old
         )  # fmt: skip
@@ -134,12 +163,17 @@ class StreamMonitor:
             new - old for new, old in zip(counts, self._reported, strict=True)
         )
         self._reported = counts
+        for text in unheard:
+            yield Finding(ERROR, text)
         if publishers > 1:
             yield Finding(ERROR, f"{publishers} publishers on '{self.topic}'")
         if unusable:
             yield Finding(ERROR, f"{unusable} unusable on '{self.topic}', last {self.problem}")
+        if math.isnan(self._heard) and not unheard:
+            source = "its publisher is silent" if publishers else "no publisher"
+            yield Finding(WARN, f"nothing on '{self.topic}' yet: {source}", at_once=False)
         if self.stale(now):
-            if self._may_end and not publishers and not self._silent:
+            if self._may_end and not (publishers and can_say_more) and not self._silent:
                 yield Finding(OK, f"'{self.topic}' has ended at step {self.step}")
             else:  # a source that was lost stays so when discovery gives it up
                 self._silent = True
@@ -147,7 +181,9 @@ class StreamMonitor:
                 yield Finding(STALE, f"{text}, timeout {self.timeout:g} s")
         if restarts:
             yield Finding(WARN, f"steps on '{self.topic}' went back")
-        noted = ((missed, "missed"), (late, "late"), (repeated, "repeated"), (too_old, "too old"))
+        noted = [(repeated, "repeated"), (too_old, "too old")]
+        if not self._newest_counts:
+            noted = [(missed, "missed"), (late, "late"), *noted]
         for number, what in noted:
             if number:
                 yield Finding(WARN, f"{number} {what} on '{self.topic}'")

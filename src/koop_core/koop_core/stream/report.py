@@ -13,10 +13,21 @@ SETTLED = 5.0  # [s] that a lower level must last before it is news
 
 
 class Finding(NamedTuple):
-    """One thing that a node found, with its level."""
+    """One thing that a node found, with its level.
+
+    Attributes
+    ----------
+    level : int
+        How bad it is.
+    text : str
+        What it is.
+    at_once : bool
+        Whether the log says so at once; else only when it has lasted, as at every start.
+    """
 
     level: int
     text: str
+    at_once: bool = True
 
 
 def summary(findings: Iterable[Finding]) -> Finding:
@@ -29,19 +40,21 @@ def summary(findings: Iterable[Finding]) -> Finding:
         return Finding(OK, "")
     level = ordered[0].level
     told = [item for item in ordered if item.level != OK] if level != OK else ordered
-    return Finding(level, "; ".join(item.text for item in told if item.text))
+    at_once = any(item.at_once for item in ordered if item.level == level)
+    return Finding(level, "; ".join(item.text for item in told if item.text), at_once)
 
 
 class News:
     """Which findings are worth a line of the log: whoever reads only the log learns them too.
 
-    A more urgent level is news at once, a less urgent one when it has lasted: what comes and goes
-    is one line, not two every second.
+    A more urgent level is news at once, or when it has lasted if the finding says so; a less urgent
+    one when it has lasted: what comes and goes is one line, not two every second.
     """
 
     def __init__(self) -> None:
         self._told = OK
-        self._lower_since = math.nan
+        self._since = math.nan
+        """When the level changed that was not told yet [s]."""
 
     def of(self, found: Finding, now: float) -> Finding | None:
         """Return what to log.
@@ -54,11 +67,11 @@ class News:
             Steady time [s].
         """
         change = _URGENCY.index(found.level) - _URGENCY.index(self._told)
-        if change >= 0:
-            self._lower_since = math.nan
-        elif math.isnan(self._lower_since):
-            self._lower_since = now
-        if change > 0 or now - self._lower_since >= SETTLED:
-            self._told, self._lower_since = found.level, math.nan
+        if change == 0:
+            self._since = math.nan
+        elif math.isnan(self._since):
+            self._since = now
+        if (change > 0 and found.at_once) or now - self._since >= SETTLED:
+            self._told, self._since = found.level, math.nan
             return found
         return None

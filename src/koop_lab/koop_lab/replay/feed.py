@@ -31,6 +31,7 @@ from koop_node.client.client import Client
 from koop_node.node.wire import codec
 from koop_node.process.domain import free_domain
 
+FEEDER = "koop_replay"
 TIMEOUT = 5.0  # [s] without an answer after which a state is sent again; a node that lives answers
 RESENDS = 2
 
@@ -72,7 +73,8 @@ def _parameter_file(folder: Path, plan: Plan) -> Path:
     given = plan.stretches[0].parameters.as_ros()
     # the lifter starts to listen when the controller and the feeder take its cost, the controller
     # when the feeder takes its theta
-    values = {node: {**given[node], "recorders": int(node == CONTROLLER[0])} for node in CONTROLLER}
+    values = {node: {**given[node], "listeners": f"next {FEEDER}"} for node in CONTROLLER}
+    values["relay_esc"]["listeners"] = FEEDER
     file = folder / "parameters.yaml"
     parameter_file.write(values, file)
     return file
@@ -85,7 +87,7 @@ class Feeder(Client):
         from koop_msgs.msg import ControlInput, Cost, MeasuredState
         from rclpy.qos import QoSProfile
 
-        super().__init__("koop_replay", domain, guest=False)  # a fifth faster
+        super().__init__(FEEDER, domain, guest=False)  # a fifth faster
         self._nodes = nodes
         qos = QoSProfile(depth=100)
         self._publisher = self.node.create_publisher(MeasuredState, "state", qos)

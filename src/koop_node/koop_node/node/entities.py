@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -13,12 +14,13 @@ from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer as RosTimer
 
 from koop_node.node import schedule
+from koop_node.node.graph import Listeners, best_effort_only, publishers_of
 from koop_node.node.schedule import Timer
 from koop_node.node.wire import WireError, codec
 
@@ -68,6 +70,50 @@ class Writer:
         self._send(self._encode(message))
 
 
+class Input:
+    """A subscription that hears reliable publishers and best-effort ones.
+
+    It is reliable, so that nothing is lost in lockstep or on a busy machine, until a publisher is
+    there that offers best effort only, as most drivers of sensors do.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Owner.
+    kind : type
+        Message class.
+    topic : str
+        Its name.
+    deliver : callable
+        Takes what arrives, as rclpy gives it.
+    qos : QoSProfile
+        Quality of service while all publishers are reliable.
+    raw : bool
+        Whether the messages are delivered as bytes.
+    """
+
+    def __init__(
+        self, node: Node, kind: Any, topic: str, deliver: Any, qos: QoSProfile, raw: bool
+    ) -> None:
+        self._node = node
+        self._make = partial(node.create_subscription, kind, topic, deliver, raw=raw)
+        self.subscription: Subscription = self._make(qos)
+        self.match(publishers_of(node, self.subscription.topic_name))
+
+    def match(self, publishers: Sequence[Any]) -> None:
+        """Become best effort if one of the publishers could not be heard otherwise."""
+        qos = self.subscription.qos_profile
+        if qos.reliability == ReliabilityPolicy.RELIABLE and best_effort_only(publishers):
+            self.close()
+            self.subscription = self._make(
+                QoSProfile(depth=qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+            )
+
+    def close(self) -> None:
+        """Hear no more."""
+        self._node.destroy_subscription(self.subscription)
+
+
 class _OfRos:
     """A timer of ROS, for nodes that another program spins."""
 
@@ -92,9 +138,18 @@ class Entities:
     ----------
     node : rclpy.node.Node
         Owner.
+
+    Attributes
+    ----------
+    inputs : dict of str to Input
+        What :meth:`reader` and :meth:`dated_subscription` have made, by topic as it was given.
+    waiting_for : str
+        What :meth:`when_heard` still waits for; empty: nothing.
     """
 
     def __init__(self, node: Node) -> None:
+        self.inputs: dict[str, Input] = {}
+        self.waiting_for = ""
         self._node = node
         self._stack = ExitStack()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -116,8 +171,8 @@ class Entities:
 
     def reader(
         self, kind: Any, topic: str, callback: Callable[[Any, float], None], qos: QoSProfile
-    ) -> Subscription:
-        """Create a subscription whose messages are decoded here; see :mod:`koop_node.node.wire`.
+    ) -> None:
+        """Listen to messages that are decoded here; see :mod:`koop_node.node.wire`.
 
         The callback also gets when a message was written, as of :meth:`dated_subscription`. One
         that cannot be decoded is reported and goes no further.
@@ -132,7 +187,7 @@ class Entities:
                 return
             callback(message, written)
 
-        return self._dated(kind, topic, take, qos, True)
+        self._input(kind, topic, take, qos, True)
 
     def subscription(
         self,
@@ -151,25 +206,27 @@ class Entities:
                 callback(message)
                 look()
 
-        return self._subscription(kind, topic, deliver, qos, raw)
+        made = self._node.create_subscription(kind, topic, deliver, qos, raw=raw)
+        self._stack.callback(self._node.destroy_subscription, made)
+        return made
 
     def dated_subscription(
         self, kind: Any, topic: str, callback: Callable[[Any, float], None], qos: QoSProfile
-    ) -> Subscription:
-        """Create a subscription whose callback also gets when a message was written.
+    ) -> None:
+        """Listen to messages with a callback that also gets when a message was written.
 
         That is a time on the clock of the writer's host [s], which every DDS sends along.
         """
-        return self._dated(kind, topic, callback, qos, False)
+        self._input(kind, topic, callback, qos, False)
 
-    def _dated(
+    def _input(
         self,
         kind: Any,
         topic: str,
         callback: Callable[[Any, float], None],
         qos: QoSProfile,
         raw: bool,
-    ) -> Subscription:
+    ) -> None:
         look = self._look
 
         def deliver(*given: Any) -> None:
@@ -180,7 +237,8 @@ class Entities:
                 look()
 
         deliver.__signature__ = _TWO  # type: ignore[attr-defined]  # what rclpy goes by
-        return self._subscription(kind, topic, deliver, qos, raw)
+        made = self.inputs[topic] = Input(self._node, kind, topic, deliver, qos, raw)
+        self._stack.callback(made.close)
 
     def service(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> Service:
         """Create a service."""
@@ -203,8 +261,8 @@ class Entities:
         self._stack.callback(self._node.destroy_timer, made)
         return _OfRos(made)
 
-    def when_matched(self, needed: Mapping[Publisher, int], then: Callable[[], object]) -> None:
-        """Call ``then`` once every publisher has its number of matched subscriptions.
+    def when_heard(self, needed: Mapping[Publisher, Listeners], then: Callable[[], object]) -> None:
+        """Call ``then`` once every publisher has its listeners.
 
         A reliable writer delivers everything that it wrote after it matched a reader; a node that
         creates its subscription only then tells those upstream that all downstream is ready, and
@@ -214,17 +272,14 @@ class Entities:
 
         def look() -> None:
             nonlocal waited
-            missing = {
-                publisher.topic_name: count - publisher.get_subscription_count()
-                for publisher, count in needed.items()
-                if publisher.get_subscription_count() < count
-            }
-            if not missing:
+            missing = {p.topic_name: who.missing(self._node, p) for p, who in needed.items()}
+            text = "; ".join(f"{who} to listen to {topic}" for topic, who in missing.items() if who)
+            self.waiting_for = text and f"waiting for {text}"
+            if not text:
                 timer.cancel()
                 then()
             elif waited % 100 == 20:
-                topics = ", ".join(f"{count} on {topic}" for topic, count in missing.items())
-                self._node.get_logger().info(f"waiting for subscribers: {topics}")
+                self._node.get_logger().info(self.waiting_for)
             waited += 1
 
         timer = self.timer(LOOK_PERIOD, look)
@@ -242,10 +297,3 @@ class Entities:
             if left > 0.0 and publisher.get_subscription_count():
                 publisher.wait_for_all_acked(Duration(seconds=left))
         self._stack.close()
-
-    def _subscription(
-        self, kind: Any, topic: str, deliver: Any, qos: QoSProfile, raw: bool
-    ) -> Subscription:
-        made = self._node.create_subscription(kind, topic, deliver, qos, raw=raw)
-        self._stack.callback(self._node.destroy_subscription, made)
-        return made

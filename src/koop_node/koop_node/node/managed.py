@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -18,7 +18,8 @@ from koop_core.config.parameter import NodeConfig
 from koop_core.stream.monitor import StreamMonitor
 from koop_core.stream.report import ERROR, OK, STALE, WARN, Finding, News, summary
 from koop_node.node import schedule
-from koop_node.node.entities import Entities, WithoutEvents
+from koop_node.node.entities import Entities, Input, WithoutEvents
+from koop_node.node.graph import can_say_more, publishers_of, unheard
 from koop_node.node.parameters import Parameters
 from koop_node.node.rclpy_internals import RefusingLifecycleNode
 from koop_node.process.housekeeping import release_compiler
@@ -285,11 +286,13 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
             "rate_hz": f"{max(count - counted, 0) / (now - before):.1f}",
             **own_values,
         }
+        if self._while_active is not None and self._while_active.waiting_for:
+            findings.append(Finding(WARN, self._while_active.waiting_for, at_once=False))
         for monitor in run.inputs:
-            publishers = self._publishers_of(monitor.topic)
-            if self.active:
-                findings += monitor.findings(now, publishers)
-            values |= monitor.values(now, time.time(), publishers)
+            publishers = publishers_of(self, monitor.topic)
+            if self._while_active is not None:
+                findings += self._findings(monitor, now, publishers, self._while_active.inputs)
+            values |= monitor.values(now, time.time(), len(publishers))
         if self._without_time():
             findings.append(
                 Finding(WARN, "use_sim_time is set, but nothing is published on /clock")
@@ -307,12 +310,19 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def _publishers_of(self, topic: str) -> int:
-        """Return how many publish what this node hears; who asks the graph looks at the fleet."""
-        for subscription in self.subscriptions:
-            if subscription.topic == topic:
-                return int(subscription.get_publisher_count())
-        return int(self.count_publishers(topic))
+    def _findings(
+        self, monitor: StreamMonitor, now: float, publishers: list[Any], inputs: dict[str, Input]
+    ) -> Iterator[Finding]:
+        """Return what is wrong with an input; it then hears all publishers that it can."""
+        if monitor.topic not in inputs:  # not before all listen who must
+            return iter(())
+        inputs[monitor.topic].match(publishers)
+        return monitor.findings(
+            now,
+            len(publishers),
+            not monitor.stale(now) or can_say_more(self, publishers),
+            unheard(inputs[monitor.topic].subscription, publishers),
+        )
 
     def _without_time(self) -> bool:
         """Return True if stamps are 0 because simulated time has not begun."""

@@ -16,11 +16,12 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from koop_core.config.parameter import Spec, refuse_unknown, spec_of
+from koop_core.config.parameter import ConfigError, Spec, refuse_unknown, spec_of
 from koop_core.config.parameter_file import shared_names
 from koop_node.node.rclpy_internals import parameter_overrides
 
 Config = TypeVar("Config")
+OF_THE_CLOCK = "qos_overrides./clock."  # rclpy's own, with use_sim_time
 
 
 class Parameters:
@@ -155,7 +156,14 @@ def unknown_names(given: Iterable[str], known: set[str], args: Sequence[str]) ->
     ConfigError
         If others are unknown.
     """
-    unknown = sorted(name for name in given if name not in known and "qos_overrides" not in name)
+    unknown = sorted(name for name in given if name not in known)
+    for name in unknown:
+        if name.startswith("qos_overrides.") and not name.startswith(OF_THE_CLOCK):
+            raise ConfigError(
+                f"{name}: the quality of service of the topics is fixed, and publishers of any "
+                "reliability are heard"
+            )
+    unknown = [name for name in unknown if not name.startswith(OF_THE_CLOCK)]
     shared = shared_names(args) if unknown else set()
     meant = [name for name in unknown if name not in shared]
     refuse_unknown(meant, sorted(known))

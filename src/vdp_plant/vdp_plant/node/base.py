@@ -16,8 +16,9 @@ from koop_core.config.parameter import NodeConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
+from koop_node.node.graph import listeners_of
 from koop_node.node.managed import OK, Entities, ManagedNode, Run
-from koop_node.node.qos import RELIABLE
+from koop_node.node.qos import NEWEST, RELIABLE
 from koop_node.node.stamps import to_seconds, to_stamp
 from koop_node.node.wire import codec
 from vdp_plant import dynamics
@@ -59,7 +60,9 @@ class PlantRun(Run):
         x, y = config.initial_state or dynamics.initial_state(config.seed)
         self._x, self._y = float(x), float(y)
         self._simulated_stamp = pace.pace != "realtime"
-        self._input = StreamMonitor("theta", pace.theta_timeout, config.dt)
+        self._input = StreamMonitor(
+            "theta", pace.theta_timeout, config.dt, newest_counts=self.theta_qos is NEWEST
+        )
         self.inputs = (self._input,)
         self._sent = SentStates(pace.period(config.dt))
         self._round_trip = math.nan
@@ -69,29 +72,24 @@ class PlantRun(Run):
         self._ground_truth_message.header = self._state_message.header
         self._outlets: Outlets | None = None
         """There while the node is active."""
-        self._connected = False
         self._on_clock_topic = bool(node.get_parameter("use_sim_time").value)
         self._compile()
 
     def activate(self, entities: Entities) -> None:
         outlets = Outlets(entities, self._node.parameters[PaceConfig].publish_clock)
-        recorders = self._node.parameters[NodeConfig].recorders
-        needed = {
-            outlets.state.publisher: 1 + recorders,
-            outlets.ground_truth.publisher: recorders,
-        }
+        follower, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "loop")
+        needed = {outlets.state.publisher: follower, outlets.ground_truth.publisher: observers}
 
         def start() -> None:
-            self._connected = True
             self._input.watch_from(time.monotonic())
             self.start(entities)
 
         self._outlets = outlets
         entities.reader(ControlInput, "theta", self.on_theta, self.theta_qos)
-        entities.when_matched(needed, start)
+        entities.when_heard(needed, start)
 
     def deactivate(self) -> None:
-        self._outlets, self._connected = None, False
+        self._outlets = None
 
     def start(self, entities: Entities) -> None:
         """Begin, or go on after a pause: all who listen are there."""
@@ -113,8 +111,8 @@ class PlantRun(Run):
         return self._k
 
     def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
-        if not self._connected:
-            return OK, "waiting for the loop to connect" if self._node.active else "", {}
+        if self._outlets is None:
+            return OK, "", {}
         level, text, values = self.condition()
         return level, text, {
             "step": self._k,

@@ -1,0 +1,157 @@
+"""Who publishes and who listens on a topic, by name, as the graph of the ROS domain shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+NEXT = "next"
+"""Among the listeners of a node: the next node of the loop, whatever its name is."""
+LOOP_TYPES = {f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput")}
+COST = "koop_msgs/msg/Cost"
+SHARED = {"/clock", "/parameter_events", "/rosout"}  # say nothing about what a node works with
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of rmw, for a program that is not a node of ROS
+
+
+@dataclass(frozen=True)
+class Listeners:
+    """Which nodes must listen to a topic before its publisher begins.
+
+    An observer, such as ``ros2 topic echo``, is none of them, however many there are.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Nodes by name.
+    next : str
+        Besides them, ``loop``: a node that publishes a message of the loop; ``any``: any node that
+        is not hidden; empty: none.
+    count : int
+        How many subscriptions there must be at least.
+    """
+
+    names: tuple[str, ...] = ()
+    next: str = ""
+    count: int = 0
+
+    def missing(self, node: Node, publisher: Publisher) -> str:
+        """Return in words who does not listen yet; empty if all do."""
+        kind = type_name(publisher.msg_type)
+        infos = [
+            info
+            for info in node.get_subscriptions_info_by_topic(publisher.topic_name)
+            if info.topic_type == kind and _compatible(publisher.qos_profile, info.qos_profile)
+        ]
+        names = {info.node_name for info in infos}
+        missing = [name for name in self.names if name not in names]
+        others = [info for info in infos if info.node_name not in self.names]
+        if self.next == "loop" and not any(_in_loop(node, info) for info in others):
+            missing.append("the next node of the loop")
+        if self.next == "any" and not any(_visible(info) for info in others):
+            missing.append("the rig")
+        more = max(len(infos), self.count) - publisher.get_subscription_count()
+        if not missing and more > 0:  # announced, and not connected yet
+            missing.append(f"{more} more")
+        return ", ".join(missing)
+
+
+def listeners_of(text: str, next_: str) -> tuple[Listeners, Listeners]:
+    """Return who must hear what a node answers, and who what it publishes besides.
+
+    Parameters
+    ----------
+    text : str
+        Parameter ``listeners``.
+    next_ : str
+        What :data:`NEXT` is, as in :class:`Listeners`.
+    """
+    words = text.split()
+    names = tuple(word for word in words if word != NEXT)
+    return Listeners(names, next_ if NEXT in words else ""), Listeners(names)
+
+
+def publishers_of(node: Node, topic: str) -> list[Any]:
+    """Return the publishers of a topic, also those that this node cannot hear."""
+    return list(node.get_publishers_info_by_topic(topic))
+
+
+def unheard(subscription: Subscription, publishers: Sequence[Any]) -> list[str]:
+    """Say of every publisher that a subscription cannot hear, who it is and why."""
+    wanted = type_name(subscription.msg_type)
+    found = []
+    for info in publishers:
+        if info.topic_type != wanted:
+            why = f"as {info.topic_type}, not as {wanted}"
+        elif not _compatible(info.qos_profile, subscription.qos_profile):
+            why = "with a quality of service that does not fit"
+        else:
+            continue
+        found.append(f"'{subscription.topic_name}' is published by {full_name(info)} {why}")
+    return found
+
+
+def best_effort_only(publishers: Sequence[Any]) -> bool:
+    """Return whether one of the publishers is not heard by a reliable subscription."""
+    return any(p.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for p in publishers)
+
+
+def can_say_more(node: Node, publishers: Sequence[Any]) -> bool:
+    """Return whether a publisher is there that may have something to say.
+
+    A lifter whose own input has no publisher has not: its source has left.
+    """
+    return any(_has_source(node, info) for info in publishers)
+
+
+def type_name(kind: Any) -> str:
+    """Return ``pkg/msg/Type`` of a message class."""
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+
+
+def full_name(info: Any) -> str:
+    """Return the name of the node that an endpoint belongs to."""
+    if info.node_name == UNKNOWN:
+        return "a program that is not a node of ROS"
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+
+
+def _has_source(node: Node, info: Any) -> bool:
+    if info.topic_type != COST or info.node_name == UNKNOWN:
+        return True  # a plant listens, too, and is a source all the same
+    try:
+        heard = node.get_subscriber_names_and_types_by_node(info.node_name, info.node_namespace)
+    except NodeNameNonExistentError:  # it is leaving, or is not a node of ROS
+        return True
+    inputs = [name for name, _ in heard if name not in SHARED]
+    return not inputs or any(node.count_publishers(name) for name in inputs)
+
+
+def _in_loop(node: Node, info: Any) -> bool:
+    if info.node_name == UNKNOWN:  # its name may still be on its way
+        return False
+    try:
+        found = node.get_publisher_names_and_types_by_node(info.node_name, info.node_namespace)
+    except NodeNameNonExistentError:
+        return False
+    return any(LOOP_TYPES.intersection(types) for _, types in found)
+
+
+def _visible(info: Any) -> bool:
+    return info.node_name == UNKNOWN or not info.node_name.startswith("_")
+
+
+def _compatible(offered: Any, wanted: Any) -> bool:
+    """Return whether a subscription can hear a publisher, by what can differ here.
+
+    rclpy's own check takes a deadline that is not given for one of 0 s.
+    """
+    reliable, local = ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL
+    return (wanted.reliability != reliable or offered.reliability == reliable) and (
+        wanted.durability != local or offered.durability == local
+    )
