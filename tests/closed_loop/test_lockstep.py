@@ -12,7 +12,7 @@ import pytest
 
 from koop_bringup.live.loop import LiveLoop
 from koop_core.errors import LiveError
-from koop_identify.recording.loop import RecordedRun, read_run
+from koop_identify.recording.loop import LoopRecord, read_run
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import make_plan
 from koop_lab.replay.recording import read_recording
@@ -62,7 +62,7 @@ class Lockstep:
     folder: Path
     parameters: LoopParameters
     steps: int
-    run: RecordedRun
+    run: LoopRecord
 
 
 def record(steps, changes, folder, composed):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +14,7 @@ from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_core.errors import InputError
-from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, keys
+from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, Messages
 
 STAMP = "header.stamp"
 FIELDS = {
@@ -24,34 +23,44 @@ FIELDS = {
     "theta": ["step", "theta", "saturated"],
     "ground_truth": ["step", "x"],
 }
+BY_ROW = (
+    "step", "measured", "ground_truth", "r", "theta", "swing", "saturated", "answered",
+)  # fmt: skip
 SWING = "float64 swing"  # of a ControlInput; older bags lack it
 
 
 @dataclass(frozen=True)
-class RecordedRun:
-    """Signals of a recorded loop, one row a step that all topics have.
+class LoopRecord:
+    """Signals of a recorded loop, one row a state.
 
-    Where steps restart within the bag, as of a plant that was started again, the signals are
-    those of the longest pass.
+    Where steps restart within the bag, as of a plant that was started again, the rows are those of
+    the longest run.
 
     Attributes
     ----------
     step : ndarray of int64, shape (M,)
-        Step index.
+        Step index, increasing.
     measured, ground_truth : ndarray, shape (M, n)
         x' and, if it was recorded, x; else of shape (M, 0).
-    r, theta : ndarray, shape (M,)
-        Cost and control input.
-    lost : dict
-        Missing steps by topic.
-    counts : dict
-        Messages by topic.
-    duration : float
-        Wall-clock time from the first to the last state [s].
+    r, theta, swing : ndarray, shape (M,)
+        Cost, control input, and the controller's step in units of its largest; NaN where there is
+        none.
+    saturated : ndarray of bool, shape (M,)
+        Whether theta was at a limit.
+    answered : ndarray of bool, shape (M,)
+        Whether all topics have the step.
+    model_id : str
+        Model of the first cost; empty if there is none.
+    lost, counts : dict
+        Missing steps and messages by topic.
     state_time : ndarray, shape (K,)
         Receive time of every state [s], from the first.
+    measured_dt : float
+        Usual time between two steps as stamped, else as received [s].
     passes : int
         How often the steps of the states begin.
+    recorded_steps : int
+        Steps from the first to the last state, of all runs together.
     """
 
     step: NDArray[np.int64]
@@ -59,116 +68,58 @@ class RecordedRun:
     ground_truth: NDArray[np.float64]
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
+    swing: NDArray[np.float64]
+    saturated: NDArray[np.bool_]
+    answered: NDArray[np.bool_]
+    model_id: str
     lost: dict[str, int]
     counts: dict[str, int]
-    duration: float
     state_time: NDArray[np.float64]
+    measured_dt: float
     passes: int
+    recorded_steps: int
+
+    @property
+    def duration(self) -> float:
+        """Wall-clock time from the first to the last state [s]."""
+        return float(self.state_time[-1])
 
     def t(self, dt: float) -> NDArray[np.float64]:
         """Return t_k = k dt [s], shape (M,)."""
         return np.asarray(self.step * dt, dtype=np.float64)
 
+    def closed(self, bag: Path) -> LoopRecord:
+        """Return the steps that have a state, a cost and a theta.
 
-def _columns(bag: BagReader, topic: str, wanted: list[str]) -> Columns:
-    """Read a topic; a state of another length than most, which has no use, is a row of NaN."""
-    try:
-        return read_columns(bag, topic, wanted)
-    except BagError:
-        if "x" not in wanted:
-            raise
-    elements = [name for name in measure(bag, topic).fields if name.startswith("x[")]
-    columns = read_columns(bag, topic, [*(name for name in wanted if name != "x"), *elements])
-    x = np.stack([columns.pop(name) for name in elements], axis=1).astype(np.float64)
-    n = int(np.median((~np.isnan(x)).sum(axis=1)))
-    x[~np.isnan(x[:, n:]).all(axis=1)] = np.nan
-    return {**columns, "x": x[:, :n]}
-
-
-class LoopColumns:
-    """What the bag of a loop holds, looked up by the steps of its states.
-
-    Where steps restart within the bag, the rows are those of the longest run.
-
-    Parameters
-    ----------
-    columns : dict
-        By topic; `state` is among them and not empty.
-
-    Attributes
-    ----------
-    step : ndarray of int64, shape (M,)
-        Of the states, increasing.
-    answered : ndarray of bool, shape (M,)
-        Whether all topics have the step.
-    lost, counts : dict
-        Missing steps and messages by topic.
-    state_time : ndarray, shape (K,)
-        Receive time of every state [s], from the first.
-    passes : int
-        How often the steps of the states begin.
-    recorded_steps : int
-        Steps from the first to the last state, of all runs together.
-    """
-
-    def __init__(self, columns: dict[str, dict[str, Any]]) -> None:
-        self._columns = columns
-        steps = {name: column["step"].astype(np.int64) for name, column in columns.items()}
-        self._keys = {name: keys(values)[1] for name, values in steps.items()}
-        every = np.unique(self._keys["state"])
-        answered = np.ones(every.size, np.bool_)
-        for known in self._keys.values():
-            answered &= np.isin(every, known)
-        number = every // MAX_STEP
-        longest = np.bincount(number[answered] if answered.any() else number).argmax()
-        chosen = number == longest
-        self._rows, self.answered = every[chosen], answered[chosen]
-        self.step = self._rows % MAX_STEP
-        self.passes = int(number[-1])
-        ends = np.flatnonzero(np.diff(number))
-        first, last = np.insert(ends + 1, 0, 0), np.append(ends, every.size - 1)
-        self.recorded_steps = int((every[last] - every[first] + 1).sum())
-        self.lost = {name: count_losses(values).lost for name, values in steps.items()}
-        self.counts = {name: values.size for name, values in steps.items()}
-        stamps = columns["state"]["log_time"].astype(np.int64)
-        self.state_time = (stamps - stamps[0]) * 1e-9
-
-    def has(self, name: str) -> bool:
-        """Return whether there are messages on a topic."""
-        return bool(self.counts.get(name))
-
-    def at(self, name: str, field: str) -> NDArray[np.float64]:
-        """Return a field, one row a state; NaN where the topic lacks step or field.
-
-        The first message of a step counts: a repeated one is the same answer again.
+        Raises
+        ------
+        koop_core.errors.InputError
+            If there are none.
         """
-        if not self.has(name) or field not in self._columns[name]:
-            return np.full(self._rows.size, np.nan)
-        values = self._columns[name][field].astype(np.float64)
-        unique, first = np.unique(self._keys[name], return_index=True)
-        place = np.minimum(np.searchsorted(unique, self._rows), unique.size - 1)
-        found: NDArray[np.float64] = values[first[place]]
-        found[unique[place] != self._rows] = np.nan
-        return found
-
-    @property
-    def first_model(self) -> str:
-        """Id of the model of the first cost; empty if there is none."""
-        if not self.has("cost"):
-            return ""
-        return str(next((name for name in self._columns["cost"]["model_id"] if name), ""))
-
-    @property
-    def measured_dt(self) -> float:
-        """The usual time between two steps as stamped, else as received [s]."""
-        state = self._columns["state"]
-        stamped = (state[STAMP] > 0).sum() > 1
-        times = state[STAMP if stamped else "log_time"].astype(np.int64)
-        apart = np.diff(state["step"].astype(np.int64))
-        return float(np.median(np.diff(times)[apart > 0] / apart[apart > 0])) * 1e-9
+        for name in ("cost", "theta"):
+            if not self.counts.get(name):
+                raise InputError(
+                    f"{bag}: no messages on '{name}', this is not a recording of a closed loop"
+                )
+        if not self.answered.any():
+            raise InputError(f"{bag}: no step has a state, a cost and a theta")
+        return replace(self, **{name: getattr(self, name)[self.answered] for name in BY_ROW})
 
 
-def read_loop(bag: Path, namespace: str = "/") -> LoopColumns:
+def read_run(bag: Path, namespace: str = "/") -> LoopRecord:
+    """Read a closed loop from a bag.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If the bag cannot be read.
+    koop_core.errors.InputError
+        If it does not hold a closed loop.
+    """
+    return read_loop(bag, namespace).closed(bag)
+
+
+def read_loop(bag: Path, namespace: str = "/") -> LoopRecord:
     """Read the loop's four topics from a bag; only the states must be there.
 
     Raises
@@ -187,55 +138,73 @@ def read_loop(bag: Path, namespace: str = "/") -> LoopColumns:
                 f"{bag}: no states of a loop on {base}/state. For other messages name the fields: "
                 f"--measured /TOPIC:FIELD,FIELD. It has {others or 'no messages'}"
             )
-        columns: dict[str, dict[str, Any]] = {}
+        columns: dict[str, Columns] = {}
         for name, wanted in FIELDS.items():
             topic = f"{base}/{name}"
             if topic in present:
                 if name == "theta" and SWING in reader.topic(topic).definition:
                     wanted = [*wanted, "swing"]
                 columns[name] = _columns(reader, topic, [*wanted, "log_time"])
-    return LoopColumns(columns)
+    return _align(columns)
 
 
-def read_run(bag: Path, namespace: str = "/") -> RecordedRun:
-    """Read a closed loop from a bag.
+def _columns(bag: BagReader, topic: str, wanted: list[str]) -> Columns:
+    """Read a topic; a state of another length than most, which has no use, is a row of NaN."""
+    try:
+        return read_columns(bag, topic, wanted)
+    except BagError:
+        if "x" not in wanted:
+            raise
+    elements = [name for name in measure(bag, topic).fields if name.startswith("x[")]
+    columns = read_columns(bag, topic, [*(name for name in wanted if name != "x"), *elements])
+    x = np.stack([columns.pop(name) for name in elements], axis=1).astype(np.float64)
+    n = int(np.median((~np.isnan(x)).sum(axis=1)))
+    x[~np.isnan(x[:, n:]).all(axis=1)] = np.nan
+    return {**columns, "x": x[:, :n]}
 
-    Raises
-    ------
-    koop_bag.errors.BagError
-        If the bag cannot be read.
-    koop_core.errors.InputError
-        If it does not hold a closed loop.
-    """
-    return closed_loop(read_loop(bag, namespace), bag)
 
+def _align(columns: dict[str, Columns]) -> LoopRecord:
+    """Look up what the topics hold by the steps of the states."""
+    messages = {name: Messages(values) for name, values in columns.items()}
+    every = messages["state"].heard
+    answered = np.ones(every.size, np.bool_)
+    for topic in messages.values():
+        answered &= topic.hold(every)
+    number = every // MAX_STEP
+    longest = np.bincount(number[answered] if answered.any() else number).argmax()
+    rows = every[number == longest]
+    ends = np.flatnonzero(np.diff(number))
+    first, last = np.insert(ends + 1, 0, 0), np.append(ends, every.size - 1)
 
-def closed_loop(columns: LoopColumns, bag: Path) -> RecordedRun:
-    """Return the steps that have a state, a cost and a theta.
+    def at(name: str, field: str) -> NDArray[np.float64]:
+        values = messages.get(name, Messages(None)).at(rows, field, np.nan)
+        return np.asarray(values, np.float64)
 
-    Raises
-    ------
-    koop_core.errors.InputError
-        If there are none.
-    """
-    for name in ("cost", "theta"):
-        if not columns.has(name):
-            raise InputError(
-                f"{bag}: no messages on '{name}', this is not a recording of a closed loop"
-            )
-    rows = columns.answered
-    if not rows.any():
-        raise InputError(f"{bag}: no step has a state, a cost and a theta")
-    truth = columns.at("ground_truth", "x")[rows] if columns.has("ground_truth") else None
-    return RecordedRun(
-        columns.step[rows],
-        columns.at("state", "x")[rows],
-        np.empty((int(rows.sum()), 0)) if truth is None else truth,
-        columns.at("cost", "r")[rows],
-        columns.at("theta", "theta")[rows],
-        columns.lost,
-        columns.counts,
-        float(columns.state_time[-1]),
-        columns.state_time,
-        columns.passes,
+    models = columns.get("cost", {}).get("model_id", ())
+    times = columns["state"]["log_time"].astype(np.int64)
+    truth = "ground_truth" in columns
+    return LoopRecord(
+        rows % MAX_STEP,
+        at("state", "x"),
+        at("ground_truth", "x") if truth else np.empty((rows.size, 0)),
+        at("cost", "r"),
+        at("theta", "theta"),
+        at("theta", "swing"),
+        messages.get("theta", Messages(None)).at(rows, "saturated", False).astype(np.bool_),
+        answered[number == longest],
+        str(next((name for name in models if name), "")),
+        {name: count_losses(topic.step).lost for name, topic in messages.items()},
+        {name: topic.step.size for name, topic in messages.items()},
+        (times - times[0]) * 1e-9,
+        _measured_dt(columns["state"]),
+        int(number[-1]),
+        int((every[last] - every[first] + 1).sum()),
     )
+
+
+def _measured_dt(state: Columns) -> float:
+    """Return the usual time between two steps as stamped, else as received [s]."""
+    stamped = (state[STAMP] > 0).sum() > 1
+    times = state[STAMP if stamped else "log_time"].astype(np.int64)
+    apart = np.diff(state["step"].astype(np.int64))
+    return float(np.median(np.diff(times)[apart > 0] / apart[apart > 0])) * 1e-9

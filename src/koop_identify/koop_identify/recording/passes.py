@@ -1,20 +1,63 @@
-"""Which run of a recording a message is of: steps may restart within a bag. Pure.
+"""The messages of a recorded topic as a node hears them, known by pass and step.
 
-A message is known by its pass (how many runs began before it, as the nodes' StreamMonitor sees
-it) and its step.
+Steps may restart within a bag. A message is therefore known by its pass (how many runs began
+before it, as the nodes' StreamMonitor sees it) and its step.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_bag.bag.columns import Columns
 from koop_core.errors import InputError
 from koop_core.stream.arrival import NOTHING, Arrival
 from koop_loop.kernel import listen
 
 STATE_TYPE = "koop_msgs/msg/MeasuredState"
 MAX_STEP = 2**40  # 170 years at 200 Hz; leaves room for the number of the pass in 64 bits
+
+
+class Messages:
+    """The messages of a topic.
+
+    Parameters
+    ----------
+    columns : Columns or None
+        Their fields, ``step`` among them; None if there is no message.
+
+    Attributes
+    ----------
+    step, kind : ndarray, shape (K,)
+        Step and what the nodes' StreamMonitor says about it.
+    key : ndarray of int64, shape (K,)
+        Pass and step in one number.
+    heard : ndarray of int64
+        Keys of the messages that are neither repeated nor late, in order.
+    """
+
+    def __init__(self, columns: Columns | None) -> None:
+        self._columns = columns or {"step": np.empty(0, np.int64)}
+        self.step = self._columns["step"].astype(np.int64)
+        self.kind, self.key = keys(self.step)
+        rows = np.flatnonzero((self.kind != Arrival.REPEAT) & (self.kind != Arrival.LATE))
+        self._rows = rows[np.argsort(self.key[rows], kind="stable")]
+        self.heard = self.key[self._rows]
+
+    def hold(self, key: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which keys are there."""
+        return np.isin(key, self.heard)
+
+    def at(self, key: NDArray[np.int64], name: str, absent: Any) -> NDArray[Any]:
+        """Return a field of the messages with these keys, `absent` where there is none."""
+        if not self.heard.size or name not in self._columns:
+            return np.full(key.size, absent)
+        place = np.minimum(np.searchsorted(self.heard, key), self.heard.size - 1)
+        values = self._columns[name][self._rows[place]]
+        values[self.heard[place] != key] = absent
+        return values
 
 
 def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:

@@ -12,7 +12,7 @@ from koop_bag.bag.reader import BagReader
 from koop_core.config.fields import Source
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import load_with_command
-from koop_identify.recording.loop import LoopColumns, read_loop
+from koop_identify.recording.loop import LoopRecord, read_loop
 from koop_identify.recording.samples import batches, state_names
 from koop_identify.recording.segmentation import BagReading, find_segmentation
 from koop_identify.recording.segments import Segmentation
@@ -79,29 +79,25 @@ class Signals:
         return float(np.count_nonzero(known)) * self.dt
 
 
-def of_loop(columns: LoopColumns, dt: float, names: tuple[str, ...] | None = None) -> Signals:
+def of_loop(record: LoopRecord, dt: float, names: tuple[str, ...] | None = None) -> Signals:
     """Return the signals of a loop: the longest run in the bag, all of its states."""
-    step, x = columns.step, columns.at("state", "x")
-    names = names if names and len(names) == x.shape[1] else None
+    step, n = record.step, record.measured.shape[1]
     begins = np.ones(step.size, np.bool_)
     begins[1:] = np.diff(step) != 1
-    truth = columns.at("ground_truth", "x") if columns.has("ground_truth") else None
-    theta = columns.at("theta", "theta")
-    limited = np.nan_to_num(columns.at("theta", "saturated")) > 0.0
     return Signals(
-        names or tuple(f"x[{i}]" for i in range(x.shape[1])),
+        names if names and len(names) == n else tuple(f"x[{i}]" for i in range(n)),
         dt,
         "steps",
         step,
-        step * dt,
+        record.t(dt),
         begins,
-        x,
-        np.empty((step.size, 0)) if truth is None else truth,
-        columns.at("cost", "r"),
-        theta,
-        limited if columns.has("theta") else None,
-        columns.at("theta", "swing"),
-        columns.recorded_steps * dt,
+        record.measured,
+        record.ground_truth,
+        record.r,
+        record.theta,
+        record.saturated if record.counts.get("theta") else None,
+        record.swing,
+        record.recorded_steps * dt,
     )
 
 
@@ -174,7 +170,7 @@ def _check_topic(bag: BagReader, path: Path, topic: str) -> None:
 
 def loop_signals(
     path: Path, namespace: str, dt: float | None, names: tuple[str, ...] | None = None
-) -> tuple[LoopColumns, Signals]:
+) -> tuple[LoopRecord, Signals]:
     """Read the signals of a loop's own topics; dt from the times of reception where not given."""
-    columns = read_loop(path, namespace)
-    return columns, of_loop(columns, dt or columns.measured_dt, names)
+    record = read_loop(path, namespace)
+    return record, of_loop(record, dt or record.measured_dt, names)

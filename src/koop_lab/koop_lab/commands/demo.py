@@ -16,7 +16,7 @@ from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Progress
 from koop_bringup.live.served import add_serve_option, served
 from koop_core.config.parameter import ConfigError
-from koop_identify.recording.loop import RecordedRun, closed_loop
+from koop_identify.recording.loop import LoopRecord
 from koop_identify.recording.signals import loop_signals
 from koop_lab.cli.loop_options import add_loop_options, given_values
 from koop_lab.cli.loop_options import loop_parameters as finite
@@ -71,8 +71,8 @@ def main(args: argparse.Namespace) -> int:
     with served(args.serve, folder / "logs"):
         wall, notes = run_with_progress(folder, parameters, recorder, composed=not args.processes)
     dt = parameters.plant.dt
-    columns, signals = loop_signals(folder / "bag", "/", dt)
-    run = closed_loop(columns, folder)
+    record, signals = loop_signals(folder / "bag", "/", dt)
+    run = record.closed(folder)
     rig, names = rig_metrics_of(signals)
     metrics = write_results(folder, parameters, run, rig.as_dict(names), wall, notes)
     print(metrics_table(metrics, parameters.lifter.cost))
@@ -165,7 +165,7 @@ def run_with_progress(
 def write_results(
     folder: Path,
     parameters: LoopParameters,
-    run: RecordedRun,
+    run: LoopRecord,
     rig: dict[str, Any],
     wall: float,
     notes: list[str],

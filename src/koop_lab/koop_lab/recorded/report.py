@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from koop_bag.bag.reader import BagReader
 from koop_core.errors import InputError, KoopError
 from koop_core.text_table import table
-from koop_identify.recording.loop import LoopColumns, closed_loop
+from koop_identify.recording.loop import LoopRecord
 from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import Signals, loop_signals, read_signals
@@ -39,7 +39,7 @@ class Run:
         The bag.
     signals : Signals
         State, cost, theta.
-    loop : LoopColumns or None
+    loop : LoopRecord or None
         The loop's own topics; None of a bag of other messages.
     parameters : LoopParameters or None
         Of the loop; None if they were not recorded.
@@ -51,7 +51,7 @@ class Run:
 
     path: Path
     signals: Signals
-    loop: LoopColumns | None
+    loop: LoopRecord | None
     parameters: LoopParameters | None
     simulated: bool
     model: KoopmanModel | None
@@ -105,7 +105,7 @@ def read(
     dt = dt or (parameters.lifter.dt if parameters else given.dt if given else None)
     loop, signals = loop_signals(path, namespace, dt, given.state_names if given else None)
     used = given
-    if used is None and (model_id := loop.first_model):
+    if used is None and (model_id := loop.model_id):
         named = str(recorded.get("koopman_lifter", {}).get("model", ""))
         try:
             used = Models(path, named).load(model_id)
@@ -126,11 +126,11 @@ def metrics_of(
     wanted = known if theta_star is None else theta_star
     if wanted is None or not run.signals.has_theta:
         return None
-    if run.loop is None or not run.loop.has("cost"):
+    if run.loop is None or not run.loop.counts.get("cost"):
         rows = np.isfinite(run.signals.theta)
         t, theta, r = (x[rows] for x in (run.signals.t, run.signals.theta, run.signals.r))
         return evaluate(t, theta, r, wanted, None, start, tolerance)
-    answered = closed_loop(run.loop, run.path)
+    answered = run.loop.closed(run.path)
     t, theta, r = answered.t(run.signals.dt), answered.theta, answered.r
     if parameters is not None and wanted == known:
         lifted = parameters.lifter.cost == "lifted"
@@ -281,10 +281,9 @@ def _cost_name(run: Run) -> str:
     return run.parameters.lifter.cost if run.parameters else "lifted"
 
 
-def _rate(loop: LoopColumns) -> float:
+def _rate(loop: LoopRecord) -> float:
     """Return the states received per second of wall-clock time."""
-    duration = float(loop.state_time[-1])
-    return (loop.counts["state"] - 1) / duration if duration > 0.0 else 0.0
+    return (loop.counts["state"] - 1) / loop.duration if loop.duration > 0.0 else 0.0
 
 
 def plot_main(args: argparse.Namespace) -> int:

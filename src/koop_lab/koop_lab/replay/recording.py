@@ -1,8 +1,4 @@
-"""What a replay needs of a bag: the states that were heard, the answers, what the user changed.
-
-Steps may restart within a bag. A message is therefore known by its pass (how many runs began
-before it, as the nodes' StreamMonitor sees it) and its step.
-"""
+"""What a replay needs of a bag: the states that were heard, the answers, what the user changed."""
 
 from __future__ import annotations
 
@@ -14,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.bag.columns import Columns, read_columns, read_tables
+from koop_bag.bag.columns import read_columns, read_tables
 from koop_bag.bag.reader import BagReader
 from koop_core.errors import InputError
 from koop_core.stream.arrival import Arrival
-from koop_identify.recording.passes import STATE_TYPE, keys
+from koop_identify.recording.passes import STATE_TYPE, Messages
 from koop_identify.recording.recorded_parameters import (
     CONTROLLER,
     Change,
@@ -169,9 +165,9 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         tables = read_tables(
             bag, {topic: ["step"], **{f"{base}/{name}": f for name, f in wanted.items()}}
         )
-        state = _Messages(tables[topic])
-        cost = _Messages(tables.get(f"{base}/cost"))
-        theta = _Messages(tables.get(f"{base}/theta"))
+        state = Messages(tables[topic])
+        cost = Messages(tables.get(f"{base}/cost"))
+        theta = Messages(tables.get(f"{base}/theta"))
         rows = state.kind != Arrival.REPEAT
         # A state without a cost was not seen by the lifter: its filters know nothing of it.
         lacking = rows & (state.kind != Arrival.LATE) & ~cost.hold(state.key)
@@ -214,35 +210,3 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         int(np.count_nonzero(state.kind == Arrival.REPEAT)),
         int(np.count_nonzero(lacking)) if cost.key.size else 0,
     )
-
-
-class _Messages:
-    """The messages of a topic as a node hears them.
-
-    Attributes
-    ----------
-    step, kind : ndarray, shape (K,)
-        Step and what the nodes' StreamMonitor says about it.
-    key : ndarray of int64, shape (K,)
-        Pass and step in one number.
-    """
-
-    def __init__(self, columns: Columns | None) -> None:
-        self._columns = columns or {"step": np.empty(0, np.int64)}
-        self.step = self._columns["step"].astype(np.int64)
-        self.kind, self.key = keys(self.step)
-        heard = np.flatnonzero((self.kind != Arrival.REPEAT) & (self.kind != Arrival.LATE))
-        self._heard = heard[np.argsort(self.key[heard], kind="stable")]
-        self._sorted = self.key[self._heard]
-
-    def hold(self, key: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which keys are there."""
-        return np.isin(key, self._sorted)
-
-    def at(self, key: NDArray[np.int64], name: str, absent: Any) -> NDArray[Any]:
-        """Return a field of the messages with these keys, `absent` where there is none."""
-        if not self._sorted.size:
-            return np.full(key.size, absent)
-        place = np.minimum(np.searchsorted(self._sorted, key), self._sorted.size - 1)
-        found = self._columns[name][self._heard[place]]
-        return np.where(self._sorted[place] == key, found, absent)

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Progress
-from koop_identify.recording.loop import RecordedRun, read_run
+from koop_identify.recording.loop import LoopRecord, read_run
 from koop_loop.parameters import LoopParameters
 from koop_study.experiments.kinds import Experiment
 from koop_study.over_dds.headline import Headline, compare, headlines
@@ -80,7 +80,7 @@ def repeat(experiments: list[Experiment], out: Path) -> bool:
     return all(not row[2] for row in rows)
 
 
-def _run(run: Headline, folder: Path) -> RecordedRun:
+def _run(run: Headline, folder: Path) -> LoopRecord:
     """Run a headline with the nodes; a recording that is there already is not made again.
 
     Raises
