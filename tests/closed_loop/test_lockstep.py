@@ -141,7 +141,7 @@ def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_
     replayed = replay_offline(recording, make_plan(recording))
     lifter = replace(given.lifter, cost=LifterConfig.cost)  # the study has a setting of its own
     case = Case("raw", "relay", lockstep.steps * 0.005, given.plant, lifter, given.esc)
-    study = run_case(case, with_truth=True)
+    study = run_case(case)
     for r, theta in ((offline.r, offline.theta), replayed, (study.r, study.theta)):
         np.testing.assert_array_equal(run.r, r)
         np.testing.assert_array_equal(run.theta, theta)

@@ -5,11 +5,10 @@ import numpy as np
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
 from koop_identify.recording.loaded import Loaded
-from koop_study.commissioning import excitation, verification
-from koop_study.commissioning.verification import Controller
+from koop_study.commissioning import excitation
 from koop_study.family.config import FamilyConfig
+from koop_study.family.loop import RigController, close_from_end, noise_of
 from koop_study.family.rig import draw
-from koop_study.laws.plants import time_of
 from koop_tune.excitation import progress
 from koop_tune.rig.scale import Scale
 from koop_tune.search import search
@@ -33,10 +32,10 @@ def excited(rig, seed=0, stay=8.0, windows=8):
     p = rig.params
     values = Scale(p.theta_min, p.theta_max).divide(9)
     order = [*progress.staircase(True, 9), *np.random.default_rng(seed).permutation(len(values))]
-    rest = max(round(stay * time_of(rig) / p.dt), windows * round(4 / rig.frequency / p.dt))
+    rest = max(round(stay * rig.time / p.dt), windows * round(4 / rig.frequency / p.dt))
     parts, now = [], values[0]
     for level in order:
-        way = abs(values[level] - now) / (p.theta_max - p.theta_min) * time_of(rig) / RATE
+        way = abs(values[level] - now) / (p.theta_max - p.theta_min) * rig.time / RATE
         parts += [np.linspace(now, values[level], 2 + round(way / p.dt))[1:]]
         parts += [np.full(rest, values[level])]
         now = values[level]
@@ -105,6 +104,6 @@ def damped(rig, found, seed, end):
     """
     task, constants = found.task, found.best.constants
     esc = search.esc_of(task, constants, rig.theta_initial)
-    controller = Controller(search.lifter_of(task, constants), esc, found.chosen.maps.cost.model)
-    noise = verification.noise_of(rig, task.steps, seed)
-    return verification.close(rig, controller, end, noise, seed).ratio
+    controller = RigController(search.lifter_of(task, constants), esc, found.chosen.maps.cost.model)
+    noise = noise_of(rig, task.steps, seed)
+    return close_from_end(rig, controller, end, noise, seed).ratio

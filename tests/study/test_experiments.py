@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from koop_core.config.parameter import ConfigError
-from koop_study.experiments.beyond import BeyondConfig
 from koop_study.experiments.kinds import KINDS, read, read_folder
 from koop_study.over_dds import repeat as over_dds
 from koop_study.over_dds.headline import headline, headlines
@@ -29,17 +27,6 @@ def test_quick_replaces_settings_and_is_no_setting_itself() -> None:
     assert quick.config.seeds.count < 32
     assert "quick" not in full.content
     assert "quick" not in quick.content
-
-
-def test_candidates_must_not_be_judged_on_the_seeds_that_tuned_them() -> None:
-    content = read(EXPERIMENTS / "beyond.yaml", False)
-    config = content.config
-    assert isinstance(config, BeyondConfig)
-    with pytest.raises(ConfigError, match="overlap"):
-        BeyondConfig(
-            config.candidates, config.grids, config.tuning, config.tuning,
-            config.reference,
-        )  # fmt: skip
 
 
 def test_headlines_are_the_rows_of_the_closed_loop_table() -> None:

@@ -18,13 +18,12 @@ from browser import browse
 
 from koop_study.experiments import stats
 from koop_study.experiments.kinds import read, read_folder
-from koop_study.report import publish, summary
+from koop_study.report import summary
 from koop_study.report.page import render
 from koop_study.runner import run_all
 from koop_study.simulation.work import runs
 from koop_study.workers.units import Store
-from koop_view.report.document import Column, Figure, Heat, Panel, Section, Series, Table
-from koop_view.report.markdown import rewrite_block
+from koop_view.report.document import Figure, Heat, Panel, Section, Series
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 # What makes an experiment a matter of seconds; the pages and sentences are the same.
@@ -58,7 +57,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Quick:
             write_small(folder)
             done = subprocess.run(
                 [sys.executable, "-m", "koop_lab", "study", "--quick", "--out", str(out),
-                 "--experiments", str(folder)],
+                 *map(str, folder.glob("*.yaml"))],
                 capture_output=True, text=True, check=False,
             )  # fmt: skip
             assert done.returncode == 0, done.stderr
@@ -81,9 +80,7 @@ def write_small(folder: Path) -> None:
                 ablation["values"] = [4, 8]
         if content["experiment"] == "laws":
             quick = content["quick"]
-            quick.update(
-                trials=2, fresh={"first": 7000, "count": 2}, laws=["relay", "adaptive", "golden"]
-            )
+            quick.update(trials=2, fresh={"first": 7000, "count": 2})
             quick["plants"][1]["plant"]["duration"] = 10
             quick["plants"][0]["scenarios"]["jumps"]["scenario.jump_every"] = 100.0
         (folder / path.name).write_text(yaml.safe_dump(content))
@@ -198,52 +195,3 @@ def test_a_string_cannot_end_the_script() -> None:
     page = render([section], [], "koop study")
     assert page.count("</script>") == 3  # data, library, how to draw
     assert "&lt;i&gt;" in page
-
-
-def test_a_readmes_block_is_rewritten_and_the_rest_left_alone() -> None:
-    text = f"before\n{publish.BEGIN}\nold \\1\n{publish.END}\nafter\n"
-    expected = f"before\n{publish.BEGIN}\nnew \\2\n{publish.END}\nafter\n"
-    assert rewrite_block(text, "new \\2", (publish.BEGIN, publish.END)) == expected
-
-
-@pytest.mark.parametrize("text", ["", publish.BEGIN, f"{publish.END} {publish.BEGIN}"])
-def test_a_readme_without_markers_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="needs one"):
-        rewrite_block(text, "new", (publish.BEGIN, publish.END))
-
-
-def law_table(name: str, rows: dict[str, tuple[float, float, float]]) -> Table:
-    columns = (
-        Column("law", "law"), Column("median", "m", ".0f"), Column("p90", "p", ".0f"),
-        Column("swing", "s", ".1f"),
-    )  # fmt: skip
-    return Table(
-        f"laws_{name}", f"{name}: 7 fresh seeds", columns, [(k, *v) for k, v in rows.items()]
-    )
-
-
-def test_a_run_of_the_laws_rewrites_their_sentence_and_leaves_the_results() -> None:
-    usual = {
-        "relay (x)": (6.0, 7.0, 9.0),
-        "relay, the paper's constants": (51.0, 52.0, 10.3),
-        "golden (x)": (21.0, 99.0, 0.0),
-        "oracle: x": (0.0, 0.0, 0.0),
-    }
-    ours = {
-        "paper_s_plant_contrast_calm": ("adaptive, dwell 6 s", (31.0, 32.0, 2.2)),
-        "paper_s_plant_contrast_jumps": ("adaptive, dwell 6 s", (41.0, 42.0, 3.0)),
-        "family_contrast_calm": ("adaptive, in the rig's times", (61.0, 62.0, 4.0)),
-    }
-    tables = [law_table(name, {**usual, law: row}) for name, (law, row) in ours.items()]
-    laws = Section("laws", "Laws", "", tables)
-    begin, end = publish.LAWS
-    text = f"{publish.BEGIN}\nresults\n{publish.END}\n{begin}\n{end}\n"
-    written = publish.rewrite(text, [laws], "docs/study/report.html")
-    assert f"{publish.BEGIN}\nresults\n{publish.END}" in written
-    for figures in ("51 / 52", "31 / 32", "41 / 42", "6 / 7", "61 / 62", "2.2 %", "10.3 %"):
-        assert figures in written
-    assert "7 fresh seeds" in written
-    assert publish.rewrite(written, [laws], "docs/study/report.html") == written
-    assert publish.rewrite(text, [Section("other", "Other", "")], "r.html").endswith(
-        f"{begin}\n{end}\n"
-    )

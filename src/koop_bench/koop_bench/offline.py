@@ -121,7 +121,7 @@ def time_kernel(loop: Loop, rounds: int) -> tuple[float, NDArray[np.float64]]:
         begin = time.process_time()
         run_kernel(
             loop.plant.params(), parameters, Memory(cost.initial(), loop.esc.initial()), work,
-            x, y, *buffers,
+            x, y, *buffers, None,
         )  # fmt: skip
         if number:  # the first run compiles and touches the memory
             best = min(best, time.process_time() - begin)

@@ -3,27 +3,32 @@
 The order of events is that of the nodes in lockstep. At step k the plant publishes x'(t_k), the
 lifter answers with r_k, the relay with theta_k, and the plant then advances with theta_k. Nothing
 is late or lost, so no timeout acts; every other setting does what it does in the nodes.
+
+A run can be disturbed (:class:`Exposure`): noise, states that never arrive, an optimum that moves,
+a sensor of one state only. Without a disturbance the compiled loop has no trace of any.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.kernels import borrowed, njit
-from koop_core.stream.arrival import Arrival
-from koop_loop.kernel import Controller, Memory, control
+from koop_core.stream.arrival import NOTHING, Arrival
+from koop_loop.kernel import Controller, Memory, classify, control
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
 from koopman_lifter.model import KoopmanModel
 from relay_esc.config import EscConfig
-from vdp_plant import dynamics
+from vdp_plant import dynamics, waves
 from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantParams
+from vdp_plant.waves import Waves
 
 
 class LoopDiverged(ArithmeticError):
@@ -65,6 +70,38 @@ class LoopResult:
         return np.asarray(self.step * self.dt, dtype=np.float64)
 
 
+class Exposure(NamedTuple):
+    """What a run is exposed to; an array of length 0 switches its disturbance off.
+
+    Attributes
+    ----------
+    added : ndarray, shape (M, 2) or (0, 2)
+        Added to the measured state.
+    lost : ndarray of bool, shape (M,) or (0,)
+        True where the measured state does not arrive: then nothing is answered.
+    displaced : ndarray, shape (M,) or (0,)
+        Displacement of theta* from its configured value.
+    schedule : ndarray, shape (M,) or (0,)
+        Control input that replaces the controller's.
+    channels : ndarray of int, shape (n,)
+        Components of the measured state that the lifter receives.
+    state_timeout, cost_timeout : float
+        Silence after which the state resumes for the lifter and the cost for the controller [s];
+        0: never.
+    waves : Waves
+        Of the plant, for as many steps as are known beforehand.
+    """
+
+    added: NDArray[np.float64]
+    lost: NDArray[np.bool_]
+    displaced: NDArray[np.float64]
+    schedule: NDArray[np.float64]
+    channels: NDArray[np.int64]
+    state_timeout: float
+    cost_timeout: float
+    waves: Waves
+
+
 @njit()
 def run_kernel(
     plant: PlantParams,
@@ -77,30 +114,68 @@ def run_kernel(
     ground_truth: NDArray[np.float64],
     r: NDArray[np.float64],
     theta: NDArray[np.float64],
+    exposure: Exposure | None,
 ) -> int:
     """Run the loop for ``theta.size`` steps and fill the four arrays; return the steps done.
 
-    Fewer than asked for are done only if the plant's state stops being finite.
+    Fewer than asked for are done only if the plant's state stops being finite. With ``exposure``
+    None the compiler leaves out all that it would do.
     """
     states = borrowed(measured)
     source, lifting, detector_params, relay_params = controller
     lifting, work = cost.borrow(lifting, work)
     detector, relay = memory
     applied = relay.output
+    now_r, now_theta = 0.0, relay.output
+    states_heard = costs_heard = NOTHING
+    if exposure is not None:
+        owner = np.empty(exposure.channels.shape[0])
+        received = borrowed(owner)
+        if exposure.schedule.shape[0] > 0:  # the actuator rests where the schedule begins
+            applied = min(max(exposure.schedule[0], plant.theta_min), plant.theta_max)
     for k in range(theta.shape[0]):
         if not (math.isfinite(x) and math.isfinite(y)):
             return k
-        arrival = Arrival.RESTART if k == 0 else Arrival.NEXT
         state = states[k]
-        state[0], state[1] = dynamics.measure(plant, k, x, y)
-        r[k], detector, relay = control(
-            source, lifting, detector_params, relay_params, detector, relay,
-            arrival, arrival, False, False, k, state, work,
-        )  # fmt: skip
-        ground_truth[k, 0] = x
-        ground_truth[k, 1] = y
-        theta[k] = relay.output
-        x, y, applied = dynamics.advance(plant, k, x, y, applied, relay.output, 0.0)
+        if exposure is None:
+            arrival = Arrival.RESTART if k == 0 else Arrival.NEXT
+            state[0], state[1] = dynamics.measure(plant, k, x, y)
+            now_r, detector, relay = control(
+                source, lifting, detector_params, relay_params, detector, relay,
+                arrival, arrival, False, False, k, state, work,
+            )  # fmt: skip
+            now_theta = relay.output
+            x_next, y_next, applied = dynamics.advance(plant, k, x, y, applied, now_theta, 0.0)
+        else:
+            state[0], state[1] = waves.measure(plant, exposure.waves, k, x, y)
+            if exposure.added.shape[0] > 0:
+                state[0] += exposure.added[k, 0]
+                state[1] += exposure.added[k, 1]
+            if exposure.lost.shape[0] == 0 or not exposure.lost[k]:
+                state_arrival, states_heard = classify(
+                    states_heard, k, exposure.state_timeout, plant.dt
+                )
+                cost_arrival, costs_heard = classify(
+                    costs_heard, k, exposure.cost_timeout, plant.dt
+                )
+                for i in range(exposure.channels.shape[0]):
+                    received[i] = state[exposure.channels[i]]
+                now_r, detector, relay = control(
+                    source, lifting, detector_params, relay_params, detector, relay,
+                    state_arrival, cost_arrival, False, False, k, received, work,
+                )  # fmt: skip
+                now_theta = relay.output
+            if exposure.schedule.shape[0] > 0:
+                now_theta = exposure.schedule[k]
+            displaced = exposure.displaced[k] if exposure.displaced.shape[0] > 0 else 0.0
+            x_next, y_next, applied = waves.advance(
+                plant, exposure.waves, k, x, y, applied, now_theta, displaced
+            )
+        r[k], theta[k] = now_r, now_theta
+        ground_truth[k, 0], ground_truth[k, 1] = x, y
+        x, y = x_next, y_next
+    if exposure is not None:
+        owner[:] = 0.0  # keeps the received state's memory alive until here
     return len(theta)
 
 
@@ -122,6 +197,7 @@ def simulate(
     esc: EscConfig,
     model: KoopmanModel | None,
     steps: int,
+    exposure: Exposure | None = None,
 ) -> LoopResult:
     """Run a closed loop offline.
 
@@ -133,6 +209,8 @@ def simulate(
         Needed for the lifted cost only.
     steps : int
         Number of control steps.
+    exposure : Exposure, optional
+        What disturbs the run.
 
     Raises
     ------
@@ -141,7 +219,7 @@ def simulate(
     LoopDiverged
         If the plant's state stops being finite.
     """
-    check_fit(plant, lifter, esc, model)
+    check_fit(plant, lifter, esc, model, 2 if exposure is None else exposure.channels.size)
     x, y = initial_state(plant)
     measured, ground_truth = np.empty((steps, 2)), np.empty((steps, 2))
     r, theta = np.empty(steps), np.empty(steps)
@@ -157,6 +235,7 @@ def simulate(
         ground_truth,
         r,
         theta,
+        exposure,
     )
     if done < steps:
         raise LoopDiverged(

@@ -12,27 +12,19 @@ def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     parser = commands.add_parser(
         "study",
-        description="Runs every experiment file of a folder offline and writes report.html, "
-        "tables/*.csv. A study that was stopped goes on where it was.",
+        description="Runs the experiments offline and writes report.html and tables/*.csv. The "
+        "same command resumes a study that was stopped.",
     )
     parser.add_argument(
         "kinds", nargs="*", metavar="KIND",
-        help="some kinds of experiments only, such as modes, robustness, laws (default all)",
+        help="a kind of experiment, such as modes, robustness, laws, or an experiment file of your "
+        "own (default: every file of experiments/)",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="a small version, within minutes")
     parser.add_argument(
         "--out", type=Path, metavar="DIR",
         help="where the report and the intermediate results go "
         "(default recordings/study, with --quick recordings/study-quick)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--experiments", type=Path, default=Path("experiments"), metavar="DIR",
-        help="folder of experiment files (default experiments)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--rivals", type=Path, metavar="PYTHON",
-        help="Python of an environment with requirements/rivals.txt: the experiment 'laws' then "
-        "has the laws of other packages too",
     )  # fmt: skip
     parser.add_argument(
         "--processes", type=int, default=os.cpu_count() or 1, metavar="N",
@@ -48,9 +40,6 @@ def register(commands: Any) -> None:
         "--publish", type=Path, metavar="DIR",
         help="write the report there too, without intermediate results",
     )  # fmt: skip
-    parser.add_argument(
-        "--readme", type=Path, metavar="FILE", help="rewrite the results in this README"
-    )
     parser.add_argument(
         "--over-dds",
         action="store_true",

@@ -63,14 +63,9 @@ def test_an_ablation_is_checked_before_anything_runs(tmp_path: Path) -> None:
     [
         ({"esc.command_topic": "/a"}, r"esc\.command_topic: a study has no topics"),
         ({"lifter.cost": "raw"}, r"lifter\.cost: the study's own setting 'cost'"),
-        ({"adaptive.shrink": 0.5}, r"adaptive\.shrink = 0.5: has no effect .* 'relay'"),
         (
-            {"controller": "adaptive", "esc.objective": "maximise"},
-            r"esc\.objective = 'maximise': has no effect with the controller 'adaptive'",
-        ),
-        (
-            {"controller": "perturbation", "esc.dwell": 3.0},
-            r"esc\.dwell = 3\.0: has no effect with the controller 'perturbation'",
+            {"cost": "raw", "sensing.delays": 2, "sensing.spacing": 0.1},
+            r"sensing\.delays: has no effect with the cost 'raw'",
         ),
     ],
 )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import multiprocessing
 import os
@@ -16,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import lru_cache
 from pathlib import Path
 
 import dask.config
@@ -23,7 +23,6 @@ import pytest
 
 from koop_lab.cli.main import main
 from koop_study.experiments import stats
-from koop_study.laws.catalogue import LAWS
 from koop_study.simulation.work import runs
 from koop_study.workers import cluster, units
 from koop_study.workers.cluster import WorkerLost, Workers
@@ -44,20 +43,19 @@ SHORT = {"cost": "raw", "duration": 100.0}
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    experiments = tmp_path / "experiments"
-    experiments.mkdir()
-    (experiments / "sensitivity.yaml").write_text(TINY)
-    return experiments
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "sensitivity.yaml"
+    path.write_text(TINY)
+    return path
 
 
-def arguments(folder: Path, out: Path) -> list[str]:
-    return ["study", "--experiments", str(folder), "--out", str(out), "--processes", "1"]
+def arguments(file: Path, out: Path) -> list[str]:
+    return ["study", str(file), "--out", str(out), "--processes", "1"]
 
 
-def study(folder: Path, out: Path) -> subprocess.Popen[str]:
+def study(file: Path, out: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "koop_lab", *arguments(folder, out)],
+        [sys.executable, "-m", "koop_lab", *arguments(file, out)],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -97,10 +95,10 @@ def ended(pid: int) -> bool:
 
 @pytest.mark.slow
 def test_a_stopped_study_goes_on_and_a_second_run_gives_the_same_bytes(
-    folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     one, other = tmp_path / "a", tmp_path / "b"
-    killed = study(folder, one)
+    killed = study(file, one)
     wait_for(lambda: results(one) >= 2, killed)
     workers = children(killed.pid)
     assert len(workers) >= 2  # and multiprocessing's tracker
@@ -110,20 +108,20 @@ def test_a_stopped_study_goes_on_and_a_second_run_gives_the_same_bytes(
     kept = results(one)
     assert 2 <= kept < 16
 
-    stopped = study(folder, one)
+    stopped = study(file, one)
     wait_for(lambda: results(one) > kept, stopped)
     os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does, to the workers too
     text = stopped.communicate(timeout=60)[0]
     assert stopped.returncode == 130
     assert f"16 units of work, {kept} of them there already" in text
-    assert "the same command goes on" in text
+    assert "the same command resumes" in text
     assert "Traceback" not in text
     kept = results(one)
     assert kept < 16
 
-    assert main(arguments(folder, one)) == 0
+    assert main(arguments(file, one)) == 0
     assert f"16 units of work, {kept} of them there already" in capfd.readouterr().err
-    assert main(arguments(folder, other)) == 0
+    assert main(arguments(file, other)) == 0
     assert outcome(one) == outcome(other)
     assert len(outcome(one)) >= 3
 
@@ -216,7 +214,7 @@ def test_a_worker_of_several_threads_is_refused() -> None:
 
 
 def test_where_no_scheduler_is_that_is_said(
-    folder: Path,
+    file: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -225,7 +223,7 @@ def test_where_no_scheduler_is_that_is_said(
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     given = ["--scheduler", f"tcp://127.0.0.1:{port}"]
-    assert main([*arguments(folder, tmp_path / "out"), *given]) == 2
+    assert main([*arguments(file, tmp_path / "out"), *given]) == 2
     assert f"127.0.0.1:{port}: no Dask scheduler there" in capsys.readouterr().err
 
 
@@ -255,65 +253,87 @@ def test_comments_docstrings_and_line_breaks_do_not_change_what_code_means() -> 
         assert units.meaning(plain.replace("x + 1", other)) != units.meaning(plain)
 
 
-def test_what_decides_results_imports_nothing_that_the_fingerprint_leaves_out() -> None:
+@pytest.mark.parametrize(
+    ("modules", "packages", "innocent"),
+    [
+        ("koop_study.simulation.work, koop_study.laws.run", units.PACKAGES, set()),
+        # bags are read there, but the study's recordings never were in one
+        (
+            "koop_study.commissioning.work",
+            (*units.PACKAGES, *units.COMMISSIONING),
+            {"koop_bag"},
+        ),
+    ],
+)
+def test_what_decides_results_imports_nothing_that_the_fingerprint_leaves_out(
+    modules: str, packages: tuple[str, ...], innocent: set[str]
+) -> None:
     # what a fresh interpreter has loaded after the work's import is what can decide results
     script = (
-        "import sys, koop_study.simulation.work, koop_study.laws.run\n"
+        f"import sys, {modules}\n"
         "for name, module in sys.modules.items():\n"
         "    if name.startswith(('koop', 'vdp_plant', 'relay_esc')) and module.__file__:\n"
-        "        print(module.__file__)\n"
+        "        print(name, module.__file__)\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
-    loaded = {Path(line).resolve() for line in done.stdout.split()}
-    counted = {path.resolve() for path in units.deciding()}
-    outside = {path for path in loaded - counted if path.read_text().count("\n") > 1}
-    assert not outside  # a package's __init__.py with its docstring only may be missing
+    loaded = dict(line.split() for line in done.stdout.splitlines())
+    counted = set(units.sources(packages).values())
+    outside = {
+        name
+        for name, file in loaded.items()
+        if (text := Path(file).read_text()) not in counted and text.count("\n") > 1
+    }
+    assert {name.split(".")[0] for name in outside} == innocent
     assert len(loaded) > 20
-    assert "node.py" not in {path.name for path in counted}
 
 
-def test_a_changed_line_in_any_module_of_a_numerical_package_changes_the_fingerprint(
+MEANING = lru_cache(maxsize=None)(units.meaning)  # the same source is parsed once
+
+
+@pytest.mark.parametrize("package", [*units.PACKAGES, *units.COMMISSIONING])
+def test_a_changed_line_in_any_package_that_decides_results_changes_the_key(
+    package: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    further = package in units.COMMISSIONING
+    ordinary, commission = Unit("runs", {"seeds": [1]}), Unit(units.COMMISSION, {"seed": 1})
+    monkeypatch.setattr(units, "fingerprint", units.fingerprint.__wrapped__)
+    monkeypatch.setattr(units, "meaning", MEANING)
+    before = ordinary.key, commission.key
+    read = units.sources
+    own = read([package])
+    assert len(own) > 1
+    for name, source in own.items():
+        changed = {name: source + "\nADDED = 1\n"}
+        monkeypatch.setattr(
+            units,
+            "sources",
+            lambda packages, changed=changed: {
+                key: changed.get(key, text) for key, text in read(packages).items()
+            },
+        )
+        assert commission.key != before[1]
+        assert (ordinary.key == before[0]) == further
+
+
+def test_a_new_module_changes_the_key_and_one_that_knows_ros_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     package = tmp_path / "invented"
     (package / "deep").mkdir(parents=True)
     (package / "__init__.py").write_text("")
-    (package / "deep" / "new.py").write_text("A = 1\n")
-    (package / "node.py").write_text("import rclpy\n")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(units, "PACKAGES", (importlib.import_module("invented"),))
+    monkeypatch.setattr(units, "PACKAGES", ("invented",))
 
     def now() -> str:
         return units.fingerprint.__wrapped__()
 
     before = now()
-    (package / "node.py").write_text("import rclpy.node\n")
+    (package / "node.py").write_text("import rclpy\n")
     assert now() == before
-    (package / "deep" / "new.py").write_text("A = 2\n")
-    after = now()
-    assert after != before
-    (package / "newer.py").write_text("")
-    assert now() not in (before, after)
-
-
-def test_a_law_is_not_computed_again_for_what_only_another_law_calls(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    counted = {f"{path.parent.name}/{path.name}": path.read_text() for path in units.deciding()}
-    assert set(units.OF_ONE_LAW) < set(counted)
-    assert set(units.OF_ONE_LAW.values()) < set(LAWS)
-    changed = counted["relay_esc/swing.py"]
-    usual = units.meaning
-    laws = ("relay", "adaptive", "newton", "")
-    fingerprint = units.fingerprint.__wrapped__
-    before = {law: fingerprint(law) for law in laws}
-    assert len(set(before.values())) == len(laws)
-    monkeypatch.setattr(
-        units, "meaning", lambda source: "other" if source == changed else usual(source)
-    )
-    assert [fingerprint(law) != before[law] for law in laws] == [False, True, False, True]
+    (package / "deep" / "new.py").write_text("A = 1\n")
+    assert now() != before
 
 
 def test_results_come_back_to_the_last_bit(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_study.family import oscillator
 from koop_study.family.rig import Rig
-from koop_study.laws.plants import time_of
 from koop_tune.excitation import progress
 from koop_tune.excitation.progress import Progress
 from koop_tune.excitation.survey import SURVEY, Survey
@@ -65,7 +64,7 @@ def file_of(rig: Rig, rate: float, time: float) -> RigFile:
     time : float
         That the excitation may take: slowest times of the amplitude and ten periods.
     """
-    p, own = rig.params, time_of(rig)
+    p, own = rig.params, rig.time
     longest = time * (rig.slowest + PERIODS / rig.frequency)
     fields = ",".join(f"x[{i}]" for i in range(rig.channels))
     return RigFile(
@@ -163,8 +162,3 @@ def excite(rig: Rig, file: RigFile, seed: int) -> Excitation:
             break
     state.elapsed = running.elapsed
     return Excitation(*running.recorded(), state)
-
-
-def from_end(rig: Rig, end: int) -> Rig:
-    """Return the rig at rest at the lower (0) or upper (1) end of theta's range."""
-    return replace(rig, theta_initial=rig.params.theta_max if end else rig.params.theta_min)

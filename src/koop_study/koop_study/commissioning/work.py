@@ -7,31 +7,24 @@ import itertools
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from koop_study.commissioning.excitation import (
-    Excitation,
-    excite,
-    file_of,
+from koop_study.commissioning.excitation import Excitation, excite, file_of, training_of
+from koop_study.family import oscillator
+from koop_study.family.config import family_of
+from koop_study.family.loop import (
+    ClosedRun,
+    RigController,
+    RunNoise,
+    close_from_end,
     from_end,
-    training_of,
-)
-from koop_study.commissioning.verification import (
-    Closed,
-    Controller,
-    Noise,
-    close,
-    exposed,
     noise_of,
 )
-from koop_study.family import oscillator
 from koop_study.family.rig import Rig, draw
-from koop_study.laws import run as laws_run
-from koop_study.laws.catalogue import Constants
-from koop_study.laws.plants import NO_EXPOSURE, PAPER, Setting, family_of, time_of
+from koop_study.family.scaled import PAPER_CONSTANTS, ScaledConstants, scaled_to, unscaled
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
@@ -46,23 +39,18 @@ from koop_tune.search.rounds import Round, Run, find_slowdown, kept_index
 from koop_tune.search.search import esc_of, lifter_of
 from koop_tune.search.settings import TuningSettings
 from koop_tune.search.tuning import Tuning, tune
-from koopman_lifter import cost
-from koopman_lifter.config import SOURCES, LifterConfig
+from koopman_lifter.config import LifterConfig
 from koopman_lifter.model import KoopmanModel
-from relay_esc.config import EscConfig
 
 EARLIER, OTHER = 1_000_000, 2_000_000  # to the seed, of the excitation and of the other end's noise
 ENDS = (0, 1)
 BEFORE = 8  # windows of a loop, with whose amplitude it is compared
-# the paper's constants in units of its plant, whose time is 15 s and whose omega is 1 rad/s
-SCALED = {"omega_h": 20.0, "omega_l": 4.5, "speed": 0.1, "dwell": 1.0, "tau_f": 10.0 / 15.0}
-NEVER = 2.0  # share of a run
 Row = dict[str, Any]
 
 
 def commission_plant(
     family: dict[str, Any], seed: int, rate: float, excitation: float, duration: float,
-    effort: float, grid: dict[str, list[Any]], stochastic: list[Constants],
+    effort: float, grid: dict[str, list[Any]],
 ) -> Row:  # fmt: skip
     """Commission one rig.
 
@@ -82,8 +70,6 @@ def commission_plant(
         Of the search, in units of the usual one.
     grid : dict of str to list
         Values of the constants of which the oracle takes the best combination.
-    stochastic : list of dict
-        Constants that the stochastic relay is tried with.
 
     Returns
     -------
@@ -92,7 +78,7 @@ def commission_plant(
         seconds of the processor that each stage took.
     """
     rig = draw(family_of(family), seed)
-    file, own = file_of(rig, rate, excitation), time_of(rig)
+    file, own = file_of(rig, rate, excitation), rig.time
     watch = _Watch()
     recorded = excite(rig, file, seed + EARLIER)
     watch.lap("excite")
@@ -127,9 +113,7 @@ def commission_plant(
     if rig.has_optimum:
         model = None if found is None else found.chosen.maps.cost.model
         noises = loops.noises
-        row["runs"] = row.get("runs", {}) | beside(
-            after, model, rate, noises, seed, grid, stochastic
-        )
+        row["runs"] = row.get("runs", {}) | beside(after, model, rate, noises, seed, grid)
         watch.lap("beside")
     return {**row, "seconds": watch.laps}
 
@@ -179,20 +163,23 @@ class _Loops:
         self._rig, self._seed, self._steps = rig, seed, steps
 
     @functools.cached_property
-    def noises(self) -> list[Noise]:
+    def noises(self) -> list[RunNoise]:
         """From each end."""
         return [noise_of(from_end(self._rig, end), self._steps, self._seed + end * OTHER)
                 for end in ENDS]  # fmt: skip
 
-    def close(self, found: Tuning) -> list[Closed]:
+    def close(self, found: Tuning) -> list[ClosedRun]:
         """Close it with what was tuned."""
         task, constants, rig = found.task, found.best.constants, self._rig
-        tuned = Controller(
+        tuned = RigController(
             lifter_of(task, constants),
             esc_of(task, constants, rig.theta_initial),
             found.chosen.maps.cost.model,
         )
-        return [close(rig, tuned, end, self.noises[end], self._seed + end * OTHER) for end in ENDS]
+        return [
+            close_from_end(rig, tuned, end, self.noises[end], self._seed + end * OTHER)
+            for end in ENDS
+        ]
 
 
 class _Watch:
@@ -229,8 +216,8 @@ def _described(rig: Rig) -> Row:
     }
 
 
-def _both(rig: Rig, controller: Controller, noises: list[Noise], seed: int) -> Row:
-    runs = [close(rig, controller, end, noises[end], seed + end * OTHER) for end in ENDS]
+def _both(rig: Rig, controller: RigController, noises: list[RunNoise], seed: int) -> Row:
+    runs = [close_from_end(rig, controller, end, noises[end], seed + end * OTHER) for end in ENDS]
     return {"ratio": [run.ratio for run in runs], "converged": [run.converged for run in runs]}
 
 
@@ -239,73 +226,32 @@ def _worst(row: Row) -> float:
 
 
 def beside(
-    rig: Rig, model: KoopmanModel | None, rate: float, noises: list[Noise], seed: int,
-    grid: dict[str, list[Any]], stochastic: list[Constants],
+    rig: Rig, model: KoopmanModel | None, rate: float, noises: list[RunNoise], seed: int,
+    grid: dict[str, list[Any]],
 ) -> Row:  # fmt: skip
     """Return how the other controllers did; ``model`` is that of the cost that was chosen.
 
     The defaults know the rig's limits and dt and take the raw cost; all others the chosen one.
     """
-    p, time = rig.params, time_of(rig)
-    limit = rate * (p.theta_max - p.theta_min) / time
-    esc = EscConfig(
-        theta_min=p.theta_min, theta_max=p.theta_max, theta_initial=rig.theta_initial,
-        rate_limit=limit, dt=p.dt, objective=rig.objective,
-    )  # fmt: skip
-    found = {
-        "defaults": _both(rig, Controller(LifterConfig(dt=p.dt), esc), noises, seed),
-        "scaled": _both(rig, scaled(rig, esc, SCALED, model), noises, seed),
-    }
+    p = rig.params
+    limit = rate * (p.theta_max - p.theta_min) / rig.time
+
+    def scaled(constants: ScaledConstants) -> Row:
+        return _both(rig, scaled_to(rig, constants, model, limit), noises, seed)
+
+    defaults = RigController(LifterConfig(dt=p.dt), unscaled(rig, limit))
     tried = [
-        {**_both(rig, scaled(rig, esc, constants, model), noises, seed), "constants": constants}
+        {**scaled(ScaledConstants(**constants)), "constants": constants}
         for constants in combinations(grid)
     ]
-    found["grid"] = min(tried, key=_worst)
-    found["stochastic"] = [_stochastic(rig, c, model, noises, seed) for c in stochastic]  # type: ignore[assignment]
-    return found
+    return {
+        "defaults": _both(rig, defaults, noises, seed),
+        "scaled": scaled(PAPER_CONSTANTS),
+        "grid": min(tried, key=_worst),
+    }
 
 
 def combinations(grid: dict[str, list[Any]]) -> Iterator[dict[str, Any]]:
     """Yield every combination of a grid's values."""
     for values in itertools.product(*grid.values()):
         yield dict(zip(grid, values, strict=True))
-
-
-def scaled(rig: Rig, esc: EscConfig, c: dict[str, Any], model: KoopmanModel | None) -> Controller:
-    """Return a controller with constants in units of the rig's own."""
-    p, time = rig.params, time_of(rig)
-    span = math.log(p.theta_max / p.theta_min) if p.log_scale else p.theta_max - p.theta_min
-    esc = replace(
-        esc,
-        law=c.get("law", "relay"),
-        theta_scale="log" if p.log_scale else "linear",
-        rate_limit=esc.rate_limit / p.theta_max if p.log_scale else esc.rate_limit,
-        step_size=c["speed"] * span * p.dt / time,
-        dwell=c["dwell"] * time,
-        tau_f=c["tau_f"] * time,
-    )
-    omega = 2.0 * math.pi * rig.frequency
-    lifter = LifterConfig(omega_h=c["omega_h"] * omega, omega_l=c["omega_l"] / time, dt=p.dt)
-    return Controller(lifter, esc, model)
-
-
-def _stochastic(
-    rig: Rig, constants: Constants, model: KoopmanModel | None, noises: list[Noise], seed: int
-) -> Row:
-    p, ratios, converged = rig.params, [], []
-    lifting = cost.no_lifting() if model is None else model.lifting()
-    for end in ENDS:
-        resting, noise = from_end(rig, end), noises[end]
-        state = resting.initial(seed + end * OTHER)
-        steps = noise.numbers.shape[0]
-        plant = Setting(
-            True, PAPER, NO_EXPOSURE, exposed(p), noise.numbers, rig, lifting,
-            SOURCES["raw" if model is None else "lifted"], p.sense, time_of(rig), rig.frequency,
-            p.dt, steps, (state.re, state.im), float(end), seed,
-        )  # fmt: skip
-        path = laws_run.run(plant, "stochastic", constants)
-        ratio = math.sqrt(float((path.amplitude[steps // 2 :] ** 2).mean())) / noise.best
-        ratios.append(ratio if p.sense > 0.0 else 1.0 / max(ratio, 1e-9))
-        when = laws_run.first_good(p, path.theta)
-        converged.append(NEVER if when is None else when / steps)
-    return {"ratio": ratios, "converged": converged}

@@ -69,8 +69,6 @@ class AblationsConfig:
     costs: dict[str, dict[str, Any]]
     ablations: tuple[Ablation, ...]
     values: int = 0  # of each ablation, spread over its list; 0 for all
-    name: str = "ablations"
-    title: str = "Ablations"
     settings: dict[str, Any] = field(default_factory=dict)
 
     def chosen(self, ablation: Ablation) -> list[Any]:
@@ -109,8 +107,8 @@ def units(config: AblationsConfig) -> list[Unit]:
 def section(config: AblationsConfig, results: list[Any]) -> Section:
     """Return the part of the report."""
     report = Section(
-        config.name,
-        config.title,
+        "ablations",
+        "Ablations",
         f"One setting at a time, {config.seeds.count} seeds a value; lines are medians, bands "
         "reach from the 10 to the 90 % quantile.",
     )

@@ -23,7 +23,6 @@ GOOD = 1.5
 COMMISSIONED = "koop excite, tune, verify: at most three rounds"
 VERDICTS = ("tuned", "monotone", "flat", "drowned", "error")
 GRID = ("law", "omega_h", "omega_l", "speed", "dwell", "tau_f")
-STOCHASTIC = ("omega_h", "omega_l", "step", "interval")
 Row = dict[str, Any]
 
 
@@ -47,13 +46,10 @@ class CommissionConfig:
         Of the search for constants, in units of the usual one.
     grid : dict of str to tuple
         Constants in units of the rig's own, of which the oracle takes the best combination.
-    stochastic : tuple of dict
-        Constants of the stochastic relay, the same for all rigs; those that do best are shown.
     """
 
     rigs: Seeds
     grid: dict[str, Any]
-    stochastic: tuple[dict[str, float], ...]
     family: dict[str, Any] = field(default_factory=dict)
     rate: float = 0.5
     excitation: float = 400.0
@@ -65,14 +61,11 @@ class CommissionConfig:
         for name in ("rate", "excitation", "duration", "effort"):
             if not 0.0 < getattr(self, name) <= 1e4:
                 raise ConfigError(f"{name} = {getattr(self, name):g}: must be above 0, at most 1e4")
-        for given, known, where in (
-            (self.grid, GRID, "grid"), *((one, STOCHASTIC, "stochastic") for one in self.stochastic)
-        ):  # fmt: skip
-            for name in given:
-                if name not in known:
-                    raise ConfigError(f"{where}: unknown constant '{name}': {nearest(name, known)}")
-            if missing := [name for name in known if name not in given]:
-                raise ConfigError(f"{where}: lacks {', '.join(missing)}")
+        for name in self.grid:
+            if name not in GRID:
+                raise ConfigError(f"grid: unknown constant '{name}': {nearest(name, GRID)}")
+        if missing := [name for name in GRID if name not in self.grid]:
+            raise ConfigError(f"grid: lacks {', '.join(missing)}")
 
 
 def units(config: CommissionConfig) -> list[Unit]:
@@ -81,8 +74,7 @@ def units(config: CommissionConfig) -> list[Unit]:
         Unit("commission_plant",
              {"family": config.family, "seed": seed, "rate": config.rate,
               "excitation": config.excitation, "duration": config.duration,
-              "effort": config.effort, "grid": config.grid,
-              "stochastic": list(config.stochastic)})
+              "effort": config.effort, "grid": config.grid})
         for seed in config.rigs.list()
     ]  # fmt: skip
 
@@ -90,15 +82,11 @@ def units(config: CommissionConfig) -> list[Unit]:
 def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
     """Report."""
     rows: list[Row] = list(results)
-    best = _best_stochastic(config, rows)
     ways: dict[str, Callable[[Row], Row | None]] = {
         COMMISSIONED: lambda row: row["runs"].get("tuned"),
         "the first round of it": lambda row: row["runs"].get("first"),
         "best of the grid for each rig (oracle)": lambda row: row["runs"]["grid"],
         "scaled by hand": lambda row: row["runs"]["scaled"],
-        "stochastic relay (Salsbury, Yu 2025; our reading)": lambda row: row["runs"]["stochastic"][
-            best
-        ],
         "defaults": lambda row: row["runs"]["defaults"],
     }
     with_optimum = [row for row in rows if row["shape"] in WITH_OPTIMUM]
@@ -129,21 +117,12 @@ def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
         "noise; a rig counts as a success if the worse side is within 1.5. A rig with an optimum "
         "that is refused counts as a failure. The best of the grid is chosen by the outcome; "
         "'scaled by hand' are the node's defaults in units of each rig's true time and frequency. "
-        "They and the stochastic relay are given the cost that koop tune chose, raw where it "
-        "refused; 'defaults' take raw and know the rig's limits and dt.",
+        "They are given the cost that koop tune chose, raw where it refused; 'defaults' take raw "
+        "and know the rig's limits and dt.",
         [summary, refusals, rounds, kinds, time],
         [figure],
         [claim],
     )
-
-
-def _best_stochastic(config: CommissionConfig, rows: list[Row]) -> int:
-    """Return which constants of the stochastic relay serve most rigs."""
-    known = [row["runs"]["stochastic"] for row in rows if "runs" in row]
-    good = [
-        sum(max(runs[i]["ratio"]) <= GOOD for runs in known) for i in range(len(config.stochastic))
-    ]
-    return int(np.argmax(good))
 
 
 def _share(count: int, of: int) -> float | None:

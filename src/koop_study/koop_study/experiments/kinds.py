@@ -10,7 +10,6 @@ from typing import Any
 from koop_core.config.parameter import ConfigError, nearest
 from koop_study.experiments import (
     ablations,
-    beyond,
     closed_loop,
     commission,
     laws,
@@ -46,8 +45,6 @@ KINDS: dict[str, tuple[type[Any], Callable[[Any], Steps]]] = {  # in the order o
     "robustness": (robustness.RobustnessConfig, _once(robustness)),
     "sensitivity": (sensitivity.SensitivityConfig, _once(sensitivity)),
     "ablations": (ablations.AblationsConfig, _once(ablations)),
-    "identification": (ablations.AblationsConfig, _once(ablations)),
-    "beyond": (beyond.BeyondConfig, beyond.steps),
     "laws": (laws.LawsConfig, laws.steps),
     "commission": (commission.CommissionConfig, _once(commission)),
 }
@@ -112,5 +109,10 @@ def read_folder(folder: Path, quick: bool) -> list[Experiment]:
     found = [read(path, quick) for path in sorted(folder.glob("*.yaml"))]
     if not found:
         raise ConfigError(f"{folder}: has no experiment files (*.yaml)")
+    return in_order(found)
+
+
+def in_order(experiments: list[Experiment]) -> list[Experiment]:
+    """Return experiments in the order of the report."""
     order = list(KINDS)
-    return sorted(found, key=lambda experiment: order.index(experiment.kind))
+    return sorted(experiments, key=lambda experiment: order.index(experiment.kind))

@@ -13,7 +13,6 @@ from koop_study.workers.units import Unit
 from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
 
 THETA_STAR = -3.0
-CONTROLLER = ("controller", "esc.", "adaptive.", "perturbation.")
 SHARED = ("esc.dt", "esc.theta_initial")  # must be the plant's
 
 
@@ -27,7 +26,7 @@ class StaticMapsConfig:
 
     def __post_init__(self) -> None:
         for name in [name for given in (self.settings, *self.costs.values()) for name in given]:
-            if name.startswith(CONTROLLER) and name not in SHARED:
+            if name.startswith("esc.") and name not in SHARED:
                 raise ConfigError(f"{name}: has no effect on a static map: theta is given there")
             if name == "duration":
                 raise ConfigError("duration: a static map takes its length from 'ramps'")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 from koop_core.config.parameter import ConfigError
 
@@ -107,3 +108,11 @@ class FamilyConfig:
                 raise ConfigError(f"maps.{name} = {weight:g}: known are {', '.join(MAPS)}, from 0")
         if not sum(self.maps.values()) > 0.0:
             raise ConfigError("maps: none has a weight above 0")
+
+
+def family_of(settings: dict[str, Any]) -> FamilyConfig:
+    """Return a family from settings that were checked when they were read."""
+    ranges: dict[str, Any] = {
+        k: tuple(map(float, v)) if isinstance(v, list) else v for k, v in settings.items()
+    }
+    return FamilyConfig(**ranges)

@@ -83,6 +83,11 @@ class Rig:
         extremes = float(settled.min()), float(settled.max())  # tau is monotone in the level
         return max(float(oscillator.relaxation(p, end)) for end in extremes)
 
+    @property
+    def time(self) -> float:
+        """The rig's own time [s], in which a step of theta shows: slowest time and two periods."""
+        return self.slowest + 2.0 / self.frequency
+
     def best(self, t: float = 0.0) -> tuple[float, float]:
         """Return the best theta at a time [s] and the amplitude there.
 

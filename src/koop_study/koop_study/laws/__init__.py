@@ -1,1 +1,1 @@
-"""Extremum-seeking laws beside the relay: what the field would compare it with."""
+"""Relay and adaptive law, tuned alike, on the paper's plant and on random rigs."""

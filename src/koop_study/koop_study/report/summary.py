@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from koop_view.report.document import Cell, Claim, Section, Table
+from koop_view.report.document import Claim, Section, Table
 
 COLUMNS = ("cost", "iae_median", "iae_p90", "t_theta_median", "converged", "e_r_ss_median")
 METRICS = (
@@ -41,7 +41,7 @@ def sentences(tables: Tables) -> list[Claim]:
 
 
 def headline(tables: Tables) -> Table | None:
-    """Return the few figures that the summary and the README show."""
+    """Return the few figures that the summary shows."""
     table = tables.get("robustness")
     if table is None:
         return None
@@ -49,46 +49,6 @@ def headline(tables: Tables) -> Table | None:
     keys = [column.key for column in table.columns]
     rows = [tuple(row[keys.index(name)] for name in COLUMNS) for row in table.rows]
     return Table("summary", table.title, tuple(columns[name] for name in COLUMNS), rows)
-
-
-def laws(tables: Tables) -> str | None:
-    """Return the README's sentence on laws: the relay and the law adaptive among the others."""
-    calm, jumps, rigs = (
-        tables.get(f"laws_{name}")
-        for name in (
-            "paper_s_plant_contrast_calm", "paper_s_plant_contrast_jumps", "family_contrast_calm",
-        )
-    )  # fmt: skip
-    if calm is None or jumps is None or rigs is None:
-        return None
-    ours = [row[0] for row in calm.rows if str(row[0]).startswith("adaptive, dwell")]
-    theirs = "relay, the paper's constants"
-    own = [row[0] for row in rigs.rows if str(row[0]).startswith("adaptive, in")]
-    if not (ours and own and _has(tables, calm.name, theirs)):
-        return None
-    count = calm.title.split(": ")[1].split()[0]
-
-    def least(table: Table) -> str:
-        seeking = [row for row in table.rows if not str(row[0]).startswith("oracle")]
-        return str(min(seeking, key=lambda row: _number(table.cell(row[0], "median")))[0])
-
-    def figures(table: Table, row: Cell) -> str:
-        return f"{table.cell(row, 'median')} / {table.cell(row, 'p90')}"
-
-    best, quick = least(calm), least(jumps)
-    relay = next(row[0] for row in rigs.rows if str(row[0]).startswith("relay ("))
-    return (
-        f"On the contrast cost and {count} fresh seeds, IAE median / 90th percentile are "
-        f"{figures(calm, theirs)} with the relay at the paper's constants and "
-        f"{figures(calm, ours[0])} with `adaptive`, whose θ swings over "
-        f"{calm.cell(ours[0], 'swing')} % of its range at the end, the relay's over "
-        f"{calm.cell(theirs, 'swing')} %; the least median has {best} with {figures(calm, best)}. "
-        f"Where the optimum jumps by 2 every 500 s they are {figures(jumps, theirs)}, "
-        f"{figures(jumps, ours[0])} and {figures(jumps, best)}, and the least median has {quick}. "
-        f"On random rigs, the amplitude over that of the best fixed θ is {figures(rigs, relay)} "
-        f"with the tuned relay and {figures(rigs, own[0])} with `adaptive` at one set of constants "
-        "in the rig's own times."
-    )
 
 
 def _has(tables: Tables, name: str, *rows: str) -> bool:

@@ -11,35 +11,30 @@ import numpy as np
 
 from koop_core.config.parameter import ConfigError, refuse_unknown
 from koop_loop.training import TrainingConfig
-from koop_study.controllers.adaptive import AdaptiveConfig
-from koop_study.controllers.perturbation import PerturbationConfig
-from koop_study.simulation.kernel import CONTROLLERS
-from koop_study.simulation.learning import learn
+from koop_study.simulation.learning import model_for
 from koop_study.simulation.scenario import ScenarioConfig
 from koop_study.simulation.sensing import SensingConfig
-from koop_study.simulation.variants import COSTS, make
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.model import KoopmanModel
 from relay_esc.config import EscConfig
 from vdp_plant.config import PlantConfig
 
+COSTS = ("raw", "lifted", "contrast")
+
 
 @dataclass(frozen=True)
 class Case:
-    """A closed loop: which cost, which controller, and all of their configurations.
+    """A closed loop: which cost, and the configurations of all its parts.
 
     Attributes
     ----------
     cost : str
-        ``raw`` or one of the lifted costs of :mod:`koop_study.simulation.variants`.
-    controller : str
-        ``relay`` (the paper's), ``adaptive`` or ``perturbation``.
+        One of :data:`COSTS`.
     duration : float
         Length of the run [s].
     """
 
     cost: str = "lifted"
-    controller: str = "relay"
     duration: float = 2500.0
     plant: PlantConfig = field(default_factory=PlantConfig)
     lifter: LifterConfig = field(default_factory=LifterConfig)
@@ -47,29 +42,14 @@ class Case:
     training: TrainingConfig = field(default_factory=TrainingConfig)
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
     sensing: SensingConfig = field(default_factory=SensingConfig)
-    adaptive: AdaptiveConfig = field(default_factory=AdaptiveConfig)
-    perturbation: PerturbationConfig = field(default_factory=PerturbationConfig)
 
     def __post_init__(self) -> None:
-        for name, allowed in (("cost", COSTS), ("controller", tuple(CONTROLLERS))):
-            if getattr(self, name) not in allowed:
-                raise ConfigError(
-                    f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}"
-                )
+        if self.cost not in COSTS:
+            raise ConfigError(f"cost = {self.cost!r}: must be one of {', '.join(COSTS)}")
         if not 0.0 < self.duration <= 1e6:
             raise ConfigError(f"duration = {self.duration}: must be above 0 and at most 1e6 s")
-        self._refuse(WITHOUT_EFFECT[self.controller], f"controller '{self.controller}'")
-        self._refuse(WITHOUT_EFFECT.get(self.cost, {}), f"cost '{self.cost}'")
-
-    def _refuse(self, without_effect: dict[str, tuple[str, ...]], what: str) -> None:
-        """Raise ConfigError if a setting that does nothing is not at its default."""
-        for part, names in without_effect.items():
-            given, default = getattr(self, part), type(getattr(self, part))()
-            for name in names or [item.name for item in fields(given)]:
-                if getattr(given, name) != getattr(default, name):
-                    raise ConfigError(
-                        f"{part}.{name} = {getattr(given, name)!r}: has no effect with the {what}"
-                    )
+        if self.cost == "raw" and self.sensing.delays > 1:
+            raise ConfigError("sensing.delays: has no effect with the cost 'raw'")
 
     @property
     def steps(self) -> int:
@@ -77,16 +57,6 @@ class Case:
         return round(self.duration / self.plant.dt)
 
 
-# by controller and by cost; empty: all of a part
-WITHOUT_EFFECT: dict[str, dict[str, tuple[str, ...]]] = {
-    "raw": {"sensing": ("delays", "spacing", "training_noise")},
-    "relay": {"adaptive": (), "perturbation": ()},
-    "adaptive": {"perturbation": (), "esc": ("objective",)},
-    "perturbation": {
-        "adaptive": (),
-        "esc": ("objective", "step_size", "dwell", "tau_f", "epsilon_initial", "cost_timeout"),
-    },
-}
 NODES_ONLY = {  # settings of the nodes that a study has no use for, and why
     "lifter.cost": "the study's own setting 'cost' takes its place",
     "lifter.input_fields": "a study has no topics",
@@ -98,7 +68,7 @@ NODES_ONLY = {  # settings of the nodes that a study has no use for, and why
 DRAWN = (  # what `seeded` draws
     "plant.seed", "plant.interference_phase_1", "plant.interference_phase_2", "training.seed",
 )  # fmt: skip
-PARTS = {item.name for item in fields(Case)} - {"cost", "controller", "duration"}
+PARTS = {item.name for item in fields(Case)} - {"cost", "duration"}
 
 
 def override(case: Case, settings: Mapping[str, Any]) -> Case:
@@ -138,7 +108,7 @@ def known_paths() -> tuple[str, ...]:
     """Every setting by name: ``cost``, ``plant.mu``, ``esc.dwell`` and so on."""
     case = Case()
     parts = [f"{part}.{f.name}" for part in sorted(PARTS) for f in fields(getattr(case, part))]
-    return ("cost", "controller", "duration", *parts)
+    return ("cost", "duration", *parts)
 
 
 def seeded(case: Case, seed: int) -> Case:
@@ -178,5 +148,4 @@ def model_of(case: Case) -> KoopmanModel | None:
         interference_gain_y=case.scenario.interference_gain_y,
         interference_lag_y=case.scenario.interference_lag_y,
     )
-    learned = learn(plant, channels, case.training, case.sensing)
-    return make(case.cost, learned, plant.dt, case.training.modes)
+    return model_for(case.cost, plant, channels, case.training, case.sensing)

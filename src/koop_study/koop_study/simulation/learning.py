@@ -1,8 +1,4 @@
-"""Training data of the study: the Gram sums of the paper's method and second moments by trajectory.
-
-The improved costs look at how the trajectories differ from each other, which the pooled Gram sums
-cannot tell. Neither theta nor theta* enters: only measured states do.
-"""
+"""Models of the study: the paper's training, also on one sensor and with unequal interference."""
 
 from __future__ import annotations
 
@@ -15,41 +11,39 @@ from numpy.typing import NDArray
 from koop_loop.training import TrainingConfig, trajectories
 from koop_study.simulation.scenario import ScenarioConfig, second_channel
 from koop_study.simulation.sensing import SensingConfig
-from koopman_lifter.contrast import TRANSIENT
+from koopman_lifter.contrast import TrajectoryMoments, with_contrast
 from koopman_lifter.edmd import Gram
+from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
 from vdp_plant.config import PlantConfig
 
 
 @dataclass(frozen=True)
 class Learned:
-    """What the training data says.
+    """Sums over the training data.
 
     Attributes
     ----------
     gram : Gram
-        Sums over all snapshot pairs, as in ``koop_loop.training``.
-    covariances : ndarray, shape (T, p, p)
-        Covariance of the observables over the settled part of each of T trajectories.
-    means : ndarray, shape (T, p)
-        Mean of the observables over the same parts.
-    dropped : int
-        Trajectories left out because they diverged.
-    sensing : SensingConfig
-        What the states are.
+        Over all snapshot pairs, as in ``koop_loop.training``.
+    moments : TrajectoryMoments
+        Of every trajectory, for the contrast.
     """
 
     gram: Gram
-    covariances: NDArray[np.float64]
-    means: NDArray[np.float64]
-    dropped: int
-    sensing: SensingConfig
+    moments: TrajectoryMoments
 
 
 def learn(
     plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfig, sensing: SensingConfig
 ) -> Learned:
-    """Simulate the training trajectories and sum them up; what differs in N only is shared."""
+    """Simulate the training trajectories and sum them up; models that differ in N share the sums.
+
+    Raises
+    ------
+    ValueError
+        If every trajectory diverged.
+    """
     return _learn(plant, scenario, replace(training, modes=1), sensing)
 
 
@@ -58,31 +52,33 @@ def _learn(
     plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfig, sensing: SensingConfig
 ) -> Learned:
     delays = sensing.embedding(plant.dt)
-    gram = Gram.empty(Monomials(delays.n, training.degree))
-    covariances, means, dropped = [], [], 0
-    rng = np.random.default_rng([training.seed, 2])
+    gram, moments = Gram.empty(Monomials(delays.n, training.degree)), TrajectoryMoments(delays)
     added: NDArray[np.float64] | None = None
     for states in trajectories(plant, training):
         if states is None:
-            dropped += 1
             continue
         if added is None:
-            added = second_channel(
-                scenario, plant, np.arange(states.shape[1], dtype=np.float64) * plant.dt
-            )
+            t = np.arange(states.shape[1], dtype=np.float64) * plant.dt
+            added = second_channel(scenario, plant, t)
         if added.size and training.corrupted:
             states[1] += added
         sensed = states[sensing.indices]
-        if sensing.training_noise > 0.0:
-            deviation = sensing.training_noise * sensed.std(axis=1, keepdims=True)
-            sensed += deviation * rng.standard_normal(sensed.shape)
-        embedded = delays.embed(sensed)
-        gram.add_trajectory(embedded)
-        lifted = gram.observables.lift(embedded[:, round(TRANSIENT * embedded.shape[1]) :])
-        mean = lifted.mean(axis=1)
-        lifted -= mean[:, None]
-        covariances.append(lifted @ lifted.T / lifted.shape[1])
-        means.append(mean)
-    if not covariances:
+        gram.add_trajectory(delays.embed(sensed))
+        moments.add(sensed)
+    if added is None:
         raise ValueError("every training trajectory diverged")
-    return Learned(gram, np.array(covariances), np.array(means), dropped, sensing)
+    return Learned(gram, moments)
+
+
+def model_for(
+    cost: str,
+    plant: PlantConfig,
+    scenario: ScenarioConfig,
+    training: TrainingConfig,
+    sensing: SensingConfig,
+) -> KoopmanModel:
+    """Return the model of the cost ``lifted`` or ``contrast``."""
+    learned = learn(plant, scenario, training, sensing)
+    embedding, provenance = sensing.embedding(plant.dt), {"variant": cost}
+    model = build(learned.gram, plant.dt, sensing.names, training.modes, provenance, embedding)
+    return with_contrast(model, *learned.moments.result()) if cost == "contrast" else model

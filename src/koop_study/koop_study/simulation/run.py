@@ -9,46 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
-from koop_loop.loop import check_fit, initial_state
+from koop_loop.loop import LoopDiverged, check_fit, simulate
 from koop_loop.metrics import evaluate
-from koop_study.controllers import adaptive, perturbation
 from koop_study.simulation.case import Case, model_of
-from koop_study.simulation.kernel import CONTROLLERS, Control, Sensing, run_kernel
 from koop_study.simulation.scenario import displacement, expose
-from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.model import KoopmanModel
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Signals of one run, one row a step; ``ground_truth`` is empty unless asked for.
+    """Cost and control input of one run, one row a step, both of no row if the plant diverged.
 
     Attributes
     ----------
     t : ndarray, shape (M,)
         Time [s].
-    r, theta : ndarray, shape (M,)
+    r, theta : ndarray, shape (M,) or (0,)
         Cost and control input.
     ground_truth : ndarray, shape (M, 2) or (0, 2)
-        True state.
-    done : int
-        Steps before the plant diverged; M if it did not.
+        True state; empty where several loops were run side by side.
     """
 
     t: NDArray[np.float64]
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
     ground_truth: NDArray[np.float64]
-    done: int
 
     @property
     def diverged(self) -> bool:
         """True if the plant's state left the finite numbers."""
-        return self.done < self.t.size
+        return self.theta.size < self.t.size
 
 
-def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: bool = False) -> Trace:
+def run(case: Case, schedule: NDArray[np.float64] | None = None) -> Trace:
     """Run ``case``; with ``schedule``, shape (M,), theta follows it and the controller is idle.
 
     Raises
@@ -58,37 +52,16 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None, with_truth: boo
     """
     model = model_of(case)
     lifter = lifter_of(case, model)
-    detector = lifter.detector_params()
-    if case.cost == "log":  # the limit is of the energy, before its logarithm
-        detector = detector._replace(y_max=math.log(detector.y_max))
-    lifting = cost.no_lifting() if model is None else model.lifting()
-    sensing = Sensing(
-        lifter.source,
-        case.cost == "log",
-        lifting,
-        detector,
-        lifter.state_timeout,
-        case.sensing.indices,
-        cost.workspace(lifting),
-    )
-    control = Control(
-        CONTROLLERS[case.controller],
-        case.esc.cost_timeout,
-        case.esc.params(),
-        case.esc.initial(),
-        case.adaptive.params(case.esc),
-        adaptive.initial(case.esc),
-        case.perturbation.params(case.esc),
-        perturbation.initial(case.esc),
-    )
-    exposure = expose(case.scenario, case.plant, case.steps, case.plant.seed, schedule)
-    x, y = initial_state(case.plant)
-    r, theta = np.empty(case.steps), np.empty(case.steps)
-    ground_truth = np.empty((case.steps if with_truth else 0, 2))
-    done = run_kernel(case.plant.params(), sensing, control, exposure, x, y, r, theta, ground_truth)
-    return Trace(
-        np.arange(case.steps, dtype=np.float64) * case.plant.dt, r, theta, ground_truth, done
-    )
+    exposure = expose(
+        case.scenario, case.plant, case.steps, case.plant.seed, schedule, case.sensing.indices,
+        (lifter.state_timeout, case.esc.cost_timeout),
+    )  # fmt: skip
+    t = np.arange(case.steps, dtype=np.float64) * case.plant.dt
+    try:
+        done = simulate(case.plant, lifter, case.esc, model, case.steps, exposure)
+    except LoopDiverged:
+        return Trace(t, np.empty(0), np.empty(0), np.empty((0, 2)))
+    return Trace(t, done.r, done.theta, done.ground_truth)
 
 
 def lifter_of(case: Case, model: KoopmanModel | None) -> LifterConfig:

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import parameter, validate
+from koop_loop.loop import Exposure
 from vdp_plant.config import PlantConfig
 from vdp_plant.dynamics import PlantParams
 from vdp_plant.waves import Waves, drive_of, interference_of
+
+BOTH = np.arange(2)  # states of the plant
 
 
 @dataclass(frozen=True)
@@ -50,30 +52,6 @@ class ScenarioConfig:
 
     def __post_init__(self) -> None:
         validate(self)
-
-
-class Exposure(NamedTuple):
-    """Arrays of the kernel, one row a step; an array of length 0 switches its disturbance off.
-
-    Attributes
-    ----------
-    added : ndarray, shape (M, 2) or (0, 2)
-        Added to the measured state.
-    lost : ndarray of bool, shape (M,) or (0,)
-        True where the measured state does not arrive.
-    displaced : ndarray, shape (M,) or (0,)
-        Displacement of theta* from its configured value.
-    schedule : ndarray, shape (M,) or (0,)
-        Control input that replaces the controller.
-    waves : Waves
-        Of the plant, for as many steps as are known beforehand.
-    """
-
-    added: NDArray[np.float64]
-    lost: NDArray[np.bool_]
-    displaced: NDArray[np.float64]
-    schedule: NDArray[np.float64]
-    waves: Waves
 
 
 # what the runs of a unit share, and most units of a study: they differ in seeds and constants
@@ -123,6 +101,8 @@ def expose(
     steps: int,
     seed: int,
     schedule: NDArray[np.float64] | None = None,
+    channels: NDArray[np.int64] = BOTH,
+    timeouts: tuple[float, float] = (0.0, 0.0),
 ) -> Exposure:
     """Draw the disturbances of one run.
 
@@ -138,6 +118,10 @@ def expose(
         Of noise and lost samples.
     schedule : ndarray, shape (M,), optional
         Control input for an open-loop run.
+    channels : ndarray of int, shape (n,)
+        Components of the measured state that the lifter receives.
+    timeouts : tuple of float
+        Silence after which the state, and the cost, resume [s].
     """
     rng = np.random.default_rng([seed, 1])
     t = np.arange(steps, dtype=np.float64) * plant.dt
@@ -157,5 +141,7 @@ def expose(
         lost,
         displacement(config, steps, plant.dt),
         np.empty(0) if schedule is None else schedule,
+        channels,
+        *timeouts,
         kept_waves(plant.params(), steps),
     )

@@ -1,4 +1,4 @@
-"""What the lifter is given of the plant: which states, and how much of their past."""
+"""What the lifter receives of the plant: which states, and how much of their past."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CHANNELS = {"both": (0, 1), "x": (0,), "y": (1,)}
 
 @dataclass(frozen=True)
 class SensingConfig:
-    """Measured states, delays and noise; the defaults are the paper's: both, as they are.
+    """Measured states and delays; the defaults are the paper's: both states, no delays.
 
     Raises
     ------
@@ -28,12 +28,6 @@ class SensingConfig:
     delays: int = parameter(1, "samples of each of them that make up the state", low=1, high=64)
     spacing: float = parameter(
         0.0, "time between two of these samples", unit="s", low=0.0, high=100.0
-    )
-    training_noise: float = parameter(
-        0.0,
-        "standard deviation of white noise in the training data, as a share of each channel's own",
-        low=0.0,
-        high=10.0,
     )
 
     def __post_init__(self) -> None:

@@ -105,7 +105,7 @@ def settled(settings: dict[str, Any], seed: int | None) -> dict[str, Any]:
 def trace(settings: dict[str, Any], seed: int | None, start: float) -> dict[str, Any]:
     """Run one closed loop and return its signals from ``start`` [s] on, thinned, and metrics."""
     case = case_of(settings, seed)
-    done = run(case, with_truth=True)
+    done = run(case)
     first = round(start / case.plant.dt)
     x_low, x_high = _drawn(done.ground_truth[first:, 0])
     r_low, r_high = _drawn(done.r[first:])

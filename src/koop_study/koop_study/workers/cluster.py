@@ -115,7 +115,7 @@ class Workers:
                 bar.update()
         if lost:
             raise WorkerLost(
-                f"{lost}; the results so far are kept, and the same command goes on from them"
+                f"{lost}; the results so far are kept, and the same command resumes from them"
             )
 
 

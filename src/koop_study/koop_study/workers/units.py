@@ -2,7 +2,7 @@
 
 A result's file is named by a hash of the work, its arguments and the code that does it. A study
 that was stopped goes on where it was; after a change of the numerical code everything is computed
-again, after one of a module that only one law calls what that law did.
+again.
 """
 
 from __future__ import annotations
@@ -12,39 +12,22 @@ import hashlib
 import json
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import koop_lab
-import koop_loop
-import koop_node
-import koopman_lifter
-import relay_esc
-import vdp_plant
-from koop_study import commissioning, controllers, family, laws, simulation
-
-# All code of these decides results, but for the modules that know ROS.
-PACKAGES = (vdp_plant, relay_esc, koopman_lifter, koop_loop, simulation, controllers, family, laws)
-ROS = {"node.py", "executable.py"}
-LAB = Path(str(koop_lab.__file__)).parent
-COMMISSION = "commission_plant"  # the one work that these decide, too
-SURVEYED = ("channels", "features", "progress", "rig_file", "staircase", "survey", "valley")
-COMMISSIONING = (
-    Path(str(commissioning.__file__)).parent,
-    LAB / "tune",
-    LAB / "identify",
-    *(LAB / "commission" / f"{name}.py" for name in SURVEYED),
-)
-OF_ONE_LAW = {  # modules that no other law's numbers depend on
-    "relay_esc/swing.py": "adaptive",
-    **{
-        f"laws/{name}.py": name
-        for name in ("bounded", "golden", "least_squares", "newton", "sliding", "stochastic")
-    },
-}
+# packages all code of which decides results, but for the modules that know ROS
+PACKAGES = (
+    "koop_core", "vdp_plant", "koopman_lifter", "relay_esc", "koop_loop",
+    "koop_study.simulation", "koop_study.family", "koop_study.laws",
+)  # fmt: skip
+COMMISSIONING = ("koop_identify", "koop_tune", "koop_study.commissioning")  # further ones
+COMMISSION = "commission_plant"  # the one work that the further ones decide
+ROS = ("node.py", "executable.py")
 LIBRARIES = ("numpy", "scipy", "numba")  # another version may round in another way
 
 
@@ -58,55 +41,36 @@ class Unit:
     @property
     def key(self) -> str:
         """Name of the result: the same work with the same code has the same key."""
-        further = self.work == COMMISSION
-        code = fingerprint("" if further else self.arguments.get("law", ""), further)
+        code = fingerprint(self.work == COMMISSION)
         text = json.dumps([self.work, self.arguments, code], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
-@lru_cache(maxsize=32)
-def fingerprint(law: str = "", commissioning: bool = False) -> str:
+@lru_cache(maxsize=2)
+def fingerprint(commissioning: bool = False) -> str:
     """Return a hash of all that decides results: our code, and the libraries' versions.
 
-    Of a law's results, other laws' own modules decide nothing. With ``commissioning``, of what
-    decides :data:`COMMISSION`.
+    With ``commissioning`` also of what decides :data:`COMMISSION`.
     """
     digest = hashlib.sha256()
     for name in LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
-    for path in deciding(COMMISSIONING if commissioning else ()):
-        name = f"{path.parent.name}/{path.name}"
-        if not law or OF_ONE_LAW.get(name, law) == law:
-            digest.update(f"{name} {meaning(path.read_text())}\n".encode())
+    for name, source in sources((*PACKAGES, *COMMISSIONING) if commissioning else PACKAGES).items():
+        digest.update(f"{name} {meaning(source)}\n".encode())
     return digest.hexdigest()
 
 
-def deciding(further: tuple[Path, ...] = ()) -> list[Path]:
-    """Return the numerical packages' modules and those of koop_node that they import.
-
-    Modules, and those of folders, may be added.
-    """
-    found: list[Path] = []
-    for place in (*(Path(str(package.__file__)).parent for package in PACKAGES), *further):
-        modules = sorted(place.rglob("*.py")) if place.is_dir() else [place]
-        found += [path for path in modules if path.name not in ROS]
-    shared = Path(str(koop_node.__file__)).parent
-    for path in found:  # what is appended is looked at too
-        for name in sorted(shared_modules(path)):
-            if shared / name not in found:
-                found.append(shared / name)
+def sources(packages: Sequence[str]) -> dict[str, str]:
+    """Return the modules of packages by package and path, but for those that know ROS."""
+    found = {}
+    for package in packages:
+        spec = find_spec(package)
+        assert spec is not None
+        for folder in map(Path, spec.submodule_search_locations or ()):
+            for path in sorted(folder.rglob("*.py")):
+                if path.name not in ROS:
+                    found[f"{package}/{path.relative_to(folder)}"] = path.read_text()
     return found
-
-
-def shared_modules(path: Path) -> set[str]:
-    """Return the files of koop_node that a module imports from."""
-    names = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module == "koop_node":
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("koop_node."):
-            names.add(str(node.module).split(".")[1])
-    return {f"{name}.py" for name in names}
 
 
 def meaning(source: str) -> str:

@@ -1,4 +1,4 @@
-"""The loop closed on a rig of the family with the nodes' own configuration, from either side."""
+"""The loop closed on a rig of the family with the nodes' own configuration."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import Arrival
-from koop_study.commissioning.excitation import from_end
 from koop_study.family import oscillator
 from koop_study.family.oscillator import RigParams, RigState
 from koop_study.family.rig import Rig
@@ -29,7 +28,7 @@ GOOD = 1.5  # amplitude over that at the best theta, within which a loop has con
 
 
 @dataclass(frozen=True)
-class Controller:
+class RigController:
     """Lifter and controller of a loop.
 
     Attributes
@@ -48,7 +47,7 @@ class Controller:
 
 
 @dataclass(frozen=True)
-class Noise:
+class RunNoise:
     """What reaches a rig in a run, and how large the best fixed theta keeps it then.
 
     Attributes
@@ -70,7 +69,7 @@ def exposed(p: RigParams) -> RigParams:
     return p._replace(noise=np.ones(n), tone=np.zeros(0), tone_amplitude=none, tone_phase=none)
 
 
-def noise_of(rig: Rig, steps: int, seed: int) -> Noise:
+def noise_of(rig: Rig, steps: int, seed: int) -> RunNoise:
     """Draw the numbers of a run of some steps; the amplitude is that of its second half."""
     p = rig.params
     numbers = rig.noise(steps, seed)
@@ -83,11 +82,11 @@ def noise_of(rig: Rig, steps: int, seed: int) -> Noise:
     x, amplitude = np.empty((steps, rig.channels)), np.empty(steps)
     path = np.full(steps, theta)
     oscillator.run(exposed(p), resting.initial(seed), 0, path, numbers, x, amplitude)
-    return Noise(numbers, math.sqrt(float((amplitude[steps // 2 :] ** 2).mean())))
+    return RunNoise(numbers, math.sqrt(float((amplitude[steps // 2 :] ** 2).mean())))
 
 
-class Closed(NamedTuple):
-    """A loop that was closed from an end of theta's range.
+class ClosedRun(NamedTuple):
+    """A loop that was closed on a rig.
 
     Attributes
     ----------
@@ -108,10 +107,22 @@ class Closed(NamedTuple):
     theta: NDArray[np.float64]
 
 
-def close(rig: Rig, controller: Controller, end: int, noise: Noise, seed: int) -> Closed:
-    """Close the loop from an end of theta's range."""
-    p, rig = rig.params, from_end(rig, end)
-    esc = replace(controller.esc, theta_initial=rig.theta_initial, epsilon_initial=1 if end else -1)
+def close_from_end(
+    rig: Rig, controller: RigController, end: int, noise: RunNoise, seed: int
+) -> ClosedRun:
+    """Close the loop from the lower (0) or upper (1) end of theta's range."""
+    inwards = replace(controller.esc, epsilon_initial=1 if end else -1)
+    return close(from_end(rig, end), replace(controller, esc=inwards), noise, seed)
+
+
+def from_end(rig: Rig, end: int) -> Rig:
+    """Return the rig at rest at the lower (0) or upper (1) end of theta's range."""
+    return replace(rig, theta_initial=rig.params.theta_max if end else rig.params.theta_min)
+
+
+def close(rig: Rig, controller: RigController, noise: RunNoise, seed: int) -> ClosedRun:
+    """Close the loop on a rig that has settled at its first theta."""
+    p, esc = rig.params, replace(controller.esc, theta_initial=rig.theta_initial)
     model = controller.model
     lifting = cost.no_lifting() if model is None else model.lifting()
     source = cost.RAW if model is None else cost.LIFTED
@@ -124,7 +135,7 @@ def close(rig: Rig, controller: Controller, end: int, noise: Noise, seed: int) -
     )  # fmt: skip
     ratio = math.sqrt(float(power[BLOCKS // 2 :].mean())) / noise.best
     inside = np.flatnonzero(excess <= math.log(GOOD))
-    return Closed(
+    return ClosedRun(
         ratio if p.sense > 0.0 else 1.0 / max(ratio, 1e-9),
         float(inside[0] + 1) / BLOCKS if inside.size else 2.0,
         x,

@@ -1,1 +1,0 @@
-"""Controllers that the study compares with the paper's relay."""
