@@ -1,0 +1,132 @@
+"""Where theta was held in a recording, and the amplitudes and spectra there."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from koop_core.errors import InputError
+from koop_identify.recording.loaded import Loaded
+from koop_tune.excitation.features import bands
+from koop_tune.rig.scale import Scale
+from koop_tune.rig_model.dwells import (
+    DwellSettings,
+    find_dwells,
+    find_period,
+    find_rests,
+    spectra_by_theta,
+)
+
+DT = 0.02
+UNIT = Scale(0.0, 1.0)
+
+
+def recording(theta, x=None, begins=(0,)):
+    x = np.zeros((theta.size, 1)) if x is None else np.asarray(x)
+    starts = np.isin(np.arange(theta.size), begins)
+    return Loaded(
+        np.ascontiguousarray(x.T), starts, np.zeros(theta.size, bool), theta,
+        np.arange(theta.size) * DT,
+    )  # fmt: skip
+
+
+def staircase(values, rest, repeats=1):
+    return np.repeat(np.tile(values, repeats), rest)
+
+
+def test_a_theta_that_moves_slowly_does_not_rest_on_its_way():
+    values = np.linspace(0.0, 1.0, 9)
+    way = [np.linspace(a, b, 2001)[1:] for a, b in pairwise(values)]
+    theta = np.concatenate([part for v, w in zip(values, [*way, []], strict=True)
+                            for part in (np.full(1000, v), w)])  # fmt: skip
+    u, rests = find_rests(recording(theta), UNIT, 16)
+    assert u == pytest.approx(values)
+    assert [(rest.end - rest.begin) // 16 for rest in rests] == [62] * 9
+    assert [rest.level for rest in rests] == list(range(9))
+
+
+def test_rests_of_a_loop_do_not_join_the_values_of_the_excitation():
+    values = [*np.linspace(0.0, 1.0, 9), *np.arange(0.0, 1.0, 0.015)]
+    u, _ = find_rests(recording(np.repeat(values, 100)), UNIT, 16)
+    assert u.size > 9
+    assert np.diff(u).max() < 0.05
+
+
+def test_a_rest_ends_where_states_are_missing_or_theta_is_unknown():
+    theta = staircase(np.linspace(0.0, 1.0, 5), 320)
+    _, rests = find_rests(recording(theta, begins=(0, 400)), UNIT, 16)
+    assert [(rest.begin, rest.end) for rest in rests[1:3]] == [(320, 400), (400, 640)]
+    theta[:160] = np.nan
+    _, rests = find_rests(recording(theta), UNIT, 16)
+    assert rests[0].begin == 160
+
+
+@pytest.mark.parametrize(
+    ("theta", "message"),
+    [
+        (np.full(2000, np.nan), "no theta"),
+        (staircase([0.0, 0.3, 0.6, 1.0], 320), "at 4 values"),
+        (staircase(np.linspace(0.0, 1.0, 9), 48), "at 0 values"),  # three windows each
+    ],
+)
+def test_a_recording_with_too_few_rests_is_refused(theta, message):
+    with pytest.raises(InputError, match=message):
+        find_rests(recording(theta), UNIT, 16)
+
+
+def test_how_many_rests_are_needed_is_a_setting():
+    theta = staircase([0.0, 0.3, 0.6, 1.0], 320)
+    assert find_rests(recording(theta), UNIT, 16, DwellSettings(values=4))[0].size == 4
+
+
+def oscillating(theta, frequency, amplitude, seed=0):
+    t = np.arange(theta.size) * DT
+    noise = np.random.default_rng(seed).normal(0.0, 0.3, t.size)
+    return amplitude(theta) * np.sin(2.0 * np.pi * frequency * t) + noise
+
+
+def test_a_rest_that_lost_messages_cut_short_does_not_hide_the_period():
+    theta = np.repeat([0.0, 1.0, 2.0, 3.0, 4.0, 1.5], [1600] * 5 + [64])
+    x = oscillating(theta, 1.0, lambda theta: 1.0 + (theta - 2.0) ** 2)
+    found = find_period(recording(theta, x[:, None]), Scale(0.0, 4.0), DT)
+    assert found == pytest.approx(1.0, rel=0.1)
+
+
+def test_the_period_is_that_of_what_theta_changes_not_of_what_is_strongest():
+    theta = staircase(np.linspace(0.0, 1.0, 9), 1600, 2)
+    t = np.arange(theta.size) * DT
+    x = oscillating(theta, 1.0, lambda theta: 0.5 + theta) + 5.0 * np.sin(2 * np.pi * 4.0 * t)
+    assert find_period(recording(theta, x[:, None]), UNIT, DT) == pytest.approx(1.0, rel=0.1)
+    alone = 5.0 * np.sin(2 * np.pi * 4.0 * t) + oscillating(theta, 1.0, lambda theta: 0.0)
+    assert find_period(recording(theta, alone[:, None]), UNIT, DT) is None
+
+
+def test_spectra_hold_the_power_of_the_oscillation():
+    theta = staircase(np.linspace(0.0, 1.0, 9), 1600)
+    x = oscillating(theta, 1.0, lambda theta: 1.0 + theta)
+    found = spectra_by_theta(recording(theta, x[:, None]), UNIT, DT)
+    step = float(found.frequency[1] - found.frequency[0])
+    power = found.density[:, 0].sum(axis=-1) * step  # Parseval, but for the two lowest bins
+    assert power == pytest.approx(0.5 * (1.0 + found.u) ** 2 + 0.09, rel=0.05)
+    assert found.frequency[int(np.argmax(found.power[8, 0]))] == pytest.approx(1.0, abs=step)
+    assert found.sure[0, int(np.argmax(found.power[8, 0]))]
+
+
+def test_the_channel_that_theta_changes_counts_and_its_levels_are_the_amplitudes():
+    theta = staircase(np.linspace(0.0, 1.0, 9), 1600, 2)
+    x = np.column_stack([
+        oscillating(theta, 1.0, lambda theta: 3.0 + 0.0 * theta, 1),
+        oscillating(theta, 1.0, lambda theta: 0.5 + 4.0 * (theta - 0.5) ** 2, 2),
+    ])  # fmt: skip
+    loaded = recording(theta, x)
+    how = bands(x, 200, DT)
+    found = find_dwells(loaded, UNIT, how, 1.0)
+    assert how.names(["a", "b"])[found.feature].startswith("b")
+    truth = np.log(0.5 + 4.0 * (found.u - 0.5) ** 2)
+    amplitude = found.static_map(found.amplitude, 1.0)
+    assert np.abs(amplitude.mean - truth).max() < 0.15  # noise of 0.3 adds to the weakest
+    assert [levels.size for levels in amplitude.visits] == [2] * 9
+    whole = found.window_levels(x[:, 0])
+    assert np.exp(np.concatenate(whole)) == pytest.approx(
+        np.full(8 * 18, np.sqrt(4.5 + 0.09)), rel=0.1
+    )

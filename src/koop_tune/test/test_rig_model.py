@@ -1,0 +1,182 @@
+"""Time constants and surrogates, against random processes and filters that are known exactly."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
+
+from koop_core.stream.arrival import Arrival
+from koop_identify.recording.loaded import Loaded
+from koop_tune.excitation.features import Bands
+from koop_tune.excitation.static_map import GRID, StaticMap
+from koop_tune.rig.scale import Scale
+from koop_tune.rig_model.dwells import Dwell, Dwells
+from koop_tune.rig_model.fluctuation import autocovariance, fluctuation
+from koop_tune.rig_model.surrogate import (
+    BLOCKS,
+    Surrogate,
+    Times,
+    _follow,
+    fit_times,
+    high_pass,
+    run,
+)
+from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig
+from relay_esc.config import EscConfig
+
+DT = 0.02
+
+
+@pytest.mark.parametrize("tau", [2.0, 8.0])
+def test_the_time_constant_of_what_noise_drives_is_that_of_its_process(tau):
+    """A complex Ornstein-Uhlenbeck process, exactly sampled; measurement noise, drifting levels."""
+    window, per, rng = 1.0, 50, np.random.default_rng(1)
+    keep = math.exp(-window / per / tau)
+    rests, amplitude = [], []
+    for level in [*range(9), *range(9)]:
+        steps = per * 120
+        white = rng.normal(size=(2, steps)) * math.sqrt((1.0 - keep**2) / 2.0)
+        z = lfilter([1.0], [1.0, -keep], white, axis=1) * rng.uniform(0.8, 1.25)
+        power = (z**2).sum(axis=0).reshape(-1, per).mean(axis=1) * (1.0 + 0.2 * level)
+        amplitude.append(0.5 * np.log(power + 0.05 * rng.chisquare(2, power.size)))
+        rests.append(Dwell(level, 0, steps, 0))
+    how = Bands(per, (1, 2), window / per)
+    found = fluctuation(Dwells(np.linspace(0.0, 1.0, 9), rests, how, 0, amplitude))
+    assert 0.6 * tau < found.time < 1.4 * tau
+    assert found.share > 0.3
+
+
+def test_the_autocovariance_of_pieces_is_the_mean_of_their_products():
+    parts = [np.random.default_rng(i).normal(size=n) for i, n in enumerate((40, 7, 3))]
+    found, pairs = autocovariance(parts, 10)
+    for lag in range(10):
+        products = [part[i] * part[i + lag] for part in parts for i in range(part.size - lag)]
+        assert pairs[lag] == len(products)
+        assert found[lag] == pytest.approx(np.mean(products))
+
+
+def test_the_high_pass_filter_is_that_of_the_nodes_detector():
+    omega_h, t = 4.0, np.arange(4000) * DT
+    y = 3.0 + np.random.default_rng(0).normal(size=t.size)
+    loaded = Loaded(y[None], np.isin(np.arange(t.size), (0, 2000)), 0 * t > 0, None, t)
+    found = high_pass(y, loaded, omega_h, DT)
+    # the low-pass filter of such a detector has no memory: its cost is the square of y_hp
+    detector = cost.detector_params(omega_h, 1e4, DT)
+    state = cost.initial()
+    for k, value in enumerate(y[:2000]):
+        r, state = cost.follow(detector, state, Arrival.RESTART if k == 0 else Arrival.NEXT, value)
+        assert r == pytest.approx(found[k] ** 2, rel=1e-9, abs=1e-15)
+    assert found[2000] == 0.0  # it begins anew behind a gap
+
+
+def test_unusable_samples_do_not_spread_through_the_high_pass_filter():
+    y = np.full(1000, 2.0)
+    y[[0, 1, 500]] = math.nan
+    loaded = Loaded(y[None], np.arange(1000) == 0, 0 * y > 0, None, y)
+    assert high_pass(y, loaded, 4.0, DT) == pytest.approx(np.zeros(1000))
+
+
+@pytest.mark.parametrize("times", [Times(1.0, 0.0, 0.0, 0.0), Times(1.0, -0.4, 0.3, 0.5)])
+def test_the_amplitude_follows_its_target_as_the_equation_says(times):
+    target = np.repeat([0.0, 2.0, -1.0], 2000)
+    begins = np.zeros(target.size, bool)
+    begins[0] = True
+    found = np.empty(target.size)
+    _follow(target, begins, DT, times, found)
+
+    def rate(t, a):
+        aim = target[min(int(t / DT), target.size - 1)]
+        return (aim - a) / times.tau(aim, aim > a[0])
+
+    at = np.arange(1, target.size) * DT
+    exact = solve_ivp(rate, (0.0, at[-1]), [0.0], t_eval=at, max_step=DT, rtol=1e-6).y[0]
+    assert found[:-1] == pytest.approx(exact, abs=0.02)
+
+
+def test_the_time_constant_is_found_in_how_the_windows_follow_theta():
+    tau, values, rest, window = 12.0, np.linspace(0.0, 1.0, 9), 4000, 100
+    scale, order = Scale(0.0, 1.0), [*range(9), *range(7, -1, -1)]
+    theta = np.repeat(values[order], rest)
+    level = 2.0 * (theta - 0.4) ** 2
+    keep = math.exp(-DT / tau)
+    a = lfilter([1.0 - keep], [1.0, -keep], level - level[0])[...] + level[0]
+    noise = np.random.default_rng(0).normal(0.0, 0.01, a.size // window)
+    windows = a.reshape(-1, window).mean(axis=1) + noise
+    per = rest // window
+    rests = [Dwell(i, k * rest, (k + 1) * rest, per // 2) for k, i in enumerate(order)]
+    amplitude = [windows[k * per : (k + 1) * per] for k in range(len(order))]
+    dwells = Dwells(values, rests, Bands(window, (1, 2), DT), 0, amplitude)
+    begins = np.arange(theta.size) == 0
+    loaded = Loaded(a[None], begins, 0 * begins, theta, np.arange(theta.size) * DT)
+    y = 2.0 * (values - 0.4) ** 2
+    found = StaticMap(values, y, np.full(9, 0.01), 1.0, [np.full(2, v) for v in y])
+    times = fit_times(loaded, dwells, found, scale, DT)
+    for up in (True, False):
+        assert times.tau(float(np.mean(y)), up) == pytest.approx(tau, rel=0.25)
+
+
+def surrogate(level, tau=2.0, seed=0):
+    """Return a rig of 9 values; ``level`` gives L = A at positions."""
+    u, grid = np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, GRID)
+    t = np.arange(3000) * DT
+    phases = np.random.default_rng(seed).uniform(0.0, 2 * np.pi, 9)
+    y = [
+        math.exp(level(v)) * np.sin(2 * np.pi * 2.0 * t + p) for v, p in zip(u, phases, strict=True)
+    ]
+    return Surrogate(
+        np.asarray(level(grid)), np.asarray(level(grid)), u, np.asarray(level(u)),
+        np.concatenate(y), np.arange(10) * t.size, np.arange(10), Times(math.log(tau), 0, 0, 0),
+        DT, 0.0, 1.0, False, False,
+    )  # fmt: skip
+
+
+def closed(rig, esc, steps=20_000, drift=0.0, start=0.0):
+    detector = LifterConfig(omega_h=10.0, omega_l=0.7, dt=DT).detector_params()
+    u, power = np.empty(BLOCKS), np.empty(BLOCKS)
+    draws = np.random.default_rng(1).random(1021)
+    run(rig, detector, esc.params(), esc.initial(), steps, drift, start, draws, u, power)
+    return u, power
+
+
+def esc_config(**changes):
+    settings = {
+        "step_size": 5e-4, "dwell": 4.5, "tau_f": 2.0, "theta_min": 0.0, "theta_max": 1.0,
+        "theta_initial": 0.0, "rate_limit": 1.0, "epsilon_initial": -1, "dt": DT,
+    }  # fmt: skip
+    return EscConfig(**(settings | changes))
+
+
+def test_the_amplitude_of_a_surrogate_is_that_of_its_map():
+    def level(u):
+        return 0.0 * u + 0.7
+
+    _, power = closed(surrogate(level), esc_config())
+    assert power == pytest.approx(np.full(BLOCKS, math.exp(1.4)))
+
+
+def test_the_loop_seeks_the_optimum_of_a_surrogate_and_follows_it_when_it_moves():
+    def level(u):
+        return 3.0 * np.abs(u - 0.6)
+
+    rig = surrogate(level)
+    u, power = closed(rig, esc_config())
+    assert u[BLOCKS // 2 :].mean() == pytest.approx(0.6, abs=0.05)
+    assert power[-1] < power[0] / 8.0
+    worst, _ = closed(rig, esc_config(objective="maximise", theta_initial=0.5))
+    assert abs(worst[BLOCKS // 2 :] - 0.6).mean() > 0.3
+    steps = 20_000
+    moved, _ = closed(rig, esc_config(), steps, drift=-0.2 / steps)  # u is told from the optimum's
+    assert moved[BLOCKS // 2 :].mean() == pytest.approx(0.6, abs=0.08)
+
+
+def test_a_rig_that_settled_elsewhere_comes_to_its_level_with_its_time_constant():
+    def level(u):
+        return -2.0 * u
+
+    still = esc_config(step_size=1e-12, theta_initial=1.0, rate_limit=1e-9, epsilon_initial=1)
+    _, power = closed(surrogate(level, tau=20.0), still, start=0.0)
+    t = (np.arange(BLOCKS) + 0.5) * 20_000 * DT / BLOCKS
+    assert 0.5 * np.log(power) == pytest.approx(-2.0 * (1.0 - np.exp(-t / 20.0)), abs=0.01)
