@@ -183,7 +183,7 @@ def test_a_page_of_a_refusal_shows_the_map_and_what_to_record(tmp_path, capsys):
     assert errors == []
     (mark,) = figures_of(page)["map"]["panels"][0]["marks"]
     assert mark["x"] == pytest.approx(rig.best()[0], rel=1e-3)  # a limit
-    drawn = one(result["drawn"], "map", 0, "through all")
+    drawn = one(result["drawn"], "map", 0, "fit")
     truth = [rig.amplitude(theta) for theta in (rig.params.theta_min, rig.params.theta_max)]
     assert drawn["largest"] / drawn["least"] == pytest.approx(max(truth) / min(truth), rel=0.3)
 

@@ -201,7 +201,7 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
 def test_the_best_round_is_kept_where_none_damped_as_predicted(tuned, tmp_path, capsys):
     run = {"time_to_converge": 1.0, "distance": 0.1, "amplitude_before": 1.0, "amplitude": 0.3,
            "error": 0.0, "reduction": 3.0, "theta": BEST, "swing": 0.1, "start": 0.0,
-           "bag": ""}  # fmt: skip
+           "bag": "", "closed": {"seconds": 1.0, "steps": [0, 9]}}  # fmt: skip
     rounds = [
         {"round": i + 1, "agrees": i == 2, "says": "worse", "prediction": TUNED["predicted"],
          "runs": [{**run, "excess": 1.1}, {**run, "excess": worst}]}

@@ -21,7 +21,7 @@ from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import ROUNDS
-from koop_tune.search.rounds import Round, find_slowdown, kept_index
+from koop_tune.search.rounds import Round, find_slowdown, kept_index, load_verification
 from koop_tune.search.settings import TuningSettings
 
 NAME, RIG = "commission.json", "rig.yaml"
@@ -114,7 +114,7 @@ class Commissioning:
         if not (self._check() and self._excite()):
             return 1
         while True:
-            rounds = verify.load(self._folder).finished
+            rounds = load_verification(self._folder).finished
             number = len(rounds) + 1
             if rounds and (rounds[-1].damped_as_predicted or number > ROUNDS):
                 break
@@ -162,15 +162,13 @@ class Commissioning:
         if (out / CONTROLLER).exists():
             print("done before")
             return True
-        rounds = verify.load(self._folder).rounds
+        rounds = load_verification(self._folder).rounds
         loops = [(self._folder / run.bag).parent for item in rounds for run in item.runs]
         if (slowdown := find_slowdown(rounds)) > 1.0:
             print(f"the rig is taken to be {slowdown:.3g} times slower than its dwell points show")
         try:
-            return tune_folders(
-                self._rig, [self._folder, *loops], out,
-                TuningSettings(seed=number - 1, slowdown=slowdown),
-            )  # fmt: skip
+            settings = TuningSettings(seed=number - 1, slowdown=slowdown)
+            return tune_folders(self._rig, [self._folder, *loops], out, settings)
         except OSError as error:
             (out / CONTROLLER).unlink(missing_ok=True)  # written last: it may be torn
             raise LiveError(progress.not_written(out, error)) from None

@@ -25,11 +25,10 @@ from koop_commission.fitness.fitness import (
 from koop_commission.fitness.reaction import (
     Reaction,
     compare_blocks,
-    compare_rests,
     describe_change,
     draw_order,
 )
-from koop_commission.fitness.recording import compare_dwell_points, measure_pace
+from koop_commission.fitness.recording import measure_pace
 from koop_commission.fitness.samples import Samples, refuse_dead
 from koop_commission.fitness.settings import CheckSettings
 from koop_core.config.parameter import ConfigError
@@ -78,15 +77,6 @@ def test_stages_count_only_the_orders_that_could_be_drawn():
     # drawn in two stages of four: (4 choose 2)^2 orders, of which two separate the groups
     assert compare_blocks(features, moved, [4, 4]).p == pytest.approx(2 / 36)
     assert compare_blocks(features, moved).p == pytest.approx(2 / 70)
-
-
-def test_a_map_that_is_the_same_on_both_sides_is_found_in_a_recording():
-    rng, theta = np.random.default_rng(4), np.tile(np.linspace(-1, 1, 9), 3)
-    features = rng.normal(0.0, 0.1, (27, 6))
-    assert compare_rests(features, theta).p > 0.05
-    features[:, 2] += theta**2
-    assert compare_rests(features, theta).p <= 0.01
-    assert compare_rests(features, theta).feature == 2
 
 
 @pytest.mark.parametrize(
@@ -223,27 +213,6 @@ def test_a_sensor_that_dies_is_named_and_one_that_misses_samples_is_not():
         refuse_dead(RIG.names, x[T > 31.0])
     with pytest.raises(LiveError, match=r"x is 0.5 and does not change: dead sensor"):
         refuse_dead(RIG.names, np.column_stack([np.full(50, 0.5), x[:50, 1]]))
-
-
-def dwelling(effect, count=12, length=400):
-    """Return samples and theta: held at two values in turn, the amplitude grows by an effect."""
-    rng, theta = np.random.default_rng(9), np.repeat(np.tile([0.0, 1.0], count // 2), length)
-    t = np.arange(theta.size) * DT
-    x = (1.0 + effect * theta) * np.sin(2 * np.pi * 2.0 * t) + rng.normal(0.0, 0.1, t.size)
-    return unstamped(x, rng.normal(size=t.size)), theta
-
-
-def test_dwell_points_of_a_recording_show_whether_theta_acts():
-    samples, theta = dwelling(1.0)
-    finding = compare_dwell_points(RIG, samples, theta)
-    assert finding.level == OK
-    assert "theta from 0 to 1, 12 rests: x" in finding.text
-    finding = compare_dwell_points(RIG, *dwelling(0.0))
-    assert finding.level == NOTE  # the order was not drawn: an effect may be missed
-    assert "no effect detected" in finding.text
-    finding = compare_dwell_points(RIG, *dwelling(1.0, count=4))
-    assert finding.level == NOTE
-    assert "4 rests: 8 rests of" in finding.text
 
 
 @pytest.mark.parametrize(("source", "pace"), [("step", 3.0), ("stamp", 3.0), ("none", 2.0)])

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from koop_bringup.live.process import START_TIMEOUT
 from koop_commission.command import Commissioning
-from koop_commission.stages import verify
 from koop_commission.stages.session import Watch
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -21,6 +20,7 @@ from koop_tune.excitation import progress
 from koop_tune.folder import FIGURES
 from koop_tune.rig import rig_file
 from koop_tune.search.agreement import as_predicted, ended, kept_round
+from koop_tune.search.rounds import load_verification
 from koop_view.report.markdown import rewrite_block
 
 BEGIN, END = "<!-- commissioned -->", "<!-- /commissioned -->"
@@ -72,7 +72,7 @@ def row(scenario: Scenario, folder: Path) -> str:
     if "constants" not in tuned:
         why = f"{tuned.get('verdict', 'not tuned')}: {tuned.get('why', '')}"
         return f"{first}| | | | | | | | {why} |"
-    found = verify.load(folder).as_json()
+    found = load_verification(folder).as_json()
     first += (
         f"| {tuned['cost']}, {tuned['constants']['law']} | {tuned['theta_best']:.2f} "
         f"({scenario.setting.theta_star:g}) | {len(found['rounds'])} "

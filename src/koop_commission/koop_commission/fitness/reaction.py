@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 # be an interference; and its stages: the number of blocks and the p at which each decides.
 STAGES = ((8, 0.03), (6, 0.02))
 SERIES = ((1.0, STAGES), (4.0, ((10, 0.02),)), (12.0, ((10, 0.02),)))
-RANDOM_ORDERS = 999  # with which a recording is compared: p down to 0.001
 SMALL = 1e-9  # share of a feature below which a difference is rounding
 
 
@@ -88,48 +87,6 @@ def compare_blocks(
     p = float(np.mean(np.array(every) >= statistic[feature] * (1.0 - 1e-9)))
     change = float(features[drawn, feature].mean() - features[~drawn, feature].mean())
     return Reaction(p, feature, change)
-
-
-def compare_rests(
-    features: NDArray[np.float64], theta: NDArray[np.float64], seed: int = 0
-) -> Reaction:
-    """Test whether the measurements differ between the values at which theta rested.
-
-    The statistic is the variance between the values over the variance within them, compared with
-    999 random orders. Nobody drew the order of a recording: a drift of the rig that happened to
-    follow theta is taken for its effect.
-
-    Parameters
-    ----------
-    features : ndarray, shape (rests, f)
-        Features of each rest.
-    theta : ndarray, shape (rests,)
-        Value at which theta rested.
-    seed : int
-        Seed of the random orders.
-    """
-    values, group = np.unique(theta, return_inverse=True)
-    if values.size > theta.size // 2:  # hardly any value came twice: neighbours form a group
-        group = np.argsort(np.argsort(theta)) * (theta.size // 3) // theta.size
-    rng = np.random.default_rng(seed)
-    statistic = _compute_variance_ratio(features, group)
-    every = [
-        _compute_variance_ratio(features, rng.permutation(group)).max()
-        for _ in range(RANDOM_ORDERS)
-    ]
-    feature = int(np.argmax(statistic))
-    p = (1 + sum(value >= statistic[feature] for value in every)) / (RANDOM_ORDERS + 1)
-    means = [features[group == g, feature].mean() for g in np.unique(group)]
-    return Reaction(p, feature, float(np.ptp(means)))
-
-
-def _compute_variance_ratio(
-    features: NDArray[np.float64], group: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Return the variance of the groups' means over the mean variance within them."""
-    rows = [features[group == g] for g in np.unique(group)]
-    within = np.mean([part.var(axis=0) for part in rows], axis=0)
-    return np.asarray(np.var([part.mean(axis=0) for part in rows], axis=0) / (within + 1e-12))
 
 
 def _compute_welch(scaled: NDArray[np.float64], moved: NDArray[np.bool_]) -> NDArray[np.float64]:

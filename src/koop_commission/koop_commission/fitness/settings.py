@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from koop_core.config.parameter import parameter, validate
 
-_JUDGED = "judgement; no study depends on it"
+_JUDGED = "judgement"
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class CheckSettings:
     )
     periods: float = parameter(
         10.0, "periods of the strongest oscillation to listen for", low=1.0,
-        origin="a line of the spectrum is resolved to a tenth of its frequency",
+        origin="resolves a line of the spectrum to a tenth of its frequency",
     )  # fmt: skip
     settle: float = parameter(
         3.0, "periods at the start of a block that are left out", low=0.0, origin=_JUDGED
@@ -35,21 +35,17 @@ class CheckSettings:
     observe: float = parameter(6.0, "periods of a block that are compared", low=1.0, origin=_JUDGED)
     late: float = parameter(
         0.5, "least time that is left out of a block, for messages that come late", unit="s",
-        low=0.0, origin="1.4 s behind were seen on a busy machine, 0.5 s are usual",
+        low=0.0, origin=_JUDGED,
     )  # fmt: skip
     step: float = parameter(
         0.25, "share of its range by which theta moves", low=0.01, high=0.5, origin=_JUDGED
     )
-    shorter: float = parameter(
-        0.9, "share of the usual dwell point that a block of a recording may last", low=0.1,
-        high=1.0, origin="most dwell points of a recording count then",
-    )  # fmt: skip
     fewest: int = parameter(
         20, "messages needed to judge their arrival", low=3, high=1000, origin=_JUDGED
     )
     near: float = parameter(
         0.2, "share of dt by which the usual interval may differ from it", low=0.0, high=0.5,
-        origin="the usual jitter of a publisher without real-time priority",
+        origin=_JUDGED,
     )  # fmt: skip
     rise: float = parameter(
         0.6, "periods by which a lost message sets back all that follow, at least", low=0.5,

@@ -1,140 +1,109 @@
-"""What a commissioning has come to: three sentences, and each stage with what is missing."""
+"""Result of a commissioning: three sentences, and each stage with its next command."""
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from koop_commission.report.gathered import Gathered
-from koop_tune.search.agreement import as_predicted, ended, kept_round
+from koop_commission.report.contents import Contents
+from koop_tune.search.prediction import Prediction
+from koop_tune.search.rounds import kept_index
 
-DONE, OPEN, NO = "done", "missing", "no"
+DONE, MISSING, NO = "done", "missing", "no"
 
 NEXT = {
     "monotone": "Leave theta at the better limit, or widen that limit in the rig file and record "
-    "again",
-    "flat": "See with koop check whether theta reaches the rig, then record wider limits or "
-    "longer stays (a larger 'time' in the rig file)",
-    "drowned": "Record longer stays (a larger 'time' in the rig file), or measure where the "
-    "oscillation is stronger",
+    "again.",
+    "flat": "Run 'koop check' to see whether theta reaches the rig, then record wider limits or "
+    "longer (a larger 'time' in the rig file).",
+    "drowned": "Record longer (a larger 'time' in the rig file), or measure where the oscillation "
+    "is stronger.",
 }
 
 
 class Stage(NamedTuple):
-    """One stage: its name, whether it is done, and what it came to or what does it."""
+    """A stage: its name, its state, and its result or the command that makes it."""
 
     name: str
     state: str
     text: str
 
 
-def stages(g: Gathered) -> Iterator[Stage]:
+def list_stages(c: Contents) -> Iterator[Stage]:
     """Yield all stages in order."""
-    folder, rig, visits = g.folder, g.file, g.excited.visits
-    yield Stage("Rig", DONE, f"{', '.join(g.rig.names)} measured; theta on {g.rig.knob.topic}")
+    folder, rig, visits = c.folder, c.rig_file, c.excitation.visits
+    yield Stage("Rig", DONE, f"{', '.join(c.rig.names)} measured; theta on {c.rig.knob.topic}")
     reached = len({visit.level for visit in visits})
-    text = f"{len(visits)} stays at {reached} of {len(g.excited.values)} values of theta"
-    if g.excitation_over:
-        over = "" if g.excited.done else f"; the {g.rig.time:g} s were over"
+    text = f"{len(visits)} visits of {reached} of {len(c.excitation.values)} dwell points"
+    if not c.is_excited:
+        yield Stage("Excite", MISSING, f"{text}; to resume: ./koop excite {rig} --out {folder}")
+    else:
+        over = "" if c.excitation.done else f"; the {c.rig.time:g} s were over"
         yield Stage("Excite", DONE, text + over)
+    if c.has_controller:
+        yield Stage("Tune", DONE, f"cost {c.tuned['cost']}, law {c.tuned['constants']['law']}")
+    elif c.is_refused:
+        yield Stage("Tune", NO, f"refused: {c.tuned['verdict']}")
     else:
-        yield Stage("Excite", OPEN, f"{text}; ./koop excite {rig} --out {folder} goes on")
-    if g.found:
-        yield Stage("Tune", DONE, f"cost {g.tuned['cost']}, law {g.tuned['constants']['law']}")
-    elif g.refused:
-        yield Stage("Tune", NO, f"refused: {g.tuned['verdict']}")
+        yield Stage("Tune", MISSING, f"./koop tune {rig} {folder}")
+    rounds, finished = c.verification.rounds, c.verification.finished
+    if not rounds:
+        command = f"./koop verify {rig} {folder}" if c.has_controller else "needs a controller"
+        yield Stage("Verify", MISSING, command)
+    elif len(finished) < len(rounds):
+        yield Stage("Verify", MISSING, f"round {rounds[-1].number}: not finished")
     else:
-        yield Stage("Tune", OPEN, f"./koop tune {rig} {folder}")
-    if not g.rounds:
-        how = f"./koop verify {rig} {folder}" if g.found else "needs a controller"
-        yield Stage("Verify", OPEN, how)
-        return
-    if len(rounds := ended(g.rounds)) < len(g.rounds):
-        yield Stage("Verify", OPEN, f"round {g.rounds[-1]['round']}: not at its end")
-        return
-    kept = rounds[kept_round(rounds)]
-    good = as_predicted(kept)
-    yield Stage("Verify", DONE if good else NO, f"round {kept['round']}: {kept['says']}")
+        kept = finished[kept_index(finished)]
+        state = DONE if kept.damped_as_predicted else NO
+        yield Stage("Verify", state, f"round {kept.number}: {kept.summary}")
 
 
-def sentences(g: Gathered) -> list[str]:
-    """Return the verdict: that of the verification, once there is one."""
-    if said := str(g.verified.get("verdict", "")).strip():
-        return re.split(r"(?<=\.) (?=[A-Z])", said)
-    return [_of_rig(g), _of_controller(g), _of_proof(g)]
+def write_sentences(c: Contents) -> list[str]:
+    """Return the verdict: of the verification, once there is one, else of what is known."""
+    if verdict := c.verification.verdict.strip():
+        return re.split(r"(?<=\.) (?=[A-Z])", verdict)
+    return [_describe_rig(c), _describe_controller(c), _describe_next(c)]
 
 
-def _of_rig(g: Gathered) -> str:
-    rig = g.rig
+def _describe_rig(c: Contents) -> str:
+    rig, static = c.rig, c.static_map
     span = f"theta from {rig.theta_min:g} to {rig.theta_max:g}"
-    if g.tuned:
-        found, feature = g.tuned["static_map"], g.tuned["feature"]
-        theta, level = found["theta"], found["amplitude"]
-    else:
-        known = excited_map(g)
-        if known is None:
-            return f"Nothing is known of the oscillation over {span} yet."
-        feature, theta, level, _ = known
+    if static is None:
+        return f"The oscillation over {span} is not known yet."
     sense = 1.0 if rig.objective == "minimise" else -1.0
-    order = sorted(range(len(level)), key=lambda i: sense * level[i])
-    best, worst = order[0], order[-1]
+    order = sorted(zip(static.amplitude, static.theta, strict=True), key=lambda p: sense * p[0])
+    (best, at), (worst, far) = order[0], order[-1]
     text = (
-        f"Over {span} the amplitude of {feature} is between {level[best]:.3g} at "
-        f"{theta[best]:.4g} and {level[worst]:.3g} at {theta[worst]:.4g}"
+        f"Over {span} the amplitude of {static.feature} is between {best:.3g} at {at:.4g} and "
+        f"{worst:.3g} at {far:.4g}"
     )
-    if g.found:
-        low, high = g.tuned["theta_best_band"]
-        text += f"; it is best near {g.tuned['theta_best']:.4g} ({low:.4g} to {high:.4g})"
+    if c.has_controller:
+        low, high = c.tuned["theta_best_band"]
+        text += f"; it is best near {c.tuned['theta_best']:.4g} ({low:.4g} to {high:.4g})"
     return text + "."
 
 
-def _of_controller(g: Gathered) -> str:
-    if g.refused:
-        why = str(g.tuned["why"])
-        return f"No controller was made ({g.tuned['verdict']}): {why.rstrip('.')}."
-    if not g.found:
-        return "No cost and no constants are chosen yet."
-    p = g.tuned["predicted"]
-    doubt = f" In doubt: {g.tuned['doubt']}." if g.tuned["doubt"] else ""
+def _describe_controller(c: Contents) -> str:
+    if c.is_refused:
+        return f"No controller ({c.tuned['verdict']}): {c.tuned['why'].rstrip('.')}."
+    if not c.has_controller:
+        return "Cost and constants are not chosen yet."
+    prediction = Prediction.from_json(c.tuned["predicted"])
+    doubt = f" In doubt: {c.tuned['doubt']}." if c.tuned["doubt"] else ""
     return (
-        f"The cost {g.tuned['cost']} with the law {g.tuned['constants']['law']} is predicted to "
-        f"come near that within {told(p['converges'])} s and to stay within a factor of "
-        f"{told(p['excess'])} of it.{doubt}"
+        f"The cost {c.tuned['cost']} with the law {c.tuned['constants']['law']} is predicted to "
+        f"converge in {prediction.converges.as_text()} s and to stay within a factor of "
+        f"{prediction.excess.as_text()} of the best amplitude.{doubt}"
     )
 
 
-def _of_proof(g: Gathered) -> str:
-    if g.refused:
-        return NEXT.get(g.tuned["verdict"], "Record again") + "."
-    if g.found:
-        return f"It is not verified on the rig yet: ./koop verify {g.file} {g.folder}."
-    if not g.excitation_over:
-        return f"The excitation is not at its end: ./koop excite {g.file} --out {g.folder} goes on."
-    return f"Next: ./koop tune {g.file} {g.folder}."
-
-
-def told(band: dict[str, Any]) -> str:
-    """Return a figure with its band in words; None is never."""
-
-    def one(value: float | None) -> str:
-        return "never" if value is None else f"{value:.3g}"
-
-    return f"{one(band['middle'])} ({one(band['low'])} to {one(band['high'])})"
-
-
-def excited_map(g: Gathered) -> tuple[str, list[float], list[float], list[float]] | None:
-    """Return feature, theta, amplitude and error of the excitation's own map; None if none."""
-    visits, how = g.excited.visits, g.excited.how
-    if not visits or how is None:
-        return None
-    names = how.names(g.rig.names)
-    feature, points = g.excited.map_of(range(len(names)))
-    known = [(v, p) for v, p in zip(g.excited.values, points, strict=True) if p is not None]
-    return (
-        names[feature],
-        [v for v, _ in known],
-        [math.exp(p.mean) for _, p in known],
-        [p.error if math.isfinite(p.error) else 0.0 for _, p in known],
-    )
+def _describe_next(c: Contents) -> str:
+    if c.is_refused:
+        return NEXT.get(c.tuned["verdict"], "Record again.")
+    if c.has_controller:
+        return f"It is not verified on the rig yet: ./koop verify {c.rig_file} {c.folder}."
+    if not c.is_excited:
+        command = f"./koop excite {c.rig_file} --out {c.folder}"
+        return f"The excitation is not finished; to resume: {command}."
+    return f"Next: ./koop tune {c.rig_file} {c.folder}."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +20,6 @@ from koop_commission.stages.excite import BAR
 from koop_commission.stages.session import Session, Watch, open_session, refuse_incomplete_state
 from koop_commission.theta.commander_client import note_of
 from koop_core.config.fields import parse_field
-from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_core.text_table import table
 from koop_tune.excitation import progress as progress_file
@@ -38,9 +36,14 @@ from koop_tune.search.agreement import (
     verdict,
 )
 from koop_tune.search.prediction import Band
-from koop_tune.search.rounds import Round, Run, Verification
+from koop_tune.search.rounds import (
+    Round,
+    Run,
+    Verification,
+    load_verification,
+    save_verification,
+)
 
-NAME = "verify.json"
 THETA_ASKED = "/koop_verify/theta"  # what the controller asks for; the commander passes it on
 BEFORE = 8  # windows before the loop is closed, and after it at the theta that it reached
 LONGER = 2.0  # factor by which a loop that may agree yet is closed for longer
@@ -102,7 +105,7 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> Verification:
     """
     refuse_incomplete_state(rig)
     aim = read_aim(folder / TUNED / FIGURES, rig)
-    rounds = list(load(folder).rounds)
+    rounds = list(load_verification(folder).rounds)
     if not rounds or rounds[-1].finished or rounds[-1].prediction != aim.predicted:
         rounds.append(Round(len(rounds) + 1, aim.predicted))
     current = rounds.pop()
@@ -123,10 +126,10 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> Verification:
     )
     for start in left:
         current = replace(current, runs=(*current.runs, loop.record(start)))
-        save(Verification((*rounds, current)), folder)
+        save_verification(Verification((*rounds, current)), folder)
     worse = [text for run in current.runs for text in disagreements(aim, run.measured)]
     current = replace(current, agrees=not worse, summary="; ".join(worse) or current.agreement)
-    save(Verification((*rounds, current)), folder)
+    save_verification(Verification((*rounds, current)), folder)
     return judge(rig, folder, len(rounds))
 
 
@@ -142,7 +145,7 @@ def judge(rig: RigFile, folder: Path, index: int) -> Verification:
     index : int
         Round in which that controller was verified; the first is 0.
     """
-    verification, aim = load(folder), read_aim(folder / TUNED / FIGURES, rig)
+    verification, aim = load_verification(folder), read_aim(folder / TUNED / FIGURES, rig)
     runs = [run.measured for run in verification.rounds[index].runs]
     verification = replace(
         verification,
@@ -150,7 +153,7 @@ def judge(rig: RigFile, folder: Path, index: int) -> Verification:
         feature=aim.name,
         verdict=verdict(aim, runs, len(verification.rounds), str(folder)),
     )
-    save(verification, folder)
+    save_verification(verification, folder)
     return verification
 
 
@@ -318,31 +321,3 @@ def format_round(item: Round) -> str:
     ]
     starts = [f"from {run.start:.4g}" for run in item.runs]
     return table([f"round {item.number}", *starts, "predicted"], rows)
-
-
-def load(folder: Path) -> Verification:
-    """Return the content of verify.json; without rounds if there is none.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If it cannot be used.
-    """
-    path = folder / NAME
-    try:
-        return Verification.from_json(json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        return Verification()
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}): move it away") from None
-
-
-def save(verification: Verification, folder: Path) -> None:
-    """Write verify.json; it is whole at any time.
-
-    Raises
-    ------
-    koop_core.errors.LiveError
-        If the disk is full.
-    """
-    progress_file.write_whole(folder / NAME, verification.as_json())

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from koop_core.config.parameter import parameter, validate
 from koop_tune.rig.rig_file import RigFile
 
+_JUDGED = "judgement"
 ROUNDED = 1e-9  # share of a step by which rounding takes a controller beyond the rate
 
 
@@ -28,19 +29,19 @@ class SafetySettings:
     )  # fmt: skip
     silent_periods: float = parameter(
         20.0, "periods without a usable message after which the rig is silent", low=2.0,
-        origin="longer than the losses that a check lets pass",
+        origin=_JUDGED,
     )  # fmt: skip
     silent: float = parameter(
         1.0, "shortest time without a usable message after which the rig is silent", unit="s",
-        low=0.1, origin="a busy machine pauses a process for half a second now and then",
+        low=0.1, origin=_JUDGED,
     )  # fmt: skip
     hang: float = parameter(
         30.0, "time without a sign of life of the command after which it hangs", unit="s", low=1.0,
-        origin="compiling the kernels keeps a slow machine busy for 20 s",
+        origin=_JUDGED,
     )  # fmt: skip
     first: float = parameter(
         15.0, "time in which the command must get a subscriber, and the first message arrive",
-        unit="s", low=1.0, origin="discovery takes 3 s, on a busy machine three times as long",
+        unit="s", low=1.0, origin="discovery takes up to 3 s on a quiet machine",
     )  # fmt: skip
     matched: float = parameter(
         2.0, "time after which a subscriber that is matched receives", unit="s", low=0.0,
@@ -48,7 +49,7 @@ class SafetySettings:
     )  # fmt: skip
     held: float = parameter(
         0.5, "time for which theta_safe is repeated before the commander ends", unit="s", low=0.0,
-        origin="some dozens of messages, of which one must arrive",
+        origin=_JUDGED,
     )  # fmt: skip
 
     def __post_init__(self) -> None:

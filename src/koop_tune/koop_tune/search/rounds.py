@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
+from koop_core.config.parameter import ConfigError
+from koop_tune.excitation.progress import write_whole
 from koop_tune.search.agreement import MOST_SLOWER, Measured
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE
+
+VERIFIED = "verify.json"
 
 
 @dataclass(frozen=True)
@@ -184,3 +190,31 @@ def kept_index(rounds: Sequence[Round]) -> int:
     if rounds[-1].damped_as_predicted:
         return len(rounds) - 1
     return min(range(len(rounds)), key=lambda k: rounds[k].worst_excess)
+
+
+def load_verification(folder: Path) -> Verification:
+    """Return the content of verify.json; without rounds if there is none.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it cannot be used.
+    """
+    path = folder / VERIFIED
+    try:
+        return Verification.from_json(json.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return Verification()
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error}): move it away") from None
+
+
+def save_verification(verification: Verification, folder: Path) -> None:
+    """Write verify.json; it is whole at any time.
+
+    Raises
+    ------
+    koop_core.errors.LiveError
+        If the disk is full.
+    """
+    write_whole(folder / VERIFIED, verification.as_json())

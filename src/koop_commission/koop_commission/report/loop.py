@@ -1,0 +1,121 @@
+"""The closed loop of a commissioning, predicted and measured."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from koop_bag.errors import BagError
+from koop_commission.report.colors import BEST, MEASURED
+from koop_commission.report.contents import Contents, bands_of
+from koop_commission.report.runs import RecordedRun, read_run
+from koop_core.errors import InputError
+from koop_tune.search.prediction import Prediction
+from koop_view.report.document import Cell, Column, Figure, Panel, Section, Series, Table
+
+TITLE = "Closed loop, predicted and measured"
+PREDICTED = (Column("figure", "predicted"), Column("value", "median (5 to 95 %)"))
+COMPARED = (
+    Column("what", ""),
+    Column("start", "from theta"),
+    Column("time_to_converge", "converged after [s]", ".3g"),
+    Column("distance", "distance from the best theta, of the range", ".3g"),
+    Column("amplitude_before", "amplitude before", ".3g"),
+    Column("amplitude", "amplitude after", ".3g"),
+    Column("excess", "over the best one", ".3g"),
+    Column("reduction", "by a factor of", ".3g"),
+    Column("theta", "theta at the end", ".4g"),
+    Column("swing", "its swing", ".3g"),
+)
+
+
+def make_loop(c: Contents) -> Section:
+    """Return the closed loop: predicted, and measured where it was."""
+    figures = []
+    if not c.verification.rounds:
+        for i, path in enumerate(c.tuned["paths"]):
+            caption = f"From theta = {path['start']:.4g}"
+            figures.append(_draw(c, f"predicted-{i}", caption, c.tuned, path))
+        intro = (
+            "Predicted, from both ends of the range: median and 5 to 95 % of the runs. Not "
+            f"measured yet: ./koop verify {c.rig_file} {c.folder}"
+        )
+        return Section("loop", TITLE, intro, [_tabulate_prediction(c)], figures)
+    for item in c.verification.rounds:
+        tuned = c.tuned_for(item)
+        for i, run in enumerate(item.runs):
+            caption, recorded = f"Round {item.number}, from theta = {run.start:.4g}", None
+            try:
+                feature = tuned["windows"]["feature"]
+                recorded = read_run(c.folder / run.bag, bands_of(tuned), feature, run.steps)
+            except (BagError, InputError) as error:
+                caption = f"{caption}: not drawn: {error}"
+            paths = tuned["paths"]
+            u = c.rig.scale.u(np.array([run.start, *(path["start"] for path in paths)]))
+            nearest = paths[int(np.argmin(np.abs(u[1:] - u[0])))]
+            figures.append(_draw(c, f"run-{item.number}-{i}", caption, tuned, nearest, recorded))
+    intro = (
+        "Predicted (median and 5 to 95 % of the runs from the nearer end of the range) and "
+        "measured on the rig, each run from its own start."
+    )
+    return Section("loop", TITLE, intro, [_compare(c)], figures)
+
+
+def _draw(
+    c: Contents, name: str, caption: str, tuned: dict[str, Any], path: dict[str, Any],
+    run: RecordedRun | None = None,
+) -> Figure:  # fmt: skip
+    time = path["time"]
+    ends = [0.0, max(time[-1], float(run.time[-1]))] if run else [time[0], time[-1]]
+    curve = tuned["static_map"]["curve"]["amplitude"]
+    best = min(curve) if c.rig.objective == "minimise" else max(curve)
+
+    def make_series(
+        band: dict[str, Any], what: str, level: float, measured: tuple[Any, Any] | None
+    ) -> tuple[Series, ...]:
+        series = [
+            Series("predicted", time, band["low"], "band", band["high"], BEST),
+            Series("predicted", time, band["middle"], color=BEST),
+        ]
+        if measured is not None:
+            x, y = measured
+            series.append(Series("measured", x.tolist(), y.tolist(), color=MEASURED))
+        return (*series, Series(f"best {what}", ends, [level] * 2, "level"))
+
+    theta = (run.time, run.theta) if run else None
+    amplitude = (run.middle, run.amplitude) if run else None
+    panels = (
+        Panel("time [s]", "theta", make_series(path["theta"], "theta", tuned["theta_best"], theta),
+              log_y=c.rig.scale.logarithmic),
+        Panel("time [s]", f"amplitude of {tuned['feature']}",
+              make_series(path["amplitude"], "amplitude", best, amplitude)),
+    )  # fmt: skip
+    return Figure(name, caption, panels, columns=2)
+
+
+def _tabulate_prediction(c: Contents) -> Table:
+    p = Prediction.from_json(c.tuned["predicted"])
+    rows: list[tuple[Cell, ...]] = [
+        ("time to converge [s]", p.converges.as_text()),
+        ("mean distance of theta from the best, of its range", p.distance.as_text()),
+        ("amplitude over the best one", p.excess.as_text()),
+        ("amplitude at the start over the amplitude then", p.reduction.as_text()),
+    ]
+    return Table("predicted", f"{p.runs} runs of {p.duration:.4g} s", PREDICTED, rows)
+
+
+def _compare(c: Contents) -> Table:
+    names = [column.key for column in COMPARED[2:]]
+    rows: list[tuple[Cell, ...]] = []
+    for item in c.verification.rounds:
+        p = item.prediction
+        bands = {"time_to_converge": p.converges, "distance": p.distance, "excess": p.excess,
+                 "reduction": p.reduction}  # fmt: skip
+        cells = (bands[name].as_text() if name in bands else None for name in names)
+        rows.append((f"round {item.number}: predicted", None, *cells))
+        for run in item.runs:
+            values = [getattr(run.measured, name) for name in names]
+            rows.append(("measured", run.start, *("never" if v is None else v for v in values)))
+    summaries = [f"round {r.number}: {r.summary}" for r in c.verification.rounds if r.summary]
+    return Table("compared", "; ".join(summaries) or "Predicted and measured", COMPARED, rows)
