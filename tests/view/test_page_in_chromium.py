@@ -16,9 +16,9 @@ from websockets.exceptions import ConnectionClosed
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.schema import load_schema
-from koop_view.protocol import Channel
+from koop_view.protocol import AdvertisedChannel
 from koop_view.recorded import RecordedSource
-from koop_view.source import Loop, Source
+from koop_view.source import LoopNames, ViewSource
 
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
 PERIOD = 50_000_000  # [ns] between two steps: a run of hours in seconds
@@ -50,7 +50,7 @@ class Long(RecordedSource):
     mode = "live"
     _sent = 0
 
-    async def _send(self, client, left):
+    async def _send(self, viewer, left):
         with BagReader(GOLDEN) as bag:
             wanted = {"/state", "/cost", "/theta"}
             messages = [(m.topic, m.data) for m in bag.messages(sorted(wanted & left.keys()))]
@@ -58,7 +58,7 @@ class Long(RecordedSource):
             while self._sent < 3 * ALL:
                 topic, data = messages[self._sent % len(messages)]
                 time = BEGIN * 10**9 + self._sent // 3 * PERIOD
-                await client.deliver_slowly(left[topic], time, data)
+                await viewer.deliver_slowly(left[topic], time, data)
                 self._sent += 1
                 if self._sent % 60 == 0:
                     await asyncio.sleep(0)
@@ -69,7 +69,7 @@ MODE = "document.querySelector('#mode')?.textContent"
 KIND = "diagnostic_msgs/msg/DiagnosticArray"
 
 
-class Fleet(Source):
+class Fleet(ViewSource):
     """Three loops whose lifters report; that of the second one is broken, of the third silent."""
 
     mode = "live"
@@ -77,18 +77,18 @@ class Fleet(Source):
     def __init__(self):
         super().__init__()
         self.about = "commissioning: tune, round 1"
-        self.loops = {name: Loop(name, lifter=f"{name}/lifter") for name in ("/a", "/b", "/c")}
-        self.channels = {1: Channel(1, "/diagnostics", KIND, load_schema(KIND).text)}
+        self.loops = {name: LoopNames(name, lifter=f"{name}/lifter") for name in ("/a", "/b", "/c")}
+        self.channels = {1: AdvertisedChannel(1, "/diagnostics", KIND, load_schema(KIND).text)}
         self._tasks = set()
 
-    def subscribe(self, client, wanted):
-        self._tasks.add(asyncio.get_running_loop().create_task(self._report(client, *wanted)))
+    def subscribe(self, viewer, wanted):
+        self._tasks.add(asyncio.get_running_loop().create_task(self._report(viewer, *wanted)))
 
-    def unsubscribe(self, client, subscription, channel):
+    def unsubscribe(self, viewer, subscription, channel):
         for task in self._tasks:
             task.cancel()
 
-    async def _report(self, client, subscription):
+    async def _report(self, viewer, subscription):
         store = get_typestore(Stores.ROS2_JAZZY)
         status_of = store.types["diagnostic_msgs/msg/DiagnosticStatus"]
         header = store.types["std_msgs/msg/Header"](
@@ -101,7 +101,7 @@ class Fleet(Source):
                 for name, level in [("/a", 0), ("/b", 2), *((name, 0) for name in silent)]
             ]
             message = store.types[KIND](header, status)
-            client.deliver(subscription, 10**18, bytes(store.serialize_cdr(message, KIND)))
+            viewer.deliver(subscription, 10**18, bytes(store.serialize_cdr(message, KIND)))
             await asyncio.sleep(0.2)
 
 

@@ -1,4 +1,4 @@
-"""The pages of koop_view: the checked-in files are what their sources give; their logic is right."""
+"""The pages of koop_view: the checked-in files are built from their sources, and work."""
 
 import fcntl
 import hashlib

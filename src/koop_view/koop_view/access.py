@@ -1,4 +1,4 @@
-"""Who may come in: hosts, origins, the token; what the page itself may do. Pure."""
+"""Access to the server: hosts, origins, the token, and the rights of the page itself. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from urllib.parse import parse_qs, urlsplit
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a request is refused."""
+    """The reason why a request is refused."""
 
     status: HTTPStatus
     reason: str
@@ -29,9 +29,9 @@ class Access:
     Attributes
     ----------
     token : str
-        Of those who may operate; empty: nobody may.
+        Token of those who may operate; empty: nobody may.
     origins : collection of str
-        Of the web pages, besides the server's own, that may connect.
+        Origins of the web pages, besides the server's own, that may connect.
     """
 
     token: str = ""
@@ -43,10 +43,10 @@ class Access:
         A page of another site reaches a server on loopback as its own origin once its name resolves
         to 127.0.0.1 (DNS rebinding). So the host is an address, this machine, or allowed.
         """
-        name = (urlsplit(f"//{host}").hostname or "") if _plain(host) else ""
+        name = (urlsplit(f"//{host}").hostname or "") if _is_url(host) else ""
         own = {"localhost", socket.gethostname().lower()}
-        known = {urlsplit(origin).hostname for origin in self.origins}
-        if name in own | known or _is_address(name):
+        allowed = {urlsplit(origin).hostname for origin in self.origins}
+        if name in own | allowed or _is_address(name):
             return None
         return Refusal(
             HTTPStatus.MISDIRECTED_REQUEST,
@@ -57,29 +57,27 @@ class Access:
         """Refuse a web page of another server; a program that is no browser names no origin."""
         if origin is None or origin in self.origins:
             return None
-        if _plain(origin) and re.fullmatch(r"https?://" + re.escape(str(host)), origin):
+        if _is_url(origin) and re.fullmatch(r"https?://" + re.escape(str(host)), origin):
             return None
         return Refusal(
             HTTPStatus.FORBIDDEN,
             "a page of another origin: start the server with --allow-origin to let it in",
         )
 
-    def right_of(self, path: str) -> bool | Refusal:
-        """Return whether a path's token lets its sender operate, or that it is a wrong one."""
-        given = parse_qs(urlsplit(path).query).get("token", [""])[0] if _plain(path) else "?"
-        if not given:
+    def check_token(self, path: str) -> bool | Refusal:
+        """Return whether the sender of a path may operate, or that its token is wrong."""
+        token = parse_qs(urlsplit(path).query).get("token", [""])[0] if _is_url(path) else "?"
+        if not token:
             return False
-        if self.token and hmac.compare_digest(given.encode(), self.token.encode()):
+        if self.token and hmac.compare_digest(token.encode(), self.token.encode()):
             return True
         return Refusal(HTTPStatus.UNAUTHORIZED, "wrong token: the server printed the right one")
 
 
-def _plain(text: str | None) -> bool:
+def _is_url(text: str | None) -> bool:
     """Return whether a text can be read as an address."""
-    return text is not None and re.fullmatch(r"[\x21-\x7e]+", text) is not None and _splits(text)
-
-
-def _splits(text: str) -> bool:
+    if text is None or not re.fullmatch(r"[\x21-\x7e]+", text):
+        return False
     try:
         urlsplit(text if "/" in text else f"//{text}")
     except ValueError:
@@ -129,6 +127,6 @@ def page_headers(page: bytes, host: str) -> list[tuple[str, str]]:
 
 def _hashes(page: bytes, tag: bytes) -> str:
     """Return the sources of the inline elements of a kind."""
-    found = re.findall(rb"<%b(?:\s[^>]*)?>(.*?)</%b\s*>" % (tag, tag), page, re.DOTALL | re.I)
-    digests = [base64.b64encode(hashlib.sha256(text).digest()).decode() for text in found]
+    elements = re.findall(rb"<%b(?:\s[^>]*)?>(.*?)</%b\s*>" % (tag, tag), page, re.DOTALL | re.I)
+    digests = [base64.b64encode(hashlib.sha256(text).digest()).decode() for text in elements]
     return " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"

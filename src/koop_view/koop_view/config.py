@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from koop_core.config.parameter import ConfigError, parameter, validate
 
-ADDRESS = "the page: "  # how the line begins that says where it is
+ADDRESS = "the page: "  # begins the line with its address
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ViewConfig:
     port: int = parameter(8765, "TCP port; 0: any that is free", low=0, high=65535, read_only=True)
     operate: bool = parameter(
         False,
-        "let whoever has the token, which is printed at the start, hold, reset and change the loop",
+        "allow clients with the token, printed at the start, to hold, reset and change the loop",
         read_only=True,
     )
     allow_origins: str = parameter(
@@ -39,14 +39,14 @@ class ViewConfig:
     )
     about: str = parameter(
         "",
-        "file with a line that is shown beside the loop, such as what the command that runs it "
-        "does now; it may change",
+        "file with a line that is shown beside the loop, such as the stage of a commissioning; "
+        "it may change",
         read_only=True,
     )
     clients: int = parameter(16, "clients at a time", low=1, high=100, read_only=True)
     backlog: float = parameter(
         4.0,
-        "what may wait for a slow client; one with more is dropped",
+        "data that may wait for a slow client, which is dropped at more",
         unit="MB",
         low=0.1,
         high=100.0,
@@ -54,7 +54,7 @@ class ViewConfig:
     )
     rate: float = parameter(
         1000.0,
-        "messages a second of one topic; of a faster one some are left out",
+        "messages per second of one topic; a faster one is thinned out",
         unit="Hz",
         low=1.0,
         high=100000.0,

@@ -15,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from koop_bag.recorder.topics import polled
 from koop_core.config.describe import help_text
-from koop_core.errors import one_line
+from koop_core.errors import KoopError, one_line
 from koop_node.node.entities import WithoutEvents
 from koop_node.node.main import refuse_other_arguments, set_dds_profile
 from koop_node.node.parameters import Parameters
@@ -28,14 +28,14 @@ PURPOSE = (
     "Serves a page that shows the loops of the ROS domain, and the Foxglove WebSocket protocol, "
     "on one port."
 )
-NICE = 5  # whoever looks waits for the loop
+NICE = 5  # the loop comes first
 
 
 class ViewNode(WithoutEvents):
     """The server's place in the ROS domain."""
 
     def __init__(self) -> None:
-        # what it was started with is no part of the record of a run, nor to be changed
+        # its own parameters are not part of the record of a run, nor to be changed
         super().__init__("_koop_view", start_parameter_services=False)
         self.parameters = Parameters(
             self, (ViewConfig,), lambda configs, names: None, lambda names: None, sys.argv
@@ -69,7 +69,7 @@ def run(args: list[str] | None = None) -> int:
         executor = EventsExecutor()
         executor.add_node(node)
         asyncio.run(_serve(node, executor))
-    except (ValueError, OSError) as error:
+    except (KoopError, ValueError) as error:
         print(f"error: {one_line(str(error))}", file=sys.stderr)
         return 2
     finally:
@@ -85,8 +85,8 @@ def run(args: list[str] | None = None) -> int:
 
 async def _serve(node: ViewNode, executor: Any) -> None:
     config = node.parameters[ViewConfig]
-    source = LiveSource(node, executor, config.rate, config.operate, config.about)
-    await serve(source, config, source.run)
+    source = LiveSource(node, executor, config)
+    await serve(source, config, source.run())
 
 
 def main() -> None:

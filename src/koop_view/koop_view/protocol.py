@@ -23,11 +23,11 @@ _CALL = struct.Struct("<BIII")  # 2 or 3, service, call, length of the encoding'
 
 
 class ProtocolError(ValueError):
-    """What a client sent is not a message of the protocol."""
+    """A client's message does not follow the protocol."""
 
 
 @dataclass(frozen=True)
-class Channel:
+class AdvertisedChannel:
     """A topic, as it is advertised."""
 
     number: int
@@ -36,7 +36,7 @@ class Channel:
     definition: str
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the protocol says of it."""
+        """Return the channel in the terms of the protocol."""
         return {
             "id": self.number,
             "topic": self.topic,
@@ -48,7 +48,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Service:
+class AdvertisedService:
     """A service, as it is advertised; ``operates`` if it moves or changes the rig."""
 
     number: int
@@ -59,7 +59,7 @@ class Service:
     operates: bool
 
     def as_json(self) -> dict[str, Any]:
-        """Return what the protocol says of it, in the words of old clients and of new ones."""
+        """Return the service in the terms of the protocol, for old clients and new ones."""
         return {
             "id": self.number,
             "name": self.name,
@@ -102,16 +102,8 @@ class GetParameters:
 
 
 @dataclass(frozen=True)
-class SetParameters:
-    """Values by name."""
-
-    values: dict[str, Any]
-    request: str | None
-
-
-@dataclass(frozen=True)
 class WatchParameters:
-    """Names whose changes are wanted, or not any more; none for all."""
+    """Names whose changes are wanted, or no longer wanted; none for all."""
 
     names: tuple[str, ...]
     wanted: bool
@@ -134,10 +126,9 @@ class Unsupported:
     operation: str
 
 
-Request = (
-    Subscribe | Unsubscribe | GetParameters | SetParameters | WatchParameters | Call | Unsupported
-)
-_OTHERS = {
+Request = Subscribe | Unsubscribe | GetParameters | WatchParameters | Call | Unsupported
+_UNSUPPORTED = {
+    "setParameters",  # a node's service does that, and gives a reason if it refuses
     "advertise",
     "unadvertise",
     "subscribeConnectionGraph",
@@ -148,53 +139,50 @@ _OTHERS = {
 
 
 def parse(message: str | bytes) -> Request:
-    """Return what a client asks.
+    """Return a client's request.
 
     Raises
     ------
     ProtocolError
-        If the message is none of the protocol.
+        If the message does not follow the protocol.
     """
-    return _binary(message) if isinstance(message, bytes) else _text(message)
+    return _parse_binary(message) if isinstance(message, bytes) else _parse_text(message)
 
 
-def _binary(message: bytes) -> Request:
+def _parse_binary(message: bytes) -> Request:
     if message[:1] == b"\x01":
         return Unsupported("publishing")
     if message[:1] != b"\x02" or len(message) < _CALL.size:
-        raise ProtocolError(f"a binary message of {len(message)} bytes that is no call")
+        raise ProtocolError(f"a binary message of {len(message)} bytes that is not a call")
     _, service, call, length = _CALL.unpack_from(message)
     if length > len(message) - _CALL.size:
         raise ProtocolError("a call that is cut short")
-    encoding = message[_CALL.size : _CALL.size + length]
-    return Call(
-        service, call, encoding[:20].decode("ascii", "replace"), message[_CALL.size + length :]
-    )
+    begin = _CALL.size + length
+    encoding = message[_CALL.size : begin][:20].decode("ascii", "replace")
+    return Call(service, call, encoding, message[begin:])
 
 
-def _text(message: str) -> Request:
+def _parse_text(message: str) -> Request:
     try:
-        given = json.loads(message, parse_constant=_refuse)
+        content = json.loads(message, parse_constant=_refuse)
     except (ValueError, RecursionError):
         raise ProtocolError("not JSON") from None
-    if not isinstance(given, dict) or not isinstance(given.get("op"), str):
+    if not isinstance(content, dict) or not isinstance(content.get("op"), str):
         raise ProtocolError("not a JSON object with an 'op'")
-    operation = given["op"]
+    operation = content["op"]
     if operation == "subscribe":
-        pairs = (_object(item) for item in _list(given, "subscriptions"))
+        pairs = (_object(item) for item in _list(content, "subscriptions"))
         return Subscribe(
             tuple((_number(pair.get("id")), _number(pair.get("channelId"))) for pair in pairs)
         )
     if operation == "unsubscribe":
-        return Unsubscribe(tuple(_number(item) for item in _list(given, "subscriptionIds")))
+        return Unsubscribe(tuple(_number(item) for item in _list(content, "subscriptionIds")))
     if operation == "getParameters":
-        return GetParameters(_names(given), _request(given))
+        request = _name(content["id"]) if content.get("id") is not None else None
+        return GetParameters(_names(content), request)
     if operation in ("subscribeParameterUpdates", "unsubscribeParameterUpdates"):
-        return WatchParameters(_names(given), operation.startswith("subscribe"))
-    if operation == "setParameters":
-        items = [_object(item) for item in _list(given, "parameters")]
-        return SetParameters({_name(i.get("name")): i.get("value") for i in items}, _request(given))
-    if operation in _OTHERS:
+        return WatchParameters(_names(content), operation.startswith("subscribe"))
+    if operation in _UNSUPPORTED:
         return Unsupported(operation)
     raise ProtocolError(f"unknown operation {operation[:40]!r}")
 
@@ -203,8 +191,8 @@ def _refuse(text: str) -> Any:
     raise ValueError(text)
 
 
-def _list(given: Mapping[str, Any], key: str) -> list[Any]:
-    items = given.get(key)
+def _list(content: Mapping[str, Any], key: str) -> list[Any]:
+    items = content.get(key)
     if not isinstance(items, list) or len(items) > MANY:
         raise ProtocolError(f"'{key}' must be a list of at most {MANY} items")
     return items
@@ -212,7 +200,7 @@ def _list(given: Mapping[str, Any], key: str) -> list[Any]:
 
 def _object(item: Any) -> dict[str, Any]:
     if not isinstance(item, dict):
-        raise ProtocolError("a list holds what is not an object")
+        raise ProtocolError("every item of the list must be an object")
     return item
 
 
@@ -228,22 +216,18 @@ def _name(item: Any) -> str:
     return item
 
 
-def _names(given: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(_name(item) for item in _list(given, "parameterNames"))
+def _names(content: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(_name(item) for item in _list(content, "parameterNames"))
 
 
-def _request(given: Mapping[str, Any]) -> str | None:
-    return _name(given["id"]) if given.get("id") is not None else None
-
-
-# -- what the server says ---------------------------------------------------------------------
+# -- messages of the server -------------------------------------------------------------------
 
 
 def server_info(
     name: str, capabilities: Iterable[str], metadata: Mapping[str, str], session: str
 ) -> str:
     """Return the first message to a client."""
-    return _said(
+    return _encode(
         "serverInfo",
         name=name,
         capabilities=list(capabilities),
@@ -254,37 +238,36 @@ def server_info(
 
 
 def status(level: int, text: str, identifier: str | None = None) -> str:
-    """Return a message for whoever looks at the client."""
+    """Return a text for the user of a client."""
     extra = {} if identifier is None else {"id": identifier}
-    return _said("status", level=level, message=text, **extra)
+    return _encode("status", level=level, message=text, **extra)
 
 
-def advertise(channels: Iterable[Channel]) -> str:
+def advertise(channels: Iterable[AdvertisedChannel]) -> str:
     """Return the announcement of channels."""
-    return _said("advertise", channels=[channel.as_json() for channel in channels])
+    return _encode("advertise", channels=[channel.as_json() for channel in channels])
 
 
 def unadvertise(numbers: Iterable[int]) -> str:
-    """Return that channels have gone."""
-    return _said("unadvertise", channelIds=list(numbers))
+    """Return that channels have ended."""
+    return _encode("unadvertise", channelIds=list(numbers))
 
 
-def advertise_services(services: Iterable[Service]) -> str:
+def advertise_services(services: Iterable[AdvertisedService]) -> str:
     """Return the announcement of services."""
-    return _said("advertiseServices", services=[service.as_json() for service in services])
+    return _encode("advertiseServices", services=[service.as_json() for service in services])
 
 
 def parameter_values(values: Mapping[str, Any], request: str | None) -> str:
     """Return values of parameters."""
     extra = {} if request is None else {"id": request}
-    return _said(
-        "parameterValues", parameters=[_parameter(*item) for item in values.items()], **extra
-    )
+    parameters = [_parameter(*item) for item in values.items()]
+    return _encode("parameterValues", parameters=parameters, **extra)
 
 
 def call_failed(service: int, call: int, reason: str) -> str:
     """Return why a call was not made or not answered."""
-    return _said("serviceCallFailure", serviceId=service, callId=call, message=reason)
+    return _encode("serviceCallFailure", serviceId=service, callId=call, message=reason)
 
 
 def answer(service: int, call: int, payload: bytes) -> bytes:
@@ -298,19 +281,13 @@ def message_data(subscription: int, time: int, data: bytes) -> bytes:
     return _MESSAGE.pack(1, subscription, time) + data
 
 
-def _said(operation: str, **content: Any) -> str:
+def _encode(operation: str, **content: Any) -> str:
     return json.dumps({"op": operation, **content}, separators=(",", ":"), allow_nan=False)
 
 
 def _parameter(name: str, value: Any) -> dict[str, Any]:
-    """Return a parameter; JSON can't tell 1.0 from 1, so a type does. An unset one has no value."""
-    result: dict[str, Any] = {"name": name}
-    floats = [value] if isinstance(value, float) else value if isinstance(value, list) else []
-    if floats and all(isinstance(item, float) for item in floats):
-        result["type"] = "float64" if isinstance(value, float) else "float64_array"
-        if not all(map(math.isfinite, floats)):  # which JSON cannot say
-            value = str(value)
-            del result["type"]
-    if value is not None:
-        result["value"] = value
-    return result
+    """Return a parameter; an unset one has no value, and infinity is a text in JSON."""
+    numbers = value if isinstance(value, list) else [value]
+    is_finite = all(math.isfinite(item) for item in numbers if isinstance(item, float))
+    value = value if is_finite else str(value)
+    return {"name": name} if value is None else {"name": name, "value": value}

@@ -12,15 +12,15 @@ from websockets.exceptions import ConnectionClosed
 
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
-from koop_view.protocol import ENCODING, ERROR, INFO, Channel
+from koop_view.protocol import ENCODING, ERROR, INFO, AdvertisedChannel
 from koop_view.roles import COST, STATE, THETA, namespace_of
-from koop_view.source import Client, Loop, Source
+from koop_view.source import LoopNames, Viewer, ViewSource
 
 COMPLETE = "recording complete"
 TURN = 200  # messages after which the others have theirs
 
 
-class RecordedSource(Source):
+class RecordedSource(ViewSource):
     """The topics of a bag, from the first message to the last as fast as a client takes them.
 
     Parameters
@@ -39,12 +39,14 @@ class RecordedSource(Source):
     def __init__(self, path: str | Path) -> None:
         super().__init__()
         self._path = path
-        self._under_way: list[tuple[Client, dict[str, int], asyncio.Task[None]]] = []
+        self._under_way: list[tuple[Viewer, dict[str, int], asyncio.Task[None]]] = []
         with BagReader(path) as bag:
             topics = [item for item in bag.topics if item.encoding == ENCODING]
             self._read_parameters(bag.custom_data().get("parameters", ""))
         for number, item in enumerate(topics, 1):
-            self.channels[number] = Channel(number, item.name, item.type_name, item.definition)
+            self.channels[number] = AdvertisedChannel(
+                number, item.name, item.type_name, item.definition
+            )
         self.loops = _loops({t.name: t.type_name for t in topics}, self.parameters)
 
     def _read_parameters(self, text: str) -> None:
@@ -57,17 +59,17 @@ class RecordedSource(Source):
             for name, value in values.items() if isinstance(values, Mapping) else ():
                 self.parameters[f"{node}.{name}"] = value
 
-    def subscribe(self, client: Client, wanted: Mapping[int, Channel]) -> None:
+    def subscribe(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
         """Send channels that are asked for together in the order in which they were recorded."""
         left = {channel.topic: number for number, channel in wanted.items()}
-        work = self._send(client, left)
+        work = self._send(viewer, left)
         task = asyncio.get_running_loop().create_task(work)
-        self._under_way.append((client, left, task))
+        self._under_way.append((viewer, left, task))
         task.add_done_callback(lambda done: self._end(done))
 
-    def unsubscribe(self, client: Client, subscription: int, channel: Channel) -> None:
+    def unsubscribe(self, viewer: Viewer, subscription: int, channel: AdvertisedChannel) -> None:
         for whose, left, task in self._under_way:
-            if whose is client and left.get(channel.topic) == subscription:
+            if whose is viewer and left.get(channel.topic) == subscription:
                 del left[channel.topic]
                 if not left:
                     task.cancel()
@@ -75,24 +77,24 @@ class RecordedSource(Source):
     def _end(self, done: asyncio.Task[None]) -> None:
         self._under_way = [item for item in self._under_way if item[2] is not done]
 
-    async def _send(self, client: Client, left: dict[str, int]) -> None:
+    async def _send(self, viewer: Viewer, left: dict[str, int]) -> None:
         """Send topics, by the subscriptions that are left of them, and say when that is done."""
         try:
             with BagReader(self._path) as bag:
                 for count, message in enumerate(bag.messages(list(left))):
                     if message.topic in left:
                         number = left[message.topic]
-                        await client.deliver_slowly(number, message.log_time, message.data)
+                        await viewer.deliver_slowly(number, message.log_time, message.data)
                     if count % TURN == 0:
                         await asyncio.sleep(0)
-            client.say(INFO, COMPLETE)
+            viewer.say(INFO, COMPLETE)
         except BagError as error:
-            client.say(ERROR, str(error))
+            viewer.say(ERROR, str(error))
         except ConnectionClosed:
             pass
 
 
-def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str, Loop]:
+def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str, LoopNames]:
     """Return the loops as far as names and parameters tell: a bag does not say who published.
 
     The nodes are told by parameters that only they have. What is a theta and nothing else is no
@@ -109,4 +111,4 @@ def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str
         node, _, name = full.partition(".")
         if name in known and namespace_of(node) in found:
             found[namespace_of(node)][known[name]] = node
-    return {space: Loop(space, **it) for space, it in found.items() if it.keys() - {"theta"}}
+    return {space: LoopNames(space, **it) for space, it in found.items() if it.keys() - {"theta"}}

@@ -1,11 +1,11 @@
-"""Which nodes and topics make a loop. Pure."""
+"""Finds the loops among the nodes and topics of a domain. Pure."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, replace
 
-from koop_view.source import Loop
+from koop_view.source import LoopNames
 
 GONE = 1.0  # [s] without any of its nodes: the loop has ended, before the page misses their reports
 STATE, COST, THETA = (f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput"))
@@ -20,11 +20,11 @@ def namespace_of(name: str) -> str:
     return name.rpartition("/")[0] or "/"
 
 
-def loops(
+def find_loops(
     published: Mapping[str, Mapping[str, str]],
     nameless: Mapping[str, str],
     managed: Collection[str] = (),
-) -> dict[str, Loop]:
+) -> dict[str, LoopNames]:
     """Return the loops, by namespace.
 
     A lifter publishes a cost, a controller a control input; the plant is the node that publishes
@@ -37,11 +37,11 @@ def loops(
     published : mapping of str to mapping
         Topics with their types, by full name of the node.
     nameless : mapping of str to str
-        Topics with their types that are published by what is no ROS node, as some rigs are.
+        Topics with their types whose publisher is not a ROS node, as of some rigs.
     managed : collection of str
         Nodes with a lifecycle.
     """
-    found: dict[str, Loop] = {}
+    result: dict[str, LoopNames] = {}
     for node, topics in sorted(published.items(), key=lambda item: (item[0] in managed, item[0])):
         of_type = {kind: topic for topic, kind in sorted(topics.items(), key=_last_is_own)}
         own = {"state": of_type.get(STATE), "cost": of_type.get(COST), "theta": of_type.get(THETA)}
@@ -49,16 +49,16 @@ def loops(
             continue
         role = "lifter" if own["cost"] else "controller" if own["theta"] else "plant"
         space = namespace_of(node)
-        loop = found.get(space, Loop(space))
+        loop = result.get(space, LoopNames(space))
         given = {name: topic for name, topic in own.items() if topic}
         if loop.theta == f"{space.rstrip('/')}/theta":
             given.pop("theta", None)
-        found[space] = replace(loop, **{role: node}, **given)
+        result[space] = replace(loop, **{role: node}, **given)
     for topic, kind in sorted(nameless.items(), key=_last_is_own):
-        loop = found.get(namespace_of(topic), Loop(namespace_of(topic)))
+        loop = result.get(namespace_of(topic), LoopNames(namespace_of(topic)))
         if kind == STATE and (loop.state is None or loop.state in nameless):
-            found[loop.namespace] = replace(loop, state=topic)
-    return found
+            result[loop.namespace] = replace(loop, state=topic)
+    return result
 
 
 def _last_is_own(item: tuple[str, str]) -> tuple[bool, str]:
@@ -66,24 +66,24 @@ def _last_is_own(item: tuple[str, str]) -> tuple[bool, str]:
     return item[0].endswith(("/theta", "/cost", "/state")), item[0]
 
 
-class Known:
+class KnownLoops:
     """The loops of a domain: a dead node keeps its place in its loop until the last one is gone."""
 
     def __init__(self) -> None:
-        self.loops: dict[str, Loop] = {}
+        self.loops: dict[str, LoopNames] = {}
         self._seen: dict[str, float] = {}
 
-    def see(self, found: Mapping[str, Loop], now: float) -> bool:
-        """Take in the loops that are there; return whether it is news."""
+    def update(self, loops: Mapping[str, LoopNames], now: float) -> bool:
+        """Take in the loops that there are; return whether any has changed."""
         before = self.loops
-        self._seen |= dict.fromkeys(found, now)
-        joined = before | {name: _joined(before.get(name), loop) for name, loop in found.items()}
+        self._seen |= dict.fromkeys(loops, now)
+        joined = before | {name: _join(before.get(name), loop) for name, loop in loops.items()}
         self.loops = {name: it for name, it in joined.items() if now - self._seen[name] <= GONE}
         self._seen = {name: self._seen[name] for name in self.loops}
         return self.loops != before
 
 
-def _joined(before: Loop | None, now: Loop) -> Loop:
-    """Return a loop with what is known of it from before: a node that died has the same name."""
+def _join(before: LoopNames | None, now: LoopNames) -> LoopNames:
+    """Return a loop with the names that it had before: a node that died has the same name."""
     known = {} if before is None else asdict(before)
-    return Loop(**{**known, **{k: v for k, v in asdict(now).items() if v is not None}})
+    return LoopNames(**{**known, **{k: v for k, v in asdict(now).items() if v is not None}})

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
-import os
+import secrets
 from collections.abc import Mapping
 from http import HTTPStatus
 from importlib.resources import files
-from typing import Any, cast
+from typing import Any
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
@@ -17,15 +17,15 @@ from websockets.exceptions import ConnectionClosed, InvalidHeader
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
+from koop_core.config.parameter import ConfigError
 from koop_view import protocol
 from koop_view.access import Access, Refusal, page_headers
 from koop_view.config import ViewConfig
-from koop_view.protocol import Channel, Service
-from koop_view.session import Session, Shared
-from koop_view.source import Source
+from koop_view.protocol import AdvertisedChannel, AdvertisedService
+from koop_view.session import ClientSession, SharedBudget
+from koop_view.source import ViewSource
 
 LONGEST_MESSAGE = 256 * 1024  # [B] of a client
-CONNECTIONS = 64  # besides the clients: half open, or for the page
 CHECK_PERIOD = 0.1  # [s] between looks for slow clients
 OPEN_TIMEOUT = 5.0  # [s] for a request to be complete
 
@@ -34,30 +34,29 @@ _silent.setLevel(logging.CRITICAL + 1)
 
 
 class ViewServer:
-    """Serves a source; a context manager, of an event loop.
+    """Serves a source; an asynchronous context manager.
 
     Parameters
     ----------
-    source : Source
+    source : ViewSource
         What is shown.
     config : ViewConfig
         Where and to whom.
     token : str
-        Of those who may operate; empty: nobody may.
+        Token of those who may operate; empty: nobody may.
     version : str
-        Of the project, for clients.
+        Version of the project, for clients.
     """
 
-    def __init__(self, source: Source, config: ViewConfig, token: str, version: str) -> None:
+    def __init__(self, source: ViewSource, config: ViewConfig, token: str, version: str) -> None:
         self._source = source
         self._config = config
         self._access = Access(token, frozenset(config.origins))
         self._version = version
-        self._session_id = os.urandom(8).hex()
+        self._session_id = secrets.token_hex(8)
         self._page = (files("koop_view") / "page" / "index.html").read_bytes()
-        self._sessions: set[Session] = set()
-        self._connections = 0
-        self._shared = Shared()
+        self._sessions: set[ClientSession] = set()
+        self._shared = SharedBudget()
         self._server: Server | None = None
         self._check: asyncio.Task[None] | None = None
         source.listener = self
@@ -68,8 +67,8 @@ class ViewServer:
         except OSError as error:
             where = f"{self._config.host} port {self._config.port}"
             if error.errno == errno.EADDRINUSE:
-                raise OSError(f"{where} is taken: choose another one, or 0 for any") from None
-            raise OSError(f"cannot listen on {where}: {error.strerror or error}") from None
+                raise ConfigError(f"{where} is taken: choose another one, or 0 for any") from None
+            raise ConfigError(f"cannot listen on {where}: {error.strerror or error}") from None
         self._check = asyncio.create_task(self._watch_backlogs())
         return self
 
@@ -82,53 +81,20 @@ class ViewServer:
 
     @property
     def port(self) -> int:
-        """The port that is listened on."""
+        """The port that the server listens on."""
         assert self._server is not None
         return int(next(iter(self._server.sockets)).getsockname()[1])
-
-    @property
-    def clients(self) -> int:
-        """How many there are."""
-        return len(self._sessions)
 
     # -- connections --------------------------------------------------------------------------
 
     async def _listen(self) -> Server:
-        outer, limit = self, self._config.clients + CONNECTIONS
-
-        class Counted(ServerConnection):
-            """A connection that is refused before it costs anything if there are too many."""
-
-            counted = False
-
-            def connection_made(self, transport: asyncio.BaseTransport) -> None:
-                if outer._connections >= limit:
-                    cast(asyncio.Transport, transport).abort()
-                    return
-                outer._connections += 1
-                self.counted = True
-                super().connection_made(transport)
-
-            def connection_lost(self, exc: Exception | None) -> None:
-                if self.counted:
-                    outer._connections -= 1
-                    super().connection_lost(exc)
-
-            def data_received(self, data: bytes) -> None:
-                if self.counted:
-                    super().data_received(data)
-
-            def eof_received(self) -> None:
-                if self.counted:
-                    super().eof_received()
-
         return await serve(
             self._serve_client,
             self._config.host,
             self._config.port,
             process_request=self._decide,
             subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS],
-            select_subprotocol=_subprotocol,
+            select_subprotocol=_select_subprotocol,
             compression=None,  # it would cost the machine of the loop time
             server_header=None,
             open_timeout=OPEN_TIMEOUT,
@@ -137,13 +103,12 @@ class ViewServer:
             max_queue=16,
             write_limit=64 * 1024,
             logger=_silent,
-            create_connection=Counted,
         )
 
     def _decide(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a request, or let it become a WebSocket."""
         host, origin = _one(request.headers, "Host"), _one(request.headers, "Origin")
-        right = self._access.right_of(request.path)
+        right = self._access.check_token(request.path)
         wrong = right if isinstance(right, Refusal) else None
         refused = self._access.refuse_host(host)
         if _one(request.headers, "Upgrade").lower() != "websocket":
@@ -171,7 +136,7 @@ class ViewServer:
     async def _serve_client(self, connection: ServerConnection) -> None:
         operates = bool(getattr(connection, "operates", False))
         limit = round(self._config.backlog * 1e6)
-        session = Session(connection, self._source, operates, limit, self._shared)
+        session = ClientSession(connection, self._source, operates, limit, self._shared)
         if len(self._sessions) >= self._config.clients:  # several have come at once
             await connection.close(1013, "too many clients")
             return
@@ -188,14 +153,14 @@ class ViewServer:
             self._sessions.discard(session)
             session.close()
 
-    def _info(self, session: Session) -> str:
+    def _info(self, session: ClientSession) -> str:
         capabilities = ["parameters", "parametersSubscribe"]
         capabilities += ["services"] if self._source.mode == "live" else []
         metadata = {
             "koop_mode": self._source.mode,
             "koop_operate": "true" if session.operates else "false",
             "koop_version": self._version,
-            "koop_loops": self._source.loops_text(),
+            "koop_loops": self._source.loops_json(),
             "koop_about": self._source.about,
         }
         return protocol.server_info("koop", capabilities, metadata, self._session_id)
@@ -208,34 +173,34 @@ class ViewServer:
 
     # -- news of the source -------------------------------------------------------------------
 
-    def news_of_channels(self, added: list[Channel], gone: list[int]) -> None:
+    def change_channels(self, added: list[AdvertisedChannel], ended: list[int]) -> None:
         for session in self._sessions:
-            if gone:
-                session.forget(gone)
-                session.send(protocol.unadvertise(gone))
+            if ended:
+                session.forget(ended)
+                session.send(protocol.unadvertise(ended))
             if added:
                 session.send(protocol.advertise(added))
 
-    def news_of_services(self, added: list[Service]) -> None:
+    def add_services(self, added: list[AdvertisedService]) -> None:
         for session in self._sessions:
             session.send_services(added)
 
-    def news_of_parameters(self, values: Mapping[str, Any]) -> None:
+    def change_parameters(self, values: Mapping[str, Any]) -> None:
         for session in self._sessions:
             session.send_parameters(dict(values))
 
-    def news_of_loops(self) -> None:
+    def change_loops(self) -> None:
         for session in self._sessions:
             session.send(self._info(session))
 
 
 def _one(headers: Headers, name: str) -> str:
-    """Return a header, one that cannot be used if it is there more than once."""
+    """Return a header; one that is there more than once cannot be used."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else " ".join(values)
 
 
-def _subprotocol(connection: ServerConnection, offered: Any) -> Subprotocol | None:
+def _select_subprotocol(connection: ServerConnection, offered: Any) -> Subprotocol | None:
     """Return the first of ours that is offered; without one there is no connection."""
     for name in protocol.SUBPROTOCOLS:
         if name in offered:

@@ -1,4 +1,4 @@
-"""Runs the server until it is told to stop, and says where it is. Pure."""
+"""Runs the server until it is told to stop, and prints its address. Pure."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ import re
 import secrets
 import signal
 import socket
-from collections.abc import Callable, Coroutine
+from collections.abc import Coroutine
 from importlib.metadata import version
 from typing import Any
 
 from koop_core.config.parameter import ConfigError
 from koop_view.config import ADDRESS, ViewConfig
-from koop_view.source import Source
+from koop_view.source import ViewSource
 
 TOKEN = "KOOP_VIEW_TOKEN"  # environment variable: neither a command line nor a parameter is secret
 SHORTEST = 16  # characters of a token
 
 
 def token_of(config: ViewConfig) -> str:
-    """Return the token of those who may operate, empty if nobody may.
+    """Return the token of those who may operate; empty: nobody may.
 
     Raises
     ------
     ConfigError
-        If the environment gives one that can be guessed.
+        If the environment sets one that can be guessed.
     """
     if not config.operate:
         return ""
-    given = os.environ.get(TOKEN)
-    if given is None:
+    token = os.environ.get(TOKEN)
+    if token is None:
         return secrets.token_urlsafe(24)
-    if not re.fullmatch(f"[A-Za-z0-9_-]{{{SHORTEST},}}", given):
+    if not re.fullmatch(f"[A-Za-z0-9_-]{{{SHORTEST},}}", token):
         raise ConfigError(
             f"{TOKEN} must be at least {SHORTEST} letters, digits, - or _; or unset it"
         )
-    return given
+    return token
 
 
 def address(config: ViewConfig, port: int) -> str:
@@ -60,18 +60,18 @@ def is_loopback(host: str) -> bool:
 
 
 async def serve(
-    source: Source, config: ViewConfig, work: Callable[[], Coroutine[Any, Any, None]] | None = None
+    source: ViewSource, config: ViewConfig, work: Coroutine[Any, Any, None] | None = None
 ) -> None:
     """Serve a source until SIGINT, SIGTERM or SIGHUP.
 
     Parameters
     ----------
-    source : Source
+    source : ViewSource
         What is shown.
     config : ViewConfig
         Where and to whom.
-    work : callable, optional
-        Follows what is shown; its failure ends the server.
+    work : coroutine, optional
+        Updates the source; its failure ends the server.
     """
     try:
         from koop_view.server import ViewServer
@@ -85,22 +85,21 @@ async def serve(
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, stop.set)
     token = token_of(config)
-    following = asyncio.create_task(work()) if work is not None else None
-    stopping = asyncio.create_task(stop.wait())
+    tasks: list[asyncio.Future[Any]] = [asyncio.ensure_future(stop.wait())]
+    if work is not None:
+        tasks.append(asyncio.ensure_future(work))
     try:
         async with ViewServer(source, config, token, version("koop_view")) as server:
             page = address(config, server.port)
             print(f"{ADDRESS}{page}{f'#token={token}' if token else ''}")
             if token:
-                print(f"who has that address may operate the loop; {page} reads only")
+                print(f"with that address anybody may operate the loop; {page} reads only")
             if not is_loopback(config.host):
                 print("it is open to the network, without encryption: docs/how-to/secure-a-loop.md")
             print("Ctrl-C ends it", flush=True)
-            tasks = {stopping, following} - {None}
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)  # type: ignore[type-var]
-            if following is not None and following.done():
-                following.result()
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
     finally:
-        for task in (stopping, following):
-            if task is not None:
-                task.cancel()
+        for task in tasks:
+            task.cancel()

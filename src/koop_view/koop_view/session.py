@@ -1,4 +1,4 @@
-"""One client: what it subscribed to, what it may do, and how much it may ask."""
+"""One client: its subscriptions, its rights and its limits."""
 
 from __future__ import annotations
 
@@ -12,11 +12,17 @@ from websockets.asyncio.connection import Connection, broadcast
 from websockets.exceptions import ConnectionClosed
 
 from koop_view import protocol
-from koop_view.protocol import ERROR, WARNING, Channel, ProtocolError, Service
-from koop_view.source import Refused, Source
+from koop_view.protocol import (
+    ERROR,
+    WARNING,
+    AdvertisedChannel,
+    AdvertisedService,
+    ProtocolError,
+)
+from koop_view.source import Refused, ViewSource
 
 CALLS = 8  # that may wait for their answers
-TOO_SLOW, TOO_MANY = 1008, 1008  # "policy violation", RFC 6455 section 7.4.1
+POLICY_VIOLATION = 1008  # RFC 6455, section 7.4.1
 PATIENCE = 5.0  # [s] for a client that is dropped to take the reason
 
 
@@ -38,48 +44,48 @@ class Budget:
         return True
 
 
-class Shared:
+class SharedBudget:
     """What clients that only read may cost the loop, all of them together."""
 
     def __init__(self) -> None:
         self.calls = Budget(50.0, 50.0)  # each takes time of a node
         self._lines = Budget(1.0, 10.0)  # the log is recorded
-        self._silent = 0
+        self._omitted = 0
 
-    def log(self, source: Source, text: str) -> None:
+    def log(self, source: ViewSource, text: str) -> None:
         """Log a line about a client, unless there were many; the next one says how many."""
         if not self._lines.take():
-            self._silent += 1
+            self._omitted += 1
             return
-        others = f" (and {self._silent} like it)" if self._silent else ""
-        self._silent = 0
+        others = f" (and {self._omitted} like it)" if self._omitted else ""
+        self._omitted = 0
         source.log(text + others)
 
 
-class Session:
+class ClientSession:
     """A client.
 
     Parameters
     ----------
     connection : websockets.asyncio.connection.Connection
-        To the client.
-    source : Source
+        Connection to the client.
+    source : ViewSource
         What is shown.
     operates : bool
         Whether the client may operate.
     backlog : int
-        Bytes that may wait for it.
-    shared : Shared
+        Bytes that may wait for the client.
+    shared : SharedBudget
         What all clients have together.
     """
 
     def __init__(
         self,
         connection: Connection,
-        source: Source,
+        source: ViewSource,
         operates: bool,
         backlog: int,
-        shared: Shared,
+        shared: SharedBudget,
     ) -> None:
         self.operates = operates
         host, port, *_ = connection.remote_address or ("?", 0)
@@ -90,12 +96,12 @@ class Session:
         self._calls_allowed = Budget(50.0, 50.0) if operates else shared.calls
         self._shared = shared
         self._messages = Budget(200.0, 1000.0)
-        self._subscriptions: dict[int, Channel] = {}
+        self._subscriptions: dict[int, AdvertisedChannel] = {}
         self._watched: set[str] | None = set()  # None: all
         self._tasks: set[asyncio.Task[None]] = set()
         self._dropped = False
 
-    # -- what the server says -----------------------------------------------------------------
+    # -- messages of the server -----------------------------------------------------------------
 
     def send(self, message: str | bytes) -> None:
         """Send at once, whether or not the client keeps up."""
@@ -112,7 +118,7 @@ class Session:
         if subscription in self._subscriptions:
             await self._connection.send(protocol.message_data(subscription, time, data))
 
-    def send_services(self, services: Iterable[Service]) -> None:
+    def send_services(self, services: Iterable[AdvertisedService]) -> None:
         """Announce services, as far as the client may call them."""
         allowed = [item for item in services if self.operates or not item.operates]
         if allowed:
@@ -136,9 +142,9 @@ class Session:
         """Drop the client if it does not keep up."""
         waiting = self._connection.transport.get_write_buffer_size()
         if waiting > self._backlog:
-            self.drop(TOO_SLOW, f"too slow: {waiting / 1e6:.1f} MB are waiting")
+            self.drop(f"too slow: {waiting / 1e6:.1f} MB are waiting")
 
-    def drop(self, code: int, reason: str) -> None:
+    def drop(self, reason: str) -> None:
         """Disconnect the client, with the reason."""
         if self._dropped:
             return
@@ -147,60 +153,58 @@ class Session:
         self.close()
         transport = self._connection.transport
         asyncio.get_running_loop().call_later(PATIENCE, transport.abort)
-        self._start(self._connection.close(code, reason))
+        self._start(self._connection.close(POLICY_VIOLATION, reason))
 
     def close(self) -> None:
-        """Give up what the client asked for."""
+        """End what the client has asked for."""
         for number in list(self._subscriptions):
             self._unsubscribe(number)
         for task in self._tasks:
             task.cancel()
 
-    # -- what the client says -----------------------------------------------------------------
+    # -- requests of the client -----------------------------------------------------------------
 
     def receive(self, message: str | bytes) -> None:
-        """Do what the client asks."""
+        """Carry out a request of the client."""
         if self._dropped:
             return
         if not self._messages.take():
-            self.drop(TOO_MANY, "too many messages")
+            self.drop("too many messages")
             return
         try:
-            self._obey(protocol.parse(message))
+            self._carry_out(protocol.parse(message))
         except ProtocolError as error:
-            self.say(ERROR, f"not understood: {error}", "protocol")
+            self.say(ERROR, f"not a request: {error}", "protocol")
 
-    def _obey(self, asked: protocol.Request) -> None:
-        match asked:
+    def _carry_out(self, request: protocol.Request) -> None:
+        match request:
             case protocol.Subscribe(items):
                 self._subscribe(items)
             case protocol.Unsubscribe(numbers):
                 for number in numbers:
                     self._unsubscribe(number)
-            case protocol.GetParameters(names, request):
-                known = self._source.parameters
-                values = {n: known[n] for n in names if n in known} if names else known
-                self.send(protocol.parameter_values(values, request))
+            case protocol.GetParameters(names, identifier):
+                values = self._source.parameters
+                if names:
+                    values = {name: values[name] for name in names if name in values}
+                self.send(protocol.parameter_values(values, identifier))
             case protocol.WatchParameters(names, wanted):
                 self._watch(names, wanted)
-            case protocol.SetParameters():
-                self._start(self._set_parameters(asked))
             case protocol.Call():
-                self._call(asked)
+                self._call(request)
             case protocol.Unsupported(operation):
                 self.say(ERROR, f"{operation} is not offered here", "protocol")
 
     def _subscribe(self, items: Iterable[tuple[int, int]]) -> None:
-        wanted: dict[int, Channel] = {}
+        wanted: dict[int, AdvertisedChannel] = {}
         for number, channel in items:
-            known = self._source.channels.get(channel)
-            taken = number in self._subscriptions or len(self._subscriptions) >= protocol.MANY
-            if known is None:
+            advertised = self._source.channels.get(channel)
+            if advertised is None:
                 self.say(WARNING, f"there is no channel {channel}")
-            elif taken:
+            elif number in self._subscriptions or len(self._subscriptions) >= protocol.MANY:
                 self.say(WARNING, f"subscription {number} is taken, or there are too many")
             else:
-                self._subscriptions[number] = wanted[number] = known
+                self._subscriptions[number] = wanted[number] = advertised
         if wanted:
             self._source.subscribe(self, wanted)
 
@@ -212,50 +216,36 @@ class Session:
     def _watch(self, names: tuple[str, ...], wanted: bool) -> None:
         if not names:
             self._watched = None if wanted else set()
-        elif self._watched is not None:
-            self._watched = self._watched | set(names) if wanted else self._watched - set(names)
-            self._watched &= self._source.parameters.keys()
+        elif self._watched is not None and not wanted:
+            self._watched -= set(names)
+        elif self._watched is not None and len(self._watched | set(names)) <= protocol.MANY:
+            self._watched |= set(names)  # also those of a node that is still to come
 
-    async def _set_parameters(self, asked: protocol.SetParameters) -> None:
-        known = self._source.parameters
-        try:
-            if not self.operates:
-                raise Refused(self._refusal("change parameters"))
-            await self._source.set_parameters(asked.values, self.peer)
-        except Refused as error:
-            self.say(ERROR, str(error))
-        if asked.request is not None:
-            values = {name: known[name] for name in asked.values if name in known}
-            self.send(protocol.parameter_values(values, asked.request))
-
-    def _call(self, asked: protocol.Call) -> None:
-        service = self._source.services.get(asked.service)
+    def _call(self, call: protocol.Call) -> None:
+        service = self._source.services.get(call.service)
         reason = ""
         if service is None:
-            reason = f"there is no service {asked.service}"
+            reason = f"there is no service {call.service}"
         elif service.operates and not self.operates:
-            reason = self._refusal(f"call {service.name}")
-        elif asked.encoding != protocol.ENCODING:
+            reason = f"may only read: to call {service.name} takes the token that"
+            reason += " 'koop serve --operate' prints"
+            self._shared.log(self._source, f"refused: {self.peer} {reason}")
+        elif call.encoding != protocol.ENCODING:
             reason = f"the encoding must be {protocol.ENCODING}"
         elif len(self._tasks) >= CALLS or not self._calls_allowed.take():
             reason = "too many calls"
         if reason or service is None:
-            self.send(protocol.call_failed(asked.service, asked.call, reason))
+            self.send(protocol.call_failed(call.service, call.call, reason))
         else:
-            self._start(self._answer(service, asked))
+            self._start(self._answer(service, call))
 
-    async def _answer(self, service: Service, asked: protocol.Call) -> None:
+    async def _answer(self, service: AdvertisedService, call: protocol.Call) -> None:
         try:
-            payload = await self._source.call(service, asked.payload, self.peer)
+            payload = await self._source.call(service, call.payload, self.peer)
         except Refused as error:
-            self.send(protocol.call_failed(asked.service, asked.call, str(error)))
+            self.send(protocol.call_failed(call.service, call.call, str(error)))
         else:
-            self.send(protocol.answer(asked.service, asked.call, payload))
-
-    def _refusal(self, what: str) -> str:
-        reason = f"may only read: to {what} takes the token that 'koop serve --operate' prints"
-        self._shared.log(self._source, f"refused: {self.peer} {reason}")
-        return reason
+            self.send(protocol.answer(call.service, call.call, payload))
 
     def _start(self, work: Coroutine[Any, Any, None]) -> None:
         async def guarded() -> None:

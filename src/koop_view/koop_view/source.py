@@ -1,4 +1,4 @@
-"""What the server shows: the same to a client, whether it is a loop or a recording. Pure."""
+"""What the server shows: a loop or a recording, the same way to a client. Pure."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Protocol
 
-from koop_view.protocol import Channel, Service
+from koop_view.protocol import AdvertisedChannel, AdvertisedService
 
 
 class Refused(Exception):
-    """What a client asked was not done; the text says why."""
+    """A client's request was not carried out; the text says why."""
 
 
 @dataclass(frozen=True)
-class Loop:
+class LoopNames:
     """One loop: full names of its nodes and topics, None where there is none."""
 
     namespace: str
@@ -27,10 +27,8 @@ class Loop:
     theta: str | None = None
 
 
-class Client(Protocol):
-    """What a source sees of a client."""
-
-    peer: str
+class Viewer(Protocol):
+    """A client, as a source sees it."""
 
     def deliver(self, subscription: int, time: int, data: bytes) -> None:
         """Send a message of a channel, whether or not the client keeps up."""
@@ -39,52 +37,52 @@ class Client(Protocol):
         """Send a message as soon as the client takes it."""
 
     def say(self, level: int, text: str, identifier: str | None = None) -> None:
-        """Show a text to whoever looks at the client."""
+        """Show a text to the user of the client."""
 
 
-class Listener(Protocol):
-    """Who passes news on to all clients."""
+class SourceListener(Protocol):
+    """Passes news of a source on to all clients."""
 
-    def news_of_channels(self, added: list[Channel], gone: list[int]) -> None:
-        """Tell of channels."""
+    def change_channels(self, added: list[AdvertisedChannel], ended: list[int]) -> None:
+        """Announce channels."""
 
-    def news_of_services(self, added: list[Service]) -> None:
-        """Tell of services."""
+    def add_services(self, added: list[AdvertisedService]) -> None:
+        """Announce services."""
 
-    def news_of_parameters(self, values: Mapping[str, Any]) -> None:
-        """Tell of parameters that have changed."""
+    def change_parameters(self, values: Mapping[str, Any]) -> None:
+        """Announce parameters that have changed."""
 
-    def news_of_loops(self) -> None:
-        """Tell of loops."""
+    def change_loops(self) -> None:
+        """Announce the loops."""
 
 
-class Source:
+class ViewSource:
     """Base of what is shown; nothing yet."""
 
     mode: ClassVar[str] = ""
+    listener: SourceListener
 
     def __init__(self) -> None:
-        self.channels: dict[int, Channel] = {}
-        self.services: dict[int, Service] = {}
+        self.channels: dict[int, AdvertisedChannel] = {}
+        self.services: dict[int, AdvertisedService] = {}
         self.parameters: dict[str, Any] = {}
         """By name, such as ``/relay_esc.dwell``."""
-        self.loops: dict[str, Loop] = {}
+        self.loops: dict[str, LoopNames] = {}
         """By namespace."""
         self.about = ""
-        """What whoever started the loops does now, in words."""
-        self.listener: Listener | None = None
+        """What the command that runs the loops does now."""
 
-    def loops_text(self) -> str:
+    def loops_json(self) -> str:
         """Return the loops as JSON."""
         return json.dumps([asdict(loop) for _, loop in sorted(self.loops.items())])
 
-    def subscribe(self, client: Client, wanted: Mapping[int, Channel]) -> None:
-        """Begin to deliver channels, given by the numbers of the subscriptions."""
+    def subscribe(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
+        """Begin to deliver channels, by the numbers of the subscriptions."""
 
-    def unsubscribe(self, client: Client, subscription: int, channel: Channel) -> None:
-        """Deliver a channel no more."""
+    def unsubscribe(self, viewer: Viewer, subscription: int, channel: AdvertisedChannel) -> None:
+        """Stop delivering a channel."""
 
-    async def call(self, service: Service, payload: bytes, peer: str) -> bytes:
+    async def call(self, service: AdvertisedService, payload: bytes, peer: str) -> bytes:
         """Call a service and return its answer.
 
         Raises
@@ -93,16 +91,6 @@ class Source:
             If it could not be called, or did not answer.
         """
         raise Refused("a recording answers no calls")
-
-    async def set_parameters(self, values: Mapping[str, Any], peer: str) -> None:
-        """Change parameters, those of a node all or none.
-
-        Raises
-        ------
-        Refused
-            If a node refuses, or does not answer.
-        """
-        raise Refused("the parameters of a recording are what they were")
 
     def log(self, text: str) -> None:
         """Write a line where the operator looks afterwards."""

@@ -15,13 +15,13 @@ from websockets.sync.client import ClientConnection, connect
 from koop_view.config import ViewConfig
 from koop_view.protocol import SUBPROTOCOLS
 from koop_view.server import ViewServer
-from koop_view.source import Source
+from koop_view.source import ViewSource
 
 TIMEOUT = 60.0  # [s]; nothing takes this long if all is well
 
 
 @contextmanager
-def running(source: Source, token: str = "", **given: Any) -> Iterator[int]:
+def running(source: ViewSource, token: str = "", **given: Any) -> Iterator[int]:
     """Run a server of a source; give its port."""
     ready: threading.Event = threading.Event()
     found: dict[str, Any] = {}

@@ -50,16 +50,16 @@ def test_a_name_that_anybody_could_point_here_is_refused(host, let_in):
 
 
 def test_a_token_lets_operate_a_wrong_one_is_refused_none_reads():
-    assert RULES.right_of("/?token=a-token-of-24-characters") is True
-    assert RULES.right_of("/") is False
+    assert RULES.check_token("/?token=a-token-of-24-characters") is True
+    assert RULES.check_token("/") is False
     for path in (
         "/?token=wrong",
         "/?token=\x00",
         "/?token=%C3%A4",
         "/?token=a-token-of-24-character",
     ):
-        assert isinstance(RULES.right_of(path), Refusal)
-    assert isinstance(Access("").right_of("/?token=anything"), Refusal)
+        assert isinstance(RULES.check_token(path), Refusal)
+    assert isinstance(Access("").check_token("/?token=anything"), Refusal)
 
 
 def test_the_page_runs_its_own_script_and_speaks_with_its_own_server_only():

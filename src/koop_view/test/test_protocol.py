@@ -39,10 +39,10 @@ def test_any_message_is_a_request_or_is_refused(message):
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"op":"subscribe","subscriptions":1e999}',
-                                  '{"op":"setParameters","parameters":[{"name":"x","value":NaN}]}',
+                                  '{"op":"getParameters","parameterNames":[NaN]}',
                                   '{"op":"unsubscribe","subscriptionIds":[true]}',
                                   "1" * 5000])  # fmt: skip
-def test_what_would_harm_a_careless_reader_is_refused(text):
+def test_malicious_messages_are_refused(text):
     with pytest.raises(ProtocolError):
         parse(text)
 
@@ -57,13 +57,11 @@ def test_a_call_is_read_and_one_cut_short_refused():
 @pytest.mark.parametrize(
     ("value", "said"),
     [
-        (1.0, {"type": "float64", "value": 1.0}),
-        ([1.0, 2.0], {"type": "float64_array", "value": [1.0, 2.0]}),
-        (1, {"value": 1}),
+        ([1.0, 2.0], {"value": [1.0, 2.0]}),
         (float("inf"), {"value": "inf"}),  # JSON has no word for it
         (None, {}),
     ],
 )
-def test_a_parameter_says_its_type_where_json_cannot(value, said):
+def test_a_parameter_is_json_whatever_its_value(value, said):
     text = protocol.parameter_values({"/n.p": value}, None)
     assert json.loads(text)["parameters"] == [{"name": "/n.p", **said}]

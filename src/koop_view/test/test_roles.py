@@ -1,58 +1,60 @@
 """Which nodes and topics make a loop, and which still wait for it."""
 
 from koop_view.live.starting import SILENCE, STRANGER, Starting
-from koop_view.roles import COST, GONE, STATE, THETA, Known, loops
-from koop_view.source import Loop
+from koop_view.roles import COST, GONE, STATE, THETA, KnownLoops, find_loops
+from koop_view.source import LoopNames
 
 
 def test_loops_are_told_apart_by_namespace_and_by_what_their_nodes_publish():
-    found = loops({
+    found = find_loops({
         "/vdp_plant": {"/state": STATE, "/rosout": "rcl_interfaces/msg/Log"},
         "/koopman_lifter": {"/cost": COST},
         "/relay_esc": {"/a_command": THETA, "/theta": THETA},
         "/rig/lifter": {"/rig/cost": COST, "/rig/state": STATE},  # of a rig's own message
         "/recorder": {"/rosout": "rcl_interfaces/msg/Log"},
     }, {"/a_copy": STATE, "/rig/clock": "rosgraph_msgs/msg/Clock"})  # fmt: skip
-    assert found["/"] == Loop(
+    assert found["/"] == LoopNames(
         "/", "/vdp_plant", "/koopman_lifter", "/relay_esc", "/state", "/cost", "/theta"
     )
-    assert found["/rig"] == Loop("/rig", lifter="/rig/lifter", state="/rig/state", cost="/rig/cost")
+    assert found["/rig"] == LoopNames(
+        "/rig", lifter="/rig/lifter", state="/rig/state", cost="/rig/cost"
+    )
 
 
 def test_the_state_of_a_rig_that_is_no_ros_node_belongs_to_the_loop_of_its_namespace():
     rig = {"/a_copy": STATE, "/state": STATE, "/rig/state": STATE}
-    found = loops({"/lifter": {"/cost": COST}}, rig)
+    found = find_loops({"/lifter": {"/cost": COST}}, rig)
     assert found == {
-        "/": Loop("/", lifter="/lifter", cost="/cost", state="/state"),
-        "/rig": Loop("/rig", state="/rig/state"),
+        "/": LoopNames("/", lifter="/lifter", cost="/cost", state="/state"),
+        "/rig": LoopNames("/rig", state="/rig/state"),
     }
 
 
 def test_where_a_commander_passes_on_what_a_controller_says_theta_is_what_the_rig_gets():
     commander = {"/zz_commander": {"/theta": THETA}}
-    alone = loops(commander, {})["/"]
+    alone = find_loops(commander, {})["/"]
     assert (alone.controller, alone.theta) == ("/zz_commander", "/theta")
-    both = loops({**commander, "/esc": {"/verify/theta": THETA}}, {}, managed={"/esc"})["/"]
+    both = find_loops({**commander, "/esc": {"/verify/theta": THETA}}, {}, managed={"/esc"})["/"]
     assert (both.controller, both.theta) == ("/esc", "/theta")
 
 
 def test_a_node_that_has_gone_keeps_its_place_as_long_as_its_loop_has_another():
-    known = Known()
-    assert known.see({"/": Loop("/", lifter="/lifter", cost="/cost")}, 0.0)
-    assert known.see({"/": Loop("/", controller="/esc")}, 1.0)
-    both = Loop("/", lifter="/lifter", controller="/esc", cost="/cost")
+    known = KnownLoops()
+    assert known.update({"/": LoopNames("/", lifter="/lifter", cost="/cost")}, 0.0)
+    assert known.update({"/": LoopNames("/", controller="/esc")}, 1.0)
+    both = LoopNames("/", lifter="/lifter", controller="/esc", cost="/cost")
     assert known.loops == {"/": both}
-    assert not known.see({"/": Loop("/", controller="/esc")}, 100.0)
-    assert not known.see({}, 100.0 + GONE)  # it may be restarted
-    assert known.see({"/rig": Loop("/rig")}, 100.1 + GONE)
-    assert known.loops == {"/rig": Loop("/rig")}
-    assert known.see({"/": Loop("/", cost="/cost")}, 200.0)
-    assert known.loops == {"/": Loop("/", cost="/cost")}
+    assert not known.update({"/": LoopNames("/", controller="/esc")}, 100.0)
+    assert not known.update({}, 100.0 + GONE)  # it may be restarted
+    assert known.update({"/rig": LoopNames("/rig")}, 100.1 + GONE)
+    assert known.loops == {"/rig": LoopNames("/rig")}
+    assert known.update({"/": LoopNames("/", cost="/cost")}, 200.0)
+    assert known.loops == {"/": LoopNames("/", cost="/cost")}
 
 
 def test_nobody_listens_to_a_node_that_waits_for_those_who_listen():
     starting = Starting()
-    starting.see({"/esc"}, 0.0)
+    starting.update({"/esc"}, 0.0)
     assert starting.waits("/esc", 0.0)
     assert not starting.hear("/esc", works=False, active=True, now=1.0)
     assert starting.waits("/esc", 1.0)
@@ -68,10 +70,10 @@ def test_nobody_listens_to_a_node_that_waits_for_those_who_listen():
 def test_a_node_that_never_reports_is_listened_to_after_a_while():
     starting = Starting()
     for now in (0.0, STRANGER - 1.0):
-        starting.see({"/a_rig"}, now)
+        starting.update({"/a_rig"}, now)
         assert starting.waits("/a_rig", now)
-    starting.see({"/a_rig"}, STRANGER + 1.0)
+    starting.update({"/a_rig"}, STRANGER + 1.0)
     assert not starting.waits("/a_rig", STRANGER + 1.0)
-    starting.see((), 10.0)
-    starting.see({"/a_rig"}, 11.0)  # it is another one
+    starting.update((), 10.0)
+    starting.update({"/a_rig"}, 11.0)  # it is another one
     assert starting.waits("/a_rig", 11.0)

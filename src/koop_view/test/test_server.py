@@ -3,59 +3,59 @@
 import asyncio
 import json
 import struct
-import time
+import threading
 import urllib.request
 from contextlib import suppress
 from http.client import HTTPConnection
 from urllib.error import HTTPError
 
 import pytest
-from koop_view_running import client, closed_with, heard, running, tell
+from koop_view_running import TIMEOUT, client, closed_with, heard, running, tell
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
-from koop_view.protocol import SUBPROTOCOLS, Channel, Service
+from koop_view.protocol import SUBPROTOCOLS, AdvertisedChannel, AdvertisedService
 from koop_view.recorded import RecordedSource
-from koop_view.source import Refused, Source
+from koop_view.source import Refused, ViewSource
 
 TOKEN = "a-token-of-24-characters"
 
 
-class Loop(Source):
-    """Stands for a loop: a channel that gushes, two services, one of which moves the rig."""
+class FakeLoop(ViewSource):
+    """A channel that sends without end, and two services, one of which changes the rig."""
 
     mode = "live"
 
     def __init__(self):
         super().__init__()
-        self.channels = {1: Channel(1, "/gush", "std_msgs/msg/String", "string data")}
+        self.channels = {1: AdvertisedChannel(1, "/gush", "std_msgs/msg/String", "string data")}
         for number, (name, operates) in enumerate([("/get", False), ("/hold", True)], 1):
-            self.services[number] = Service(number, name, "a/srv/B", "", "", operates)
+            self.services[number] = AdvertisedService(number, name, "a/srv/B", "", "", operates)
         self.parameters = {"/esc.dwell": 1.0, "/esc.name": "a"}
-        self.asked, self.logged, self.task = [], [], None
+        self.asked, self.logged = [], []
+        self.ended = threading.Event()
 
-    def subscribe(self, client, wanted):
+    def subscribe(self, viewer, wanted):
         async def gush():
             while True:
-                client.deliver(next(iter(wanted)), 5, bytes(500_000))
+                viewer.deliver(next(iter(wanted)), 5, bytes(500_000))
                 await asyncio.sleep(0.001)
 
         self.task = asyncio.get_running_loop().create_task(gush())
+        self.task.add_done_callback(lambda task: self.ended.set())
 
-    def unsubscribe(self, client, subscription, channel):
+    def unsubscribe(self, viewer, subscription, channel):
         self.task.cancel()
 
     async def call(self, service, payload, peer):
         self.asked.append((service.name, payload))
         if payload == b"no":
             raise Refused("it cannot")
+        if service.operates:
+            self.parameters.update({"/esc.dwell": 2.0, "/late.dwell": 3.0})
+            self.listener.change_parameters(self.parameters)
         return b"\0\1\0\0yes"
-
-    async def set_parameters(self, values, peer):
-        self.asked.append(values)
-        self.parameters.update(values)
-        self.listener.news_of_parameters(values)
 
     def log(self, text):
         self.logged.append(text)
@@ -63,7 +63,7 @@ class Loop(Source):
 
 @pytest.fixture(scope="module")
 def loop():
-    return Loop()
+    return FakeLoop()
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_no_page_of_another_origin_no_wrong_token_and_no_other_protocol_gets_in(
     assert any("evil.example" in line for line in loop.logged)
 
 
-def test_who_has_no_token_reads_and_is_refused_operating(port, loop):
+def test_a_client_without_the_token_reads_and_may_not_operate(port, loop):
     with client(port) as viewer:
         offered = heard(viewer, "advertiseServices")["services"]
         assert [service["name"] for service in offered] == ["/get"]
@@ -133,33 +133,33 @@ def test_who_has_no_token_reads_and_is_refused_operating(port, loop):
         loop.asked.clear()
         assert "may only read" in call(viewer, 2, b"x")
         tell(viewer, "setParameters", parameters=[{"name": "/esc.dwell", "value": 9.0}], id="s")
-        assert "may only read" in heard(viewer, "status")["message"]
-        assert heard(viewer, "parameterValues")["parameters"][0]["value"] == 1.0
+        assert "not offered" in heard(viewer, "status")["message"]
     assert loop.asked == []
 
 
-def test_who_has_the_token_operates_and_others_see_it(port, loop):
+def test_a_client_with_the_token_operates_and_others_see_it(port, loop):
     with client(port) as other, client(port, TOKEN) as operator:
         assert heard(operator, "serverInfo")["metadata"]["koop_operate"] == "true"
         names = [service["name"] for service in heard(operator, "advertiseServices")["services"]]
         assert names == ["/get", "/hold"]
-        assert call(operator, 2, b"x") == b"\0\1\0\0yes"
         assert call(operator, 2, b"no") == "it cannot"
         assert "no service" in call(operator, 77, b"x")
-        tell(other, "subscribeParameterUpdates", parameterNames=["/esc.dwell"])
+        tell(other, "subscribeParameterUpdates", parameterNames=["/esc.dwell", "/late.dwell"])
         tell(other, "getParameters", parameterNames=["/esc.dwell"], id="g")
         assert heard(other, "parameterValues")["id"] == "g"
-        tell(operator, "setParameters", parameters=[{"name": "/esc.dwell", "value": 2.0}])
+        assert call(operator, 2, b"x") == b"\0\1\0\0yes"
         changed = heard(other, "parameterValues")["parameters"]
-        assert changed == [{"name": "/esc.dwell", "type": "float64", "value": 2.0}]
+        assert changed == [
+            {"name": "/esc.dwell", "value": 2.0},
+            {"name": "/late.dwell", "value": 3.0},  # of a node that came after the subscription
+        ]
 
 
 def test_a_client_that_does_not_keep_up_is_dropped_and_told_why(port, loop):
     with client(port, max_queue=1) as slow:
         tell(slow, "subscribe", subscriptions=[{"id": 1, "channelId": 1}])
         slow.recv(10)
-        while not (loop.task and loop.task.cancelled()):  # without reading
-            time.sleep(0.01)
+        assert loop.ended.wait(TIMEOUT)  # without reading
         code, reason = closed_with(slow)
     assert code == 1008
     assert "too slow" in reason
@@ -174,12 +174,12 @@ def test_there_are_no_more_clients_than_allowed_and_no_message_is_too_long(port)
         connection.close()
 
 
-def test_who_asks_without_end_is_dropped(port):
-    with client(port) as greedy, suppress(ConnectionClosed):
-        for _ in range(100_000):
-            greedy.send("{}")
-        while True:  # what was sent may wait on its way
-            greedy.recv(10)
+def test_a_client_with_too_many_requests_is_dropped_and_told_why(port):
+    with client(port) as greedy:
+        with suppress(ConnectionClosed):
+            for _ in range(100_000):
+                greedy.send("{}")
+        assert closed_with(greedy) == (1008, "too many messages")
 
 
 def test_a_recording_comes_whole_and_in_its_order(tmp_path):

@@ -4,49 +4,44 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.parameter import parameter_value_to_python
+from rclpy.serialization import deserialize_message
 
 from koop_bag.cdr.definition import parse_definition
 from koop_bag.cdr.schema import load_service
 from koop_bag.errors import BagError
 from koop_node.client.question import Question
 from koop_view.cdr_check import CdrError, check
-from koop_view.protocol import Service
+from koop_view.protocol import AdvertisedService
 from koop_view.source import Refused
 
 ANSWER = 5.0  # [s] for a node to answer
 READS = {
-    "rcl_interfaces": (
-        "DescribeParameters",
-        "GetParameters",
-        "GetParameterTypes",
-        "ListParameters",
-    ),
-    "lifecycle_msgs": ("GetState", "GetAvailableStates", "GetAvailableTransitions"),
-    "type_description_interfaces": ("GetTypeDescription",),
+    "lifecycle_msgs/srv/GetAvailableStates",
+    "lifecycle_msgs/srv/GetAvailableTransitions",
+    "lifecycle_msgs/srv/GetState",
+    "rcl_interfaces/srv/DescribeParameters",
+    "rcl_interfaces/srv/GetParameterTypes",
+    "rcl_interfaces/srv/GetParameters",
+    "rcl_interfaces/srv/ListParameters",
+    "type_description_interfaces/srv/GetTypeDescription",
 }
-"""Services that change nothing, by package."""
-ONCE = {"std_srvs": ("Trigger",), "lifecycle_msgs": ("ChangeState",)}
-"""Services that do not bear being called twice."""
+"""Types of services that change nothing."""
+ONCE = {"std_srvs/srv/Trigger", "lifecycle_msgs/srv/ChangeState"}
+"""Types of services that must not be called twice."""
 
 
-def _is_in(type_name: str, table: Mapping[str, tuple[str, ...]]) -> bool:
-    package, _, name = type_name.partition("/srv/")
-    return name in table.get(package, ())
-
-
-def load(number: int, name: str, type_name: str) -> Service:
+def load(number: int, name: str, type_name: str) -> AdvertisedService:
     """Return a service as it is advertised; raise BagError if its type is not installed."""
     service_class(type_name)
     request, response = load_service(type_name)
-    return Service(
-        number, name, type_name, request.text, response.text, not _is_in(type_name, READS)
-    )
+    operates = type_name not in READS
+    return AdvertisedService(number, name, type_name, request.text, response.text, operates)
 
 
 def service_class(type_name: str) -> Any:
@@ -58,7 +53,7 @@ def service_class(type_name: str) -> Any:
         raise BagError(f"{type_name} has no Python class") from error
 
 
-def unpacked(service: Service, payload: bytes) -> Any:
+def unpack(service: AdvertisedService, payload: bytes) -> Any:
     """Return the request that bytes hold; raise Refused if they hold none."""
     package, _, name = service.type_name.partition("/srv/")
     kind = service_class(service.type_name).Request
@@ -73,7 +68,7 @@ def unpacked(service: Service, payload: bytes) -> Any:
         raise Refused(f"not a request of {service.name}: {type(error).__name__}") from None
 
 
-class Caller:
+class ServiceCaller:
     """Calls services from an event loop in which the node's executor is polled.
 
     Parameters
@@ -106,11 +101,10 @@ class Caller:
         self.waiting += 1
         try:
             deadline = time.monotonic() + ANSWER
-            await _until(
-                client.service_is_ready, deadline, f"{name} is not there: nothing was done"
-            )
-            late = f"{name} did not answer in {ANSWER:g} s: look whether it was done"
-            if not _is_in(type_name, ONCE):
+            missing = f"{name} is not available: nothing was done"
+            await _until(client.service_is_ready, deadline, missing)
+            late = f"{name} did not answer in {ANSWER:g} s: check whether it was done"
+            if type_name not in ONCE:
                 return await _until(Question(client, request).answer, deadline, late)
             future = client.call_async(request)
             await _until(future.done, deadline, late)
@@ -120,13 +114,21 @@ class Caller:
 
 
 async def _until(condition: Callable[[], Any], deadline: float, otherwise: str) -> Any:
-    while not (found := condition()):
+    while not (result := condition()):
         if time.monotonic() > deadline:
             raise Refused(otherwise)
         await asyncio.sleep(0.005)
-    return found
+    return result
 
 
-def packed(answer: Any) -> bytes:
-    """Return an answer as bytes."""
-    return bytes(serialize_message(answer))
+def describe(message: Any) -> str:
+    """Return a request or an answer in a few words."""
+    if hasattr(message, "parameters"):
+        pairs = [(p.name, parameter_value_to_python(p.value)) for p in message.parameters]
+        return ", ".join(f"{name}={value}" for name, value in pairs)
+    if hasattr(message, "transition"):
+        return str(message.transition.label or message.transition.id)
+    if hasattr(message, "result") and hasattr(message.result, "successful"):
+        return "done" if message.result.successful else f"refused: {message.result.reason}"
+    fields = message.get_fields_and_field_types()
+    return ", ".join(f"{name}={getattr(message, name)}" for name in fields)

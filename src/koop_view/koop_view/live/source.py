@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from array import array
 from collections.abc import Mapping
@@ -14,10 +13,9 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterEvent
-from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node, NodeNameNonExistentError
-from rclpy.parameter import Parameter, parameter_value_to_python
-from rclpy.serialization import deserialize_message
+from rclpy.parameter import parameter_value_to_python
+from rclpy.serialization import deserialize_message, serialize_message
 
 from koop_bag.bag.topics import COMMON_TOPICS, is_common
 from koop_bag.cdr.schema import load_schema
@@ -25,12 +23,13 @@ from koop_bag.errors import BagError
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.topics import message_class
 from koop_core.errors import one_line
-from koop_view.live.services import Caller, load, packed, unpacked
+from koop_view.config import ViewConfig
+from koop_view.live.services import ServiceCaller, describe, load, unpack
 from koop_view.live.starting import Starting
 from koop_view.live.topic import ViewedTopic
-from koop_view.protocol import WARNING, Channel, Service
-from koop_view.roles import Known, loops
-from koop_view.source import Client, Refused, Source
+from koop_view.protocol import WARNING, AdvertisedChannel, AdvertisedService
+from koop_view.roles import KnownLoops, find_loops
+from koop_view.source import Refused, Viewer, ViewSource
 
 POLL = 0.02  # [s] between looks for messages while somebody looks
 IDLE = 0.1  # [s] while nobody does
@@ -39,44 +38,35 @@ EVENTS = 20  # of the executor at a time
 LINE = 200  # bytes of what is shown beside the loops
 MOST = 1000  # channels, services, loops: what a domain gone mad may cost
 DIAGNOSTICS, CHANGES = "/diagnostics", "/parameter_events"
-_SET = "rcl_interfaces/srv/SetParametersAtomically"
 
 
-class LiveSource(Source):
+class LiveSource(ViewSource):
     """The loops of a ROS domain.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        As which it takes part.
+        The server's node.
     executor : object
-        Of the node; it is polled here.
-    rate : float
-        Messages a second of one topic [1/s].
-    operates : bool
-        Whether anybody may operate.
-    about : str
-        File with the line that is shown beside the loops; empty: none.
+        Executor of the node; it is polled here.
+    config : ViewConfig
+        Rate of a topic, whether anybody may operate, and the file of the line beside the loops.
     """
 
     mode = "live"
 
-    def __init__(
-        self, node: Node, executor: Any, rate: float, operates: bool, about: str = ""
-    ) -> None:
+    def __init__(self, node: Node, executor: Any, config: ViewConfig) -> None:
         super().__init__()
-        self._node, self._executor = node, executor
-        self._rate, self._operates = rate, operates
-        self._about = about
-        self._caller = Caller(node)
+        self._node, self._executor, self._config = node, executor, config
+        self._caller = ServiceCaller(node)
         self._collector = ParameterCollector(node, "/")
         self._starting = Starting()
-        self._known = Known()
+        self._known = KnownLoops()
         self._publishers: dict[str, set[str]] = {}  # nodes by topic
-        self._nameless: set[str] = set()  # topics of what is no ROS node
-        self._types: dict[str, str] = {}  # of topics and services that were looked at
+        self._nameless: set[str] = set()  # topics whose publisher is not a ROS node
+        self._types: dict[str, str] = {}  # of the topics and services that were examined
         self._topics: dict[str, ViewedTopic] = {}
-        self._viewers: dict[str, list[tuple[Client, int]]] = {}
+        self._viewers: dict[str, list[tuple[Viewer, int]]] = {}
         self._numbers = iter(range(1, 2**32))
         for name in (DIAGNOSTICS, CHANGES):
             self._topics[name] = self._listen(name, COMMON_TOPICS[name])
@@ -95,22 +85,22 @@ class LiveSource(Source):
 
     # -- messages -----------------------------------------------------------------------------
 
-    def subscribe(self, client: Client, wanted: Mapping[int, Channel]) -> None:
+    def subscribe(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
         for subscription, channel in wanted.items():
-            self._viewers.setdefault(channel.topic, []).append((client, subscription))
+            self._viewers.setdefault(channel.topic, []).append((viewer, subscription))
         self._choose(time.monotonic())
 
-    def unsubscribe(self, client: Client, subscription: int, channel: Channel) -> None:
-        left = [item for item in self._viewers[channel.topic] if item != (client, subscription)]
-        self._viewers[channel.topic] = left
-        if not left:
+    def unsubscribe(self, viewer: Viewer, subscription: int, channel: AdvertisedChannel) -> None:
+        viewers = self._viewers[channel.topic]
+        viewers.remove((viewer, subscription))
+        if not viewers:
             del self._viewers[channel.topic]
         self._choose(time.monotonic())
 
     def _choose(self, now: float) -> None:
-        """Listen to what somebody looks at, but to no node that still waits for its loop.
+        """Subscribe to the topics that are viewed, unless a node still waits for its loop.
 
-        Nor to a topic that nobody publishes: whoever comes next may be such a node.
+        Nor to a topic that has no publisher: the next one may be such a node.
         """
         wanted = {DIAGNOSTICS, CHANGES}
         for name in self._viewers:
@@ -125,20 +115,22 @@ class LiveSource(Source):
 
     def _listen(self, name: str, type_name: str) -> ViewedTopic:
         common = name in COMMON_TOPICS
-        return ViewedTopic(self._node, name, type_name, self._rate, common, name == "/rosout")
+        return ViewedTopic(
+            self._node, name, type_name, self._config.rate, common, name == "/rosout"
+        )
 
     def _poll(self, now: float) -> None:
         for _ in range(EVENTS if self._caller.waiting else 2):
             self._executor.spin_once(timeout_sec=0.0)
         for name, topic in list(self._topics.items()):
             taken = topic.take()
-            for client, subscription in self._viewers.get(name, ()):
+            for viewer, subscription in self._viewers.get(name, ()):
                 for received, data in taken:
-                    client.deliver(subscription, received, data)
+                    viewer.deliver(subscription, received, data)
                 if topic.left_out:
-                    client.say(
+                    viewer.say(
                         WARNING,
-                        f"{name} comes faster than {self._rate:g} Hz: not all of it is sent",
+                        f"{name} comes faster than {self._config.rate:g} Hz: not all of it is sent",
                         f"rate of {name}",
                     )
             topic.left_out = False
@@ -168,7 +160,7 @@ class LiveSource(Source):
             for topic in topics:
                 self._publishers.setdefault(topic, set()).add(node)
         managed = {node for node, names in served.items() if f"{node}/change_state" in names}
-        self._starting.see(published, now)
+        self._starting.update(published, now)
         self._take_parameters(served)
         self._take_channels()
         nameless = {
@@ -177,18 +169,20 @@ class LiveSource(Source):
             if topic not in self._publishers and self._node.count_publishers(topic)
         }
         self._nameless = set(nameless)
-        found = dict(islice(loops(published, nameless, managed).items(), MOST))
+        loops = dict(islice(find_loops(published, nameless, managed).items(), MOST))
         about = self._read_about()
-        if self._known.see(found, now) or about != self.about:
+        if self._known.update(loops, now) or about != self.about:
             self.loops, self.about = self._known.loops, about
-            self._tell("news_of_loops")
+            self.listener.change_loops()
         self._take_services(served)
         self._choose(now)
 
     def _read_about(self) -> str:
         with suppress(OSError):
-            if self._about:
-                return one_line(Path(self._about).read_bytes()[:LINE].decode("utf-8", "replace"))
+            if self._config.about:
+                return one_line(
+                    Path(self._config.about).read_bytes()[:LINE].decode("utf-8", "replace")
+                )
         return ""
 
     def _ask_nodes(self) -> tuple[dict[str, dict[str, str]], dict[str, dict[str, str]]]:
@@ -225,12 +219,12 @@ class LiveSource(Source):
                 continue
             if topic in known:
                 gone.append(known[topic].number)
-            added.append(Channel(next(self._numbers), topic, types[0], definition))
+            added.append(AdvertisedChannel(next(self._numbers), topic, types[0], definition))
         for number in gone:
             del self.channels[number]
         self.channels.update({channel.number: channel for channel in added})
         if added:
-            self._tell("news_of_channels", added, gone)
+            self.listener.change_channels(added, gone)
 
     def _take_services(self, served: Mapping[str, Mapping[str, str]]) -> None:
         """Offer the services of the loops' nodes."""
@@ -250,15 +244,11 @@ class LiveSource(Source):
             except BagError:
                 continue
             added.append(service)
-            if self._operates and service.operates:
+            if self._config.operate and service.operates:
                 self._caller.prepare(type_name, name)
         self.services.update({service.number: service for service in added})
         if added:
-            self._tell("news_of_services", added)
-
-    def _tell(self, news: str, *what: Any) -> None:
-        if self.listener is not None:
-            getattr(self.listener, news)(*what)
+            self.listener.add_services(added)
 
     # -- parameters and services --------------------------------------------------------------
 
@@ -280,7 +270,7 @@ class LiveSource(Source):
         }
         self.parameters.update(changed)
         if changed:
-            self._tell("news_of_parameters", changed)
+            self.listener.change_parameters(changed)
 
     def _take_changes(self, events: list[bytes]) -> None:
         for data in events:
@@ -293,65 +283,20 @@ class LiveSource(Source):
                 own[item.name] = list(value) if isinstance(value, array | tuple) else value
             self._keep({f"{event.node}.{name}": value for name, value in own.items()})
 
-    async def set_parameters(self, values: Mapping[str, Any], peer: str) -> None:
-        by_node: dict[str, list[Any]] = {}
-        for full, value in values.items():
-            node, _, name = full.partition(".")
-            if full not in self.parameters:
-                raise Refused(f"there is no parameter {full[:100]}: nothing was changed")
-            by_node.setdefault(node, []).append(_parameter(name, value, self.parameters[full]))
-        for node, parameters in by_node.items():
-            request = SetParametersAtomically.Request(parameters=parameters)
-            service = f"{node}/set_parameters_atomically"
-            answer = await self._operate(_SET, service, request, peer)
-            if not answer.result.successful:
-                raise Refused(f"{node} refuses: {answer.result.reason}")
-
-    async def call(self, service: Service, payload: bytes, peer: str) -> bytes:
-        request = unpacked(service, payload)
-        if not service.operates:
-            return packed(await self._caller.call(service.type_name, service.name, request))
-        return packed(await self._operate(service.type_name, service.name, request, peer))
-
-    async def _operate(self, type_name: str, name: str, request: Any, peer: str) -> Any:
-        """Call what moves or changes the rig, and write it down."""
-        what = f"{peer} operates: {name}({_told(request)})"
+    async def call(self, service: AdvertisedService, payload: bytes, peer: str) -> bytes:
+        request = unpack(service, payload)
         try:
-            answer = await self._caller.call(type_name, name, request)
+            answer = await self._caller.call(service.type_name, service.name, request)
         except Refused as error:
-            self.log(f"{what}: {error}")
+            self._note(service, peer, request, str(error))
             raise
-        self.log(f"{what}: {_told(answer)}")
-        return answer
+        self._note(service, peer, request, describe(answer))
+        return bytes(serialize_message(answer))
+
+    def _note(self, service: AdvertisedService, peer: str, request: Any, outcome: str) -> None:
+        """Log an act that moves or changes the rig."""
+        if service.operates:
+            self.log(f"{peer} operates: {service.name}({describe(request)}): {outcome}")
 
     def log(self, text: str) -> None:
         self._node.get_logger().info(one_line(text))
-
-
-def _parameter(name: str, value: Any, known: Any) -> Any:
-    """Return a parameter of the type that it has: JSON knows one kind of numbers."""
-    if isinstance(known, float) and isinstance(value, int) and not isinstance(value, bool):
-        value = float(value) if abs(value) < 2**63 else math.inf
-    if isinstance(value, list) and all(type(item) in (int, float) for item in value):
-        value = [float(item) for item in value] if _has_floats(known) else value
-    try:
-        return Parameter(name, value=value).to_parameter_msg()
-    except (TypeError, ValueError, AssertionError, OverflowError):
-        raise Refused(f"{name}: a value that no parameter can have: nothing was changed") from None
-
-
-def _has_floats(known: Any) -> bool:
-    return isinstance(known, list) and (not known or isinstance(known[0], float))
-
-
-def _told(message: Any) -> str:
-    """Return what a request or an answer says, in a few words."""
-    if hasattr(message, "parameters"):
-        pairs = [(p.name, parameter_value_to_python(p.value)) for p in message.parameters]
-        return ", ".join(f"{name}={value}" for name, value in pairs)
-    if hasattr(message, "transition"):
-        return str(message.transition.label or message.transition.id)
-    if hasattr(message, "result") and hasattr(message.result, "successful"):
-        return "done" if message.result.successful else f"refused: {message.result.reason}"
-    fields = message.get_fields_and_field_types()
-    return ", ".join(f"{name}={getattr(message, name)}" for name in fields)
