@@ -22,7 +22,8 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="The page that shows and operates a loop, the Foxglove protocol, and the pages of reports.",
+    description="The page that shows and operates a loop, the Foxglove protocol, "
+    "and the pages of reports.",
     license="Apache-2.0",
     entry_points={
         "console_scripts": ["server = koop_view.executable:server"],

@@ -86,7 +86,7 @@ def run(args: list[str] | None = None) -> int:
 async def _serve(node: ViewNode, executor: Any) -> None:
     config = node.parameters[ViewConfig]
     source = LiveSource(node, executor, config)
-    await serve(source, config, source.run())
+    await serve(source, config, source.run)
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ import re
 import secrets
 import signal
 import socket
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from importlib.metadata import version
 from typing import Any
 
@@ -60,7 +60,9 @@ def is_loopback(host: str) -> bool:
 
 
 async def serve(
-    source: ViewSource, config: ViewConfig, work: Coroutine[Any, Any, None] | None = None
+    source: ViewSource,
+    config: ViewConfig,
+    update: Callable[[], Coroutine[Any, Any, Any]] | None = None,
 ) -> None:
     """Serve a source until SIGINT, SIGTERM or SIGHUP.
 
@@ -70,8 +72,8 @@ async def serve(
         What is shown.
     config : ViewConfig
         Where and to whom.
-    work : coroutine, optional
-        Updates the source; its failure ends the server.
+    update : coroutine function, optional
+        Keeps the source up to date; its failure ends the server.
     """
     try:
         from koop_view.server import ViewServer
@@ -85,21 +87,19 @@ async def serve(
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, stop.set)
     token = token_of(config)
-    tasks: list[asyncio.Future[Any]] = [asyncio.ensure_future(stop.wait())]
-    if work is not None:
-        tasks.append(asyncio.ensure_future(work))
-    try:
-        async with ViewServer(source, config, token, version("koop_view")) as server:
-            page = address(config, server.port)
-            print(f"{ADDRESS}{page}{f'#token={token}' if token else ''}")
-            if token:
-                print(f"with that address anybody may operate the loop; {page} reads only")
-            if not is_loopback(config.host):
-                print("it is open to the network, without encryption: docs/how-to/secure-a-loop.md")
-            print("Ctrl-C ends it", flush=True)
+    async with ViewServer(source, config, token, version("koop_view")) as server:
+        page = address(config, server.port)
+        print(f"{ADDRESS}{page}{f'#token={token}' if token else ''}")
+        if token:
+            print(f"with that address anybody may operate the loop; {page} reads only")
+        if not is_loopback(config.host):
+            print("it is open to the network, without encryption: docs/how-to/secure-a-loop.md")
+        print("Ctrl-C ends it", flush=True)
+        tasks = [asyncio.create_task(work()) for work in (stop.wait, update) if work is not None]
+        try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 task.result()
-    finally:
-        for task in tasks:
-            task.cancel()
+        finally:
+            for task in tasks:
+                task.cancel()

@@ -1,6 +1,5 @@
-"""Which nodes and topics make a loop, and which still wait for it."""
+"""The loops that are found among the nodes and topics of a domain."""
 
-from koop_view.live.starting import SILENCE, STRANGER, Starting
 from koop_view.roles import COST, GONE, STATE, THETA, KnownLoops, find_loops
 from koop_view.source import LoopNames
 
@@ -50,30 +49,3 @@ def test_a_node_that_has_gone_keeps_its_place_as_long_as_its_loop_has_another():
     assert known.loops == {"/rig": LoopNames("/rig")}
     assert known.update({"/": LoopNames("/", cost="/cost")}, 200.0)
     assert known.loops == {"/": LoopNames("/", cost="/cost")}
-
-
-def test_nobody_listens_to_a_node_that_waits_for_those_who_listen():
-    starting = Starting()
-    starting.update({"/esc"}, 0.0)
-    assert starting.waits("/esc", 0.0)
-    assert not starting.hear("/esc", works=False, active=True, now=1.0)
-    assert starting.waits("/esc", 1.0)
-    assert starting.hear("/esc", works=True, active=True, now=2.0)
-    assert not starting.waits("/esc", 2.0)
-    assert not starting.hear("/esc", works=False, active=True, now=3.0)  # a pause
-    assert not starting.waits("/esc", 3.0)
-    assert starting.waits("/esc", 3.1 + SILENCE)  # killed: who comes back waits once more
-    starting.hear("/esc", works=False, active=True, now=20.0)
-    assert starting.waits("/esc", 20.0)
-
-
-def test_a_node_that_never_reports_is_listened_to_after_a_while():
-    starting = Starting()
-    for now in (0.0, STRANGER - 1.0):
-        starting.update({"/a_rig"}, now)
-        assert starting.waits("/a_rig", now)
-    starting.update({"/a_rig"}, STRANGER + 1.0)
-    assert not starting.waits("/a_rig", STRANGER + 1.0)
-    starting.update((), 10.0)
-    starting.update({"/a_rig"}, 11.0)  # it is another one
-    assert starting.waits("/a_rig", 11.0)

@@ -17,7 +17,7 @@ from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message, serialize_message
 
-from koop_bag.bag.topics import COMMON_TOPICS, is_common
+from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.recorder.parameters import ParameterCollector
@@ -25,7 +25,6 @@ from koop_bag.recorder.topics import message_class
 from koop_core.errors import one_line
 from koop_view.config import ViewConfig
 from koop_view.live.services import ServiceCaller, describe, load, unpack
-from koop_view.live.starting import Starting
 from koop_view.live.topic import ViewedTopic
 from koop_view.protocol import WARNING, AdvertisedChannel, AdvertisedService
 from koop_view.roles import KnownLoops, find_loops
@@ -34,6 +33,7 @@ from koop_view.source import Refused, Viewer, ViewSource
 POLL = 0.02  # [s] between looks for messages while somebody looks
 IDLE = 0.1  # [s] while nobody does
 LOOK = 0.5  # [s] between looks at the graph
+PAUSE = 1.5  # [s] without a report, of which there is one per second
 EVENTS = 20  # of the executor at a time
 LINE = 200  # bytes of what is shown beside the loops
 MOST = 1000  # channels, services, loops: what a domain gone mad may cost
@@ -60,16 +60,13 @@ class LiveSource(ViewSource):
         self._node, self._executor, self._config = node, executor, config
         self._caller = ServiceCaller(node)
         self._collector = ParameterCollector(node, "/")
-        self._starting = Starting()
         self._known = KnownLoops()
-        self._publishers: dict[str, set[str]] = {}  # nodes by topic
-        self._nameless: set[str] = set()  # topics whose publisher is not a ROS node
+        self._reported: dict[str, float] = {}  # when a node's newest report came [s]
         self._types: dict[str, str] = {}  # of the topics and services that were examined
         self._topics: dict[str, ViewedTopic] = {}
         self._viewers: dict[str, list[tuple[Viewer, int]]] = {}
         self._numbers = iter(range(1, 2**32))
-        for name in (DIAGNOSTICS, CHANGES):
-            self._topics[name] = self._listen(name, COMMON_TOPICS[name])
+        self._listen()
 
     async def run(self) -> None:
         """Follow the loops until cancelled."""
@@ -88,36 +85,24 @@ class LiveSource(ViewSource):
     def subscribe(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
         for subscription, channel in wanted.items():
             self._viewers.setdefault(channel.topic, []).append((viewer, subscription))
-        self._choose(time.monotonic())
+        self._listen()
 
     def unsubscribe(self, viewer: Viewer, subscription: int, channel: AdvertisedChannel) -> None:
         viewers = self._viewers[channel.topic]
         viewers.remove((viewer, subscription))
         if not viewers:
             del self._viewers[channel.topic]
-        self._choose(time.monotonic())
+        self._listen()
 
-    def _choose(self, now: float) -> None:
-        """Subscribe to the topics that are viewed, unless a node still waits for its loop.
-
-        Nor to a topic that has no publisher: the next one may be such a node.
-        """
-        wanted = {DIAGNOSTICS, CHANGES}
-        for name in self._viewers:
-            nodes = self._publishers.get(name, ())
-            waits = any(self._starting.waits(node, now) for node in nodes)
-            if is_common(name) or name in self._nameless or (nodes and not waits):
-                wanted.add(name)
+    def _listen(self) -> None:
+        """Subscribe to the topics that are viewed, and to no other."""
+        wanted = {DIAGNOSTICS, CHANGES, *self._viewers}
         for name in self._topics.keys() - wanted:
             self._topics.pop(name).close()
         for name in wanted - self._topics.keys():
-            self._topics[name] = self._listen(name, self._types[name])
-
-    def _listen(self, name: str, type_name: str) -> ViewedTopic:
-        common = name in COMMON_TOPICS
-        return ViewedTopic(
-            self._node, name, type_name, self._config.rate, common, name == "/rosout"
-        )
+            kind = self._types.get(name) or COMMON_TOPICS[name]
+            rate, common, kept = self._config.rate, name in COMMON_TOPICS, name == "/rosout"
+            self._topics[name] = ViewedTopic(self._node, name, kind, rate, common, kept)
 
     def _poll(self, now: float) -> None:
         for _ in range(EVENTS if self._caller.waiting else 2):
@@ -140,49 +125,38 @@ class LiveSource(ViewSource):
                 self._take_changes([data for _, data in taken])
 
     def _hear(self, reports: list[bytes], now: float) -> None:
+        """Ask a node that reports after a pause for its parameters: it may be a new process."""
         for data in reports:
             for status in deserialize_message(data, DiagnosticArray).status:
-                values = {item.key: item.value for item in status.values}
-                if "lifecycle_state" not in values:
-                    continue
-                active = values["lifecycle_state"] == "active"
-                works = values.get("rate_hz", "0.0") != "0.0"
-                if self._starting.hear(status.name, works, active, now):
-                    # it may be another process of the same name
+                if now - self._reported.get(status.name, now) > PAUSE:
                     self._collector.values.pop(status.name, None)
+                self._reported[status.name] = now
 
     # -- the graph ----------------------------------------------------------------------------
 
     def _look(self, now: float) -> None:
         published, served = self._ask_nodes()
-        self._publishers = {}
-        for node, topics in published.items():
-            for topic in topics:
-                self._publishers.setdefault(topic, set()).add(node)
-        managed = {node for node, names in served.items() if f"{node}/change_state" in names}
-        self._starting.update(published, now)
         self._take_parameters(served)
         self._take_channels()
+        named = {topic for topics in published.values() for topic in topics}
         nameless = {
             topic: types[0]
             for topic, types in self._node.get_topic_names_and_types()
-            if topic not in self._publishers and self._node.count_publishers(topic)
+            if topic not in named and self._node.count_publishers(topic)
         }
-        self._nameless = set(nameless)
+        managed = {node for node, names in served.items() if f"{node}/change_state" in names}
         loops = dict(islice(find_loops(published, nameless, managed).items(), MOST))
         about = self._read_about()
         if self._known.update(loops, now) or about != self.about:
             self.loops, self.about = self._known.loops, about
             self.listener.change_loops()
         self._take_services(served)
-        self._choose(now)
 
     def _read_about(self) -> str:
         with suppress(OSError):
             if self._config.about:
-                return one_line(
-                    Path(self._config.about).read_bytes()[:LINE].decode("utf-8", "replace")
-                )
+                line = Path(self._config.about).read_bytes()[:LINE]
+                return one_line(line.decode("utf-8", "replace"))
         return ""
 
     def _ask_nodes(self) -> tuple[dict[str, dict[str, str]], dict[str, dict[str, str]]]:
