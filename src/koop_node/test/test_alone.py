@@ -1,11 +1,15 @@
 """One loop in a namespace of a ROS domain."""
 
 import os
+import subprocess
+import sys
 
 import pytest
 
 from koop_core.errors import LiveError
-from koop_node.client.alone import alone
+from koop_node.client.alone import alone, is_empty
+from koop_node.client.client import Client
+from koop_node.process.domain import current_domain, is_taken
 
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 OWN, OTHER = 215 + WORKER % 8, 224 + WORKER % 8
@@ -43,12 +47,35 @@ def test_loops_of_other_namespaces_and_domains_do_not_meet(monkeypatch):
             pass
 
 
+DAEMON = """
+import rclpy
+rclpy.init()
+node = rclpy.create_node("_ros2cli_daemon")
+print("there", flush=True)
+rclpy.spin(node)
+"""
+
+
+@pytest.mark.ros
+def test_a_daemon_of_ros2cli_is_not_waited_for():
+    """What it takes part in would else be looked at for 4 s, before every start."""
+    words = [sys.executable, "-c", DAEMON, "from ros2cli.daemon.daemonize import main; main()"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as daemon:
+        try:
+            assert daemon.stdout.readline() == b"there\n"
+            domain = current_domain()
+            assert is_taken(domain)
+            assert is_empty(domain)
+            with Client("by_hand"):
+                assert not is_empty(domain)
+        finally:
+            daemon.kill()
+
+
 @pytest.mark.ros
 @pytest.mark.parametrize("topic", ["state", "theta"])
 def test_nodes_that_were_started_by_hand_are_seen(topic):
     from diagnostic_msgs.msg import DiagnosticArray
-
-    from koop_node.client.client import Client
 
     with Client("by_hand") as client:
         client.node.create_publisher(DiagnosticArray, topic, 1)

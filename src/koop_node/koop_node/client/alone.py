@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 
 from koop_core.errors import LiveError
-from koop_node.process.domain import current_domain, free_domain, is_taken
+from koop_node.process.domain import current_domain, free_domain, only_observed
 
 TOPICS = ("state", "cost", "theta")  # that each have one publisher in a loop
 DISCOVERY = 4.0  # [s]: Fast DDS, as it comes, announces itself every 3 s to who missed the first
@@ -62,9 +62,9 @@ def _claimed(name: str) -> Iterator[bool]:
 
 
 def is_empty(domain: int) -> bool:
-    """Return whether it is certain that nobody takes part in a ROS domain."""
+    """Return whether it is certain that no node takes part in a ROS domain."""
     own_host = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE") in ("LOCALHOST", "OFF")
-    return own_host and not os.environ.get("ROS_STATIC_PEERS") and not is_taken(domain)
+    return own_host and not os.environ.get("ROS_STATIC_PEERS") and only_observed(domain)
 
 
 def _published(domain: int, topics: list[str]) -> bool:

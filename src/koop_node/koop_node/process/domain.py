@@ -6,7 +6,7 @@ import os
 import random
 import socket
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from koop_core.config.parameter import ConfigError
@@ -14,6 +14,7 @@ from koop_core.config.parameter import ConfigError
 DOMAINS = range(1, 102)  # beyond, the ports would be those that the system hands out
 FIRST_PORT = 7400  # of domain 0 (DDSI-RTPS 9.6.1)
 PORTS = 250  # of each domain
+DAEMON = b"ros2cli.daemon"  # in the command line of ros2cli's daemon
 
 
 def current_domain() -> int:
@@ -53,17 +54,41 @@ def is_taken(domain: int) -> bool:
     return taken is None or domain in taken
 
 
+def only_observed(domain: int) -> bool:
+    """Return whether it is certain that nobody takes part in a domain here, or only observers.
+
+    That is the daemon that ``ros2 topic list`` and its like leave behind: it publishes nothing.
+    """
+    by_inode = _sockets()
+    if by_inode is None:
+        return False
+    sockets = {f"socket:[{inode}]" for inode, found in by_inode.items() if found == domain}
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended, or is another user's
+            if DAEMON in (process / "cmdline").read_bytes():
+                sockets -= {os.readlink(file) for file in (process / "fd").iterdir()}
+    return not sockets
+
+
 def _taken() -> set[int] | None:
-    """Return the domains that somebody listens in, or None where the system does not tell.
+    """Return the domains that somebody listens in, or None where the system does not tell."""
+    sockets = _sockets()
+    return None if sockets is None else set(sockets.values())
+
+
+def _sockets() -> dict[int, int] | None:
+    """Return the domain of every socket by its inode, or None where the system does not tell.
 
     Any port of a domain counts: the first is not listened at where discovery keeps to this host.
     """
     try:
-        table = Path("/proc/net/udp").read_text().splitlines()[1:]
+        table = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
     except OSError:
         return None
-    ports = (int(line.split()[1].rpartition(":")[2], 16) for line in table)
-    return {(port - FIRST_PORT) // PORTS for port in ports}
+    return {
+        int(words[9]): (int(words[1].rpartition(":")[2], 16) - FIRST_PORT) // PORTS
+        for words in table
+    }
 
 
 @contextmanager
