@@ -185,6 +185,27 @@ def test_a_folder_that_holds_a_recording_is_refused(mine, tmp_path):
             plan({"record": "true", **given})
 
 
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("/**/koopmn_lifter: {ros__parameters: {cost: raw}}", "mean '/\\*\\*/koopman_lifter'"),
+        ("plant: {ros__parameters: {seed: 1}}", "did you mean '/vdp_plant'"),
+        ("/relay_esc: {ros__parameters: {dwell: 2.0}}", "'/relay_esc' is not in .* /rig1: write"),
+    ],
+)
+def test_a_section_that_would_be_ignored_beside_valid_ones_is_refused(mine, text, message):
+    valid = "/**/recorder: {ros__parameters: {compression: none}}\n"
+    with pytest.raises(ConfigError, match=message):
+        plan({**mine(valid + text), "namespace": "rig1", "record": "true", "plant": "true"})
+
+
+def test_sections_of_other_programs_are_not_minded(mine):
+    text = "/**/driver: {ros__parameters: {gain: 1.0}}\n/**/_koop_view: {ros__parameters: {a: 1}}\n"
+    assert plan({**mine(text + MINE)}).parameters["relay_esc"] == {
+        "dt": 0.005, "use_sim_time": False
+    }  # fmt: skip
+
+
 def test_only_the_lifted_cost_needs_a_model_that_fits(mine):
     given = mine("/**: {ros__parameters: {dt: 0.01, model: /nowhere.npz}}")
     assert plan({**given, "cost": "raw"}).parameters["koopman_lifter"]["cost"] == "raw"

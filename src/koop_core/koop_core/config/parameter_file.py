@@ -7,6 +7,7 @@ for one part and ``**`` for any number of them; what comes later in the file win
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -22,6 +23,9 @@ from koop_core.config.yaml_file import read_yaml
 
 # What every node has, whatever it is: it says nothing about the loop.
 ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
+
+SIMILAR = 0.6  # of two names, from 0 to 1, from which on one is taken for the other misspelt
 
 
 class Section(NamedTuple):
@@ -100,7 +104,8 @@ class ParameterFile:
         Raises
         ------
         ConfigError
-            If the file has no parameters for any of them, or names them in another namespace only.
+            If the file has no parameters for any of them, names one in another namespace only, or
+            has a section whose name is nearly that of one.
         """
         base = (self.namespace_of(known) if namespace is None else namespace).rstrip("/")
         found = {node: self.values(f"{base}/{node}", names) for node, names in known.items()}
@@ -114,7 +119,26 @@ class ParameterFile:
                 f"{self.path}: has no parameters for {wanted}; it has {keys}; "
                 "'/**/NAME' is in every one"
             )
+        self._refuse_misspelt(known)
+        for section in named:
+            node = f"{base}/{section.node}"
+            if not self.describes(node):
+                raise ConfigError(
+                    f"{self.path}: '{section.key}' is not in the loop's namespace {base or '/'}: "
+                    f"write '{node}', or '/**/{section.node}' for every namespace"
+                )
         return found
+
+    def _refuse_misspelt(self, nodes: Collection[str]) -> None:
+        """Raise ConfigError on a section whose name is nearly that of a node."""
+        for section in self.sections:
+            near = difflib.get_close_matches(section.node, nodes, n=1, cutoff=SIMILAR)
+            if near and section.node not in nodes:
+                meant = f"{section.key.removesuffix(section.node)}{near[0]}"
+                raise ConfigError(
+                    f"{self.path}: section '{section.key}' is not one of a node of the loop: "
+                    f"did you mean '{meant}'?"
+                )
 
     def namespace_of(self, nodes: Collection[str]) -> str:
         """Return the one namespace that the file has these nodes in; ``/`` if it names none.
