@@ -25,7 +25,7 @@ from koop_core.config.yaml_file import read_yaml
 ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
-SIMILAR = 0.6  # of two names, from 0 to 1, from which on one is taken for the other misspelt
+SIMILAR = 0.7  # of two names, from 0 to 1, from which on one is taken for the other misspelt
 
 
 class Section(NamedTuple):
