@@ -31,7 +31,7 @@ def package(tmp_path, monkeypatch):
         "def mistake(commands):\n"
         "    commands.add_parser('mistake').set_defaults(func=lambda a: raise_(KoopError('no')))\n"
         "def fault(commands):\n"
-        "    commands.add_parser('fault').set_defaults(func=lambda a: numpy.eye(2) + numpy.eye(3))\n"
+        "    commands.add_parser('fault').set_defaults(func=lambda a: numpy.eye(2) @ numpy.eye(3))\n"
         "def hello(commands):\n"
         "    commands.add_parser('hello').set_defaults(func=lambda args: 7)\n"
         "def to_bag(commands):\n"
