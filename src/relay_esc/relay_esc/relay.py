@@ -165,28 +165,27 @@ def insight(p: RelayParams, state: RelayState) -> tuple[float, float, float]:
     return gradient, state.swing.noise, confidence(state.swing, p.lost)
 
 
+@njit(inline="always")
+def recall(
+    state: RelayState, rise: float, x: float, since_flip: int, primed: bool, swing: Swing
+) -> RelayState:
+    """Return the state with another memory of the cost; theta and its direction stay."""
+    return RelayState(
+        state.u, state.epsilon, rise, x, since_flip, primed, state.given, state.output, swing
+    )
+
+
 @njit()
 def hold(state: RelayState) -> RelayState:
     """Keep theta and the filter; the next cost is not a jump."""
-    return RelayState(
-        state.u,
-        state.epsilon,
-        state.cost_rise_filtered,
-        state.x_previous,
-        state.since_flip,
-        False,
-        state.given,
-        state.output,
-        state.swing,
-    )
+    rise, x = state.cost_rise_filtered, state.x_previous
+    return recall(state, rise, x, state.since_flip, False, state.swing)
 
 
 @njit()
 def restart(state: RelayState, since_flip: int, swing: Swing) -> RelayState:
     """Keep theta and its direction; the filter is reset, the dwell time begins."""
-    return RelayState(
-        state.u, state.epsilon, 0.0, 0.0, since_flip, False, state.given, state.output, swing
-    )
+    return recall(state, 0.0, 0.0, since_flip, False, swing)
 
 
 @njit(inline="always")
@@ -202,9 +201,7 @@ def take(p: RelayParams, state: RelayState, r: float) -> RelayState:
     rise = state.cost_rise_filtered
     if state.primed:
         rise = p.alpha * rise + (1.0 - p.alpha) * (p.sense * (x - state.x_previous))
-    return RelayState(
-        state.u, state.epsilon, rise, x, state.since_flip, True, state.given, state.output, swing
-    )
+    return recall(state, rise, x, state.since_flip, True, swing)
 
 
 @njit(inline="always")
@@ -266,17 +263,8 @@ def usable(p: RelayParams, r: float) -> bool:
 def wait(p: RelayParams, state: RelayState, r: float) -> RelayState:
     """Feed the filter with one cost, which may be unusable, while theta is still held."""
     after = take(p, state, r) if usable(p, r) else hold(state)
-    return RelayState(
-        state.u,
-        state.epsilon,
-        after.cost_rise_filtered,
-        after.x_previous,
-        state.since_flip + 1,
-        after.primed,
-        state.given,
-        state.output,
-        after.swing,
-    )
+    rise, x = after.cost_rise_filtered, after.x_previous
+    return recall(after, rise, x, state.since_flip + 1, after.primed, after.swing)
 
 
 @njit()
@@ -320,17 +308,8 @@ def respond(
     elif switched:
         state = restart(state, min(state.since_flip, 0), OPEN)
     elif settling:  # the filter still knows how the cost went before it was lost
-        state = RelayState(
-            state.u,
-            state.epsilon,
-            state.cost_rise_filtered,
-            state.x_previous,
-            min(state.since_flip, 0),
-            False,
-            state.given,
-            state.output,
-            state.swing,
-        )
+        rise, x = state.cost_rise_filtered, state.x_previous
+        state = recall(state, rise, x, min(state.since_flip, 0), False, state.swing)
     elif arrival == Arrival.RESUME:
         state = restart(state, min(state.since_flip, 0), forget_leg(state.swing))
     if outside(p, state) and not hold_asked:

@@ -123,6 +123,38 @@ OPEN = Swing(1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0, 0
 """Full step, nothing known; the relay of the paper never leaves it."""
 
 
+@njit(inline="always")
+def in_leg(
+    swing: Swing,
+    factor: float,
+    short: int,
+    level: float,
+    begin: float,
+    lowest: float,
+    cost: float,
+    rise: float,
+) -> Swing:
+    """Return the swing with another step and another leg; what earlier legs showed stays."""
+    return Swing(
+        factor,
+        swing.stretch,
+        level,
+        begin,
+        lowest,
+        swing.lowest_before,
+        swing.reference,
+        swing.noise,
+        swing.dip,
+        swing.legs,
+        short,
+        swing.turned,
+        swing.centre,
+        swing.centred,
+        cost,
+        rise,
+    )
+
+
 @njit()
 def follow(
     swing: Swing, alpha_level: float, x: float, alpha: float, cost: float, primed: bool
@@ -147,70 +179,22 @@ def follow(
     first = swing.lowest == math.inf
     level = x if first else alpha_level * swing.level + (1.0 - alpha_level) * x
     rise = alpha * swing.rise + (1.0 - alpha) * (cost - swing.cost) if primed else swing.rise
-    return Swing(
-        swing.factor,
-        swing.stretch,
-        level,
-        level if first else swing.begin,
-        min(swing.lowest, level),
-        swing.lowest_before,
-        swing.reference,
-        swing.noise,
-        swing.dip,
-        swing.legs,
-        swing.short,
-        swing.turned,
-        swing.centre,
-        swing.centred,
-        cost,
-        rise,
-    )
+    begin, lowest = level if first else swing.begin, min(swing.lowest, level)
+    return in_leg(swing, swing.factor, swing.short, level, begin, lowest, cost, rise)
 
 
 @njit()
 def forget_leg(swing: Swing) -> Swing:
     """Leave out what the cost did before a silence: level and rise begin with the next cost."""
-    return Swing(
-        swing.factor,
-        swing.stretch,
-        0.0,
-        0.0,
-        math.inf,
-        swing.lowest_before,
-        swing.reference,
-        swing.noise,
-        swing.dip,
-        swing.legs,
-        0,
-        swing.turned,
-        swing.centre,
-        swing.centred,
-        0.0,
-        0.0,
-    )
+    return in_leg(swing, swing.factor, 0, 0.0, 0.0, math.inf, 0.0, 0.0)
 
 
 @njit()
 def widen(swing: Swing) -> Swing:
     """Double the step: the leg is long."""
-    return Swing(
-        min(1.0, swing.factor * GROW),
-        swing.stretch,
-        swing.level,
-        swing.begin,
-        swing.lowest,
-        swing.lowest_before,
-        swing.reference,
-        swing.noise,
-        swing.dip,
-        swing.legs,
-        0,
-        swing.turned,
-        swing.centre,
-        swing.centred,
-        swing.cost,
-        swing.rise,
-    )
+    factor = min(1.0, swing.factor * GROW)
+    level, begin, lowest = swing.level, swing.begin, swing.lowest
+    return in_leg(swing, factor, 0, level, begin, lowest, swing.cost, swing.rise)
 
 
 @njit()
