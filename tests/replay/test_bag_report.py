@@ -107,7 +107,7 @@ def test_the_table_shows_every_signal_and_json_every_figure_of_it(capsys):
         shown = float(word)
         assert any(shown == pytest.approx(v, rel=1e-3, abs=tolerance) for v in known), word
     assert {line.split()[0] for line in printed.splitlines() if line} >= {
-        "x[0]", "x[1]", "r", "theta", "2000", "true",
+        "x[0]", "x[1]", "theta", "2000", "true",
     }  # fmt: skip
 
 

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
 from koop_core.errors import InputError, KoopError
-from koop_core.text_table import table
 from koop_identify.recording.loop import LoopRecord
 from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import Signals, loop_signals, read_signals
 from koop_lab.cli.source_options import reading_of
 from koop_lab.cli.tables import metrics_table, rig_table
-from koop_loop.metrics import LOGGING_START, TAIL, TOLERANCE, Metrics, evaluate
+from koop_loop.metrics import LOGGING_START, Metrics, evaluate
 from koop_loop.parameters import NODES, LoopParameters, make, with_model_beside
 from koop_loop.rig_metrics import RigMetrics, rig_metrics
 from koop_loop.static_map import performance
@@ -30,7 +29,7 @@ WHOLE = 0.99  # of the recorded time: figures that cover less say so
 
 
 @dataclass(frozen=True)
-class Run:
+class RunRecord:
     """A recorded run and what the bag says about how it was made.
 
     Attributes
@@ -68,7 +67,7 @@ def read(
     namespace: str = "/",
     model: Path | None = None,
     dt: float | None = None,
-) -> Run:
+) -> RunRecord:
     """Read a run, or a bag of any messages.
 
     Parameters
@@ -94,7 +93,7 @@ def read(
     given = load(model) if model is not None else None
     if reading is not None:
         signals = read_signals(path, reading, given.dt if given else None)
-        return Run(path, signals, None, None, False, given)
+        return RunRecord(path, signals, None, None, False, given)
     with BagReader(path) as bag:
         values = recorded_values(bag, path, namespace, NODES)
     recorded = {
@@ -111,33 +110,28 @@ def read(
             used = Models(path, named).load(model_id)
         except InputError:
             used = None
-    return Run(path, signals, loop, parameters, "vdp_plant" in recorded, used)
+    return RunRecord(path, signals, loop, parameters, "vdp_plant" in recorded, used)
 
 
 def metrics_of(
-    run: Run,
-    theta_star: float | None = None,
-    start: float | None = None,
-    tolerance: float = TOLERANCE,
+    run: RunRecord, theta_star: float | None, start: float, tolerance: float
 ) -> Metrics | None:
-    """Return the paper's metrics; None if nothing says what theta* is, or no theta was recorded."""
-    start = LOGGING_START if start is None else start
-    known, parameters = run.theta_star, run.parameters
-    wanted = known if theta_star is None else theta_star
-    if wanted is None or not run.signals.has_theta:
+    """Return the paper's metrics; None if theta* is not known, or no theta was recorded."""
+    signals, parameters = run.signals, run.parameters
+    if theta_star is None or not signals.has_theta:
         return None
     if run.loop is None or not run.loop.counts.get("cost"):
-        rows = np.isfinite(run.signals.theta)
-        t, theta, r = (x[rows] for x in (run.signals.t, run.signals.theta, run.signals.r))
-        return evaluate(t, theta, r, wanted, None, start, tolerance)
-    answered = run.loop.closed(run.path)
-    t, theta, r = answered.t(run.signals.dt), answered.theta, answered.r
-    if parameters is not None and wanted == known:
+        rows = np.isfinite(signals.theta)
+        t, theta, r = (x[rows] for x in (signals.t, signals.theta, signals.r))
+        return evaluate(t, theta, r, theta_star, None, start, tolerance)
+    closed = run.loop.closed(run.path)
+    t, theta, r = closed.t(signals.dt), closed.theta, closed.r
+    if parameters is not None and theta_star == run.theta_star:  # r* belongs to the plant's own
         lifted = parameters.lifter.cost == "lifted"
         if run.model or not lifted:
             model = run.model if lifted else None
             return performance(parameters, model, t, theta, r, start, tolerance)
-    return evaluate(t, theta, r, wanted, None, start, tolerance)
+    return evaluate(t, theta, r, theta_star, None, start, tolerance)
 
 
 def rig_metrics_of(
@@ -153,41 +147,36 @@ def rig_metrics_of(
     return metrics, signals.names + true
 
 
-def coverage(run: Run) -> dict[str, Any]:
-    """Return of how much of the recorded time the figures are."""
+def coverage(run: RunRecord) -> dict[str, Any]:
+    """Return how much of the recorded time the figures cover, in JSON terms."""
     signals = run.signals
     return {
         "covered": signals.covered,
         "recorded": signals.recorded,
         "whole": bool(signals.covered >= WHOLE * signals.recorded - signals.dt),
-        "states": int(signals.t.size),
-        "states_without_theta": int(np.count_nonzero(~np.isfinite(signals.theta))),
-        "states_without_cost": int(np.count_nonzero(~np.isfinite(signals.r))),
         "runs": run.loop.passes if run.loop else 1,
-        "from": float(signals.t[0]),
-        "to": float(signals.t[-1]),
     }
 
 
-def coverage_lines(run: Run) -> list[str]:
-    """Return in words of how much of the recorded time the figures are, and why not of all."""
+def describe_coverage(run: RunRecord) -> str:
+    """Return in words how much of the recorded time the figures cover, and why not all of it."""
     covers, signals = coverage(run), run.signals
     lines = [
         f"the figures cover {covers['covered']:.6g} of {covers['recorded']:.6g} s"
         + ("" if covers["whole"] else " ONLY")
     ]
-    if signals.has_theta and covers["states_without_theta"]:
-        known = signals.t[np.isfinite(signals.theta)]
+    has_theta = np.isfinite(signals.theta)
+    if signals.has_theta and not has_theta.all():
         lines.append(
-            f"theta is missing for {covers['states_without_theta']} of {covers['states']} states; "
-            f"it is there from {known[0]:.6g} to {known[-1]:.6g} s"
+            f"theta is missing for {np.count_nonzero(~has_theta)} of {has_theta.size} states; it "
+            f"is there from {signals.t[has_theta][0]:.6g} to {signals.t[has_theta][-1]:.6g} s"
         )
-    if covers["runs"] > 1 and run.loop is not None:
-        end = run.loop.step[-1]
+    if run.loop is not None and run.loop.passes > 1:
         lines.append(
-            f"the steps begin {covers['runs']} times: this is the longest run, to step {end}"
+            f"the steps begin {run.loop.passes} times: this is the longest run, to step "
+            f"{run.loop.step[-1]}"
         )
-    return lines
+    return "\n".join(lines)
 
 
 def run_figures(folder: Path, namespace: str) -> str:
@@ -197,93 +186,43 @@ def run_figures(folder: Path, namespace: str) -> str:
         rig, names = rig_metrics_of(run.signals)
     except KoopError as error:
         return f"no figures of the run: {error}"
-    return "\n".join([rig_table(rig, names), *coverage_lines(run)])
-
-
-def tail_figures(signals: Signals) -> dict[str, dict[str, float]]:
-    """Return mean, deviation and range of every signal over the last 30 % of the run."""
-    tail = slice(-max(1, round(TAIL * signals.t.size)), None)
-    columns = [*zip(signals.names, signals.x.T, strict=True)]
-    columns += [("r", signals.r), ("theta", signals.theta)]
-    found: dict[str, dict[str, float]] = {}
-    for name, values in columns:
-        part: NDArray[np.float64] = values[tail][np.isfinite(values[tail])]
-        if part.size:
-            shown = (part.mean(), part.std(), part.min(), part.max())
-            names = ("mean", "deviation", "least", "largest")
-            found[name] = dict(zip(names, map(float, shown), strict=True))
-    return found
-
-
-def signal_table(figures: dict[str, dict[str, float]]) -> str:
-    """Return the figures of :func:`tail_figures` as a table."""
-    rows = [[name, *(f"{value:.6g}" for value in row.values())] for name, row in figures.items()]
-    return table(["last 30 %", "mean", "deviation", "least", "largest"], rows)
+    return f"{rig_table(rig, names)}\n{describe_coverage(run)}"
 
 
 def metrics_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop bag metrics``; returns the exit code."""
     run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
+    signals, loop = run.signals, run.loop
+    cost = run.parameters.lifter.cost if run.parameters else "lifted"
+    theta_star = run.theta_star if args.theta_star is None else args.theta_star
+    start = LOGGING_START if args.start is None else args.start
     tolerance = TOLERANCE if args.tolerance is None else args.tolerance
-    metrics = metrics_of(run, args.theta_star, args.start, tolerance)
-    rig, names = rig_metrics_of(run.signals, args.window, args.start)
+    metrics = metrics_of(run, theta_star, start, tolerance)
+    rig, names = rig_metrics_of(signals, args.window, args.start)
+    rate = 0.0
+    if loop is not None and loop.duration > 0.0:
+        rate = (loop.counts["state"] - 1) / loop.duration
     if args.json:
-        figures = _as_dict(run, metrics, args.theta_star, args.start, tolerance)
-        print(json.dumps({**figures, **rig.as_dict(names)}, indent=1))
+        figures: dict[str, Any] = {"steps": int(signals.t.size), "dt": signals.dt}
+        if loop is not None:
+            figures |= {"steps": loop.counts["state"], "rate_hz": rate, "lost": loop.lost}
+        if metrics is not None:
+            start = start if signals.t[-1] > start else float(signals.t[0])
+            figures |= {**metrics.as_dict(), "cost": cost, "theta_star": theta_star}
+            figures |= {"tolerance": tolerance, "start": start}
+        figures |= {**rig.as_dict(names), "coverage": coverage(run), "way": signals.way}
+        print(json.dumps(figures, indent=1))
         return 0
     if metrics is not None:
-        print(metrics_table(metrics, _cost_name(run), run.simulated) + "\n")
+        print(metrics_table(metrics, cost, run.simulated) + "\n")
     print(rig_table(rig, names) + "\n")
-    print(signal_table(tail_figures(run.signals)) + "\n")
-    if run.loop is not None:
-        lost = ", ".join(f"{count} on {topic}" for topic, count in run.loop.lost.items() if count)
-        rate = _rate(run.loop)
-        print(f"{run.loop.counts['state']} states, {rate:.1f} /s; lost: {lost or 'none'}")
-    else:
-        print(f"{run.signals.t.size} states, one each {run.signals.dt:g} s ({run.signals.way})")
-    print("\n".join(coverage_lines(run)))
-    return 0
-
-
-def _as_dict(
-    run: Run,
-    metrics: Metrics | None,
-    theta_star: float | None,
-    start: float | None,
-    tolerance: float,
-) -> dict[str, Any]:
-    """Return the figures of a run in JSON terms, but those of the rig."""
-    signals, loop = run.signals, run.loop
-    paper: dict[str, Any] = {}
-    if metrics is not None:
-        start = LOGGING_START if start is None else start
-        paper = {
-            **metrics.as_dict(),
-            "cost": _cost_name(run),
-            "theta_star": run.theta_star if theta_star is None else theta_star,
-            "tolerance": tolerance,
-            "start": start if signals.t[-1] > start else float(signals.t[0]),
-        }
-    counts: dict[str, Any] = {"steps": int(signals.t.size)}
     if loop is not None:
-        counts = {"steps": loop.counts["state"], "rate_hz": _rate(loop), "lost": loop.lost}
-    return {
-        **paper,
-        **counts,
-        "last_30_percent": tail_figures(signals),
-        "coverage": coverage(run),
-        "way": signals.way,
-        "dt": signals.dt,
-    }
-
-
-def _cost_name(run: Run) -> str:
-    return run.parameters.lifter.cost if run.parameters else "lifted"
-
-
-def _rate(loop: LoopRecord) -> float:
-    """Return the states received per second of wall-clock time."""
-    return (loop.counts["state"] - 1) / loop.duration if loop.duration > 0.0 else 0.0
+        lost = ", ".join(f"{count} on {topic}" for topic, count in loop.lost.items() if count)
+        print(f"{loop.counts['state']} states, {rate:.1f} /s; lost: {lost or 'none'}")
+    else:
+        print(f"{signals.t.size} states, one each {signals.dt:g} s ({signals.way})")
+    print(describe_coverage(run))
+    return 0
 
 
 def plot_main(args: argparse.Namespace) -> int:
@@ -299,12 +238,12 @@ def plot_main(args: argparse.Namespace) -> int:
     out = args.out or folder / "report.png"
     plot_report(out, run.signals, costs, windows, run.model, run.theta_star, f"{args.run}")
     print(f"written to {out}")
-    print("\n".join(coverage_lines(run)))
+    print(describe_coverage(run))
     return 0
 
 
 def costs_of(
-    run: Run, model: Path | None = None
+    run: RunRecord, model: Path | None = None
 ) -> tuple[LoopParameters, dict[str, NDArray[np.float64]]]:
     """Return the settings of a run, and its costs by name: as computed, and as recorded.
 
