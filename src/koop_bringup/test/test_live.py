@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -12,11 +13,13 @@ from koop_bringup.live.process import NodeProcess
 # Ends when it is told to, and until then lets its parent be told once more.
 ENDS_LATE = """
 import os, signal, sys
+from koop_node.process.lifeline import end_with_parent
 def on_signal(number, frame):
     os.kill(os.getppid(), signal.SIGINT)
     print("ended", flush=True)
     sys.exit(0)
 signal.signal(signal.SIGINT, on_signal)
+end_with_parent()
 print("started", flush=True)
 while True:
     signal.pause()
@@ -36,6 +39,16 @@ def test_ctrl_c_that_comes_again_does_not_keep_a_node_from_being_stopped(tmp_pat
         pytest.fail("the second Ctrl-C ended the stopping, not the node")
     assert "ended" in log.read_text()
     assert signal.getsignal(signal.SIGINT) is handler
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.06, 0.1])
+def test_a_node_that_is_stopped_before_it_has_started_ends_as_any_other(tmp_path, delay):
+    """Python itself would print a traceback, and end with exit code 1 or -2."""
+    node = NodeProcess("relay_esc", [], tmp_path / "node.log")
+    time.sleep(delay)  # of its start, which shows nothing that could be waited for
+    assert node.stop() == 0
+    assert node.last_lines() == ""
 
 
 def test_a_node_is_out_of_reach_of_ctrl_c_and_shares_the_processors_with_its_starter(tmp_path):

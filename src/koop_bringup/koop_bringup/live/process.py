@@ -18,7 +18,7 @@ from typing import Any
 from koop_core.errors import LiveError
 from koop_loop.ending import told
 from koop_loop.parameters import CONTAINER, EXECUTABLES
-from koop_node.process.lifeline import TIED
+from koop_node.process.lifeline import TIED, deferred_signals
 
 START_TIMEOUT = 60.0  # [s] for imports and, the first time, for the compilation of the kernels
 STOP_TIMEOUT = 10.0  # [s] after which a node that ignores SIGINT is killed
@@ -80,7 +80,8 @@ class TiedProcess(subprocess.Popen[bytes]):
         weakref.finalize(self, os.close, writer)
         try:
             env = {**(os.environ if environment is None else environment), **TIED}
-            super().__init__(command, stdin=reader, env=env, **options)
+            with deferred_signals():
+                super().__init__(command, stdin=reader, env=env, **options)
         finally:
             os.close(reader)
 

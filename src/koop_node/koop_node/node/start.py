@@ -7,6 +7,8 @@ import os
 import signal
 from types import FrameType
 
+from koop_node.process.lifeline import take_signals
+
 
 def start(module: str) -> None:
     """Run ``main`` of a module; SIGINT and SIGTERM end the process cleanly while it is imported.
@@ -20,4 +22,5 @@ def start(module: str) -> None:
 
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
+    take_signals()
     importlib.import_module(module).main()

@@ -14,15 +14,40 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 VARIABLE = "KOOP_LIFELINE"
 TIED = {VARIABLE: "stdin"}  # to be added to the environment of a process whose stdin is a pipe
+DEFERRED = {signal.SIGINT, signal.SIGTERM}
 PATIENCE = 20.0  # [s] after which a process that does not stop is killed
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
+@contextmanager
+def deferred_signals() -> Iterator[None]:
+    """Let SIGINT and SIGTERM wait, in a process that is started here, until it handles them.
+
+    Before a line of ours runs, Python would print a traceback and end with exit code 1 or -2.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, DEFERRED)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def take_signals() -> None:
+    """Take the signals that waited: their handlers are in place."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, DEFERRED)
+
+
 def end_with_parent() -> None:
-    """End this process when the one that started it has ended, if that asked for it."""
+    """End this process when the one that started it has ended, if that asked for it.
+
+    To be called when the handlers of its signals are in place.
+    """
+    take_signals()
     if os.environ.get(VARIABLE) != TIED[VARIABLE]:
         return
     if sys.platform == "linux":  # one that was stopped by SIGSTOP would see nothing
