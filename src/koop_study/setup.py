@@ -27,7 +27,7 @@ setup(
         "scipy",
         "tqdm",
     ],
-    extras_require={"test": ["dask", "koop_lab", "pytest"], "workers": ["dask", "distributed"]},
+    extras_require={"test": ["koop_lab", "dask", "pytest"], "workers": ["dask", "distributed"]},
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.errors import InputError, KoopError
 from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import NOTHING, Arrival
 from koop_loop.kernel import Controller, Memory, classify, control
@@ -31,7 +32,7 @@ from vdp_plant.dynamics import PlantParams
 from vdp_plant.waves import Waves
 
 
-class LoopDiverged(ArithmeticError):
+class LoopDiverged(KoopError, ArithmeticError):
     """The plant's state left the finite numbers; the message says when."""
 
 
@@ -257,18 +258,18 @@ def check_fit(
     ``channels`` is how many of the plant's two states the lifter is given.
     """
     if not plant.dt == lifter.dt == esc.dt:
-        raise ValueError(f"dt differs: plant {plant.dt}, lifter {lifter.dt}, esc {esc.dt} s")
+        raise InputError(f"dt differs: plant {plant.dt}, lifter {lifter.dt}, esc {esc.dt} s")
     if plant.theta_initial != esc.theta_initial:
-        raise ValueError(
+        raise InputError(
             f"theta_initial differs: plant {plant.theta_initial}, esc {esc.theta_initial}"
         )
     if model is None:
         if lifter.cost == "lifted":
-            raise ValueError("the lifted cost needs a model")
+            raise InputError("the lifted cost needs a model")
         return
     if model.delays.channels != channels:
-        raise ValueError(
+        raise InputError(
             f"the model is for {model.delays.channels} channels, the plant gives {channels}"
         )
     if model.dt != plant.dt:
-        raise ValueError(f"the model was trained at dt = {model.dt} s, the loop runs at {plant.dt}")
+        raise InputError(f"the model was trained at dt = {model.dt} s, the loop runs at {plant.dt}")

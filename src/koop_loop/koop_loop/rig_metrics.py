@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.errors import InputError
 from koop_loop.metrics import TAIL
 from koop_loop.oscillation import amplitude
 from koopman_lifter.delays import dominant_period
@@ -131,7 +132,7 @@ def rig_metrics(
         theta = None if theta is None else theta[kept]
         limited = None if limited is None else limited[kept]
     if t.size < 16:
-        raise ValueError(
+        raise InputError(
             f"{t.size} states" + ("" if start is None else f" from {start:g} s on") + " are too few"
         )
     dt = float(np.median(np.diff(t)))
@@ -140,7 +141,7 @@ def rig_metrics(
         window = _usual_window(x, dt, span)
     window = max(window, SHORTEST * dt)
     if window > 0.5 * span:
-        raise ValueError(f"--window {window:g} s: the run has {span:g} s, choose less than half")
+        raise InputError(f"--window {window:g} s: the run has {span:g} s, choose less than half")
     before_to = _first_move(t, theta)
     if before_to is None or before_to - t[0] < window:
         before_to = float(t[0]) + window

@@ -46,7 +46,7 @@ class BagReading:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.held_out <= 0.5:
-            raise ValueError(f"held-out share {self.held_out:g}: must be 0 to 0.5")
+            raise InputError(f"held-out share {self.held_out:g}: must be 0 to 0.5")
         for name, value in (("dt", self.dt), ("gap", self.gap)):
             if value is not None and not 0.0 < value < 1e6:
                 raise InputError(f"{name} = {value:g} s: must be positive")

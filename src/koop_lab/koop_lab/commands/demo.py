@@ -16,6 +16,7 @@ from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Progress
 from koop_bringup.live.served import add_serve_option, served
 from koop_core.config.parameter import ConfigError
+from koop_core.errors import InputError
 from koop_identify.recording.loop import LoopRecord
 from koop_identify.recording.signals import loop_signals
 from koop_lab.cli.loop_options import add_loop_options, given_values
@@ -135,7 +136,7 @@ def run_with_progress(
         What a reader of the results should know.
     """
     if (folder / "bag").exists():
-        raise ValueError(f"{folder} holds a recording already: choose another --out")
+        raise InputError(f"{folder} holds a recording already: choose another --out")
     dt = parameters.plant.dt
     steps = round(parameters.pace.duration / dt)
     started = time.monotonic()

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.column_diff import column_diff
+from koop_core.errors import InputError
 from koop_loop.loop import LoopResult, simulate
 from koop_study.experiments.closed_loop import ClosedLoopConfig
 from koop_study.simulation.case import Case, model_of
@@ -69,7 +70,7 @@ def headline(name: str, case: Case) -> Headline:
         If the nodes have no such disturbance.
     """
     if case.scenario != Case().scenario:
-        raise ValueError(
+        raise InputError(
             f"the nodes cannot run '{name}': it needs more than plant, lifter and relay"
         )
     model = model_of(case)

@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Progress
+from koop_core.errors import InputError
 from koop_identify.recording.loop import LoopRecord, read_run
 from koop_loop.parameters import LoopParameters
 from koop_study.experiments.kinds import Experiment
@@ -110,7 +111,7 @@ def _run(run: Headline, folder: Path) -> LoopRecord:
             loop.run(show)
     recorded = read_run(folder / "bag")
     if not made and recorded.step.size < run.steps:
-        raise ValueError(
+        raise InputError(
             f"{folder} holds the first {recorded.step.size} of {run.steps} steps of a run that was "
             "broken off: remove it to run it again"
         )
