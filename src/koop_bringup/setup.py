@@ -28,6 +28,6 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="What starts nodes: launch file, plan, running loops; configurations and viewer layouts.",
+    description="What starts the nodes: launch file, plan, running loops; viewer layouts.",
     license="Apache-2.0",
 )

@@ -16,7 +16,7 @@ setup(
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
-    description="The ROS glue of the nodes: parameters, lifecycle, QoS, diagnostics, processes, clients.",
+    description="The ROS glue of the nodes: parameters, lifecycle, QoS, diagnostics, clients.",
     license="Apache-2.0",
     entry_points={"console_scripts": ["container = koop_node.node.executable:main"]},
 )

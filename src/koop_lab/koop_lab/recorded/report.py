@@ -19,7 +19,7 @@ from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import Signals, loop_signals, read_signals
 from koop_lab.cli.source_options import reading_of
 from koop_lab.cli.tables import metrics_table, rig_table
-from koop_loop.metrics import LOGGING_START, Metrics, evaluate
+from koop_loop.metrics import LOGGING_START, TOLERANCE, Metrics, evaluate
 from koop_loop.parameters import NODES, LoopParameters, make, with_model_beside
 from koop_loop.rig_metrics import RigMetrics, rig_metrics
 from koop_loop.static_map import performance
