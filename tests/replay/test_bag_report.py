@@ -12,7 +12,6 @@ from rosbags.highlevel import AnyReader
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
-from koop_identify.model.settled_windows import windows_of
 from koop_identify.recording.loop import read_run
 from koop_lab.cli.main import parser
 from koop_lab.commands.simulate import run as simulate
@@ -21,7 +20,7 @@ from koop_lab.recorded.report import costs_of, read
 from koop_loop import parameters
 from koop_loop.metrics import PAPER
 from koop_loop.parameters import make
-from koopman_lifter.config import LifterConfig, shipped_model
+from koopman_lifter.config import shipped_model
 
 LOOP = {
     "/state": "koop_msgs/msg/MeasuredState",
@@ -121,10 +120,10 @@ def test_the_plot_is_written(tmp_path, capsys):
 def test_a_cost_under_the_recorded_model_and_settings_is_the_recorded_one():
     """As computed for the page where a model is named."""
     run = read(RUN)
-    _, costs = costs_of(run, shipped_model())
+    costs = costs_of(run, shipped_model())
     assert list(costs) == [f"r under {run.model.model_id}", "recorded r"]
     assert np.array_equal(costs[f"r under {run.model.model_id}"], run.signals.r)
-    assert list(costs_of(run)[1]) == ["recorded r"]
+    assert list(costs_of(run)) == ["recorded r"]
 
 
 def test_a_run_without_a_model_and_with_holes_is_drawn_too(tmp_path):
@@ -132,7 +131,6 @@ def test_a_run_without_a_model_and_with_holes_is_drawn_too(tmp_path):
     assert run.model is not None
     assert run.model.model_id == read(RUN / "bag").model.model_id
     run.signals.x[100:130] = np.nan
-    windows = windows_of(run.signals, run.signals.r, LifterConfig(omega_l=30.0))
     costs = {"r": run.signals.r}
-    plot_report(tmp_path / "report.png", run.signals, costs, windows, None, None, "holes")
+    plot_report(tmp_path / "report.png", run.signals, costs, None, None, "holes")
     assert (tmp_path / "report.png").stat().st_size > 10_000

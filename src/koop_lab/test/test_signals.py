@@ -11,12 +11,11 @@ from scipy.linalg import expm
 
 from koop_core.config import parameter_file
 from koop_core.stream.arrival import Arrival
-from koop_identify.model.settled_windows import windows_of
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import read_signals
 from koop_lab.cli.main import main
-from koop_lab.plots.views import draw_cost_by_theta, frequencies, mark_modes
+from koop_lab.plots.report import frequencies, mark_modes
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.edmd import Gram
@@ -313,15 +312,6 @@ def test_the_modes_are_marked_where_the_oscillator_oscillates():
     assert [line.get_xdata()[0] for line in axis.lines] == pytest.approx([1.0 / np.pi], abs=1e-8)
     assert [text.get_text() for text in axis.texts] == ["0.318"]
     assert axis.lines[0].get_label() == "mode kept (1 at 0 Hz)"
-
-
-def test_a_view_that_cannot_be_drawn_says_why(joints):
-    without = read_signals(joints, reading(JOINTS))
-    windows = windows_of(without, without.r, LifterConfig(dt=DT))
-    axis = panel()
-    draw_cost_by_theta(axis, windows)
-    assert "theta is not in the recording" in axis.texts[0].get_text()
-    assert windows.amplitude.shape == (2, 20)
 
 
 def test_the_page_of_any_bag_is_drawn_under_a_model(pressure, model, tmp_path, capsys):

@@ -36,7 +36,7 @@ def register(commands: Any) -> None:
 
     plot = bag.add_parser(
         "plot",
-        help="a page: signals, spectra, the model's modes, cost and oscillation against theta",
+        help="a page: signals over time, spectra, the model's modes",
     )
     _add_run_options(plot)
     text = "png, svg or pdf (default: report.png in RUN)"

@@ -1,4 +1,4 @@
-"""One page about a recorded run: signals over time, eigenvalues, spectra, cost by theta."""
+"""One page about a recorded run: signals over time, spectra and the modes of its model."""
 
 from __future__ import annotations
 
@@ -7,21 +7,23 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import spectrogram
+from scipy.signal import spectrogram, welch
 
 matplotlib.use("Agg")  # a file is written: no display is needed or looked for
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-from koop_identify.model.settled_windows import Windows
+from koop_identify.recording.loaded import pieces
 from koop_identify.recording.signals import Signals
 from koop_lab.plots.signals import Named, draw_signals, envelope
-from koop_lab.plots.views import draw_amplitude_by_theta, draw_cost_by_theta, draw_spectrum, say
 from koopman_lifter.model import KoopmanModel
 
 FLOOR = -60.0  # [dB] below the largest value, where the colours of the spectrogram end
 SPARSE = 10  # steps a state, above which a gap is not a gap any more
 POWER = 0.999  # share of the power that the frequency axis shows
+SEGMENTS = 8  # of Welch's method
+NAMED = 6  # modes whose frequency is written down
+DEEP = 1e-8  # of the largest power of a spectrum, below which nothing is drawn
 TRANSIENT = 0.04  # share of the run that the axes of state and cost need not fit
 
 
@@ -29,7 +31,6 @@ def plot_report(
     path: Path,
     run: Signals,
     costs: Named,
-    windows: Windows,
     model: KoopmanModel | None,
     theta_star: float | None,
     title: str,
@@ -44,8 +45,6 @@ def plot_report(
         What to draw.
     costs : mapping of str to ndarray, shape (M,)
         One or two, by their names.
-    windows : Windows
-        Settled windows, with the first of the costs.
     model : KoopmanModel or None
         Its eigenvalues and frequencies are shown.
     theta_star : float or None
@@ -54,9 +53,9 @@ def plot_report(
         Heading.
     """
     t = run.t
-    figure = plt.figure(figsize=(16, 13), layout="constrained")
+    figure = plt.figure(figsize=(16, 9), layout="constrained")
     figure.suptitle(title)
-    grid = figure.add_gridspec(9, 6)
+    grid = figure.add_gridspec(6, 6)
     state = figure.add_subplot(grid[0:2, :4])
     cost = figure.add_subplot(grid[2, :4], sharex=state)
     theta = figure.add_subplot(grid[3, :4], sharex=state)
@@ -70,10 +69,8 @@ def plot_report(
         _draw_swing(theta.twinx(), t, run.swing)
     picture = figure.add_subplot(grid[4:6, :4], sharex=state)
     _draw_spectrogram(picture, t, run.x[:, 0], run.dt, run.names[0])
-    _draw_eigenvalues(figure.add_subplot(grid[:6, 4:]), model)
-    draw_spectrum(figure.add_subplot(grid[6:, :2]), run, model)
-    draw_cost_by_theta(figure.add_subplot(grid[6:, 2:4]), windows)
-    draw_amplitude_by_theta(figure.add_subplot(grid[6:, 4:]), windows, run.names)
+    _draw_eigenvalues(figure.add_subplot(grid[:3, 4:]), model)
+    _draw_spectrum(figure.add_subplot(grid[3:, 4:]), run, model)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
@@ -132,3 +129,65 @@ def _draw_eigenvalues(axis: Axes, model: KoopmanModel | None) -> None:
     axis.set_ylabel("Im λ")
     axis.grid(alpha=0.3)
     axis.legend(loc="lower left")
+
+
+def frequencies(model: KoopmanModel) -> NDArray[np.float64]:
+    """Return the frequency of each mode [Hz]: |arg lambda| / (2 pi dt)."""
+    return np.asarray(np.abs(np.angle(model.eigenvalues)) / (2.0 * np.pi * model.dt))
+
+
+def _longest_piece(signals: Signals) -> NDArray[np.float64]:
+    """Return the states of the longest piece without a gap or a hole, shape (L, n)."""
+    cut = signals.begins | ~np.isfinite(signals.x).all(axis=1)
+    cut[:1] = True
+    longest = max(pieces(cut), key=lambda piece: piece.stop - piece.start, default=slice(0))
+    piece = signals.x[longest]
+    return np.asarray(piece[np.isfinite(piece).all(axis=1)])
+
+
+def _draw_spectrum(axis: Axes, signals: Signals, model: KoopmanModel | None) -> None:
+    """Draw the spectral density of every channel, and where the modes of a model lie."""
+    x = _longest_piece(signals)
+    axis.set_title("spectrum of each channel" + (", modes marked" if model is not None else ""))
+    axis.set_xlabel("frequency [Hz]")
+    axis.set_ylabel("share of the variance [1/Hz]")
+    if x.shape[0] < 64:
+        return say(axis, "too short for a spectrum")
+    size = max(64, 2 * x.shape[0] // (SEGMENTS + 1))
+    least = most = 1.0
+    for name, values in zip(signals.names, x.T, strict=True):
+        frequency, power = welch(values, 1.0 / signals.dt, nperseg=size, detrend="linear")
+        density = power[1:] / (values.var() or 1.0)
+        axis.loglog(frequency[1:], density, linewidth=0.9, label=name)
+        most = max(most, float(density.max()))
+        least = min(least, float(density.min()))
+    axis.set_ylim(max(least, DEEP * most), 3.0 * most)
+    axis.set_xlim(frequency[1], frequency[-1])
+    if model is not None:
+        mark_modes(axis, model)
+    axis.legend(loc="lower left", fontsize="small")
+    axis.grid(alpha=0.3)
+
+
+def mark_modes(axis: Axes, model: KoopmanModel) -> None:
+    """Draw a line at each mode's frequency: kept ones solid, with the frequency; others dotted."""
+    where = frequencies(model)
+    for kept, style in ((False, "dotted"), (True, "solid")):
+        known = np.unique(where[(model.kept == kept) & (where > 0.0)].round(9))
+        slow = int(np.count_nonzero((model.kept == kept) & (where == 0.0)))
+        label = f"mode {'kept' if kept else 'left out'}" + (f" ({slow} at 0 Hz)" if slow else "")
+        for i, value in enumerate(known):
+            axis.axvline(
+                value, color="C3", linestyle=style, linewidth=0.9, label=None if i else label
+            )
+        for i, value in enumerate(known[:NAMED] if kept else ()):
+            axis.annotate(
+                f"{value:.3g}", (value, 1.0), xycoords=("data", "axes fraction"),
+                xytext=(2, -10 - 10 * (i % 3)), textcoords="offset points", fontsize="x-small",
+                color="C3",
+            )  # fmt: skip
+
+
+def say(axis: Axes, text: str) -> None:
+    """Write why nothing is drawn."""
+    axis.text(0.5, 0.5, text, ha="center", transform=axis.transAxes)

@@ -228,29 +228,28 @@ def metrics_main(args: argparse.Namespace) -> int:
 def plot_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop bag plot``; returns the exit code."""
     # matplotlib takes half a second to import
-    from koop_identify.model.settled_windows import windows_of
     from koop_lab.plots.report import plot_report
 
     run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
-    parameters, costs = costs_of(run, args.model)
-    windows = windows_of(run.signals, next(iter(costs.values())), parameters.lifter)
+    costs = costs_of(run, args.model)
     folder = args.run if args.run.is_dir() else args.run.parent
     out = args.out or folder / "report.png"
-    plot_report(out, run.signals, costs, windows, run.model, run.theta_star, f"{args.run}")
+    plot_report(out, run.signals, costs, run.model, run.theta_star, f"{args.run}")
     print(f"written to {out}")
     print(describe_coverage(run))
     return 0
 
 
-def costs_of(
-    run: RunRecord, model: Path | None = None
-) -> tuple[LoopParameters, dict[str, NDArray[np.float64]]]:
-    """Return the settings of a run, and its costs by name: as computed, and as recorded.
+def costs_of(run: RunRecord, model: Path | None = None) -> dict[str, NDArray[np.float64]]:
+    """Return the costs of a run by name: as computed, and as recorded.
 
     One is computed where a model is given or none was recorded; without a model it is raw.
     """
     from koop_lab.replay import open_loop
 
+    costs = {"recorded r": run.signals.r} if run.signals.has_r else {}
+    if costs and model is None:
+        return costs
     recorded = run.parameters.as_ros() if run.parameters is not None else {}
     for folder in (run.path.parent, run.path):  # of a bag in its run, or of the run
         recorded = with_model_beside(folder / "parameters.yaml", recorded)
@@ -258,10 +257,7 @@ def costs_of(
     parameters = open_loop.settings(
         run.signals.dt, file, recorded=recorded, lifted=run.model is not None
     )
-    costs = {"recorded r": run.signals.r} if run.signals.has_r else {}
-    if costs and model is None:
-        return parameters, costs
     r = open_loop.answer(run.signals, parameters, f"the state in {run.path}").r
     lifted = parameters.lifter.cost == "lifted" and run.model is not None
     name = f"r under {run.model.model_id}" if lifted and run.model else "raw r"
-    return parameters, {name: r, **costs}
+    return {name: r, **costs}
