@@ -8,12 +8,17 @@ as they are, and `all` is every scenario:
 
 import json
 import os
+import re
 from dataclasses import replace
 
 import pytest
+from koop_msgs.msg import MeasuredState
 
-from koop_hil.run import run
-from koop_hil.scenario import find, read, shipped
+from koop_core.errors import LiveError
+from koop_hil import report
+from koop_hil.run import run, run_here
+from koop_hil.scenario import find, parse, read, shipped
+from koop_hil.supervisor import Supervisor
 
 NAMES = [path.stem for path in shipped()]
 FIGURES = ("tail_error", "max_error", "time_out_of_tolerance", "unrecorded")
@@ -56,3 +61,37 @@ def test_the_scenario_passes(scenario, tmp_path, record_property):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_scenario_file_is_valid(name):
     assert read(find(name)).setting.description
+
+
+def paper_rig(tmp_path, **content):
+    """Return a scenario of the paper's rig, without events."""
+    return parse("rig", {"time_scale": 10, "plant": "paper", **content}, tmp_path)
+
+
+@pytest.mark.ros
+def test_a_rig_that_ends_at_once_fails_the_scenario_with_its_last_lines(tmp_path, monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", "<CycloneDDS><Nonsense/></CycloneDDS>")
+    (failure,) = run_here(paper_rig(tmp_path), tmp_path).failures
+    assert re.search(r"plant ended with exit code 1:(.*\n)*.*DDSException", failure)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("topic", ["theta", "ground_truth"])
+def test_a_scenario_does_not_start_beside_another_publisher(tmp_path, probe, topic):
+    probe.node.create_publisher(MeasuredState, topic, 10)
+    verdict = run_here(paper_rig(tmp_path), tmp_path)
+    assert "another loop runs on ROS domain" in verdict.failures[0]
+    assert not (tmp_path / "bag").exists()
+    assert report.line(verdict).split() == ["rig", "FAILED"]
+
+
+@pytest.mark.ros
+def test_a_publisher_that_comes_later_fails_the_scenario(tmp_path, probe):
+    shown = []
+
+    def come(t, text):
+        if not shown:
+            shown.append(probe.node.create_publisher(MeasuredState, "state", 10))
+
+    with pytest.raises(LiveError, match="2 publishers on 'state', 1 of this run"):
+        Supervisor(paper_rig(tmp_path, duration=3000.0), tmp_path, come).run()

@@ -10,8 +10,6 @@ from koop_bag.recorder.run_folder import default_folder
 from koop_core.config.parameter import ConfigError
 from koop_core.config.yaml_file import one_setting
 from koop_hil import report
-from koop_hil.commission import commission_rig, publish, row
-from koop_hil.excite import record_excitation
 from koop_hil.run import run
 from koop_hil.scenario import find, read, shipped, with_controller, with_parameter
 from koop_identify.recording.recorded_parameters import CONTROLLER
@@ -41,19 +39,6 @@ def register(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: recordings/TIME-hil")
     parser.add_argument("--table", type=Path, metavar="FILE", help="also write a Markdown table")
-    parser.add_argument(
-        "--excite",
-        type=float,
-        metavar="S",
-        help="no controller: move theta over its range and record, for this simulated time at "
-        "most, as 'koop excite' does",
-    )
-    parser.add_argument(
-        "--commission", type=float, metavar="S",
-        help="no scenario: commission its rig as 'koop commission' does, of which this simulated "
-        "time at most to excite it; with --table, the rows between the marks of a Markdown file; "
-        "the same command with the same --out goes on",
-    )  # fmt: skip
     parser.set_defaults(func=main)
 
 
@@ -71,8 +56,6 @@ def main(args: argparse.Namespace) -> int:
         raise ConfigError("name a scenario, or --all; --list shows them")
     scenarios = [read(path) for path in paths]  # a bad file is reported before an hour has passed
     if args.controller is not None:
-        if args.excite is not None or args.commission is not None:
-            raise ConfigError("--controller: of a scenario, not of --excite or --commission")
         file, _ = find_controller(args.controller)
         scenarios = [with_controller(item, file) for item in scenarios]
     for text in args.settings:
@@ -80,18 +63,6 @@ def main(args: argparse.Namespace) -> int:
         build({node: {parameter: value}})  # names what is wrong
         scenarios = [with_parameter(item, node, parameter, value) for item in scenarios]
     out = args.out or default_folder("hil")
-    if args.excite is not None:
-        for scenario in scenarios:
-            print(record_excitation(scenario, out / scenario.name, args.excite))
-        return 0
-    if args.commission is not None:
-        codes = []
-        for scenario in scenarios:
-            print(f"\n=== {scenario.name}: {scenario.setting.description}", flush=True)
-            codes.append(commission_rig(scenario, out / scenario.name, args.commission))
-        if args.table:
-            publish([row(item, out / item.name) for item in scenarios], args.table)
-        return max(codes)
     verdicts = []
     for number in range(args.repeat):
         for scenario in scenarios:

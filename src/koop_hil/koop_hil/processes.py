@@ -10,6 +10,7 @@ from pathlib import Path
 
 from koop_bringup.live.process import NodeProcess
 from koop_core.config import parameter_file
+from koop_core.errors import LiveError
 from koop_hil import installed
 from koop_hil.hosts import OtherHost
 from koop_hil.scenario import SECOND, Scenario
@@ -38,8 +39,6 @@ class Processes:
         Of the run: bag, logs, parameters.
     scenario : Scenario
         What to run.
-    controlled : bool
-        Whether lifter, controller and recorder are started too.
     other_host : OtherHost, optional
         Where the scenario's remote process runs.
     """
@@ -48,11 +47,9 @@ class Processes:
         self,
         folder: Path,
         scenario: Scenario,
-        controlled: bool = True,
         other_host: OtherHost | None = None,
     ) -> None:
         self._folder = folder
-        self._controlled = controlled
         self._scenario = scenario
         self._other_host = other_host
         self._running: dict[str, NodeProcess] = {}
@@ -80,13 +77,11 @@ class Processes:
         self.close()
 
     def _wanted(self, name: str) -> bool:
-        if name == "plant":
-            return True
         optional = {
             "fault_injector": self._scenario.injects,
             SECOND: self._scenario.second_controller,
         }
-        return self._controlled and optional.get(name, True)
+        return optional.get(name, True)
 
     def start(self, name: str) -> None:
         """Start a process of the scenario."""
@@ -110,6 +105,11 @@ class Processes:
     def dead(self) -> list[str]:
         """Return the processes that ended on their own."""
         return [name for name, process in self._running.items() if process.poll() is not None]
+
+    def refuse_dead(self) -> None:
+        """Raise LiveError if a process ended on its own."""
+        for name in self.dead():
+            raise LiveError(self.end(name))
 
     def memory(self) -> dict[str, float]:
         """Return the resident memory of every process [MB]."""
@@ -160,11 +160,11 @@ class Processes:
         return given
 
     def _command(self, name: str) -> tuple[list[str], list[str] | None]:
-        setting, injects = self._scenario.setting, self._controlled and self._scenario.injects
-        topics = {"state": "rig/state", "theta": "rig/theta"} if injects else {}
+        setting = self._scenario.setting
+        topics = {"state": "rig/state", "theta": "rig/theta"} if self._scenario.injects else {}
         if self._scenario.sensor_topic:
             topics["state"] = self._scenario.sensor_topic
-        if self._controlled and self._scenario.command_topic:
+        if self._scenario.command_topic:
             topics["theta"] = self._scenario.command_topic
         if name == "recorder":
             return ["--ros-args", "-p", f"output:={self._folder}"], None
@@ -181,7 +181,7 @@ class Processes:
         options = {
             "scale": setting.time_scale,
             "theta-initial": setting.theta_initial,
-            "readers": 1 + self._controlled,  # the recorder, and who answers
+            "readers": 2,  # the recorder and the lifter
             "seed": setting.seed,
             **topics,
         }

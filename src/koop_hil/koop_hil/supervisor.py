@@ -86,10 +86,11 @@ class Supervisor:
             processes = stack.enter_context(
                 Processes(self._folder, self._scenario, other_host=self._other_host)
             )
-            wait_until(
+            monitor.wait_for(
                 lambda: "step" in monitor.progress.values.get("koopman_lifter", {}),
-                monitor,
-                processes,
+                START_TIMEOUT,
+                f"a state (see {processes.logs})",
+                processes.refuse_dead,
             )
             refuse_others(monitor, self._scenario.publishers)
             if self._scenario.second_controller:
@@ -170,28 +171,6 @@ class Supervisor:
         elif not over:
             for node, values in event.what.items():
                 monitor.set_parameters(node, values)
-
-
-def wait_until(condition: Callable[[], bool], monitor: Monitor, processes: Processes) -> None:
-    """Wait for a run to begin.
-
-    Raises
-    ------
-    LiveError
-        If it does not, or a process ends.
-    """
-    monitor.wait_for(
-        condition,
-        START_TIMEOUT,
-        f"a state (see {processes.logs})",
-        lambda: refuse_dead(processes),
-    )
-
-
-def refuse_dead(processes: Processes) -> None:
-    """Raise LiveError if a process ended on its own."""
-    for name in processes.dead():
-        raise LiveError(processes.end(name))
 
 
 def refuse_others(monitor: Monitor, publishers: Mapping[str, int]) -> None:

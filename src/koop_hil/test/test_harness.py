@@ -6,16 +6,14 @@ import math
 import os
 import subprocess
 import sys
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from koop_core.config.parameter import ConfigError
-from koop_hil import commission, faults, installed, report
+from koop_hil import faults, installed, report
 from koop_hil.command import main, register
-from koop_hil.excite import rig_of
 from koop_hil.faults import Channel
 from koop_hil.processes import Processes
 from koop_hil.scenario import (
@@ -28,7 +26,6 @@ from koop_hil.scenario import (
     write,
 )
 from koop_hil.verdict import Verdict
-from koop_tune.search.agreement import Measured
 
 
 def through(fault, messages, dt=0.005, seed=1):
@@ -152,46 +149,6 @@ def test_a_rig_of_standard_messages_says_what_it_does_and_takes_by_the_parameter
     assert read(find("rig-paper")).off(np.array([-3.0, 1.0])) == pytest.approx([0.0, 4.0])
 
 
-def test_a_scenario_s_rig_is_described_by_its_parameters():
-    rig = rig_of(read(find("rig-jsbsim")), 100.0)
-    assert (rig.measured, rig.command) == ("/imu:angular_velocity.x", "/gain:data")
-    assert (rig.theta_min, rig.theta_max, rig.theta_start) == (0.5, 60.0, 1.0)
-    assert rig_of(read(find("rig-other-one-sensor")), 100.0).names == ("x[0]",)
-    assert rig_of(read(find("rig-galloping")), 100.0).takes_answers
-
-
-def test_what_a_commissioning_came_to_is_a_row_of_a_page(tmp_path):
-    scenario, folder = read(find("rig-galloping")), tmp_path / "run"
-    (folder / "tuned").mkdir(parents=True)
-    (folder / "excite.json").write_text('{"elapsed": 1200.4}')
-    (folder / "tuned/tune.json").write_text('{"verdict": "flat", "why": "nothing to see"}')
-    assert commission.row(scenario, folder).endswith("| flat: nothing to see |")
-    (folder / "tuned/tune.json").write_text(
-        '{"cost": "raw", "constants": {"law": "adaptive"}, "theta_best": 0.7}'
-    )
-    assert "| raw, adaptive | 0.70 (0.8) | 0 |" in commission.row(scenario, folder)
-    band = {name: {"low": 1.0, "high": 2.0} for name in ("converges", "excess", "reduction")}
-    rounds = [
-        {"agrees": excess == 3.7, "says": f"said {excess}", "prediction": band,
-         "runs": [asdict(Measured(None, 0.1, 3.0, 1.0, 0.1, excess, 3.0, 0.5, 0.2))]}
-        for excess in (2.4, 1.6, 3.7)
-    ]  # fmt: skip
-    (folder / "verify.json").write_text(
-        json.dumps({"rounds": rounds, "verdict": "so so", "damped": False})
-    )
-    told = commission.row(scenario, folder)  # of the round whose controller was kept
-    assert "| 3 | never (1 to 2) s | 1.60 (1.00 to 2.00) |" in told
-    assert told.endswith("| not damped; said 1.6 |")
-    page = tmp_path / "page.md"
-    page.write_text(f"a\n{commission.BEGIN}\nold\n{commission.END}\nb\n")
-    for _ in range(2):  # once more gives the same
-        commission.publish(["| one |"], page)
-        text = page.read_text()
-        assert text == f"a\n{commission.BEGIN}\n{commission.HEAD}\n| one |\n{commission.END}\nb\n"
-    with pytest.raises(ConfigError, match="has no lines"):
-        commission.publish([], folder / "excite.json")
-
-
 def test_an_event_names_a_file_without_its_folder():
     event = parse("name", {"events": [{"set": {"lifter": {"model": "a.npz"}}}]}, Path("/x")).events
     assert str(event[0]) == "set lifter: model = a.npz"
@@ -264,9 +221,6 @@ def test_a_scenario_runs_with_the_controller_of_a_file(tmp_path):
     (tmp_path / "controller.yaml").write_text("/**/relay_esc:\n  ros__parameters: {law: wide}\n")
     with pytest.raises(ConfigError, match=r"controller\.yaml: relay_esc: law = 'wide'"):
         with_controller(scenario, tmp_path / "controller.yaml")
-    args = parsed("rig-paper", "--controller", str(tmp_path), "--excite", "9")
-    with pytest.raises(ConfigError, match="--controller: of a scenario"):
-        main(args)
 
 
 @pytest.mark.parametrize(
