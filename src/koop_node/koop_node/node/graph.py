@@ -16,7 +16,8 @@ NEXT = "next"
 LOOP_TYPES = {f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput")}
 COST = "koop_msgs/msg/Cost"
 SHARED = {"/clock", "/parameter_events", "/rosout"}  # say nothing about what a node works with
-UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of rmw, for a program that is not a node of ROS
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of rmw, while the name is on its way
+BARE = "_CREATED_BY_BARE_DDS_APP_"  # of rmw, for a program that is not a node of ROS
 
 
 @dataclass(frozen=True)
@@ -116,13 +117,13 @@ def type_name(kind: Any) -> str:
 
 def full_name(info: Any) -> str:
     """Return the name of the node that an endpoint belongs to."""
-    if info.node_name == UNKNOWN:
+    if info.node_name in (UNKNOWN, BARE):
         return "a program that is not a node of ROS"
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
 def _has_source(node: Node, info: Any) -> bool:
-    if info.topic_type != COST or info.node_name == UNKNOWN:
+    if info.topic_type != COST or info.node_name in (UNKNOWN, BARE):
         return True  # a plant listens, too, and is a source all the same
     try:
         heard = node.get_subscriber_names_and_types_by_node(info.node_name, info.node_namespace)
@@ -143,7 +144,7 @@ def _in_loop(node: Node, info: Any) -> bool:
 
 
 def _visible(info: Any) -> bool:
-    return info.node_name == UNKNOWN or not info.node_name.startswith("_")
+    return info.node_name in (UNKNOWN, BARE) or not info.node_name.startswith("_")
 
 
 def _compatible(offered: Any, wanted: Any) -> bool:
