@@ -54,7 +54,7 @@ class Access:
         )
 
     def refuse_origin(self, origin: str | None, host: str | None) -> Refusal | None:
-        """Refuse a web page of another server; a program that is no browser names no origin."""
+        """Refuse a web page of another server; only browsers name an origin."""
         if origin is None or origin in self.origins:
             return None
         if _is_url(origin) and re.fullmatch(r"https?://" + re.escape(str(host)), origin):
@@ -94,7 +94,7 @@ def _is_address(name: str) -> bool:
 
 
 def page_headers(page: bytes, host: str) -> list[tuple[str, str]]:
-    """Return the headers of the page: it runs its own script only, and speaks with its own server.
+    """Return the headers of the page: it runs only its own script and connects to its own server.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ ADDRESS = "the page: "  # begins the line with its address
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """Where the server listens, who may do what, and its limits.
+    """Address, access and limits of the server.
 
     Raises
     ------

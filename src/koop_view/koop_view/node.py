@@ -1,4 +1,4 @@
-"""ROS node of the server: a loop's topics, parameters and services for those who look at it."""
+"""ROS node of the server: topics, parameters and services of the loops in a domain."""
 
 from __future__ import annotations
 

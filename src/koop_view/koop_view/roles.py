@@ -37,23 +37,24 @@ def find_loops(
     published : mapping of str to mapping
         Topics with their types, by full name of the node.
     nameless : mapping of str to str
-        Topics with their types whose publisher is not a ROS node, as of some rigs.
+        Topics with their types whose publisher is not a ROS node, such as a rig's own program.
     managed : collection of str
         Nodes with a lifecycle.
     """
     result: dict[str, LoopNames] = {}
     for node, topics in sorted(published.items(), key=lambda item: (item[0] in managed, item[0])):
         of_type = {kind: topic for topic, kind in sorted(topics.items(), key=_last_is_own)}
-        own = {"state": of_type.get(STATE), "cost": of_type.get(COST), "theta": of_type.get(THETA)}
-        if not any(own.values()):
+        kinds = {"state": STATE, "cost": COST, "theta": THETA}
+        outputs = {name: of_type[kind] for name, kind in kinds.items() if kind in of_type}
+        if not outputs:
             continue
-        role = "lifter" if own["cost"] else "controller" if own["theta"] else "plant"
+        is_lifter, is_controller = "cost" in outputs, "theta" in outputs
+        role = "lifter" if is_lifter else "controller" if is_controller else "plant"
         space = namespace_of(node)
         loop = result.get(space, LoopNames(space))
-        given = {name: topic for name, topic in own.items() if topic}
         if loop.theta == f"{space.rstrip('/')}/theta":
-            given.pop("theta", None)
-        result[space] = replace(loop, **{role: node}, **given)
+            outputs.pop("theta", None)
+        result[space] = replace(loop, **{role: node}, **outputs)
     for topic, kind in sorted(nameless.items(), key=_last_is_own):
         loop = result.get(namespace_of(topic), LoopNames(namespace_of(topic)))
         if kind == STATE and (loop.state is None or loop.state in nameless):
@@ -67,7 +68,7 @@ def _last_is_own(item: tuple[str, str]) -> tuple[bool, str]:
 
 
 class KnownLoops:
-    """The loops of a domain: a dead node keeps its place in its loop until the last one is gone."""
+    """The loops of a domain: a dead node keeps its place until the last node of its loop ends."""
 
     def __init__(self) -> None:
         self.loops: dict[str, LoopNames] = {}

@@ -201,7 +201,7 @@ def _one(headers: Headers, name: str) -> str:
 
 
 def _select_subprotocol(connection: ServerConnection, offered: Any) -> Subprotocol | None:
-    """Return the first of ours that is offered; without one there is no connection."""
+    """Return the first supported subprotocol that is offered; without one, refuse."""
     for name in protocol.SUBPROTOCOLS:
         if name in offered:
             return Subprotocol(name)
@@ -210,6 +210,6 @@ def _select_subprotocol(connection: ServerConnection, offered: Any) -> Subprotoc
 
 def _response(status: HTTPStatus, headers: list[tuple[str, str]], body: bytes) -> Response:
     """Return an HTTP response, after which the connection is closed."""
-    own = headers or [("Content-Type", "text/plain; charset=utf-8")]
-    every = [*own, ("Content-Length", str(len(body))), ("Connection", "close")]
-    return Response(status.value, status.phrase, Headers(every), body)
+    headers = headers or [("Content-Type", "text/plain; charset=utf-8")]
+    headers = [*headers, ("Content-Length", str(len(body))), ("Connection", "close")]
+    return Response(status.value, status.phrase, Headers(headers), body)

@@ -131,11 +131,10 @@ class ClientSession:
         if wanted:
             self.send(protocol.parameter_values(wanted, None))
 
-    def forget(self, channels: Iterable[int]) -> None:
-        """End the subscriptions to channels that have gone."""
-        gone = set(channels)
+    def forget(self, ended: Iterable[int]) -> None:
+        """End the subscriptions to channels that have ended."""
         for number, channel in list(self._subscriptions.items()):
-            if channel.number in gone:
+            if channel.number in ended:
                 self._unsubscribe(number)
 
     def check_backlog(self) -> None:

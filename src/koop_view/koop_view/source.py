@@ -57,7 +57,7 @@ class SourceListener(Protocol):
 
 
 class ViewSource:
-    """Base of what is shown; nothing yet."""
+    """What is shown; the base class shows nothing."""
 
     mode: ClassVar[str] = ""
     listener: SourceListener

@@ -84,7 +84,7 @@ class ServiceCaller:
         """Calls that wait for their answers."""
 
     def prepare(self, type_name: str, name: str) -> Any:
-        """Return the client of a service. One that is made early has been found by then."""
+        """Return the client of a service; one that is made early is connected when it is needed."""
         if name not in self._clients:
             self._clients[name] = self._node.create_client(service_class(type_name), name)
         return self._clients[name]

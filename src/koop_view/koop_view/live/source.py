@@ -30,13 +30,13 @@ from koop_view.protocol import WARNING, AdvertisedChannel, AdvertisedService
 from koop_view.roles import KnownLoops, find_loops
 from koop_view.source import Refused, Viewer, ViewSource
 
-POLL = 0.02  # [s] between looks for messages while somebody looks
-IDLE = 0.1  # [s] while nobody does
+POLL = 0.02  # [s] between two looks for messages while there are viewers
+IDLE = 0.1  # [s] while there are none
 LOOK = 0.5  # [s] between looks at the graph
 PAUSE = 1.5  # [s] without a report, of which there is one per second
 EVENTS = 20  # of the executor at a time
-LINE = 200  # bytes of what is shown beside the loops
-MOST = 1000  # channels, services, loops: what a domain gone mad may cost
+LINE = 200  # bytes of the line beside the loops
+MOST = 1000  # channels, services, loops: a broken domain may have any number
 DIAGNOSTICS, CHANGES = "/diagnostics", "/parameter_events"
 
 
@@ -170,15 +170,15 @@ class LiveSource(ViewSource):
             try:
                 topics = self._node.get_publisher_names_and_types_by_node(name, space)
                 services = self._node.get_service_names_and_types_by_node(name, space)
-            except NodeNameNonExistentError:  # it has just gone
+            except NodeNameNonExistentError:  # it has just ended
                 continue
             published[full] = {topic: types[0] for topic, types in topics}
             served[full] = {service: types[0] for service, types in services}
         return published, served
 
     def _take_channels(self) -> None:
-        added, gone = [], []
-        known = {channel.topic: channel for channel in self.channels.values()}
+        added, ended = [], []
+        advertised = {channel.topic: channel for channel in self.channels.values()}
         for topic, types in self._node.get_topic_names_and_types():
             if self._types.get(topic) == types[0] or len(self._types) >= MOST:
                 continue
@@ -191,14 +191,14 @@ class LiveSource(ViewSource):
             except BagError as error:
                 self.log(f"{topic} is not shown: {error}")
                 continue
-            if topic in known:
-                gone.append(known[topic].number)
+            if topic in advertised:
+                ended.append(advertised[topic].number)
             added.append(AdvertisedChannel(next(self._numbers), topic, types[0], definition))
-        for number in gone:
+        for number in ended:
             del self.channels[number]
         self.channels.update({channel.number: channel for channel in added})
         if added:
-            self.listener.change_channels(added, gone)
+            self.listener.change_channels(added, ended)
 
     def _take_services(self, served: Mapping[str, Mapping[str, str]]) -> None:
         """Offer the services of the loops' nodes."""
@@ -227,21 +227,20 @@ class LiveSource(ViewSource):
     # -- parameters and services --------------------------------------------------------------
 
     def _take_parameters(self, served: Mapping[str, object]) -> None:
-        """Ask nodes that are new for their parameters, and forget those that are gone."""
+        """Ask new nodes for their parameters, and forget those of nodes that have ended."""
         values, own = self._collector.values, self._node.get_fully_qualified_name()
         for node in values.keys() - served.keys() - {own}:
             del values[node]
         if self._collector.look():
-            self._keep(
-                {f"{n}.{k}": v for n, it in values.items() if n != own for k, v in it.items()}
-            )
+            for node in values.keys() - {own}:
+                self._keep(node)
 
-    def _keep(self, values: Mapping[str, Any]) -> None:
-        changed = {
-            name: value
-            for name, value in values.items()
-            if name not in self.parameters or self.parameters[name] != value
-        }
+    def _keep(self, node: str) -> None:
+        """Take over the parameters of a node, and announce those that have changed."""
+        items = self._collector.values[node].items()
+        values = {f"{node}.{name}": value for name, value in items}
+        unset = object()
+        changed = {k: v for k, v in values.items() if self.parameters.get(k, unset) != v}
         self.parameters.update(changed)
         if changed:
             self.listener.change_parameters(changed)
@@ -249,13 +248,13 @@ class LiveSource(ViewSource):
     def _take_changes(self, events: list[bytes]) -> None:
         for data in events:
             event = deserialize_message(data, ParameterEvent)
-            own = self._collector.values.get(event.node)
-            if own is None:
+            values = self._collector.values.get(event.node)
+            if values is None:
                 continue
             for item in (*event.new_parameters, *event.changed_parameters):
                 value = parameter_value_to_python(item.value)
-                own[item.name] = list(value) if isinstance(value, array | tuple) else value
-            self._keep({f"{event.node}.{name}": value for name, value in own.items()})
+                values[item.name] = list(value) if isinstance(value, array | tuple) else value
+            self._keep(event.node)
 
     async def call(self, service: AdvertisedService, payload: bytes, peer: str) -> bytes:
         request = unpack(service, payload)

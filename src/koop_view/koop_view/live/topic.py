@@ -16,9 +16,9 @@ WAITING = 200  # messages that DDS keeps between two polls; of more, the oldest 
 
 
 class ViewedTopic:
-    """A topic that somebody looks at.
+    """A topic that is viewed.
 
-    Of a loop's own topic it asks for best effort: no writer keeps or repeats anything for it.
+    Topics of a loop are read best effort: no writer keeps or repeats anything for a viewer.
 
     Parameters
     ----------

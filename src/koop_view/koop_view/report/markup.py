@@ -55,13 +55,13 @@ def section(part: Section) -> str:
         f"<p>{html.escape(part.intro)}</p>",
     ]
     # what belongs to one figure stands with it, the rest before all figures
-    own = {figure.name for figure in part.figures} - {part.name}
-    parts.append(claims([claim for claim in part.claims if claim.table not in own]))
-    parts += [table(item) for item in part.tables if item.name not in own]
+    named = {figure.name for figure in part.figures} - {part.name}
+    parts.append(claims([claim for claim in part.claims if claim.table not in named]))
+    parts += [table(item) for item in part.tables if item.name not in named]
     for figure in part.figures:
-        said = [claim for claim in part.claims if claim.table == figure.name in own]
-        tables = [item for item in part.tables if item.name == figure.name in own]
-        parts.append(_figure(figure, said, tables))
+        sentences = [claim for claim in part.claims if claim.table == figure.name in named]
+        tables = [item for item in part.tables if item.name == figure.name in named]
+        parts.append(_figure(figure, sentences, tables))
     return f"<section>{lines(parts)}</section>"
 
 
@@ -70,36 +70,36 @@ def lines(parts: Sequence[str]) -> str:
     return "\n".join(part for part in parts if part)
 
 
-def claims(said: Sequence[Claim]) -> str:
+def claims(sentences: Sequence[Claim]) -> str:
     """Return sentences as a list, each with a link to its table."""
     items = [
         f"<li>{html.escape(claim.text)} "
         f'<small><a href="#table-{claim.table}">table</a></small></li>'
-        for claim in said
+        for claim in sentences
     ]
     return f"<ul>\n{''.join(items)}\n</ul>" if items else ""
 
 
-def table(given: Table) -> str:
+def table(content: Table) -> str:
     """Return a table."""
     head = "".join(
-        f"<th{_left(column)}>{html.escape(column.title)}</th>" for column in given.columns
+        f"<th{_left(column)}>{html.escape(column.title)}</th>" for column in content.columns
     )
     rows = []
-    for cells, texts in zip(given.rows, given.texts(), strict=True):
+    for cells, texts in zip(content.rows, content.texts(), strict=True):
         row = []
-        for cell, text, column in zip(cells, texts, given.columns, strict=True):
+        for cell, text, column in zip(cells, texts, content.columns, strict=True):
             long = isinstance(cell, str) and len(cell) > LONG
             words = ' class="words"' if long else _left(column)
             row.append(f"<td{words}>{html.escape(text)}</td>")
         rows.append(f"<tr>{''.join(row)}</tr>")
-    caption = "" if given.detail else f"<caption>{html.escape(given.title)}</caption>"
+    caption = "" if content.detail else f"<caption>{html.escape(content.title)}</caption>"
     text = (
-        f'<div class="scroll" id="table-{given.name}"><table>{caption}'
+        f'<div class="scroll" id="table-{content.name}"><table>{caption}'
         f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
     )
-    if given.detail:
-        return f"<details><summary>{html.escape(given.title)}</summary>{text}</details>"
+    if content.detail:
+        return f"<details><summary>{html.escape(content.title)}</summary>{text}</details>"
     return text
 
 
@@ -107,7 +107,7 @@ def _left(column: Column) -> str:
     return ' class="left"' if column.words else ""
 
 
-def _figure(figure: Figure, said: Sequence[Claim], tables: Sequence[Table]) -> str:
+def _figure(figure: Figure, sentences: Sequence[Claim], tables: Sequence[Table]) -> str:
     panels = []
     for i, panel in enumerate(figure.panels):
         title = f'<div class="panel-title">{html.escape(panel.title)}</div>' if panel.title else ""
@@ -116,7 +116,7 @@ def _figure(figure: Figure, said: Sequence[Claim], tables: Sequence[Table]) -> s
             else f'<div class="plot" data-figure="{figure.name}" data-panel="{i}"></div>'
         )  # fmt: skip
         panels.append(f'<div class="panel">{title}{content}</div>')
-    words = "".join(f"<p>{html.escape(claim.text)}</p>" for claim in said)
+    words = "".join(f"<p>{html.escape(claim.text)}</p>" for claim in sentences)
     return (
         f"<figure><figcaption>{html.escape(figure.caption)}</figcaption>"
         f'<div class="panels columns-{figure.columns}">{"".join(panels)}</div>{words}'

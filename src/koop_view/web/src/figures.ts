@@ -300,9 +300,9 @@ export class Figures {
         before = t;
       }
       ctx.stroke();
-      if (!Number.isFinite(loop.value) || !Number.isFinite(loop.r)) return;
+      if (!Number.isFinite(loop.now.theta) || !Number.isFinite(loop.now.r)) return;
       ctx.beginPath();
-      ctx.arc(...place(loop.value, loop.r), 4.5 * ratio, 0, 2 * Math.PI);
+      ctx.arc(...place(loop.now.theta, loop.now.r), 4.5 * ratio, 0, 2 * Math.PI);
       ctx.fill();
     });
   }

@@ -120,28 +120,33 @@ export function inputAge(report: Report | undefined): string {
   return finite.length ? `${Math.max(...finite).toFixed(3)} s` : "";
 }
 
+/** What the newest messages of a loop say. */
+export interface LoopState {
+  ended: boolean; // none of its nodes is left
+  holding: boolean;
+  commanded: boolean; // theta comes from a commander, which has no relay
+  settling: boolean;
+  saturated: boolean;
+  theta: number;
+  r: number;
+}
+
 export interface Situation {
   connection: "open" | "lost" | "connecting";
   lostFor: number; // [s]
   recorded: boolean;
   read: number | undefined; // messages so far of a recording that is not complete
-  hasLoop: boolean;
-  gone: boolean; // none of the loop's nodes is left
   about: string; // what the command that runs the loop does now
   rows: readonly Row[];
-  holding: boolean;
-  commanded: boolean; // theta is given by a commander, not sought by a controller
-  settling: boolean;
-  saturated: boolean;
-  theta: number;
-  limits: [number, number] | undefined;
-  r: number;
+  limits: [number, number] | undefined; // of theta
   rate: number; // steps per second; NaN: not known yet
+  loop: LoopState | undefined;
 }
 
 /** One line: is my loop healthy? */
 export function verdict(s: Situation): Judgement {
-  const last = `θ = ${short(s.theta)}, r = ${short(s.r)}.`;
+  const { loop } = s;
+  const last = `θ = ${short(loop?.theta)}, r = ${short(loop?.r)}.`;
   if (s.connection === "connecting") return { level: "off", text: "Connecting to koop serve…" };
   if (s.connection === "lost") {
     const text =
@@ -150,12 +155,11 @@ export function verdict(s: Situation): Judgement {
     return { level: "error", text };
   }
   if (s.recorded) return { level: "off", text: describeRecording(s, last) };
-  if (!s.hasLoop)
-    return { level: "off", text: "No loop is running yet. It is shown once it runs." };
-  if (s.gone && s.about) {
+  if (!loop) return { level: "off", text: "No loop is running yet. It is shown once it runs." };
+  if (loop.ended && s.about) {
     return { level: "off", text: `No loop runs in this stage (${s.about}). Last: ${last}` };
   }
-  if (s.gone) {
+  if (loop.ended) {
     return {
       level: "stale",
       text: `This loop has ended: none of its nodes is left. Last: ${last}`,
@@ -165,9 +169,9 @@ export function verdict(s: Situation): Judgement {
   const causes = s.rows.filter((row) => row.judgement.level === level);
   if (level === "error") return { level, text: `Fault: ${describe(causes)}` };
   if (level === "stale") return { level, text: `Not healthy: ${describe(causes)}` };
-  if (!Number.isFinite(s.theta)) return { level: "off", text: "Waiting: no θ has come yet." };
-  const others = level === "warn" ? causes.filter((row) => !isExpected(row, s)) : [];
-  return describeRun(s, others.length ? ` Warning: ${describe(others)}` : "", last);
+  if (!Number.isFinite(loop.theta)) return { level: "off", text: "Waiting: no θ has come yet." };
+  const others = level === "warn" ? causes.filter((row) => !isExpected(row, loop)) : [];
+  return describeRun(s, loop, others.length ? ` Warning: ${describe(others)}` : "", last);
 }
 
 function describeRecording(s: Situation, last: string): string {
@@ -180,29 +184,34 @@ function describeRecording(s: Situation, last: string): string {
 }
 
 /** Whether a warning says nothing new: a controller that holds, or is not active yet. */
-function isExpected({ node }: Row, s: Situation): boolean {
-  if (node.role === "controller") return s.holding || s.commanded;
-  // until it is active, nobody knows that it is a controller
-  return s.commanded && node.role === "other" && isInactive(node.report);
+function isExpected({ node }: Row, loop: LoopState): boolean {
+  if (node.role === "controller") return loop.holding || loop.commanded;
+  // a controller that was never active has published nothing that shows its role
+  return loop.commanded && node.role === "other" && isInactive(node.report);
 }
 
 /** What a loop does that works, with a warning if there is one. */
-function describeRun(s: Situation, warning: string, last: string): Judgement {
-  const range = s.limits ? ` in [${short(s.limits[0])}, ${short(s.limits[1])}]` : "";
-  const rate = Number.isFinite(s.rate) ? `, ${Math.round(s.rate)} steps per second` : "";
-  const figures = `θ = ${short(s.theta)}${range}, r = ${short(s.r)}${rate}.`;
-  if (s.commanded && s.rate !== 0) {
+function describeRun(
+  { limits, rate }: Situation,
+  loop: LoopState,
+  warning: string,
+  last: string,
+): Judgement {
+  const range = limits ? ` in [${short(limits[0])}, ${short(limits[1])}]` : "";
+  const steps = Number.isFinite(rate) ? `, ${Math.round(rate)} steps per second` : "";
+  const figures = `θ = ${short(loop.theta)}${range}, r = ${short(loop.r)}${steps}.`;
+  if (loop.commanded && rate !== 0) {
     const text = `Open loop: θ is commanded, not sought: ${figures}${warning}`;
     return { level: warning ? "warn" : "ok", text };
   }
-  if (s.holding) {
-    const hasCost = Number.isFinite(s.r);
+  if (loop.holding) {
+    const hasCost = Number.isFinite(loop.r);
     const why = hasCost ? "as requested" : "because there is no usable cost";
-    const reason = s.settling ? "until the filters have settled" : why;
+    const reason = loop.settling ? "until the filters have settled" : why;
     return { level: "warn", text: `Holding ${reason}: ${figures}${warning}` };
   }
-  if (s.rate === 0) return { level: "off", text: `At rest: no steps. Last: ${last}` };
-  if (s.saturated) {
+  if (rate === 0) return { level: "off", text: `At rest: no steps. Last: ${last}` };
+  if (loop.saturated) {
     return { level: "warn", text: `Seeking: ${figures} θ is at a limit.${warning}` };
   }
   if (warning) return { level: "warn", text: `Seeking: ${figures}${warning}` };

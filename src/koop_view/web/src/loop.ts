@@ -1,7 +1,7 @@
 // One closed loop as it is heard: what its messages say, kept for the figures. No drawing here.
 
 import { CostMap } from "./cost_map";
-import type { Arrival, Judgement, Level, LoopNode, Report, Role, Row } from "./health";
+import type { Arrival, Judgement, Level, LoopNode, LoopState, Report, Role, Row } from "./health";
 import { judge, LEVELS, silence, worst } from "./health";
 import type { LoopNames } from "./link";
 import { Stream } from "./stream";
@@ -64,32 +64,28 @@ export class Loop {
   channels: string[] = [];
   source = -1; // of the cost: 0 raw, 1 lifted
   modelId = "";
-  settling = false;
-  r = NaN;
-  value = NaN; // theta
-  holding = false;
-  saturated = false;
-  commanded = false; // by a commander, which has no relay
+  readonly now: LoopState = {
+    ended: false,
+    holding: false,
+    commanded: false,
+    settling: false,
+    saturated: false,
+    theta: NaN,
+    r: NaN,
+  };
   swing = NaN;
   gradient = NaN;
   confidence = NaN;
-  gone = false; // none of its nodes is left
   stamp = NaN; // of the newest state's header [s]; 0: the rig sets none
   private epsilon = 0;
   private arrivals = newArrivals();
 
   constructor(public names: LoopNames) {}
 
-  /** Take new names, but keep those of nodes that are gone: they are missing, not unknown. */
+  /** Take the names of the nodes that there are now. */
   rename(names: LoopNames): void {
-    const kept = { ...names };
-    if (!this.gone) {
-      for (const key of ["plant", "lifter", "controller", "state", "cost", "theta"] as const) {
-        kept[key] ??= this.names[key];
-      }
-    }
-    this.names = kept;
-    this.gone = false;
+    this.names = names;
+    this.now.ended = false;
   }
 
   /** Names of the topics with the stream of each. */
@@ -105,8 +101,8 @@ export class Loop {
 
   /** The last node has ended. The figures stay. */
   end(): void {
-    if (this.gone) return;
-    this.gone = true;
+    if (this.now.ended) return;
+    this.now.ended = true;
     this.reports.clear();
     this.arrivals = newArrivals();
   }
@@ -119,7 +115,7 @@ export class Loop {
     this.limited = [];
     this.events = [];
     this.epsilon = 0;
-    this.r = this.value = NaN;
+    this.now.r = this.now.theta = NaN;
     this.arrivals = newArrivals();
   }
 
@@ -147,8 +143,8 @@ export class Loop {
   }
 
   private takeCost(t: number, now: number, message: Message): void {
-    this.r = message["r"] as number;
-    this.settling = message["settling"] === true;
+    this.now.r = message["r"] as number;
+    this.now.settling = message["settling"] === true;
     const source = message["source"] as number;
     const model = message["model_id"] as string;
     if (source !== this.source || model !== this.modelId) {
@@ -159,30 +155,30 @@ export class Loop {
     }
     this.source = source;
     this.modelId = model;
-    const values = [this.r, message["y_out"] as number];
+    const values = [this.now.r, message["y_out"] as number];
     this.cost.push(t, Number(message["step"]), ["r", "y_out"], values);
     this.arrivals.lifter.count(now);
   }
 
   private takeTheta(t: number, now: number, message: Message): void {
     const epsilon = message["epsilon"] as number;
-    this.value = message["theta"] as number;
-    this.holding = message["holding"] === true;
-    this.saturated = message["saturated"] === true;
+    this.now.theta = message["theta"] as number;
+    this.now.holding = message["holding"] === true;
+    this.now.saturated = message["saturated"] === true;
     this.swing = message["swing"] as number;
     this.gradient = message["gradient"] as number;
     this.confidence = message["confidence"] as number;
-    this.commanded = epsilon === 0;
+    this.now.commanded = epsilon === 0;
     if (this.epsilon && epsilon && epsilon !== this.epsilon) {
-      this.flips.push({ t, theta: this.value, epsilon });
+      this.flips.push({ t, theta: this.now.theta, epsilon });
       if (this.flips.length > MOST_FLIPS) this.flips.splice(0, MOST_FLIPS / 4);
     }
     this.epsilon = epsilon;
-    const isHeld = this.holding && !this.commanded; // a commander moves theta
+    const isHeld = this.now.holding && !this.now.commanded; // a commander moves theta
     extend(this.holds, isHeld, t, this.theta.last);
-    extend(this.limited, this.saturated, t, this.theta.last);
-    this.theta.push(t, Number(message["step"]), ["theta"], [this.value]);
-    if (!this.holding || this.commanded) this.map.push(t, this.value, this.r);
+    extend(this.limited, this.now.saturated, t, this.theta.last);
+    this.theta.push(t, Number(message["step"]), ["theta"], [this.now.theta]);
+    if (!this.now.holding || this.now.commanded) this.map.push(t, this.now.theta, this.now.r);
     this.arrivals.controller.count(now);
   }
 
@@ -201,7 +197,7 @@ export class Loop {
     return this.nodes(now, mode === "live").map((node) => {
       if (mode === "unknown") return { node, judgement: UNKNOWN };
       if (mode === "recorded") return { node, judgement: judgeRecorded(node) };
-      return { node, judgement: this.gone ? GONE : judge(node, now) };
+      return { node, judgement: this.now.ended ? ENDED : judge(node, now) };
     });
   }
 
@@ -234,7 +230,7 @@ export class Loop {
 
   /** The level of a loop that is not shown: by the reports of its nodes alone. */
   level(now: number): Level {
-    if (this.gone) return "stale";
+    if (this.now.ended) return "stale";
     const reports = [...this.reports.values()];
     return worst(reports.map((report) => judge({ name: "", role: "other", report }, now).level));
   }
@@ -266,7 +262,7 @@ export function costName(source: number): string {
 }
 
 const UNKNOWN: Judgement = { level: "off", text: "unknown: no connection" };
-const GONE: Judgement = { level: "off", text: "has ended" };
+const ENDED: Judgement = { level: "off", text: "has ended" };
 
 /** In a recording nothing is late. */
 function judgeRecorded({ report, output }: LoopNode): Judgement {

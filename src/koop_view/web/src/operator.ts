@@ -60,7 +60,7 @@ export class Operator {
     document.body.dataset["operate"] = String(operate);
     const allow = (id: string, node: string | null | undefined, service: string): void => {
       const offered = node ? this.link.offers(`${node}/${service}`) : false;
-      byId<HTMLButtonElement>(id).disabled = !(operate && !loop?.gone && offered);
+      byId<HTMLButtonElement>(id).disabled = !(operate && !loop?.now.ended && offered);
     };
     // a commander has no limits to set, and what it records is not for the operator to change
     const isSought = this.desk.parameter("controller.theta_min") !== undefined;
@@ -69,10 +69,10 @@ export class Operator {
     allow("reset", controller, "reset");
     allow("set-limits", isSought ? controller : null, "set_parameters_atomically");
     for (const id of ["set-cost", "set-model"]) {
-      allow(id, loop?.commanded ? null : lifter, "set_parameters_atomically");
+      allow(id, loop?.now.commanded ? null : lifter, "set_parameters_atomically");
     }
-    byId("hold").classList.toggle("pressed", loop?.holding ?? false);
-    byId("resume").classList.toggle("wanted", loop?.holding ?? false);
+    byId("hold").classList.toggle("pressed", loop?.now.holding ?? false);
+    byId("resume").classList.toggle("wanted", loop?.now.holding ?? false);
     for (const [id, name] of Object.entries(INPUTS)) {
       const input = byId<HTMLInputElement>(id);
       const value = this.desk.parameter(name);
@@ -98,7 +98,7 @@ export class Operator {
   }
 
   private async resume(): Promise<void> {
-    const theta = short(this.desk.loop?.value);
+    const theta = short(this.desk.loop?.now.theta);
     if (await confirm("Resume", `The controller moves θ again, from ${theta} on.`)) {
       await this.hold(false);
     }
@@ -109,7 +109,7 @@ export class Operator {
     const initial = clamp(this.number("theta_initial"), low, high);
     const limit = this.number("rate_limit");
     const text =
-      `θ goes from ${short(this.desk.loop?.value)} to ` +
+      `θ goes from ${short(this.desk.loop?.now.theta)} to ` +
       `${Number.isNaN(initial) ? "its initial value" : short(initial)}, ` +
       `${limit > 0 ? `at most ${short(limit)} per second` : "at once"}. ` +
       "Filter and relay start again.";
@@ -122,7 +122,7 @@ export class Operator {
     if (Number.isNaN(low) || Number.isNaN(high)) return;
     const words = [`θ's limits become [${short(low)}, ${short(high)}].`];
     const values: Record<string, number> = { theta_min: low, theta_max: high };
-    const [theta, initial] = [this.desk.loop?.value ?? NaN, this.number("theta_initial")];
+    const [theta, initial] = [this.desk.loop?.now.theta ?? NaN, this.number("theta_initial")];
     const isOutside = (v: number): boolean => low < high && (v < low || v > high);
     const inside = (v: number): number => clamp(v, low, high);
     if (isOutside(theta)) {

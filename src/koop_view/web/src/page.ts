@@ -289,17 +289,10 @@ export class Page {
       lostFor: time - this.lostAt,
       recorded: this.recorded,
       read: this.read,
-      hasLoop: loop !== undefined,
-      gone: loop?.gone ?? false,
       about,
       rows,
-      holding: loop?.holding ?? false,
-      commanded: loop?.commanded ?? false,
-      settling: loop?.settling ?? false,
-      saturated: loop?.saturated ?? false,
-      theta: loop?.value ?? NaN,
       limits: this.limits,
-      r: loop?.r ?? NaN,
+      loop: loop?.now,
       rate: loop?.rate(time) ?? 0,
     });
     byId("verdict").dataset["level"] = level;

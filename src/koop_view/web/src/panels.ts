@@ -47,7 +47,7 @@ export function showLoops(levels: ReadonlyMap<string, Level>, fleet: Fleet): voi
     const name = namespace === "/" ? "/ (no namespace)" : namespace;
     const level = levels.get(namespace) ?? "off";
     if (level === "off") return name;
-    return `${name}: ${fleet.loops.get(namespace)?.gone ? "ENDED" : WORDS[level]}`;
+    return `${name}: ${fleet.loops.get(namespace)?.now.ended ? "ENDED" : WORDS[level]}`;
   };
   const names = [...fleet.loops.keys()].sort();
   const select = byId<HTMLSelectElement>("loop");
@@ -121,14 +121,14 @@ interface Controlled {
 /** Cost, model and parameters that are in force. */
 export function showForce(desk: Controlled): void {
   const { loop } = desk;
-  const isSought = loop !== undefined && !loop.commanded;
+  const isSought = loop !== undefined && !loop.now.commanded;
   const finite = (value: number | undefined): string =>
     isSought && Number.isFinite(value) ? short(value) : "";
   const step = loop?.state.lastStep ?? -1;
   const file = String(desk.parameter("lifter.model") ?? "").replace(/^.*\//, "");
   const cost = costName(loop?.source ?? -1) || String(desk.parameter("lifter.cost") ?? "");
   const pairs: [string, string][] = [
-    ["cost", `${cost}${loop?.settling ? " (settling)" : ""}`],
+    ["cost", `${cost}${loop?.now.settling ? " (settling)" : ""}`],
     ["model", [loop?.modelId, file].filter(Boolean).join(" – ")],
     ["step", step >= 0 ? step.toLocaleString("en") : ""],
     ["slope dr/dθ", finite(loop?.gradient)],

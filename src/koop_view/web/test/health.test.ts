@@ -96,23 +96,25 @@ test("losses are added up over the inputs, ages are the oldest", () => {
   assert.equal(inputAge(report(0, { values })), "0.004 s");
 });
 
-const healthy: Situation = {
-  connection: "open",
-  lostFor: 0,
-  recorded: false,
-  read: undefined,
-  hasLoop: true,
-  gone: false,
-  about: "",
-  rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
+const seeking = {
+  ended: false,
   holding: false,
   commanded: false,
   settling: false,
   saturated: false,
   theta: -2.5,
-  limits: [-5, 5],
   r: 0.01,
+};
+const healthy: Situation = {
+  connection: "open",
+  lostFor: 0,
+  recorded: false,
+  read: undefined,
+  about: "",
+  rows: [{ node: lifter(), judgement: { level: "ok", text: "lifting" } }],
+  limits: [-5, 5],
   rate: 200,
+  loop: seeking,
 };
 
 test("the verdict names what comes first", () => {
@@ -144,21 +146,22 @@ test("the verdict names what comes first", () => {
     /^No connection to koop serve for 3 s/,
   );
   assert.match(
-    verdict({ ...fault, gone: true }).text,
+    verdict({ ...fault, loop: { ...seeking, ended: true } }).text,
     /^This loop has ended: none of its nodes is left/,
   );
   assert.equal(
-    verdict({ ...fault, gone: true, about: "commissioning: tune, round 1" }).level,
+    verdict({ ...fault, loop: { ...seeking, ended: true }, about: "commissioning: tune, round 1" })
+      .level,
     "off",
   );
   assert.doesNotMatch(verdict({ ...healthy, rate: NaN }).text, /steps|rest/); // not known yet
-  assert.match(verdict({ ...healthy, hasLoop: false, rows: [] }).text, /^No loop is running/);
+  assert.match(verdict({ ...healthy, loop: undefined, rows: [] }).text, /^No loop is running/);
 });
 
 test("a hold says why", () => {
   const held = {
     ...healthy,
-    holding: true,
+    loop: { ...seeking, holding: true },
     rows: [
       {
         node: lifter({ role: "controller" as const }),
@@ -168,9 +171,12 @@ test("a hold says why", () => {
   };
   assert.match(verdict(held).text, /^Holding as requested: θ = −2.5/);
   assert.doesNotMatch(verdict(held).text, /Warning/); // that it holds is said once
-  assert.match(verdict({ ...held, r: NaN }).text, /^Holding because there is no usable cost: /);
   assert.match(
-    verdict({ ...held, settling: true }).text,
+    verdict({ ...held, loop: { ...held.loop, r: NaN } }).text,
+    /^Holding because there is no usable cost: /,
+  );
+  assert.match(
+    verdict({ ...held, loop: { ...held.loop, settling: true } }).text,
     /^Holding until the filters have settled: /,
   );
   assert.equal(verdict(held).level, "warn");
@@ -186,10 +192,10 @@ test("a warning does not hide what the controller does", () => {
     text: "Seeking: θ = −2.5 in [−5, 5], r = 0.01, 200 steps per second. Warning: rig – 27 late ticks.",
   });
   assert.match(
-    verdict({ ...healthy, rows: [rig], holding: true }).text,
+    verdict({ ...healthy, rows: [rig], loop: { ...seeking, holding: true } }).text,
     /^Holding as requested: .* Warning: rig – 27 late ticks\.$/,
   );
-  assert.deepEqual(verdict({ ...healthy, saturated: true }).level, "warn");
+  assert.deepEqual(verdict({ ...healthy, loop: { ...seeking, saturated: true } }).level, "warn");
 });
 
 test("a commanded theta is neither sought nor held", () => {
@@ -197,8 +203,8 @@ test("a commanded theta is neither sought nor held", () => {
     node: lifter({ role: "controller" as const }),
     judgement: { level: "warn" as const, text: "not active: inactive" },
   };
-  const found = verdict({ ...healthy, commanded: true, holding: true, rows: [waiting] });
-  assert.deepEqual(found, {
+  const commanded = { ...healthy, loop: { ...seeking, commanded: true, holding: true } };
+  assert.deepEqual(verdict({ ...commanded, rows: [waiting] }), {
     level: "ok",
     text: "Open loop: θ is commanded, not sought: θ = −2.5 in [−5, 5], r = 0.01, 200 steps per second.",
   });
@@ -212,7 +218,10 @@ test("a commanded theta is neither sought nor held", () => {
     node: lifter({ name: "/esc", role: "other" as const, report }),
     judgement: waiting.judgement,
   }; // it has published nothing yet
-  assert.equal(verdict({ ...healthy, commanded: true, rows: [unknown] }).level, "ok");
+  assert.equal(verdict({ ...commanded, rows: [unknown] }).level, "ok");
   assert.equal(verdict({ ...healthy, rows: [unknown] }).level, "warn");
-  assert.match(verdict({ ...healthy, commanded: true, rate: 0 }).text, /^At rest/);
+  assert.match(
+    verdict({ ...commanded, loop: { ...seeking, commanded: true }, rate: 0 }).text,
+    /^At rest/,
+  );
 });
