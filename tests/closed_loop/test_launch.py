@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -12,14 +13,13 @@ from koop_bag.bag.reader import BagReader
 
 pytest.importorskip("launch_ros", reason="launch is not on PyPI")
 
+FILE = Path(__file__).parents[2] / "src" / "koop_bringup" / "launch" / "closed_loop.launch.py"
 TIMEOUT = 60.0  # [s] to start four processes on a busy machine
 RUN = """
 import sys
-from ament_index_python.packages import get_package_share_path
 from ros2launch.api import launch_a_launch_file
-file = get_package_share_path("koop_bringup") / "launch" / "closed_loop.launch.py"
-sys.argv = ["launch", str(file), *sys.argv[1:]]
-sys.exit(launch_a_launch_file(launch_file_path=str(file), launch_file_arguments=sys.argv[2:]))
+file, *words = sys.argv[1:]
+sys.exit(launch_a_launch_file(launch_file_path=file, launch_file_arguments=words))
 """
 pytestmark = pytest.mark.ros
 
@@ -30,9 +30,9 @@ def launch(own_domain, tmp_path, monkeypatch):
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     running = []
 
-    def start(*arguments):
+    def start(*arguments, file=FILE):
         process = subprocess.Popen(
-            [sys.executable, "-c", RUN, *arguments],
+            [sys.executable, "-c", RUN, str(file), *arguments],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             text=True, cwd=tmp_path,
         )  # fmt: skip
@@ -136,3 +136,38 @@ def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, launch):
     assert process.returncode == 1
     assert "recorder was killed by signal 9: the loop goes on without it" in printed
     assert printed.count("process has finished cleanly") == 2
+
+
+TWO = """
+from ament_index_python.packages import get_package_share_path
+from launch import LaunchDescription
+from launch.actions import GroupAction, IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch_ros.actions import SetParameter
+
+FILE = str(get_package_share_path("koop_bringup") / "launch" / "closed_loop.launch.py")
+
+
+def loop(namespace, **given):
+    arguments = {"namespace": namespace, "pace": "lockstep", **given}
+    return IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(FILE), launch_arguments=arguments.items()
+    )
+
+
+def generate_launch_description():
+    return LaunchDescription([
+        GroupAction([SetParameter("seed", 5), loop("one", duration="1.0")]),
+        GroupAction([loop("two", duration="20.0")]),
+    ])
+"""
+
+
+def test_two_loops_in_one_launch_end_apart(launch, tmp_path):
+    file = tmp_path / "two.launch.py"
+    file.write_text(TWO)
+    process = launch(file=file)
+    printed, _ = process.communicate(timeout=2 * TIMEOUT)
+    assert process.returncode == 0, printed
+    assert "unknown parameter" not in printed
+    assert printed.index("done: 200 steps") < printed.index("done: 4000 steps")

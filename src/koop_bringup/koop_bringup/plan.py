@@ -6,6 +6,7 @@ node's own default. Everything is checked here, before the first node starts.
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
@@ -28,9 +29,11 @@ from koop_loop.parameters import (
 from koop_loop.rig_program import RIG, RigConfig
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import load_for
+from vdp_plant.config import pace_values
 
 ALL_NODES = {**NODES, **RECORDER}
-WORDS = {"true": True, "1": True, "false": False, "0": False}
+FLAGS = ("true", "false", "True", "False")
+SIMILAR = 0.8  # of two names, from 0 to 1, from which on one is taken for the other misspelt
 
 
 class Argument(NamedTuple):
@@ -42,37 +45,41 @@ class Argument(NamedTuple):
         What it is called and does.
     node : str
         The node whose parameter of that name it sets; empty if it is not a parameter.
+    choices : tuple of str
+        What it may be; empty: anything.
     """
 
     name: str
     meaning: str
     node: str = ""
+    choices: tuple[str, ...] = ()
 
 
 ARGUMENTS = (
     Argument("namespace", "namespace of the whole loop; a fleet is N namespaces"),
     Argument("params", "ROS 2 parameter file for all nodes; an argument wins over the file"),
-    Argument("pace", "realtime, lockstep or scaled", "vdp_plant"),
-    Argument("time_scale", "simulated per real time at the pace 'scaled'", "vdp_plant"),
+    Argument("pace", "realtime, lockstep or a number: so many times real time", "vdp_plant"),
     Argument("duration", "simulated time [s] after which the launch ends; 0: never", "vdp_plant"),
     Argument("seed", "seed of the plant's initial state", "vdp_plant"),
-    Argument("cost", "lifted or raw", "koopman_lifter"),
+    Argument("cost", "lifted or raw", "koopman_lifter", ("lifted", "raw")),
     Argument("model", "Koopman model file", "koopman_lifter"),
     Argument(
         "plant",
         "true: start the simulated plant; false: your rig is the plant (true without a file, "
         "else whether the file has a section for vdp_plant)",
+        choices=FLAGS,
     ),
     Argument(
-        "record", "true: record all topics; the simulated plant waits for the recorder (false)"
+        "record",
+        "true: record all topics; the simulated plant waits for the recorder (false)",
+        choices=FLAGS,
     ),
     Argument("output", "folder of the recording", "recorder"),
-    Argument("composed", "true: all nodes but the recorder share one process (false)"),
+    Argument(
+        "composed", "true: all nodes but the recorder share one process (false)", choices=FLAGS
+    ),
     Argument("listeners", "further nodes, by name, that must listen before the loop begins"),
 )
-# What launch itself takes beside the arguments that a file declares.
-OF_LAUNCH = {"launch-prefix", "launch-prefix-filter", "emulate_tty", "sigterm_timeout",
-             "sigkill_timeout"}  # fmt: skip
 
 
 class PlannedNode(NamedTuple):
@@ -134,12 +141,19 @@ class Plan:
         return (*apart, PlannedNode(names[-1], *CONTAINER, components))
 
 
-def plan(given: Mapping[str, str]) -> Plan:
+def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> Plan:
     """Return what a launch with these arguments does.
+
+    Parameters
+    ----------
+    given : mapping of str to str
+        Arguments by name; an empty one is not given.
+    shared : mapping of str to object, optional
+        Parameters for all nodes that have them, whatever they are; file and arguments win.
 
     Raises
     ------
-    ValueError
+    KoopError
         If an argument, the parameter file or the model cannot be used; in one line.
     """
     told = {name: text for name, text in given.items() if text}
@@ -165,9 +179,17 @@ def plan(given: Mapping[str, str]) -> Plan:
         if {"vdp_plant": simulated, "recorder": recorded}.get(name, True)
     ]  # fmt: skip
     classes = {name: ALL_NODES[name] for name in started}
-    values: dict[str, dict[str, Any]] = {name: {} for name in started}
+    values = {
+        name: {
+            key: value
+            for key, value in (shared or {}).items()
+            if key in names_of(own) or key.startswith(parameter_file.ROS_OWN)
+        }
+        for name, own in classes.items()
+    }
     if file is not None:
-        values, ignored = _from_file(file, namespace, classes)
+        from_file, ignored = _from_file(file, namespace, classes)
+        values = {name: own | from_file[name] for name, own in values.items()}
         if ignored:
             notes.append(
                 f"{told['params']}: 'listeners' is not used: the launch says who must be there"
@@ -177,7 +199,7 @@ def plan(given: Mapping[str, str]) -> Plan:
             if argument.node not in values:
                 need = "plant:=true" if argument.node == "vdp_plant" else "record:=true"
                 raise ConfigError(f"{argument.name}:={told[argument.name]}: needs {need}")
-            values[argument.node][argument.name] = _value(argument, told[argument.name])
+            values[argument.node] |= _values(argument, told[argument.name])
     # a rig's controller waits for no recorder: that one could have failed
     listeners = [
         "next",
@@ -194,7 +216,9 @@ def plan(given: Mapping[str, str]) -> Plan:
 
 
 def refuse_other_arguments(words: list[str]) -> None:
-    """Refuse arguments that the launch does not have, which launch itself would ignore.
+    """Refuse misspelt arguments, which launch itself would ignore.
+
+    What is unlike any of them is an argument of a file that includes this one.
 
     Parameters
     ----------
@@ -206,9 +230,10 @@ def refuse_other_arguments(words: list[str]) -> None:
     ConfigError
         On the first one.
     """
-    names = (word.partition(":=")[0] for word in words)
     known = [argument.name for argument in ARGUMENTS]
-    refuse_unknown((name for name in names if name not in OF_LAUNCH), known, "argument")
+    for name in (word.partition(":=")[0] for word in words):
+        if difflib.get_close_matches(name, known, cutoff=SIMILAR):
+            refuse_unknown([name], known, "argument")
 
 
 def _program(file: ParameterFile | None, namespace: str) -> tuple[str, ...]:
@@ -268,29 +293,23 @@ def _namespace(text: str) -> str:
 def _flag(name: str, told: Mapping[str, str], default: bool) -> bool:
     if name not in told:
         return default
-    if told[name].lower() not in WORDS:
+    if told[name] not in FLAGS:
         raise ConfigError(f"{name}:={told[name]}: must be true or false")
-    return WORDS[told[name].lower()]
+    return told[name].lower() == "true"
 
 
-def _value(argument: Argument, text: str) -> Any:
-    """Return the value of a parameter, of the type of its default."""
+def _values(argument: Argument, text: str) -> dict[str, Any]:
+    """Return the parameters that an argument sets, each of the type of its default."""
+    if argument.name == "pace":
+        return pace_values(text)
     default = next(
         item.default
         for cls in ALL_NODES[argument.node]
         for item in fields(cls)
         if item.name == argument.name and item.default is not MISSING
     )
-    if isinstance(default, float):
-        try:
-            return float(text)
-        except ValueError:
-            raise ConfigError(f"{argument.name}:={text}: must be a number") from None
-    return _whole_number(argument.name, text) if isinstance(default, int) else text
-
-
-def _whole_number(name: str, text: str) -> int:
+    kind = {float: "number", int: "whole number"}.get(type(default), "")
     try:
-        return int(text)
+        return {argument.name: type(default)(text)}
     except ValueError:
-        raise ConfigError(f"{name}:={text}: must be a whole number") from None
+        raise ConfigError(f"{argument.name}:={text}: must be a {kind}") from None

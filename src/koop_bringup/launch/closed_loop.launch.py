@@ -5,6 +5,9 @@
 With ``plant:=false`` your own rig takes the plant's place: it publishes ``state`` and listens to
 ``theta`` in the same namespace. What the arguments and the parameter file amount to is decided in
 ``koop_bringup.plan``, before a node starts; what ends it: docs/reference/exit-codes.md.
+
+Another launch file may include it, also several times: the end of one loop ends that one's
+processes only, and what ``SetParameter`` gives to a group reaches the nodes that have it.
 """
 
 import sys
@@ -16,12 +19,16 @@ from launch.actions import (
     DeclareLaunchArgument,
     EmitEvent,
     ExecuteProcess,
+    GroupAction,
     LogInfo,
     OpaqueFunction,
+    RegisterEventHandler,
+    UnsetLaunchConfiguration,
 )
-from launch.events import Shutdown
-from launch.events.process import ProcessExited
+from launch.event_handlers import OnShutdown
+from launch.events.process import ProcessExited, ShutdownProcess
 from launch.logging import get_logger, launch_config
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
@@ -30,8 +37,9 @@ from koop_loop.ending import Ending, ending, told
 from koop_node.client.alone import TOPICS, alone
 from koop_node.process.lifeline import TIED
 
-PLACE = ExitStack()  # of the loop in its ROS domain, held until the launch ends
 STOP_TIMEOUT = "10"  # [s] for a recorder to close its bag
+DEFERRED = "env --block-signal=INT,TERM "  # until the node handles them: see koop_node.node.start
+SET = "global_params"  # where launch_ros keeps what SetParameter and its like give to all nodes
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -39,7 +47,12 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             *(
-                DeclareLaunchArgument(item.name, default_value="", description=item.meaning)
+                DeclareLaunchArgument(
+                    item.name,
+                    default_value="",
+                    description=item.meaning,
+                    choices=["", *item.choices] if item.choices else None,
+                )
                 for item in ARGUMENTS
             ),
             OpaqueFunction(function=_start),
@@ -48,79 +61,121 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _start(context: LaunchContext) -> list:
-    """Check everything, then return the nodes."""
-    if any(Path(word).name == Path(__file__).name for word in sys.argv):  # not included by another
-        refuse_other_arguments(context.argv)
+    """Check everything, then return the processes."""
+    refuse_other_arguments(context.argv)
     given = {item.name: context.launch_configurations[item.name] for item in ARGUMENTS}
     if not given["namespace"].startswith("/"):
         around = context.launch_configurations.get("ros_namespace", "")
         given["namespace"] = f"{around}/{given['namespace']}"
-    planned = plan(given)
+    of_group = context.launch_configurations.get(SET, [])
+    planned = plan(given, dict(item for item in of_group if isinstance(item, tuple)))
     name = f"given_parameters{planned.namespace.replace('/', '-')}.yaml"
     file = Path(launch_config.log_dir) / name
     write(planned.parameters, file)
-    own = not planned.rig or planned.program
-    published = [name for name in TOPICS if name != "state" or own]
-    PLACE.enter_context(alone(planned.namespace, published))
-    lost: list[str] = []
-    return [
-        *(LogInfo(msg=note) for note in planned.notes),
-        *(
+    by_others = planned.rig and not planned.program
+    published = [topic for topic in TOPICS if topic != "state" or not by_others]
+    loop = _Loop(planned.rig, alone(planned.namespace, published))
+    prefix = [
+        DEFERRED if sys.platform == "linux" else "",
+        LaunchConfiguration("launch-prefix", default=""),
+    ]
+    shared = {
+        "additional_env": TIED,  # launch holds a pipe to their stdin
+        "output": "screen",
+        "sigterm_timeout": STOP_TIMEOUT,
+        "prefix": prefix,
+    }
+    files = [item for item in of_group if not isinstance(item, tuple)]
+    for node in planned.processes():
+        loop.add(
             Node(
                 package=node.package,
                 executable=node.executable,
+                exec_name=node.executable,
                 arguments=node.arguments,
                 namespace=planned.namespace or "/",
-                parameters=[file],
-                additional_env=TIED,  # launch holds a pipe to their stdin
-                on_exit=_on_exit(node.name, planned.rig, lost),
-                output="screen",
-                sigterm_timeout=STOP_TIMEOUT,
+                parameters=[*files, file],
+                on_exit=loop.on_exit(node.name),
+                **shared,
             )
-            for node in planned.processes()
-        ),
-        *(
-            ExecuteProcess(
-                name="rig",
-                cmd=[sys.executable, "-m", "koop_node.process.companion", *words],
-                additional_env=TIED,
-                on_exit=_on_exit("rig", planned.rig, lost),
-                output="screen",
-                sigterm_timeout=STOP_TIMEOUT,
-            )
-            for words in [planned.program]
-            if words
-        ),
+        )
+    if planned.program:
+        words = [sys.executable, "-m", "koop_node.process.companion", *planned.program]
+        loop.add(ExecuteProcess(name="rig", cmd=words, on_exit=loop.on_exit("rig"), **shared))
+    return [
+        *(LogInfo(msg=note) for note in planned.notes),
+        RegisterEventHandler(OnShutdown(on_shutdown=loop.on_shutdown)),
+        GroupAction([UnsetLaunchConfiguration(SET), *loop.processes]),
     ]
 
 
-def _on_exit(node: str, rig: bool, lost: list[str]):
-    """Return what to do when a node ends.
+class _Loop:
+    """The processes of one loop, in a launch that may hold others.
 
     Parameters
     ----------
-    node : str
-        Its name.
     rig : bool
         Whether a rig is the plant.
-    lost : list of str
-        What went wrong while the launch went on; shared by all nodes.
+    place : context manager
+        The loop's place in its ROS domain, held until the last process has ended.
     """
 
-    def ended(event: ProcessExited, context: LaunchContext):
-        text = told(node, event.returncode)
-        found = ending(node, event.returncode, rig)
-        # an error is how a launch gets an exit code; it also ends the other nodes
-        if context.is_shutdown:
-            if event.returncode or lost:
-                raise RuntimeError(lost.pop() if lost else text)
-        elif found is Ending.FAILED:
-            raise RuntimeError(text)
-        elif found is Ending.DONE:
-            return [LogInfo(msg=text), EmitEvent(event=Shutdown(reason=text))]
-        else:
-            get_logger("launch").error(f"{text}: the loop goes on without it")
-            lost.append(text)
-        return None
+    def __init__(self, rig: bool, place):
+        self.processes = []
+        self._rig = rig
+        self._ended = 0
+        self._ending = False
+        self._failure = ""  # why the launch is to end with exit code 1
+        self._place = ExitStack()
+        self._place.enter_context(place)
 
-    return ended
+    def add(self, process: ExecuteProcess) -> None:
+        """Take a process."""
+        self.processes.append(process)
+
+    def on_exit(self, node: str):
+        """Return what to do when a node ends."""
+
+        def ended(event: ProcessExited, context: LaunchContext) -> list:
+            self._ended += 1
+            if self._ended == len(self.processes):
+                self._place.close()
+            text = told(node, event.returncode)
+            found = ending(node, event.returncode, self._rig)
+            actions = []
+            if context.is_shutdown or self._ending:
+                if event.returncode:
+                    self._failure = self._failure or text
+            elif found is Ending.GO_ON:
+                get_logger("launch").error(f"{text}: the loop goes on without it")
+                self._failure = text
+            else:
+                get_logger("launch").info(f"{text}: the loop ends")
+                if found is Ending.FAILED:
+                    self._failure = text
+                actions = self._end(event)
+            if context.is_shutdown:
+                self._raise()
+            return actions
+
+        return ended
+
+    def on_shutdown(self, event, context: LaunchContext) -> None:
+        """Give the launch its exit code, if nothing of the loop is left that could do so."""
+        if self._ended == len(self.processes):
+            self._raise()
+
+    def _end(self, event: ProcessExited) -> list:
+        """Return what ends the other processes of the loop."""
+        self._ending = True
+        others = [process for process in self.processes if process is not event.action]
+        return [
+            EmitEvent(event=ShutdownProcess(process_matcher=lambda action, p=process: action is p))
+            for process in others
+        ]
+
+    def _raise(self) -> None:
+        """Raise what went wrong: an error is how a launch gets exit code 1."""
+        failure, self._failure = self._failure, ""
+        if failure:
+            raise RuntimeError(failure)

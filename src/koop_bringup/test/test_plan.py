@@ -74,7 +74,7 @@ def test_the_nodes_wait_for_the_recorder_that_there_is(mine, arguments, listener
 
 
 def test_a_rig_takes_the_place_of_the_plant(mine):
-    planned = plan({**mine(), "plant": "False", "record": "1"})
+    planned = plan({**mine(), "plant": "False", "record": "true"})
     assert planned.rig
     assert names(planned) == ["recorder", "relay_esc", "koopman_lifter"]
 
@@ -144,7 +144,7 @@ def test_a_loop_in_a_namespace_takes_what_the_file_says_to_it(mine):
         ({"duration": "abc"}, "duration:=abc: must be a number"),
         ({"duration": "-1"}, "vdp_plant: duration = -1: must be 0 to "),
         ({"seed": "1.5"}, "seed:=1.5: must be a whole number"),
-        ({"pace": "foo"}, "pace = 'foo': must be one of realtime, lockstep, scaled"),
+        ({"pace": "foo"}, "pace = 'foo': must be realtime, lockstep or a number"),
         ({"cost": "cooked"}, "cost = 'cooked': must be one of "),
         ({"plant": "maybe"}, "plant:=maybe: must be true or false"),
         ({"record": "2"}, "record:=2: must be true or false"),
@@ -229,7 +229,17 @@ def test_a_model_beside_the_file_is_found_wherever_the_folder_is(mine, tmp_path,
         plan(given)
 
 
+def test_what_a_launch_gives_to_all_nodes_reaches_those_that_have_it(mine):
+    planned = plan({**mine(), "pace": "2.5"}, {"seed": 5, "dwell": 3.0, "robot_description": "x"})
+    assert planned.parameters["vdp_plant"]["seed"] == 7  # of the file
+    assert planned.parameters["relay_esc"]["dwell"] == 3.0
+    assert "seed" not in planned.parameters["relay_esc"]
+    assert plan({}, {"seed": 5}).parameters["vdp_plant"] == {"seed": 5}
+    pace = {name: planned.parameters["vdp_plant"][name] for name in ("pace", "time_scale")}
+    assert pace == {"pace": "scaled", "time_scale": 2.5}
+
+
 def test_an_argument_that_the_launch_does_not_have_is_refused():
-    refuse_other_arguments(["duration:=3", "sigterm_timeout:=20"])
+    refuse_other_arguments(["duration:=3", "sigterm_timeout:=20", "of_the_file_around:=2"])
     with pytest.raises(ConfigError, match="unknown argument 'durations': did you mean"):
         refuse_other_arguments(["durations:=3"])

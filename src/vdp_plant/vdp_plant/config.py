@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from koop_core.config.parameter import ConfigError, parameter, validate
 from vdp_plant.dynamics import EULER, RK4, PlantParams
@@ -122,6 +123,27 @@ class PlantConfig:
             self.theta_max,
             self.theta_rate if self.theta_rate > 0.0 else math.inf,
         )
+
+
+def pace_values(text: str) -> dict[str, Any]:
+    """Return the parameters of a pace: ``realtime``, ``lockstep`` or a number of times real time.
+
+    >>> pace_values("2.5")
+    {'pace': 'scaled', 'time_scale': 2.5}
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it is none of them.
+    """
+    if text in ("realtime", "lockstep"):
+        return {"pace": text}
+    try:
+        return {"pace": "scaled", "time_scale": float(text)}
+    except ValueError:
+        raise ConfigError(
+            f"pace = {text!r}: must be realtime, lockstep or a number: so many times real time"
+        ) from None
 
 
 @dataclass(frozen=True)
