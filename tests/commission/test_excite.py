@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 
@@ -15,10 +14,9 @@ from commission_rig import RIG, FastRig
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_commission.rig.graph import identify_publishers, refuse_second_rig
+from koop_commission.rig.graph import identify_publishers
 from koop_commission.rig.listener import Listener
-from koop_commission.stages.bags import refuse_small_disk
-from koop_commission.stages.session import refuse_incomplete_state
+from koop_commission.stages.session import refuse_incomplete_state, refuse_small_disk
 from koop_commission.theta.assignment import Assignment
 from koop_commission.theta.commander_client import CommanderClient, find_theta, note_of
 from koop_core.config.fields import parse_field
@@ -39,7 +37,7 @@ def wait(condition, what, process=None, seconds=TIMEOUT):
     deadline = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < deadline, what
-        assert process is None or process.poll() is None, process.communicate()
+        assert process is None or process.poll() is None, process.communicate()[1]
         time.sleep(0.02)
     return found
 
@@ -129,24 +127,6 @@ def test_theta_goes_home_if_the_commander_itself_is_killed(fast_rig, tmp_path):
     assert "was restarted since theta was left at 1" in words
 
 
-def test_two_rigs_on_one_topic_are_refused_unless_one_is_on_its_way_out(fast_rig):
-    topic = RIG.state.topic
-    with Client("looks") as client:
-        other = FastRig()
-        try:
-            wait(
-                lambda: client.spin(0.1) or len(identify_publishers(client, topic)) == 2,
-                "both rigs",
-            )
-            with pytest.raises(LiveError, match="published by /fast_rig and /fast_rig: stop all"):
-                refuse_second_rig(client, RIG, 0.5)
-        finally:
-            leaves = threading.Timer(1.0, other.close)
-            leaves.start()
-        refuse_second_rig(client, RIG, TIMEOUT)
-        leaves.join()
-
-
 def whole(bag):
     with BagReader(bag) as reader:
         assert reader.complete
@@ -164,7 +144,7 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     first.send_signal(signal.SIGINT)
     out, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130, error
-    assert "9 values of theta from -1 to 2, up and down, then in random order: about" in out
+    assert "9 values of theta from -1 to 2, up and down, then in random order: at most" in out
     assert f"theta is back at 1; to resume: ./koop excite {rig_yaml} --out run" in out
     assert fast_rig.theta == RIG.theta_safe
     theta, topics = whole(tmp_path / "run/part-1/bag")

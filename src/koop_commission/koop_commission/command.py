@@ -145,7 +145,7 @@ class Commissioning:
             print("done before")
         else:
             state = excite(self._rig, self._folder, self._watch)
-            print(describe_result(self._rig, self._folder, state))
+            print(describe_result(self._rig, state))
         if unknown_twice(state.visits, len(state.values)):
             print(
                 f"\ntheta was not at each dwell point twice in {self._rig.time:g} s: set a longer "

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from koop_core.config.fields import check_fields
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_node.client.client import Client
+from koop_node.node.graph import full_name
 from koop_tune.rig.rig_file import RigFile
 
 DISCOVERY = 4.0  # [s]: Fast DDS announces itself every 3 s to those that missed the first time
 LEASE = 21.0  # [s] after which DDS forgets a participant that was killed
 HIDDEN = ("/rosout", "/parameter_events", "/diagnostics", "/clock", "/tf", "/tf_static")
-UNKNOWN = "another program"
 COMMANDER = "/koop_commander"
 
 
@@ -55,19 +55,14 @@ def find_topics(
 
 def find_nodes(client: Client, topic: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the other nodes that publish and that subscribe to a topic."""
-    own = client.node.get_name()
+    node = client.node
 
-    def names(infos: Any) -> tuple[str, ...]:
-        full = (
-            f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            for info in infos
-            if info.node_name != own
-        )
-        return tuple(UNKNOWN if "_NODE_NAME_UNKNOWN_" in name else name for name in full)
+    def names(infos: Sequence[Any]) -> tuple[str, ...]:
+        return tuple(full_name(info) for info in infos if info.node_name != node.get_name())
 
     return (
-        names(client.node.get_publishers_info_by_topic(topic)),
-        names(client.node.get_subscriptions_info_by_topic(topic)),
+        names(node.get_publishers_info_by_topic(topic)),
+        names(node.get_subscriptions_info_by_topic(topic)),
     )
 
 
@@ -84,10 +79,8 @@ def find_other_publishers(client: Client, topic: str, commanding: bool) -> list[
     its publisher.
     """
     names = list(find_nodes(client, topic)[0])
-    for name in (COMMANDER, UNKNOWN) if commanding else ():
-        if name in names:
-            names.remove(name)
-            break
+    if commanding and names:
+        names.remove(COMMANDER if COMMANDER in names else names[0])
     return sorted(set(names))
 
 
@@ -96,27 +89,10 @@ def describe_second_rig(client: Client, rig: RigFile) -> str:
     names = find_nodes(client, rig.state.topic)[0]
     if len(names) < 2:
         return ""
-    return f"{rig.state.topic} is published by {' and '.join(names)}: stop all but the rig"
-
-
-def refuse_second_rig(client: Client, rig: RigFile, patience: float = LEASE) -> None:
-    """Refuse a measured topic with more than one publisher.
-
-    DDS lists a program that was killed for a while; that time [s] is waited for.
-
-    Raises
-    ------
-    koop_core.errors.LiveError
-        If there are still two after that time.
-    """
-    deadline = time.monotonic() + patience
-    if text := describe_second_rig(client, rig):
-        print(f"{text}; DDS forgets a killed program within {patience:g} s", flush=True)
-    while text:
-        if time.monotonic() > deadline:
-            raise LiveError(text)
-        client.spin(0.2)
-        text = describe_second_rig(client, rig)
+    return (
+        f"{rig.state.topic} is published by {' and '.join(names)}: stop all but the rig (a killed "
+        f"program is listed for {LEASE:g} s)"
+    )
 
 
 def refuse_missing_topics(

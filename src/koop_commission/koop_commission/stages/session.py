@@ -10,6 +10,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from tqdm import tqdm
+
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
 from koop_commission.fitness.samples import refuse_dead
@@ -19,12 +21,10 @@ from koop_commission.rig.graph import (
     find_other_publishers,
     identify_publishers,
     refuse_missing_topics,
-    refuse_second_rig,
 )
 from koop_commission.rig.listener import Listener
 from koop_commission.theta.assignment import Assignment
 from koop_commission.theta.commander_client import CommanderClient, find_theta
-from koop_commission.theta.limits import SAFETY
 from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -32,23 +32,8 @@ from koop_node.client.client import Client
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, THETA, RigFile
 
 COST = "/cost"
-WAITING = 0.1  # [s] in which messages are received that waited while this process was paused
-
-
-class SessionEnded(LiveError):
-    """A session that ended early, after theta had been moved; it returned to theta_safe.
-
-    ``silent``: the rig publishes no more.
-    """
-
-    def __init__(self, reason: str, rig: RigFile, silent: bool) -> None:
-        safe = f"theta_safe = {rig.theta_safe:g}"
-        where = (
-            f"theta was returned to {safe}, but a silent rig may not have received it"
-            if silent
-            else f"theta is back at {safe}"
-        )
-        super().__init__(f"{reason}. {where}")
+BYTES = 250.0  # of a bag for one state, with its cost and theta
+BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
 
 @dataclass(frozen=True)
@@ -86,7 +71,7 @@ class Session:
     still : int
         Samples after which a channel that does not change is dead; 0: never.
     show : callable
-        Called once a second.
+        Called once a second, to draw the progress.
     """
 
     def __init__(
@@ -96,6 +81,7 @@ class Session:
         self.commander: CommanderClient
         self.still = 0
         self.show: Callable[[], object] = lambda: None
+        self.bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
         self._rig, self._watch = rig, watch
         self._checked = self._looked = 0.0
 
@@ -121,10 +107,18 @@ class Session:
             self.client.spin(0.05)
             self.check()
 
-    def wait_for_states(self, count: int) -> None:
-        """Wait for some states; raise as :meth:`wait_until` does."""
-        end = self.listener.count + count
-        self.wait_until(lambda: self.listener.count >= end)
+    def wait_for_states(self, count: int, phase: str = "listening") -> None:
+        """Wait for some states and show the progress; raise as :meth:`wait_until` does."""
+        first, dt = self.listener.count, self._rig.dt
+        self.show = lambda: self.draw(phase, (self.listener.count - first) * dt, count * dt)
+        self.wait_until(lambda: self.listener.count >= first + count)
+
+    def draw(self, phase: str, elapsed: float, total: float, more: str = "") -> None:
+        """Draw the progress of a phase, in seconds."""
+        self.bar.set_description_str(phase, refresh=False)
+        self.bar.total, self.bar.n = total, min(elapsed, total)
+        words = f"theta {self.commander.theta:+.4g}" + f", {more}" * bool(more)
+        self.bar.set_postfix_str(words, refresh=True)
 
     def go(self, theta: float) -> None:
         """Move theta, and wait for the first state that is answered after its arrival."""
@@ -152,17 +146,6 @@ class Session:
         if others := find_other_publishers(self.client, topic, commanding=True):
             raise LiveError(f"{topic} is also commanded by {', '.join(others)}")
         self.show()
-
-    def is_silent(self) -> bool:
-        """Return whether the rig publishes no more, also if this process itself was paused."""
-        limit, begin = SAFETY.silence(self._rig), time.monotonic()
-        if not self.listener.age > limit:  # NaN before the first message
-            return False
-        while (passed := time.monotonic() - begin) < limit:
-            self.client.spin(0.05)
-            if self.listener.age < passed - WAITING:
-                return False
-        return True
 
     def refuse_dead(self) -> None:
         """Raise LiveError if a channel has not changed for ``still`` samples."""
@@ -200,7 +183,7 @@ def open_session(
     Raises
     ------
     koop_core.errors.LiveError
-        SessionEnded if theta had been moved.
+        If it ends early; theta has returned to theta_safe then.
     koop_core.config.parameter.ConfigError
         If the rig file names what does not exist.
     """
@@ -208,7 +191,8 @@ def open_session(
     with ExitStack() as last, ExitStack() as stack:
         client = stack.enter_context(Client(name))
         refuse_missing_topics(client, rig, watch.patience, watch.check)
-        refuse_second_rig(client, rig)
+        if text := describe_second_rig(client, rig):
+            raise LiveError(text)
         stack.enter_context(nodes)
         began()
         channels = ",".join(f"x[{i}]" for i in range(len(rig.names)))
@@ -236,7 +220,10 @@ def open_session(
             stack.callback(session.commander.return_to_safe)
             yield session
         except LiveError as error:
-            raise SessionEnded(str(error), rig, session.is_silent()) from error
+            where = f"theta was returned to theta_safe = {rig.theta_safe:g}"
+            raise LiveError(f"{error}. {where}") from error
+        finally:
+            session.bar.close()
 
 
 def refuse_incomplete_state(rig: RigFile) -> None:
@@ -251,4 +238,22 @@ def refuse_incomplete_state(rig: RigFile) -> None:
         raise ConfigError(
             f"measured = {rig.measured!r}: on {STATE} the lifter takes all of {STATE_TYPE}: name "
             "x[0], x[1] and so on in order, or let the rig publish on another topic"
+        )
+
+
+def refuse_small_disk(rig: RigFile, folder: Path, seconds: float) -> None:
+    """Refuse a disk that has no room for a recording of some time [s].
+
+    Raises
+    ------
+    koop_core.errors.LiveError
+        If it has none.
+    """
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free = shutil.disk_usage(existing).free
+    needed = BYTES * max(seconds, 0.0) / rig.dt
+    if free < needed:
+        raise LiveError(
+            f"{existing}: {free / 1e6:.0f} MB are free, up to {needed / 1e6:.0f} MB are needed: "
+            "make room, or set a shorter 'time' in the rig file"
         )
