@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import rclpy
 from ament_index_python.packages import get_package_prefix
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
@@ -118,10 +119,16 @@ class Player(Program):
 class Talker:
     """A node with publishers, in this process."""
 
-    def __init__(self, name: str = "talker", namespace: str = "", **parameters: Any) -> None:
+    def __init__(
+        self,
+        name: str = "talker",
+        namespace: str = "",
+        node_class: Callable[..., Any] = Node,
+        **parameters: Any,
+    ) -> None:
         self.context = rclpy.Context()
         self.context.init(args=[])
-        self.node = rclpy.create_node(
+        self.node = node_class(
             name,
             namespace=namespace,
             context=self.context,

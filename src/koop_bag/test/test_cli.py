@@ -86,6 +86,7 @@ def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tm
         "duplicates": 1,
         "backward": 0,
         "jumps": 0,
+        "inactive": 0,
         "first": 0,
         "last": 20,
     }
@@ -341,9 +342,9 @@ def test_every_parameter_of_the_player_is_an_option_and_reaches_it(koop, monkeyp
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"compression": "lzma"}, "compression"),
+        ({"split_size": -1.0}, "split_size"),
         ({"topics": "state a:b"}, "'a:b' is neither a name nor name:pkg/msg/Type"),
-        ({"poll_period": 0.0}, "poll_period"),
+        ({"queue": 1}, "queue"),
     ],
 )
 def test_settings_of_the_recorder_that_cannot_be_are_refused(given, said):

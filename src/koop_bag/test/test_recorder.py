@@ -15,11 +15,13 @@ from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosbags.highlevel import AnyReader
 
 from koop_bag.bag.columns import read_columns
+from koop_bag.bag.info import describe
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
@@ -246,6 +248,30 @@ def test_chosen_topics_are_recorded_while_the_recorder_is_active(tmp_path, messa
         assert {topic.name: topic.count for topic in reader.topics} == {"/state": 20, "/joints": 1}
 
 
+def test_steps_that_a_node_skips_while_it_is_inactive_are_not_lost(tmp_path, messages):
+    types = {"/state": LOOP["/state"]}
+    with (
+        Recorder(tmp_path / "run", "-p", "topics:=state") as recorder,
+        Talker(node_class=LifecycleNode) as talker,
+    ):
+        talker.node.trigger_configure()
+        talker.node.trigger_activate()
+        publishers = talker.publishers(types)
+        events = "/talker/transition_event"
+        talker.spin_until(lambda: talker.node.count_subscribers(events), "the recorder to watch")
+        publish(publishers, messages.loop, [*range(10), *range(12, 20)])
+        recorder.wait_for("/state", 18)
+        talker.node.trigger_deactivate()
+        talker.node.trigger_activate()
+        publish(publishers, messages.loop, range(500, 510))
+        recorder.wait_for("/state", 28)
+        recorder.stop()
+        assert "lost messages: 2 on /state" in recorder.output()
+    with BagReader(tmp_path / "run") as reader:
+        (topic,) = describe(reader).topics
+    assert (topic.steps.lost, topic.steps.inactive) == (2, 480)
+
+
 def test_a_folder_that_holds_a_recording_is_refused_with_one_line(tmp_path, write_loop):
     write_loop("bag", n=3)
     with Recorder(tmp_path) as recorder:
@@ -256,7 +282,7 @@ def test_a_folder_that_holds_a_recording_is_refused_with_one_line(tmp_path, writ
 
 
 def test_a_wrong_parameter_is_refused_with_one_line(tmp_path):
-    with Recorder(tmp_path / "run", "-p", "compression:=lzma") as recorder:
+    with Recorder(tmp_path / "run", "-p", "queue:=1") as recorder:
         assert recorder.end() == 2
         assert recorder.output().startswith("error: ")
         assert len(recorder.output().splitlines()) == 1

@@ -1,9 +1,9 @@
-"""What a bag holds, in the terms of its user."""
+"""Contents of a bag as `koop bag info` prints them."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from koop_bag.bag.columns import LOG_TIME, iter_tables, list_fields
@@ -103,22 +103,27 @@ def describe(bag: BagReader, brief: bool = False) -> BagInfo:
         if name in counters:
             counters[name].add_many(columns["step"])
         models |= dict.fromkeys(columns.get("model_id", ()))
+    inactive = parse_map(info.custom.get("inactive", ""), "record of inactive nodes")
     for topic in bag.topics:
-        info.topics.append(_topic_info(topic, spans.get(topic.name), counters.get(topic.name)))
-    steps = {topic.name: topic.steps for topic in info.topics if topic.steps is not None}
-    info.complete_from = complete_from({name: report.first for name, report in steps.items()})
+        counter = counters.get(topic.name)
+        steps = counter.report() if counter and topic.count else None
+        if steps is not None and isinstance(skipped := inactive.get(topic.name), int):
+            skipped = min(skipped, steps.lost)
+            steps = replace(steps, lost=steps.lost - skipped, inactive=skipped)
+        info.topics.append(_topic_info(topic, spans.get(topic.name), steps))
+    first = {topic.name: topic.steps.first for topic in info.topics if topic.steps is not None}
+    info.complete_from = complete_from(first)
     info.model_ids = [model for model in models if model]
     return info
 
 
 def _topic_info(
-    topic: Topic, span: tuple[int, int] | None, counter: LossCounter | None
+    topic: Topic, span: tuple[int, int] | None, steps: StepReport | None
 ) -> TopicInfo:
     rate = None
     if span is not None and span[1] > span[0]:
         rate = (topic.count - 1) / ((span[1] - span[0]) * 1e-9)
-    report = counter.report() if counter and topic.count else None
-    return TopicInfo(topic.name, topic.type_name, topic.count, rate, report)
+    return TopicInfo(topic.name, topic.type_name, topic.count, rate, steps)
 
 
 def as_text(info: BagInfo, with_parameters: bool = False) -> str:
@@ -161,9 +166,13 @@ def as_text(info: BagInfo, with_parameters: bool = False) -> str:
 def _remarks(steps: StepReport | None, missing: int) -> str:
     if steps is None:
         return ""
-    found = [f"begins at step {steps.first}"] if steps.first else []
-    found += [f"{steps.duplicates} sent again"] if steps.duplicates else []
-    found += [f"{steps.backward} steps back"] if steps.backward else []
-    found += [f"{steps.jumps} jumps ahead: of another sender or a clock"] if steps.jumps else []
-    found += [f"ends at step {steps.last}, {missing} before the loop"] if missing else []
-    return f" ({', '.join(found)})" if found else ""
+    remarks = {
+        f"begins at step {steps.first}": steps.first,
+        f"{steps.duplicates} sent again": steps.duplicates,
+        f"{steps.backward} steps back": steps.backward,
+        f"{steps.jumps} jumps ahead: another publisher or a clock": steps.jumps,
+        f"{steps.inactive} steps while inactive": steps.inactive,
+        f"ends at step {steps.last}, {missing} before the loop": missing,
+    }
+    text = ", ".join(remark for remark, count in remarks.items() if count)
+    return f" ({text})" if text else ""

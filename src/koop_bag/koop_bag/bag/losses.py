@@ -7,17 +7,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 ASIDE = 100
-"""Messages within which steps that others broke into go on, if they ever do."""
+"""Messages within which a sequence of steps that another publisher interrupted continues."""
 
 JUMP = 1_000_000
 """Steps (83 minutes at 200 Hz) that no recording lacks between two messages: a larger step ahead
-is that of another sender, or of a clock from which the steps are made and that was set.
+comes from another publisher, or from a clock that gives the steps and that was set.
 """
 
 
 @dataclass(frozen=True)
 class StepReport:
-    """What the steps of one topic say, in the order in which they were received.
+    """Losses of one topic, from its steps in the order in which they were received.
 
     Attributes
     ----------
@@ -25,8 +25,8 @@ class StepReport:
         Messages received.
     lost : int
         Steps jumped over: a step k followed by k + 1 + n counts n. A step that goes back, of a
-        restarted run or of a second sender, is not a loss, and neither is the way from it to where
-        the steps before go on, nor a jump.
+        restarted run or of a second publisher, is not a loss. Neither is the step forward from it
+        to where the steps before it continue, nor a jump.
     duplicates : int
         Messages with the step of the one before: a state sent again is not a loss.
     backward : int
@@ -34,6 +34,8 @@ class StepReport:
         messages out of order.
     jumps : int
         Steps ahead by more than JUMP.
+    inactive : int
+        Steps jumped over while the recorder or the publishing node was inactive: not lost.
     first, last : int
         First and last step received, -1 if there is none. A run starts at 0; `first` > 0 is a late
         recorder.
@@ -44,6 +46,7 @@ class StepReport:
     duplicates: int = 0
     backward: int = 0
     jumps: int = 0
+    inactive: int = 0
     first: int = -1
     last: int = -1
 
@@ -103,6 +106,7 @@ class LossCounter:
         "count",
         "duplicates",
         "first",
+        "inactive",
         "jumps",
         "last",
         "lost",
@@ -110,6 +114,7 @@ class LossCounter:
 
     def __init__(self) -> None:
         self.count = self.lost = self.duplicates = self.backward = self.jumps = 0
+        self.inactive = 0
         self.first = self.last = -1
         self._interrupted = True
         # the last step before one that went back, while what continues it is expected
@@ -124,10 +129,12 @@ class LossCounter:
             self._interrupted = False
             if self.count == 1:
                 self.first = step
+            else:
+                self.inactive += max(0, step - before - 1)
             return
         if self._patience:
             self._patience -= 1
-            if before < self._aside <= step:  # what was broken into goes on
+            if before < self._aside <= step:  # the interrupted sequence continues
                 before, self._aside = self._aside, before
                 self._patience = ASIDE
         if step > before + JUMP:
@@ -166,7 +173,7 @@ class LossCounter:
                 at = end
 
     def interrupt(self) -> None:
-        """Do not compare the next message with the last one: those between were not wanted."""
+        """Do not compare the next message with the last one: none was expected between them."""
         self._interrupted = True
         self._patience = 0
 
@@ -178,6 +185,7 @@ class LossCounter:
             self.duplicates,
             self.backward,
             self.jumps,
+            self.inactive,
             self.first,
             self.last,
         )

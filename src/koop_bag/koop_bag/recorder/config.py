@@ -19,9 +19,9 @@ LOOP_TOPICS = {
 
 @dataclass(frozen=True)
 class RecorderConfig:
-    """What is recorded, and how.
+    """Configuration of a recording.
 
-    What a killed recorder may lose is bounded by :class:`koop_bag.bag.writer.WriterOptions`.
+    The messages that a killed recorder may lose are bounded by :class:`koop_bag.bag.writer.WriterOptions`.
 
     Raises
     ------
@@ -39,28 +39,14 @@ class RecorderConfig:
         "share, and every other topic of the namespace as it appears",
         read_only=True,
     )
-    compression: str = parameter(
-        "zstd", "compression of the file's chunks", choices=("none", "zstd"), read_only=True
-    )
     split_size: float = parameter(
-        0.0, "start a new file at this size; 0: never", unit="MB", low=0.0, read_only=True
-    )
-    split_duration: float = parameter(
-        0.0, "start a new file after this time; 0: never", unit="s", low=0.0, read_only=True
+        0.0, "size at which the next file begins; 0: never", unit="MB", low=0.0, read_only=True
     )
     queue: int = parameter(
         10000,
-        "messages of one topic that may wait to be written: how long a stall is survived",
+        "messages of one topic that may wait to be written",
         low=10,
         high=1000000,
-        read_only=True,
-    )
-    poll_period: float = parameter(
-        0.02,
-        "how often waiting messages are fetched; receive times do not depend on it",
-        unit="s",
-        low=0.001,
-        high=0.1,
         read_only=True,
     )
 
@@ -70,11 +56,7 @@ class RecorderConfig:
 
     def writer_options(self) -> WriterOptions:
         """Return how the bag is written."""
-        return WriterOptions(
-            compression=self.compression,
-            split_bytes=int(self.split_size * 1e6),
-            split_seconds=self.split_duration,
-        )
+        return WriterOptions(split_bytes=int(self.split_size * 1e6))
 
 
 RECORDER: dict[str, tuple[type, ...]] = {"recorder": (RecorderConfig, NodeConfig)}

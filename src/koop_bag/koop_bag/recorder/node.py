@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
+from lifecycle_msgs.msg import TransitionEvent
 from rcl_interfaces.msg import ParameterEvent
-from rclpy.qos import qos_profile_parameter_events
+from rclpy.qos import QoSProfile, qos_profile_parameter_events
 
 from koop_bag.bag.losses import LossCounter, complete_from, early_ends
 from koop_bag.bag.metadata import OfferedQos, dump
@@ -23,6 +24,7 @@ from koop_bag.recorder.topics import RecordedTopic, fetch, polled
 from koop_node.node.main import run
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 
+POLL_PERIOD = 0.02  # [s] between fetches of waiting messages; receive times do not depend on it
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
 EARLY_PERIOD, EARLY = 0.05, 5.0  # [s] at first, for a run may be over in less; and how long
 QUIET = 0.2  # [s] without a message after which a run that was stopped has said everything
@@ -36,6 +38,8 @@ class RecorderRun(Run):
         config = node.parameters[RecorderConfig]
         self._node = node
         self._config = config
+        self._entities = entities
+        self._watched: set[str] = set()
         self._topics: dict[str, RecordedTopic] = {}
         self._problem = ""
         self._recording = self._paused = False
@@ -54,7 +58,7 @@ class RecorderRun(Run):
             self._on_parameter_event,
             qos_profile_parameter_events,
         )
-        entities.timer(config.poll_period, self._poll)
+        entities.timer(POLL_PERIOD, self._poll)
         self._began: float | None = time.monotonic()
         self._looks = entities.timer(EARLY_PERIOD, self._look_around)
         try:
@@ -134,9 +138,24 @@ class RecorderRun(Run):
                 self._try_topic(name, types[0])
         for topic in self._topics.values():
             topic.match()
+            for publisher in topic.publishers - self._watched:
+                self._watch(publisher)
         if self._collector.look():
             self._guarded(self._keep_parameters)
         self._say_from_when_on()
+
+    def _watch(self, publisher: str) -> None:
+        """Listen to the lifecycle of a node: while it is inactive, no message of it is lost."""
+        self._watched.add(publisher)
+
+        def on_transition(event: TransitionEvent) -> None:
+            self._poll()  # what was published before
+            for topic in self._topics.values():
+                if topic.losses is not None and publisher in topic.publishers:
+                    topic.losses.interrupt()
+
+        events = f"{publisher}/transition_event"
+        self._entities.subscription(TransitionEvent, events, on_transition, QoSProfile(depth=10))
 
     def _try_topic(self, name: str, type_name: str) -> None:
         try:
@@ -208,8 +227,8 @@ class RecorderRun(Run):
                 self._node.get_logger().warning(f"{name} begins at step {counter.first}, not at 0")
             if counter.jumps:
                 self._node.get_logger().warning(
-                    f"the steps of {name} jump ahead {counter.jumps} times: of another sender, or "
-                    "of a clock that was set; that is not counted as lost"
+                    f"the steps of {name} jump ahead {counter.jumps} times: another publisher, or "
+                    "a clock that was set; this is not counted as lost"
                 )
         for name, missing in early_ends({n: c.last for n, c in counters.items()}).items():
             self._node.get_logger().warning(f"{name} ends {missing} steps before the loop does")
@@ -242,6 +261,7 @@ class RecorderRun(Run):
             "git_revision": self._versions["git_revision"],
             "models": dump(self._models),
             "complete_from": dump(self._complete_from),
+            "inactive": dump({n: c.inactive for n, c in self._counters().items() if c.inactive}),
         }
 
     def _lost(self) -> dict[str, int]:

@@ -62,7 +62,9 @@ class RecordedTopic:
         """The bag's channel; 0 until it is announced."""
         self.count = 0
         self.offered: tuple[OfferedQos, ...] = ()
-        """QoS of the publishers seen."""
+        """QoS of the publishers that have been there."""
+        self.publishers: set[str] = set()
+        """Full names of their nodes."""
         self.losses = LossCounter() if has_step(self.schema) else None
         self._announce = announce
         self._node = node
@@ -102,6 +104,7 @@ class RecordedTopic:
         infos = self._node.get_publishers_info_by_topic(self.name)
         if not infos:
             return
+        self.publishers |= {f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos}
         profiles = [info.qos_profile for info in infos]
         self.offered = tuple(dict.fromkeys(offered_qos(profile) for profile in profiles))
         reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
