@@ -20,7 +20,7 @@ setup(
         "zstandard",
     ],
     extras_require={
-        "test": ["mcap-ros2-support", "pyarrow", "pytest", "rosbags"],
+        "test": ["hypothesis", "mcap-ros2-support", "pyarrow", "pytest", "rosbags"],
         "export": ["pyarrow"],
         "store": ["fsspec", "universal-pathlib", "s3fs"],
     },

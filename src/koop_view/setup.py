@@ -18,7 +18,7 @@ setup(
         "PyYAML",
         "websockets",
     ],
-    extras_require={"test": ["hypothesis", "pytest", "rosbags"]},
+    extras_require={"test": ["hypothesis", "pytest"]},
     zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",

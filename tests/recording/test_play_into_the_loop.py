@@ -3,13 +3,12 @@
 The bag that is played is compressed message by message, as rosbag2 can do it.
 """
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 from koop_bag_compressed import compress
+from koop_bag_ros import Player
 
 from koop_bag.bag.diff import compare
 from koop_bag.bag.reader import BagReader
@@ -28,13 +27,11 @@ def test_played_in_lockstep_lifter_and_controller_answer_as_recorded(start, tmp_
     for node in ("relay_esc", "koopman_lifter"):
         start(node, "--params-file", str(file))
     packed = compress(GOLDEN / "bag", tmp_path / "packed", "MESSAGE")
-    options = ["--pace", "lockstep", "--wait-for", "state:2 ground_truth"]
-    command = [sys.executable, "-m", "koop_lab", "bag", "play", str(packed), *options]
-    player = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert player.returncode == 0, player.stderr
+    with Player(packed, pace="lockstep", listeners="recorder") as player:
+        assert player.end() == 0, player.output()
     assert recorder.stop() == 0
     with BagReader(GOLDEN) as golden, BagReader(tmp_path / "run") as played:
-        found = {item.topic: item for item in compare(golden, played)}
+        topics = {item.topic: item for item in compare(golden, played)}
     for topic in ("/state", "/cost", "/theta", "/ground_truth"):
-        assert found[topic].identical, found[topic]
-        assert found[topic].compared == 2000
+        assert topics[topic].identical, topics[topic]
+        assert topics[topic].compared == 2000

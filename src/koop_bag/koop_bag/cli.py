@@ -1,4 +1,4 @@
-"""The command ``koop bag``: information, recording, playing, recovery, comparison, export."""
+"""The command ``koop bag``: information, playing, recovery, comparison, export."""
 
 from __future__ import annotations
 
@@ -7,16 +7,23 @@ import dataclasses
 import json
 import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from koop_bag.errors import BagError
 from koop_bag.player.config import PlayerConfig
-from koop_bag.recorder.config import RecorderConfig
 from koop_core.config.parameter import spec_of
 
-Action = Callable[[argparse.Namespace], int]
+_PARAMETERS = {item.name: item for item in dataclasses.fields(PlayerConfig)}
+PLAY_OPTIONS = {
+    "--pace": _PARAMETERS["pace"],
+    "--topics": _PARAMETERS["topics"],
+    "--remap": _PARAMETERS["remap"],
+    "--start": _PARAMETERS["position"],
+    "--loop": _PARAMETERS["loop"],
+    "--clock": _PARAMETERS["clock"],
+}
+"""Options of ``koop bag play``: parameters of the player."""
 
 
 def register(commands: Any) -> None:
@@ -32,22 +39,30 @@ def register(commands: Any) -> None:
         "requests for a bag of any size in a store",
     )
     info.add_argument("--json", action="store_true", help="everything, for a program to read")
-    _set(info, _info)
-
-    record = bag.add_parser("record", help="record topics until Ctrl-C")
-    record.add_argument("topics", nargs="*", help="NAME or NAME:pkg/msg/Type; default: the loop's")
-    _add_node_options(record, RecorderConfig, {"topics"})
-    _set(record, _record)
+    info.set_defaults(func=_info)
 
     play = bag.add_parser("play", help="play a bag to other nodes")
     play.add_argument("bag", type=Path)
-    _add_node_options(play, PlayerConfig, {"bag", "position"})
-    _set(play, _play)
+    for name, option in PLAY_OPTIONS.items():
+        spec, default = spec_of(option), option.default
+        text = spec.description + (f" [{spec.unit}]" if spec.unit else "")
+        if isinstance(default, bool):
+            play.add_argument(name, action="store_true", default=None, dest=option.name, help=text)
+            continue
+        play.add_argument(
+            name,
+            type=type(default),
+            choices=spec.choices or None,
+            metavar=None if spec.choices else name.strip("-").upper(),
+            dest=option.name,
+            help=text + (f" (default {default})" if default != "" else ""),
+        )
+    play.set_defaults(func=_play)
 
     recover = bag.add_parser("recover", help="make a whole bag of a torn or damaged one")
     recover.add_argument("bag", type=Path)
     recover.add_argument("target", type=Path, nargs="?", help="default: beside it, _recovered")
-    _set(recover, _recover)
+    recover.set_defaults(func=_recover)
 
     diff = bag.add_parser("diff", help="compare two bags; exit code 1 if they differ")
     diff.add_argument("a", type=Path)
@@ -55,14 +70,14 @@ def register(commands: Any) -> None:
     diff.add_argument("--topic", action="append", help="only this topic; may be repeated")
     diff.add_argument("--ignore", action="append", default=[], metavar="FIELD")
     diff.add_argument("--tolerance", type=float, default=0.0, metavar="X")
-    _set(diff, _diff)
+    diff.set_defaults(func=_diff)
 
     export = bag.add_parser("export", help="write CSV or Parquet, one file a topic")
     export.add_argument("bag", type=Path)
     export.add_argument("-o", "--out", type=Path, help="folder; default: beside it, _export")
     export.add_argument("--format", choices=("csv", "parquet"), default="csv")
     export.add_argument("--topic", action="append", help="only this topic; may be repeated")
-    _set(export, _export)
+    export.set_defaults(func=_export)
 
 
 def bag_commands(commands: Any) -> Any:
@@ -78,20 +93,6 @@ def bag_commands(commands: Any) -> Any:
         parser = commands.add_parser("bag")
         parser.nested = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     return parser.nested
-
-
-def _set(parser: argparse.ArgumentParser, action: Action) -> None:
-    def guarded(args: argparse.Namespace) -> int:
-        try:
-            return action(args)
-        except BagError as error:
-            print(f"koop bag {args.action}: error: {error}", file=sys.stderr)
-            return 2
-
-    parser.set_defaults(func=guarded)
-
-
-# -- offline ----------------------------------------------------------------------------------
 
 
 def _info(args: argparse.Namespace) -> int:
@@ -177,62 +178,26 @@ def _beside(bag: Path, what: str) -> Path:
     return bag.resolve().with_name(f"{bag.resolve().stem}_{what}")
 
 
-# -- nodes ------------------------------------------------------------------------------------
-
-
-def _add_node_options(parser: argparse.ArgumentParser, config: type, skip: set[str]) -> None:
-    """Make an option of every parameter of a node."""
-    for item in dataclasses.fields(config):
-        if item.name in skip:
-            continue
-        spec = spec_of(item)
-        names = [f"--{item.name.replace('_', '-')}"]
-        if item.name == "output":
-            names = ["-o", "--out"]
-        text = spec.description + (f" [{spec.unit}]" if spec.unit else "")
-        default = "" if item.default in ("", False) else f" (default {item.default})"
-        options: dict[str, Any] = {"dest": f"node_{item.name}", "help": text + default}
-        if isinstance(item.default, bool):
-            parser.add_argument(*names, action="store_true", default=None, **options)
-        else:
-            options |= {"metavar": item.name.upper()} if not spec.choices else {}
-            choices = spec.choices or None
-            parser.add_argument(*names, type=type(item.default), choices=choices, **options)
-    parser.add_argument("--namespace", default="", help="namespace of the node and of its topics")
-
-
-def node_arguments(args: argparse.Namespace, **more: str) -> list[str]:
-    """Return the ROS arguments that the options of a node mean."""
-    given = {
-        name.removeprefix("node_"): value
-        for name, value in vars(args).items()
-        if name.startswith("node_") and value is not None
-    }
-    words = ["--ros-args"]
-    for name, value in (given | more).items():
-        # in YAML, which parameters are written in, only quoted text is text whatever it holds
-        text = (
-            "'" + value.replace("'", "''") + "'" if isinstance(value, str) else str(value).lower()
-        )
-        words += ["-p", f"{name}:={text}"]
-    return [*words, "-r", f"__ns:={args.namespace}"] if args.namespace else words
-
-
-def _record(args: argparse.Namespace) -> int:
-    return _become("recorder", node_arguments(args, topics=" ".join(args.topics)))
-
-
 def _play(args: argparse.Namespace) -> int:
-    return _become("player", node_arguments(args, bag=str(args.bag)))
-
-
-def _become(name: str, arguments: list[str]) -> int:
-    """Go on as a node: signals and the exit code need no passing on."""
+    """Become the player: signals and the exit code need no passing on."""
     from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
     try:
-        program = Path(get_package_prefix("koop_bag")) / "lib" / "koop_bag" / name
+        program = Path(get_package_prefix("koop_bag")) / "lib" / "koop_bag" / "player"
     except PackageNotFoundError:
         raise BagError("the package koop_bag is not built: run './koop setup'") from None
     sys.stdout.flush()
-    os.execv(program, [str(program), *arguments])
+    os.execv(program, [str(program), *player_arguments(args)])
+
+
+def player_arguments(args: argparse.Namespace) -> list[str]:
+    """Return the options as ROS arguments of the player."""
+    values = {"bag": str(args.bag)}
+    values |= {item.name: getattr(args, item.name) for item in PLAY_OPTIONS.values()}
+    words = ["--ros-args"]
+    for name, value in values.items():
+        if value is not None:
+            # in YAML, which parameters are written in, only quoted text is always text
+            text = json.dumps(value, ensure_ascii=False)
+            words += ["-p", f"{name}:={text}"]
+    return words

@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 from websockets.exceptions import ConnectionClosed
 
+from koop_bag.bag.playback import Playback
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_view.protocol import ENCODING, ERROR, INFO, AdvertisedChannel
@@ -51,16 +52,16 @@ class RecordedSource(ViewSource):
 
     def _read_parameters(self, text: str) -> None:
         try:
-            given = yaml.safe_load(text) or {}
+            nodes = yaml.safe_load(text) or {}
         except yaml.YAMLError:
             return
-        for node, content in given.items() if isinstance(given, Mapping) else ():
+        for node, content in nodes.items() if isinstance(nodes, Mapping) else ():
             values = content.get("ros__parameters") if isinstance(content, Mapping) else None
             for name, value in values.items() if isinstance(values, Mapping) else ():
                 self.parameters[f"{node}.{name}"] = value
 
     def subscribe(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
-        """Send channels that are asked for together in the order in which they were recorded."""
+        """Send channels that are subscribed to together in time order."""
         left = {channel.topic: number for number, channel in wanted.items()}
         work = self._send(viewer, left)
         task = asyncio.get_running_loop().create_task(work)
@@ -81,7 +82,7 @@ class RecordedSource(ViewSource):
         """Send topics, by the subscriptions that are left of them, and say when that is done."""
         try:
             with BagReader(self._path) as bag:
-                for count, message in enumerate(bag.messages(list(left))):
+                for count, message in enumerate(Playback.of_bag(bag, list(left))):
                     if message.topic in left:
                         number = left[message.topic]
                         await viewer.deliver_slowly(number, message.log_time, message.data)
@@ -95,10 +96,10 @@ class RecordedSource(ViewSource):
 
 
 def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str, LoopNames]:
-    """Return the loops as far as names and parameters tell: a bag does not say who published.
+    """Return the loops as far as names and parameters show: a bag does not name publishers.
 
-    The nodes are told by parameters that only they have. What is a theta and nothing else is no
-    loop: what a controller said while another one commanded the rig.
+    The nodes are recognised by parameters that only they have. A theta alone is not a loop: a
+    controller published it while another one commanded the rig.
     """
     known = {"omega_h": "lifter", "dwell": "controller", "theta_star": "plant"}
     kinds = {STATE: "state", COST: "cost", THETA: "theta"}

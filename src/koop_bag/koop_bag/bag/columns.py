@@ -9,11 +9,12 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_bag.cdr.definition import Struct, leaf_fields, parse_definition
+from koop_bag.cdr.definition import leaf_fields, parse_definition
 from koop_bag.cdr.gather import Bytes, Offsets, at_every_byte, decode
 from koop_bag.cdr.layout import LayoutFinder
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, RECORD_HEAD
+from koop_core.cdr import Struct
 
 Columns = dict[str, NDArray[Any]]
 

@@ -1,22 +1,18 @@
 """All fields of a topic down to single numbers and strings, however long its arrays are."""
 
-import struct
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from koop_bag.bag.columns import STORED, Columns, definition_of, iter_decoded
 from koop_bag.bag.reader import BagReader
-from koop_bag.cdr.definition import Array, MessageType, Primitive, Struct, Text
 from koop_bag.cdr.gather import Bytes, Offsets, decode
-from koop_bag.cdr.layout import ENCAPSULATION, Layout, LayoutFinder
-from koop_bag.errors import BagError
+from koop_bag.cdr.layout import Layout, walk
 from koop_bag.mcap.file_reader import MESSAGE_HEAD
+from koop_core.cdr import Array, MessageType, Primitive, Struct, Text
 
 LONGEST = 1000
 """Arrays of more numbers than this (images, point clouds) make no columns."""
-
-_LENGTH = struct.Struct("<I")
 
 
 @dataclass
@@ -73,17 +69,16 @@ def _list(kind: MessageType, path: str, lengths: "_Lengths", extent: Extent) -> 
         extent.fields[name] = kind.dtype if isinstance(kind, Primitive) else dtype
 
 
-class _Lengths(LayoutFinder):
-    """Notes the length of every array of every layout that the messages of a topic have."""
+class _Lengths:
+    """Lengths of all arrays in all layouts that the messages of a topic have."""
 
     def __init__(self, root: Struct) -> None:
-        super().__init__(root, ())
-        self._kind = root
-        self._found: dict[str, int] = {}
+        self._root = root
+        self._longest: dict[str, int] = {}
 
     def longest(self, path: str, kind: Array) -> int:
         """Largest length of an array."""
-        return self._found.get(path, kind.count or 0)
+        return self._longest.get(path, kind.count or 0)
 
     def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
         """Look at messages; messages of equal layout are looked at once."""
@@ -92,54 +87,24 @@ class _Lengths(LayoutFinder):
 
     def find(self, message: bytes) -> Layout:
         """Walk one message."""
-        walk = _Walk(message)
-        try:
-            walk.visit(self._kind, "")
-        except struct.error:
-            raise BagError(f"a message is too short for a {self._kind.name}") from None
-        for path, length in walk.lengths.items():
-            self._found[path] = max(self._found.get(path, 0), length)
-        return Layout(tuple(walk.guards), {})
+        return Layout(walk(self._root, message, _Measured("", self._longest)), {})
 
 
-class _Walk:
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._at = ENCAPSULATION
-        self.guards: list[tuple[int, int]] = []
-        self.lengths: dict[str, int] = {}
+@dataclass
+class _Measured:
+    """A value whose arrays are measured."""
 
-    def visit(self, kind: MessageType, path: str) -> None:
-        """Walk over one value."""
-        if isinstance(kind, Primitive):
-            self._skip(kind.dtype.itemsize, 1)
-        elif isinstance(kind, Text):
-            # DDS vendors differ in how wide characters are serialized
-            if kind.wide:
-                raise BagError("wide strings are not supported")
-            length = self._length_word()
-            self._at += length
-        elif isinstance(kind, Array):
-            count = self._length_word() if kind.count is None else kind.count
-            self.lengths[path] = count
-            if isinstance(kind.element, Primitive):
-                self._skip(kind.element.dtype.itemsize, count)
-            else:
-                for index in range(count):
-                    self.visit(kind.element, f"{path}[{index}]")
-        else:
-            for name, inner in kind.fields:
-                self.visit(inner, f"{path}.{name}" if path else name)
-        if self._at > len(self._data):
-            raise struct.error("past the end")
+    path: str
+    longest: dict[str, int]
 
-    def _skip(self, size: int, count: int) -> None:
-        if count:  # an empty sequence is not aligned
-            self._at += -(self._at - ENCAPSULATION) % size + size * count
+    def inner(self, key: str | int) -> "_Measured":
+        """Of a field or element."""
+        if isinstance(key, int):
+            return _Measured(f"{self.path}[{key}]", self.longest)
+        return _Measured(f"{self.path}.{key}" if self.path else key, self.longest)
 
-    def _length_word(self) -> int:
-        self._at += -(self._at - ENCAPSULATION) % 4
-        (length,) = _LENGTH.unpack_from(self._data, self._at)
-        self.guards.append((self._at, length))
-        self._at += 4
-        return int(length)
+    def take(self, kind: MessageType, start: int, count: int) -> bool:
+        """Note the length of an array."""
+        if isinstance(kind, Array):
+            self.longest[self.path] = max(self.longest.get(self.path, 0), count)
+        return False

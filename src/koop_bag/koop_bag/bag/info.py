@@ -117,9 +117,7 @@ def describe(bag: BagReader, brief: bool = False) -> BagInfo:
     return info
 
 
-def _topic_info(
-    topic: Topic, span: tuple[int, int] | None, steps: StepReport | None
-) -> TopicInfo:
+def _topic_info(topic: Topic, span: tuple[int, int] | None, steps: StepReport | None) -> TopicInfo:
     rate = None
     if span is not None and span[1] > span[0]:
         rate = (topic.count - 1) / ((span[1] - span[0]) * 1e-9)

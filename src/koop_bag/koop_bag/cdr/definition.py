@@ -2,11 +2,11 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from koop_bag.errors import BagError
+from koop_core.cdr import Array, MessageType, Primitive, Struct, Text
 
 _PRIMITIVES = {
     "bool": "?",
@@ -28,45 +28,6 @@ _FIELD = re.compile(
 )
 _MAX_DEPTH = 50  # types inside of types
 _MAX_FIELDS = 20_000  # with those of the types inside; the largest messages in use have hundreds
-_STAMPS = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
-
-
-@dataclass(frozen=True)
-class Primitive:
-    """A number or bool of fixed size."""
-
-    dtype: "np.dtype[np.generic]"
-
-
-@dataclass(frozen=True)
-class Text:
-    """A string."""
-
-    wide: bool = False
-
-
-@dataclass(frozen=True)
-class Array:
-    """Elements in a row: `count` of them, or as many as a length word says (None)."""
-
-    element: "MessageType"
-    count: int | None
-
-
-@dataclass(frozen=True)
-class Struct:
-    """A message. `fields` in the order in which they are serialized."""
-
-    name: str
-    fields: tuple[tuple[str, "MessageType"], ...]
-
-    @property
-    def is_stamp(self) -> bool:
-        """Whether it is a time or duration, which reads as one number of nanoseconds."""
-        return self.name in _STAMPS
-
-
-MessageType = Primitive | Text | Array | Struct
 
 
 def parse_definition(type_name: str, text: str) -> Struct:

@@ -1,12 +1,13 @@
 """Takes fields out of many serialized messages at once."""
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.cdr.layout import ENCAPSULATION, Layout, LayoutFinder, Span
+from koop_bag.cdr.layout import Layout, Span
 from koop_bag.errors import BagError
+from koop_core.cdr import ENCAPSULATION
 
 _LITTLE_ENDIAN_CDR = 0x0100  # bytes 00 01
 _MAX_GROUPS = 64
@@ -27,8 +28,15 @@ def at_every_byte(buffer: Bytes, dtype: "np.dtype[Any]") -> NDArray[Any]:
     return values
 
 
+class Finder(Protocol):
+    """Finds the layout of a message."""
+
+    def find(self, message: bytes) -> Layout:
+        """Walk one message."""
+
+
 def decode(
-    buffer: Bytes, starts: Offsets, sizes: Offsets, finder: LayoutFinder
+    buffer: Bytes, starts: Offsets, sizes: Offsets, finder: "Finder"
 ) -> dict[str, NDArray[Any]]:
     """Columns of messages that lie in a buffer.
 
@@ -38,8 +46,8 @@ def decode(
         Holds the messages.
     starts, sizes : ndarray of int64, shape (n,)
         Where each begins, encapsulation included, and its length [B].
-    finder : LayoutFinder
-        Type and fields.
+    finder : Finder
+        Finds the layout of a message.
     """
     if (sizes < ENCAPSULATION).any():
         raise BagError("a message is cut short: not even the mark of its encoding is there")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import struct
 
-from koop_bag.cdr.definition import Primitive, Struct, parse_definition
+from koop_bag.cdr.definition import parse_definition
 from koop_bag.cdr.schema import MessageSchema
+from koop_core.cdr import Primitive, Struct
 
 _LENGTH = struct.Struct("<I")
 _STEP = struct.Struct("<Q")

@@ -1,24 +1,31 @@
 """Where the wanted fields of a serialized message lie.
 
-In CDR the place of a field depends on nothing but the length words (of strings and sequences)
-before it. So one message is walked; every other message with the same length words at the same
-places has the same layout, and its fields can be taken out without a walk.
+One message is walked; every other message with the same length words at the same places has the
+same layout, and its fields are taken without a walk.
 """
 
-import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from koop_bag.cdr.definition import Array, MessageType, Primitive, Struct, Text, leaf_fields
+from koop_bag.cdr.definition import leaf_fields
 from koop_bag.errors import BagError
+from koop_core.cdr import (
+    Array,
+    CdrError,
+    MessageType,
+    Primitive,
+    Struct,
+    Text,
+    Visitor,
+    Walk,
+)
 from koop_core.config.fields import parse_field
 from koop_core.config.parameter import ConfigError
 
 ENCAPSULATION = 4
 """Bytes before the serialized data; alignment counts from their end."""
 
-_LENGTH = struct.Struct("<I")
 _Key = str | int
 
 
@@ -44,10 +51,42 @@ class Layout:
     """By field; None where the message has no such element."""
 
 
-@dataclass
 class _Wanted:
-    names: list[str] = field(default_factory=list)
-    inner: "dict[_Key, _Wanted]" = field(default_factory=dict)
+    """A field or element, or what holds one."""
+
+    def __init__(self, finder: "LayoutFinder") -> None:
+        self._finder = finder
+        self.names: list[str] = []
+        self.fields: dict[_Key, _Wanted] = {}
+
+    def inner(self, key: _Key) -> "_Wanted | None":
+        """What is wanted of a field or element."""
+        return self.fields.get(key)
+
+    def take(self, kind: MessageType, start: int, count: int) -> bool:
+        """Note where a value lies."""
+        if isinstance(kind, Primitive):
+            return self._note(Span(start, kind.dtype))
+        if isinstance(kind, Text):
+            return self._note(Span(start, np.dtype("S"), max(0, count - 1)))
+        if isinstance(kind, Struct):
+            return self._note(Span(start, np.dtype("V8")))
+        element = kind.element.dtype if isinstance(kind.element, Primitive) else None
+        done = self._note(Span(start, element, count) if element else None)
+        for index, inner in self.fields.items():
+            if isinstance(index, int) and index >= count:
+                done = inner._absent()
+            elif isinstance(index, int) and element:
+                done = inner._note(Span(start + index * element.itemsize, element))
+        return done
+
+    def _absent(self) -> bool:
+        for inner in self.fields.values():
+            inner._absent()
+        return self._note(None)
+
+    def _note(self, span: Span | None) -> bool:
+        return self._finder.note(self.names, span)
 
 
 class LayoutFinder:
@@ -63,106 +102,38 @@ class LayoutFinder:
 
     def __init__(self, root: Struct, fields: tuple[str, ...]) -> None:
         self._root = root
-        self._wanted = _Wanted()
+        self._wanted = _Wanted(self)
         self._count = len(set(fields))
+        self._spans: dict[str, Span | None] = {}
         for name in fields:
             _check(root, name, name)
             node = self._wanted
             for key in _keys(name):
-                node = node.inner.setdefault(key, _Wanted())
+                node = node.fields.setdefault(key, _Wanted(self))
             if name not in node.names:
                 node.names.append(name)
 
     def find(self, message: bytes) -> Layout:
         """Walk one message. Raises BagError if it is shorter than its type says."""
-        walk = _Walk(message)
-        try:
-            if self._count:
-                walk.visit(self._root, self._wanted, self._count)
-        except struct.error:
-            raise BagError(
-                f"a message is cut short: {len(message)} bytes are too few for a {self._root.name}"
-            ) from None
-        return Layout(tuple(walk.guards), walk.spans)
+        self._spans = {}
+        return Layout(walk(self._root, message, self._wanted if self._count else None), self._spans)
+
+    def note(self, names: list[str], span: Span | None) -> bool:
+        """Note where fields lie; return whether no other one is wanted."""
+        for name in names:
+            self._spans[name] = span
+        return len(self._spans) >= self._count
 
 
-class _Walk:
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._at = ENCAPSULATION
-        self.guards: list[tuple[int, int]] = []
-        self.spans: dict[str, Span | None] = {}
-
-    def visit(self, kind: MessageType, wanted: _Wanted | None, missing: int) -> None:
-        """Walk over one value, or until nothing is missing any more: then the position is wrong."""
-        if isinstance(kind, Primitive):
-            self._align(kind.dtype.itemsize)
-            self._found(wanted, Span(self._at, kind.dtype))
-            self._skip(kind.dtype.itemsize)
-        elif isinstance(kind, Text):
-            length = self._length_word()
-            if kind.wide:
-                raise BagError(
-                    "wide strings are not supported: choose fields that come before them"
-                )
-            without_zero = max(0, length - 1)
-            self._found(wanted, Span(self._at, np.dtype("S"), without_zero))
-            self._skip(length)
-        elif isinstance(kind, Array):
-            self._visit_array(kind, wanted, missing)
-        else:
-            if kind.is_stamp and wanted is not None:
-                self._align(4)
-                self._found(wanted, Span(self._at, np.dtype("V8")))
-            for name, inner in kind.fields:
-                if len(self.spans) >= missing:
-                    return
-                self.visit(inner, wanted.inner.get(name) if wanted else None, missing)
-
-    def _visit_array(self, kind: Array, wanted: _Wanted | None, missing: int) -> None:
-        count = self._length_word() if kind.count is None else kind.count
-        if isinstance(kind.element, Primitive):
-            dtype = kind.element.dtype
-            if count:  # an empty sequence is not aligned
-                self._align(dtype.itemsize)
-            start = self._at
-            self._skip(count * dtype.itemsize)
-            self._found(wanted, Span(start, dtype, count))
-            for index, inner in (wanted.inner if wanted else {}).items():
-                if isinstance(index, int) and index < count:
-                    self._found(inner, Span(start + index * dtype.itemsize, dtype))
-        else:
-            for index in range(count):
-                if len(self.spans) >= missing:
-                    return
-                self.visit(kind.element, wanted.inner.get(index) if wanted else None, missing)
-        for index, inner in (wanted.inner if wanted else {}).items():
-            if isinstance(index, int) and index >= count:
-                self._absent(inner)
-
-    def _absent(self, wanted: _Wanted) -> None:
-        self._found(wanted, None)
-        for inner in wanted.inner.values():
-            self._absent(inner)
-
-    def _found(self, wanted: _Wanted | None, span: Span | None) -> None:
-        for name in wanted.names if wanted else ():
-            self.spans[name] = span
-
-    def _align(self, size: int) -> None:
-        self._at += -(self._at - ENCAPSULATION) % size
-
-    def _length_word(self) -> int:
-        self._align(4)
-        (length,) = _LENGTH.unpack_from(self._data, self._at)
-        self.guards.append((self._at, length))
-        self._at += 4
-        return int(length)
-
-    def _skip(self, size: int) -> None:
-        self._at += size
-        if self._at > len(self._data):
-            raise struct.error("past the end")
+def walk(root: Struct, message: bytes, visitor: Visitor | None) -> tuple[tuple[int, int], ...]:
+    """Walk one message with a visitor, or not at all without one; return its length words."""
+    try:
+        passed = Walk(message)
+        if visitor is not None:
+            passed.visit(root, visitor)
+    except CdrError as error:
+        raise BagError(f"a {root.name} is {error}") from None
+    return tuple(passed.guards)
 
 
 def _keys(name: str) -> list[_Key]:

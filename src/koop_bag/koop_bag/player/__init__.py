@@ -1,1 +1,1 @@
-"""The player: a bag's messages out again, at one of four paces."""
+"""The player: publishes the messages of a bag."""

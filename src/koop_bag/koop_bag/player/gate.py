@@ -1,4 +1,4 @@
-"""Lockstep of the player: a message goes out, the loop answers, the next one goes out."""
+"""Lockstep of the player: each state is published when the theta for the last one has come."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from koop_bag.bag.reader import BagReader, RawMessage
 from koop_bag.cdr.header import has_step, step_of
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
+from koop_bag.player.config import ANSWER
 from koop_bag.player.outlet import Outlet, recorded_qos
 from koop_bag.recorder.config import LOOP_TOPICS
 from koop_bag.recorder.topics import message_class
@@ -20,11 +21,12 @@ from koop_core.stream.resend import Due, Resend
 from koop_node.node.managed import Entities
 from koop_node.node.qos import RELIABLE
 
-RESENDS = 3  # times that a message without an answer is sent again before giving up
+TIMEOUT = 2.0  # [s] without an answer after which a state is sent again
+RESENDS = 3  # times that a state without an answer is sent again before giving up
 
 
 class Gate:
-    """Waits for the answer to each message of one topic.
+    """Waits for the theta of each state.
 
     Parameters
     ----------
@@ -33,22 +35,20 @@ class Gate:
     entities : Entities
         Owner of the subscription.
     bag : BagReader
-        The bag; tells type and reliability of the answers.
+        The bag, which tells type and reliability of the answers.
     outlet : Outlet
-        Topic whose messages are answered.
+        Topic whose messages are answered; both types begin with a header and a step.
     answer : str
         Topic of the answers, by its name in the bag.
     name : str
         Topic on which they are expected.
-    timeout : float
-        How long an answer may take before the message is sent again [s].
     answered : callable
         Called when the answer has come.
 
-    Notes
-    -----
-    An answer belongs to the message with the same step. Where the types have no step, every
-    message on the topic is an answer.
+    Raises
+    ------
+    BagError
+        If one of the types has no step.
     """
 
     def __init__(
@@ -59,19 +59,17 @@ class Gate:
         outlet: Outlet,
         answer: str,
         name: str,
-        timeout: float,
         answered: Callable[[], None],
     ) -> None:
         recorded = next((topic for topic in bag.topics if topic.name == answer), None)
-        type_name = recorded.type_name if recorded else LOOP_TOPICS.get(answer.rsplit("/", 1)[-1])
-        if type_name is None:
-            raise BagError(f"answer: the bag has no {answer}, so its type is not known")
-        types = (type_name, bag.topic(outlet.topic).type_name)
-        self._by_step = all(has_step(load_schema(item)) for item in types)
+        type_name = recorded.type_name if recorded else LOOP_TOPICS[ANSWER]
+        for kind in (bag.topic(outlet.topic).type_name, type_name):
+            if not has_step(load_schema(kind)):
+                raise BagError(f"lockstep: {kind} has no step")
         self._outlet, self._answer = outlet, answer
         self._answered, self._node = answered, node
         self._asked: RawMessage | None = None
-        self._question = Resend(timeout, RESENDS)
+        self._question = Resend(TIMEOUT, RESENDS)
         offered = recorded_qos(recorded) if recorded else []
         reliable = all(item.reliability == "reliable" for item in offered)
         policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
@@ -113,15 +111,15 @@ class Gate:
         return due is not Due.GIVE_UP
 
     def silence(self) -> str:
-        """Say who does not answer to what."""
+        """Return a line on the answer that is missing."""
         what = f"no {self._answer} in {self._question.timeout:g} s for {self.topic}"
-        if self._asked is not None and self._by_step:
+        if self._asked is not None:
             what += f" of step {step_of(self._asked.data)}"
         heard = self._outlet.publisher.get_subscription_count()
         return what if heard else what + ", which has no subscribers any more"
 
     def _on_answer(self, data: Any) -> None:
-        if self._asked is None or (self._by_step and step_of(data) != step_of(self._asked.data)):
+        if self._asked is None or step_of(data) != step_of(self._asked.data):
             return
         if self.forget():
             self._node.get_logger().info("the answer was received late")

@@ -1,4 +1,4 @@
-"""ROS node of the player: the messages of a bag, at one of four paces."""
+"""ROS node of the player: publishes the messages of a bag."""
 
 from __future__ import annotations
 
@@ -11,15 +11,23 @@ from typing import Any
 
 from std_srvs.srv import SetBool, Trigger
 
+from koop_bag.bag.playback import Playback
 from koop_bag.bag.reader import BagReader, RawMessage
 from koop_bag.cdr.header import has_header
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.player.clock import ClockOutlet
-from koop_bag.player.config import PlayerConfig, default_topics, parse_counts, parse_remap
+from koop_bag.player.config import (
+    ANSWER,
+    FAST,
+    GATE,
+    LOCKSTEP,
+    PlayerConfig,
+    default_topics,
+    parse_remap,
+)
 from koop_bag.player.gate import Gate
 from koop_bag.player.outlet import Outlet
-from koop_bag.player.playback import Playback, in_time_order
 from koop_core.config.parameter import NodeConfig
 from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
@@ -27,6 +35,7 @@ from koop_node.node.managed import ERROR, OK, Entities, ManagedNode, Run
 from koop_node.node.schedule import Timer
 
 SLICE = 0.005  # [s] of publishing after which services and answers have their turn
+ANSWER_CHECK = 0.5  # [s] between looks for an overdue answer
 SETTLED = 0.3  # [s] without a new subscriber after which all that are coming have come
 FAREWELL = 2.0  # [s] that the last messages may take to arrive
 
@@ -37,7 +46,7 @@ class PlayerRun(Run):
     def __init__(self, node: PlayerNode, entities: Entities) -> None:
         config = node.parameters[PlayerConfig]
         if not config.bag:
-            raise ValueError("which bag? set the parameter bag")
+            raise ValueError("no bag: set the parameter bag")
         self._node = node
         self._config = config
         self._names = {self._full(old): new for old, new in parse_remap(config.remap).items()}
@@ -46,8 +55,8 @@ class PlayerRun(Run):
             entities.on_close(self._bag.close)
             outlets = self._make_outlets(config, entities)
             self._outlets = {outlet.topic: outlet for outlet in outlets}
-            lockstep = config.pace == "lockstep"
-            self._gate = self._make_gate(config, entities) if lockstep else None
+            lockstep = config.pace == LOCKSTEP
+            self._gate = self._make_gate(entities) if lockstep else None
             self._playback = self._make_playback(config)
         except BagError as error:
             raise ValueError(str(error)) from error
@@ -66,24 +75,13 @@ class PlayerRun(Run):
         entities.service(Trigger, "~/step", self._on_step)
 
     def activate(self, entities: Entities) -> None:
-        config = self._config
-        counts = {self._full(name): n for name, n in parse_counts(config.wait_for).items()}
-        if not config.wait_for and self._gate is not None:
-            counts = {self._gate.topic: 1}
-        unknown = [name for name in counts if name not in self._outlets]
-        if unknown:
-            raise ValueError(f"wait_for: {', '.join(unknown)} is not played")
         _, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "")
-        if counts or observers.names:
-            entities.when_heard(
-                {
-                    o.publisher: replace(observers, count=counts.get(name, 0))
-                    for name, o in self._outlets.items()
-                },
-                lambda: self._start(entities),
-            )
-        elif config.wait_for:
-            self._start(entities)
+        if self._gate is not None or observers.names:
+            listeners = {outlet.publisher: observers for outlet in self._outlets.values()}
+            if self._gate is not None:  # one that answers, too
+                publisher = self._outlets[self._gate.topic].publisher
+                listeners[publisher] = replace(observers, count=len(observers.names) + 1)
+            entities.when_heard(listeners, lambda: self._start(entities))
         else:
             self._start_when_heard(entities)
 
@@ -94,16 +92,16 @@ class PlayerRun(Run):
 
     def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
         new, old = configs[PlayerConfig], self._node.parameters[PlayerConfig]
-        if new.rate != old.rate and old.pace != "scaled":
-            raise ValueError(f"rate: it counts at the pace scaled, this is {old.pace}")
+        if new.pace != old.pace and LOCKSTEP in (new.pace, old.pace):
+            raise ValueError("pace: a playback does not change to lockstep or from it")
         if new.position > self._bag.duration:
             raise ValueError(f"position: the bag is {self._bag.duration:.3f} s long")
 
     def parameters_changed(self, names: set[str]) -> None:
         config, now = self._node.parameters[PlayerConfig], time.monotonic()
         self._config = config
-        if "rate" in names:
-            self._playback.set_rate(config.rate, now)
+        if "pace" in names:
+            self._playback.set_rate(config.speed, now)
         if "loop" in names:
             self._playback.loop = config.loop
         if "position" in names:
@@ -146,7 +144,7 @@ class PlayerRun(Run):
     def _make_outlets(self, config: PlayerConfig, entities: Entities) -> Iterator[Outlet]:
         chosen = [self._full(name) for name in config.topics.split()]
         present = [topic.name for topic in self._bag.topics]
-        for name in chosen or default_topics(present, config.pace == "lockstep"):
+        for name in chosen or default_topics(present, config.pace == LOCKSTEP):
             topic = self._bag.topic(name)
             try:
                 yield Outlet(entities, topic, self._names.get(name, name))
@@ -155,44 +153,30 @@ class PlayerRun(Run):
                     raise
                 self._node.get_logger().warning(f"{name} is not played: {error}")
 
-    def _make_gate(self, config: PlayerConfig, entities: Entities) -> Gate:
-        gate, answer = self._full(config.gate), self._full(config.answer)
-        if gate not in self._outlets:
-            played = ", ".join(self._outlets) or "none"
-            raise BagError(f"gate: {gate} is not among the topics played: {played}")
+    def _make_gate(self, entities: Entities) -> Gate:
+        gates = [name for name in self._outlets if name.rsplit("/", 1)[-1] == GATE]
+        if len(gates) != 1:
+            raise BagError(
+                f"lockstep needs one topic '{GATE}', these are played: {', '.join(self._outlets)}"
+            )
+        answer = f"{gates[0].removesuffix(GATE)}{ANSWER}"
         name = self._names.get(answer, answer)
-        return Gate(
-            self._node,
-            entities,
-            self._bag,
-            self._outlets[gate],
-            answer,
-            name,
-            config.answer_timeout,
-            self._on_answered,
-        )
+        outlet = self._outlets[gates[0]]
+        return Gate(self._node, entities, self._bag, outlet, answer, name, self._on_answered)
 
     def _make_playback(self, config: PlayerConfig) -> Playback:
-        bag, topics = self._bag, [*self._outlets]
-        begin, gate = self._log_time(config.start), self._full(config.gate)
-        end = begin + round(config.duration * 1e9) if config.duration else bag.end_time
-
-        def messages_from(log_time: int) -> Iterator[RawMessage]:
-            return in_time_order(bag.messages(topics, start=log_time))
-
-        playback = Playback(
-            messages_from,
-            begin,
-            min(end, bag.end_time),
+        # a step, while paused, is up to the next of these
+        gates = [name for name in self._outlets if name.rsplit("/", 1)[-1] == GATE]
+        playback = Playback.of_bag(
+            self._bag,
+            [*self._outlets],
             rate=config.speed,
-            gate=gate if gate in self._outlets else "",
-            lockstep=config.pace == "lockstep",
+            gate=gates[0] if gates else "",
+            lockstep=self._gate is not None,
             loop=config.loop,
         )
         if config.position:
             playback.seek(self._log_time(config.position), 0.0)
-        if config.paused:
-            playback.pause(0.0)
         return playback
 
     def _start_when_heard(self, entities: Entities) -> None:
@@ -210,15 +194,13 @@ class PlayerRun(Run):
                 self._start(entities)
             elif not count and now - since >= 5.0:
                 since = now
-                self._node.get_logger().info(
-                    "waiting for a subscriber (wait_for:=none plays to nobody)"
-                )
+                self._node.get_logger().info("waiting for a subscriber")
 
         timer = entities.timer(0.02, look)
 
     def _start(self, entities: Entities) -> None:
         self._playback.start(time.monotonic())
-        entities.timer(self._config.answer_timeout / 4.0, self._check_answer)
+        entities.timer(ANSWER_CHECK, self._check_answer)
         self._timer = entities.timer(SLICE, self._tick)
         self._node.get_logger().info(f"playing {', '.join(self._outlets)} of {self._bag.path}")
         self._tick()
@@ -251,7 +233,7 @@ class PlayerRun(Run):
         self._clock_outlet.before(message)
         if self._gate is not None and message.topic == self._gate.topic:
             self._gate.ask(message)
-        if self._config.pace in ("fast", "lockstep"):  # which nothing else slows down
+        if self._config.pace in (FAST, LOCKSTEP):  # which nothing else slows down
             outlet.publish_acknowledged(message.data)
         else:
             outlet.publish(message.data)
@@ -265,7 +247,7 @@ class PlayerRun(Run):
             self._timer.restart(wait)
 
     def _go_on(self) -> None:
-        """Look again at what is due, after the playback was told something."""
+        """Look again for due messages, after the playback has changed."""
         self._wake_in(0.0)
 
     def _end(self) -> None:
@@ -309,7 +291,7 @@ class PlayerNode(ManagedNode[PlayerRun]):
     """Plays while it is active, ends when all is played.
 
     Services: ``~/pause`` (std_srvs/SetBool: true pauses, false resumes) and ``~/step``
-    (std_srvs/Trigger: one step while paused). The parameters ``position``, ``rate`` and ``loop``
+    (std_srvs/Trigger: one step while paused). The parameters ``position``, ``pace`` and ``loop``
     may be set at any time; setting ``position`` is a seek.
     """
 

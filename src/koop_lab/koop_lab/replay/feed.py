@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from koop_bag.bag.playback import Playback
 from koop_bag.bag.reader import BagReader
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess, uninterrupted
 from koop_bringup.live.turns import taking_turns_with
@@ -200,7 +201,9 @@ def _states(recording: Recording) -> Iterator[bytes]:
     rows = iter(recording.message)
     wanted = next(rows, None)
     with BagReader(recording.path) as bag:
-        for number, message in enumerate(bag.messages([recording.state_topic])):
+        # in the order of the file, by which the rows are numbered
+        states = Playback.of_bag(bag, [recording.state_topic], window=0)
+        for number, message in enumerate(states):
             if number == wanted:
                 yield message.data
                 wanted = next(rows, None)

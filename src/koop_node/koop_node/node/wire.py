@@ -18,6 +18,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from koop_core.cdr import Array, CdrError, MessageType, Primitive, Struct, Text, Walk
+
 LITTLE = b"\x00\x01\x00\x00"
 """Encapsulation: plain CDR, little endian. Alignment counts from its end."""
 
@@ -48,6 +52,14 @@ class Leaf(NamedTuple):
     format: str
     kind: str
 
+    @property
+    def type(self) -> MessageType:
+        """Its type in CDR."""
+        if self.kind == "text":
+            return Text()
+        number = Primitive(np.dtype(f"<{self.format}"))
+        return number if self.kind == "number" else Array(number, None)
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -75,6 +87,7 @@ class Codec:
         self.name = message_class.__name__
         leaves = list(_leaves(message_class))
         self._leaves = leaves
+        self._type = Struct(self.name, tuple((leaf.path, leaf.type) for leaf in leaves))
         self._count = sum(leaf.kind != "number" for leaf in leaves)
         self._layouts: dict[tuple[str, tuple[int, ...]], Layout] = {}
         self._last = self._layout("<", (1,) * self._count)
@@ -96,10 +109,10 @@ class Codec:
         """
         layout = self._last
         if data[:4] != LITTLE or len(data) < layout.packer.size:
-            layout = self._found(data)
+            layout = self._find(data)
         values = layout.packer.unpack_from(data)
         if self._lengths(values) != layout.lengths:
-            layout = self._last = self._found(data)
+            layout = self._last = self._find(data)
             values = layout.packer.unpack_from(data)
         try:
             return self._build(values, layout.packer.format[0])
@@ -133,28 +146,15 @@ class Codec:
             put(length * size, f"{length * size}s", size if length else 1)
         return text
 
-    def _found(self, data: bytes) -> Layout:
+    def _find(self, data: bytes) -> Layout:
         """Walk over a message and return its layout."""
-        order = {b"\x00\x00": ">", b"\x00\x01": "<"}.get(bytes(data[:2]))
-        if order is None or len(data) < 4:
-            raise WireError(f"a {self.name} is not in plain CDR: it begins with {data[:4].hex()}")
-        lengths: list[int] = []
-        at = 4
-        for leaf in self._leaves:
-            size = struct.calcsize(f"<{leaf.format}")
-            if leaf.kind == "number":
-                at += -(at - 4) % size + size
-                continue
-            at += -(at - 4) % 4
-            if at + 4 > len(data):
-                break
-            (length,) = struct.unpack_from(f"{order}I", data, at)
-            lengths.append(length)
-            at += 4
-            at += (-(at - 4) % size if length else 0) + length * size
-        if at > len(data) or len(lengths) < self._count:
-            raise WireError(f"a {self.name} is cut short: it has {len(data)} bytes")
-        return self._layout(order, tuple(lengths))
+        try:
+            walk = Walk(data)
+            walk.visit(self._type)
+        except CdrError as error:
+            raise WireError(f"a {self.name} is {error}") from None
+        order = "<" if data[1] else ">"
+        return self._layout(order, tuple(length for _, length in walk.guards))
 
 
 @cache

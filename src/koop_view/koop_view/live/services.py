@@ -15,8 +15,8 @@ from rclpy.serialization import deserialize_message
 from koop_bag.cdr.definition import parse_definition
 from koop_bag.cdr.schema import load_service
 from koop_bag.errors import BagError
+from koop_core.cdr import CdrError, check_message
 from koop_node.client.question import Question
-from koop_view.cdr_check import CdrError, check
 from koop_view.protocol import AdvertisedService
 from koop_view.source import Refused
 
@@ -60,7 +60,7 @@ def unpack(service: AdvertisedService, payload: bytes) -> Any:
     if not kind.get_fields_and_field_types():  # some clients send one byte for it, some none
         return kind()
     try:
-        check(parse_definition(f"{package}/msg/{name}_Request", service.request), payload)
+        check_message(parse_definition(f"{package}/msg/{name}_Request", service.request), payload)
         return deserialize_message(payload, kind)
     except (CdrError, BagError) as error:
         raise Refused(f"not a request of {service.name}: {error}") from None

@@ -9,7 +9,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from koop_bag.cdr.definition import parse_definition
 from koop_bag.cdr.schema import load_schema
-from koop_view.cdr_check import CdrError, check
+from koop_core.cdr import CdrError, check_message
 
 NAME = "diagnostic_msgs/msg/DiagnosticArray"  # strings in structures in sequences
 KIND = parse_definition(NAME, load_schema(NAME).text)
@@ -35,10 +35,10 @@ def written(words):
 )
 def test_a_message_passes_and_none_that_is_cut_short(words):
     data = written(words)
-    check(KIND, data)
+    check_message(KIND, data)
     for length in range(0, len(data), 17):
         with pytest.raises(CdrError):
-            check(KIND, data[:length])
+            check_message(KIND, data[:length])
 
 
 @settings(max_examples=30, deadline=None)
@@ -46,11 +46,11 @@ def test_a_message_passes_and_none_that_is_cut_short(words):
 def test_any_bytes_pass_or_are_refused(data):
     for given_bytes in (data, b"\0\1\0\0" + data):
         with suppress(CdrError):
-            check(KIND, given_bytes)
+            check_message(KIND, given_bytes)
 
 
 def test_a_length_beyond_the_message_is_refused_at_once():
     head = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0" + bytes(3)
-    check(KIND, head + bytes(4))
+    check_message(KIND, head + bytes(4))
     with pytest.raises(CdrError):
-        check(KIND, head + b"\xff\xff\xff\x7f" + bytes(100))
+        check_message(KIND, head + b"\xff\xff\xff\x7f" + bytes(100))

@@ -1,12 +1,13 @@
-"""When which recorded message goes out again. Pure: knows neither ROS nor a clock of its own."""
+"""The messages of a bag in time order, each when it is due. Pure: no ROS, no clock of its own."""
 
 from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
+from typing import Any
 
-from koop_bag.bag.reader import RawMessage
+from koop_bag.bag.reader import BagReader, RawMessage
 
 Source = Callable[[int], Iterator[RawMessage]]
 """The messages from a log time [ns] on."""
@@ -30,7 +31,7 @@ def in_time_order(
     for number, message in enumerate(messages):
         newest = max(newest, message.log_time)
         heapq.heappush(waiting, (message.log_time, number, message))
-        while waiting[0][0] <= newest - window:
+        while waiting and waiting[0][0] <= newest - window:
             yield heapq.heappop(waiting)[2]
     while waiting:
         yield heapq.heappop(waiting)[2]
@@ -89,16 +90,19 @@ class Timeline:
 
 
 class Playback:
-    """Decides for every message of a bag when it goes out.
+    """Decides when each message of a bag is due; iterated, it yields all of them at once.
+
+    The player publishes what :meth:`take` returns. Who has a pace of its own, such as a replay or a
+    page's connection, iterates over :meth:`of_bag`.
 
     Parameters
     ----------
     source : callable
-        The messages from a log time on, in the order in which they shall go out.
+        The messages from a log time on, in the order in which they are published.
     begin, end : int
         Log times [ns] between which a pass runs; messages after `end` are left out.
     rate : float
-        Bag seconds in a second; infinite for 'as fast as possible'.
+        Bag seconds in a second; infinite: without a pace.
     gate : str
         Topic whose messages begin a step: :meth:`step` plays up to the next of them.
     lockstep : bool
@@ -137,6 +141,39 @@ class Playback:
         self._position = begin
         self._timeline.set(begin, 0.0)
         self._open(begin)
+
+    @classmethod
+    def of_bag(
+        cls,
+        bag: BagReader,
+        topics: Collection[str] | None = None,
+        *,
+        window: int = REORDER_WINDOW,
+        **options: Any,
+    ) -> Playback:
+        """Return the playback of a bag, by default without a pace.
+
+        Parameters
+        ----------
+        bag : BagReader
+            The bag.
+        topics : collection of str, optional
+            Only these.
+        window : int
+            See :func:`in_time_order`; 0 keeps the order of the file.
+        options
+            Of the constructor, besides source, begin and end.
+        """
+
+        def messages_from(log_time: int) -> Iterator[RawMessage]:
+            return in_time_order(bag.messages(topics, start=log_time), window)
+
+        return cls(messages_from, bag.start_time, bag.end_time, **{"rate": math.inf, **options})
+
+    def __iter__(self) -> Iterator[RawMessage]:
+        self.start(0.0)
+        while (message := self.take(0.0)) is not None:
+            yield message
 
     # -- control ------------------------------------------------------------------------------
 
