@@ -21,7 +21,7 @@ LOOP_TOPICS = {
 class RecorderConfig:
     """Configuration of a recording.
 
-    The messages that a killed recorder may lose are bounded by :class:`koop_bag.bag.writer.WriterOptions`.
+    :class:`koop_bag.bag.writer.WriterOptions` bounds what a killed recorder may lose.
 
     Raises
     ------
