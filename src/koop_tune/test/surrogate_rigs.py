@@ -1,11 +1,17 @@
-"""Surrogates of which the map is an analytic function."""
+"""Surrogates and findings of which the map is an analytic function."""
 
 import math
 
 import numpy as np
 
-from koop_tune.excitation.static_map import GRID
+from koop_identify.model.compare import Cost
+from koop_tune.excitation.features import Bands
+from koop_tune.excitation.static_map import GRID, StaticMap
+from koop_tune.rig.scale import Scale
+from koop_tune.rig_model.dwells import Dwell, Dwells
 from koop_tune.rig_model.surrogate import Surrogate, Times
+from koop_tune.search.findings import CostMaps, Findings
+from koop_tune.search.limits import Limits
 from koop_tune.search.search import Task
 from koop_tune.search.settings import SearchSettings
 
@@ -44,3 +50,29 @@ def make_task(level, rate=1e3, sense=1.0, settings=SearchSettings(), time=3.0, *
     )
     low, high = of_rig.get("low", 0.0), of_rig.get("high", 1.0)
     return Task(fine, coarse, sense, time, DT, rate, low, high, settings)
+
+
+def make_map(level, error=0.05, sense=1.0):
+    """Return the map of a function of the position, each value visited twice."""
+    u = np.linspace(0.0, 1.0, 9)
+    y = np.asarray(level(u), float) + 0.0 * u
+    visits = [np.array([v - error, v + error]) for v in y]
+    return StaticMap(u, y, np.full(9, error), sense, visits)
+
+
+def make_cost(name, level, error=0.05, near=0.2, sense=1.0):
+    """Return a cost with one map, or one that cannot be made."""
+    y_out = None if level is None else np.ones(10)
+    maps = {} if level is None else {4.0: make_map(level, error, sense)}
+    problem = "too few windows" if level is None else ""
+    return CostMaps(Cost(name, None, None, y_out, problem), maps, near)
+
+
+def make_findings(level, costs=(), error=0.05, wander=0.01, sense=1.0, scale=Scale(0.0, 1.0)):  # noqa: B008
+    """Return what a recording of such a map shows."""
+    amplitude = [np.random.default_rng(i).normal(0.0, wander, 100) for i in range(9)]
+    rests = [Dwell(i, 100 * i, 100 * (i + 1), 0) for i in range(9)]
+    dwells = Dwells(np.linspace(0.0, 1.0, 9), rests, Bands(50, (1, 2), DT), 0, amplitude)
+    found = make_map(level, error, sense)
+    limits = Limits(scale.low, scale.high)
+    return Findings(scale, dwells, found, 1 / FREQUENCY, "x", list(costs), limits)

@@ -5,14 +5,10 @@ import math
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from surrogate_rigs import make_task
+from surrogate_rigs import make_findings, make_task
 
 from koop_tune.excitation.features import Bands
-from koop_tune.excitation.static_map import StaticMap
-from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwell, Dwells
-from koop_tune.search.findings import Findings
-from koop_tune.search.limits import Limits
 from koop_tune.search.prediction import Band, Prediction, find_wander, predict
 from koop_tune.search.search import Trial, search
 
@@ -62,12 +58,7 @@ def test_the_error_of_the_best_amplitude_widens_the_bands():
     best = search(task, 0.125, 0)[0]
 
     def excess(error, wander):
-        u = np.linspace(0.0, 1.0, 9)
-        found = StaticMap(u, level(u), np.full(9, error), 1.0, [np.full(2, y) for y in level(u)])
-        amplitude = [np.random.default_rng(i).normal(0.0, wander, 100) for i in range(9)]
-        rests = [Dwell(i, 100 * i, 100 * (i + 1), 0) for i in range(9)]
-        dwells = Dwells(u, rests, Bands(50, (1, 2), 0.02), 0, amplitude)
-        seen = Findings(Scale(0.0, 1.0), dwells, found, 0.5, "x", [], Limits(0.0, 1.0))
+        seen = make_findings(level, error=error, wander=wander)
         prediction, runs = predict(task, Trial(best.constants, [], 0.0, 90.0), seen, 1, 16)
         assert (len(runs), prediction.runs) == (16, 16)
         assert prediction.duration == task.steps * task.dt

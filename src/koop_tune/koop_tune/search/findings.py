@@ -142,7 +142,7 @@ def analyse(
     reference = _reference(amplitude, candidates, dwells, settings)
     limits = limit_theta(amplitude, reference, rig, settings)
     seen = Findings(scale, dwells, amplitude, period, feature, candidates, limits)
-    return _decide(seen, reference, rig, settings)
+    return decide(seen, reference, rig, settings)
 
 
 def _reference(
@@ -162,7 +162,7 @@ def _reference(
     return reference
 
 
-def _decide(
+def decide(
     seen: Findings, reference: StaticMap, rig: RigFile, settings: TuningSettings
 ) -> Findings:
     """Return what was seen, with the doubts; raise NoOptimum where there is none to seek."""

@@ -1,0 +1,86 @@
+"""Whether there is an optimum to seek, and which cost leads to it."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from surrogate_rigs import make_cost, make_findings, make_map
+
+from koop_tune.rig.rig_file import RigFile
+from koop_tune.search.findings import NoOptimum, decide
+from koop_tune.search.settings import TUNING, TuningSettings
+
+RIG = RigFile("/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5)
+
+
+def valley(u):
+    return 4.0 * (u - 0.5) ** 2
+
+
+def slight(u):
+    """Most gets worse above 0.2, little below."""
+    return np.where(u > 0.2, 2.0 * (u - 0.2), 0.2 * (0.2 - u))
+
+
+def judge(level, *costs, error=0.05, settings=TUNING):
+    seen = make_findings(level, costs, error)
+    return decide(seen, seen.amplitude, RIG, settings)
+
+
+def test_a_clear_optimum_that_a_cost_shows_is_taken_without_doubt():
+    found = judge(valley, make_cost("raw", valley), make_cost("lifted", None))
+    assert found.doubt == ""
+    raw, lifted = found.costs
+    assert list(raw.usable) == [4.0]
+    assert raw.evidence == pytest.approx(make_map(valley).evidence.gain)
+    assert not lifted.usable
+    assert (lifted.evidence, lifted.clearest) == (0.0, None)
+
+
+@pytest.mark.parametrize(
+    ("level", "error", "kind", "message"),
+    [
+        (lambda u: 0.0 * u, 0.05, "flat", r"varies by 0 %, with errors of 5 %.*run 'koop check'"),
+        (lambda u: 0.05 * u, 1e-3, "flat", "varies by 5.1 %"),  # treated as flat, however sharp
+        (lambda u: 2.0 * u, 0.05, "monotone", "best at theta_min = 0, the limit"),
+        (lambda u: -2.0 * u, 0.05, "monotone", "best at theta_max = 1.*leave theta there"),
+        (valley, 0.05, "drowned", r"optimum near 0.5, but no cost shows it \(evidence 0.0\)"),
+    ],
+)
+def test_where_there_is_nothing_to_seek_it_says_what_to_record(level, error, kind, message):
+    with pytest.raises(NoOptimum, match=message) as refused:
+        judge(level, make_cost("raw", lambda u: 0.0 * u), error=error)
+    assert refused.value.kind == kind
+    assert len(str(refused.value).splitlines()) == 1
+    assert re.search("record", str(refused.value))
+
+
+def test_an_optimum_in_doubt_is_taken_and_said():
+    found = judge(slight, make_cost("raw", slight))
+    assert "towards theta_min is not certain (errors of 5 %)" in found.doubt
+    assert found.costs[0].usable  # it leads to where the amplitude does
+    assert not replace(found.costs[0], near=1e-3, reference=make_map(valley)).usable
+
+
+def test_a_cost_may_show_beyond_doubt_what_the_amplitude_only_suggests():
+    clear = make_cost("lifted", lambda u: 9.0 * np.abs(u - 0.125))
+    assert judge(slight, clear).doubt == ""
+    elsewhere = make_cost("lifted", lambda u: 9.0 * np.abs(u - 0.875))
+    assert judge(slight, elsewhere, make_cost("raw", slight)).doubt != ""
+    doubting = TuningSettings(decides=1e4)
+    assert judge(slight, clear, settings=doubting).doubt != ""
+
+
+def test_a_cost_in_doubt_must_lead_to_where_the_amplitude_does():
+    def lopsided(u):
+        return np.where(u > 0.5, valley(u), 0.25 * valley(u))
+
+    unsure = make_cost("raw", lopsided, error=0.08)
+    assert not unsure.usable
+    found = judge(valley, unsure)
+    assert found.doubt.startswith("no cost shows the optimum")
+    assert found.costs[0].usable
+    wrong = make_cost("raw", lambda u: lopsided(u + 0.4), error=0.08)
+    with pytest.raises(NoOptimum, match="no cost shows it"):
+        judge(valley, wrong)

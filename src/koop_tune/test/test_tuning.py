@@ -1,0 +1,158 @@
+"""Which cost is chosen, how long its runs are, and what is written of it."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from surrogate_rigs import FREQUENCY, make_cost, make_findings, make_map, make_task
+
+from koop_core.config.parameter import ConfigError
+from koop_loop import parameters
+from koop_tune.result import as_json, as_text
+from koop_tune.rig.rig_file import RigFile
+from koop_tune.rig_model.surrogate import Times
+from koop_tune.search.prediction import predict
+from koop_tune.search.search import Outcome, Trial, anchors, search
+from koop_tune.search.settings import SearchSettings, TuningSettings
+from koop_tune.search.tuning import SearchedCost, Tuning, choose, limit_slowdown, search_cost
+
+RIG = RigFile("/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5)
+
+
+def valley(u):
+    return 3.0 * np.abs(u - 0.6)
+
+
+def searched(name, score):
+    run = Outcome(1.0, 1.0, 0.0, 1.0, np.zeros(1), np.zeros(1), math.log(score))
+    task = make_task(valley)
+    return SearchedCost(make_cost(name, valley), [Trial(anchors(task)[0], [run], 0.0, 90.0)], task)
+
+
+@pytest.mark.parametrize(
+    ("scores", "name", "why"),
+    [
+        ({"contrast": 1.2, "raw": 1.3}, "raw", "raw is as good as any"),
+        ({"contrast": 1.2, "raw": 1.5}, "contrast", "raw is worse by 25 %"),
+        ({"contrast": 1.2, "lifted": 1.5}, "contrast", "raw does not show the optimum"),
+    ],
+)
+def test_raw_is_chosen_where_no_model_is_better(scores, name, why):
+    chosen, reason = choose([searched(*item) for item in scores.items()], as_good=1.1)
+    assert chosen.name == name
+    assert reason.startswith(why)
+    assert "contrast 1.2" in reason
+
+
+def test_runs_are_made_longer_only_while_the_best_is_not_good():
+    rig = RigFile("/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5,
+                  time=1e6)  # fmt: skip
+    times = []
+
+    def make(time, level=valley):
+        times.append(time)
+        return make_task(level, time=time, settings=SearchSettings(length=20.0))
+
+    settings = TuningSettings(effort=0.1, longer=(1.0, 2.0, 4.0), workers=1)
+    good = search_cost(make, 6.0, make_cost("raw", valley), rig, settings, lambda share: None)
+    assert times == [6.0]
+    assert good.task.time == 6.0
+
+    def uphill(time):  # theta cannot reach what is good in so short a run
+        return make(time, lambda u: 9.0 * np.abs(u - 0.6))
+
+    times.clear()
+    strict = TuningSettings(effort=0.1, longer=(0.3, 0.6), workers=1)
+    search_cost(uphill, 6.0, make_cost("raw", valley), rig, strict, lambda share: None)
+    assert times == pytest.approx([1.8, 3.6])
+    times.clear()
+    hurried = RigFile("/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.02, 0.0, 1.0, 0.5, 0.5,
+                      0.5, time=1.0)  # fmt: skip
+    search_cost(uphill, 6.0, make_cost("raw", valley), hurried, strict, lambda share: None)
+    assert len(times) == 2  # the second is made, and is too long for this rig
+
+
+def test_a_rig_counts_as_slower_only_as_far_as_a_run_takes_no_longer_than_its_time():
+    settings = TuningSettings(slowdown=16.0)
+    slowdown = limit_slowdown(10.0, 2000.0, settings)
+    run = settings.search.length * slowdown * 10.0
+    assert run == pytest.approx(settings.longest * 2000.0)
+    assert limit_slowdown(10.0, 2000.0, TuningSettings(slowdown=2.0)) == 2.0
+
+
+@pytest.mark.parametrize("change", [{"effort": 0.0}, {"slowdown": 0.5}, {"runs": 2}])
+def test_settings_out_of_their_range_are_refused(change):
+    with pytest.raises(ConfigError, match=next(iter(change))):
+        TuningSettings(**change)
+
+
+@pytest.fixture(scope="module")
+def tuning():
+    task = make_task(valley, noise=0.05)
+    trials = search(task, 0.125, 0)
+    maps = make_cost("raw", valley)
+    omega_h = trials[0].constants.omega_h
+    maps.maps[omega_h] = make_map(valley)
+    chosen = SearchedCost(maps, trials, task)
+    seen = make_findings(valley, [maps, make_cost("lifted", None)])
+    prediction = predict(task, trials[0], seen, 1, 16)
+    times = Times(math.log(2.0), 0.0, 0.0, 0.0)
+    return Tuning(seen, [chosen], chosen, trials[0], times, 123.456, *prediction, "it is good")
+
+
+def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tuning, tmp_path):
+    path = tmp_path / "controller.yaml"
+    path.write_text(as_text.as_parameters(tuning, RIG, None))
+    loop = parameters.make(parameters.read(path))
+    c = tuning.best.constants
+    assert loop.lifter.cost == "raw"
+    assert loop.lifter.omega_h == pytest.approx(c.omega_h, rel=0.005)
+    assert loop.lifter.y_out_max == 123.0
+    assert loop.esc.step_size == pytest.approx(c.speed * 0.02, rel=0.005)
+    assert loop.esc.epsilon_initial == -1  # theta_start is below the best theta: up
+    assert loop.esc.theta_initial == RIG.theta_start
+    assert loop.esc.cost_timeout == 0.5
+    assert (loop.esc.command_topic, loop.esc.command_field) == ("/b", "z")
+    listed = as_text.list_parameters(tuning, RIG, None)
+    assert all(reason for node in listed.values() for _, reason in node.values())
+    lines = [line for line in path.read_text().splitlines() if line.lstrip().startswith("# Here:")]
+    assert len(lines) == sum(map(len, listed.values()))
+    assert f"{c.omega_h / (2 * math.pi * FREQUENCY):.3g} times" in path.read_text()
+
+
+def test_table_and_words_hold_every_cost_and_the_prediction(tuning):
+    table = as_text.as_table(tuning.seen, tuning)
+    assert "evidence" in table
+    assert "lifted: too few windows" in table
+    assert f"{math.exp(tuning.chosen.score):.3g}" in table
+    words = as_text.as_words(tuning)
+    assert "cost raw: it is good" in words
+    assert tuning.prediction.converges.as_text() in words
+
+
+def test_figures_are_json_and_hold_the_map_and_the_paths(tuning):
+    values = json.loads(json.dumps(as_json.of_tuning(tuning, RIG, None)))
+    assert values["verdict"] == "tuned"
+    assert values["static_map"]["amplitude"] == pytest.approx(np.exp(valley(tuning.seen.dwells.u)))
+    raw, lifted = values["costs"]
+    assert raw["map"]["r"] == pytest.approx(np.exp(2.0 * valley(tuning.seen.dwells.u)))
+    assert (lifted["map"], lifted["problem"]) == (None, "too few windows")
+    for path, start in zip(values["paths"], (0.0, 1.0), strict=True):
+        assert path["start"] == start
+        assert abs(path["theta"]["middle"][0] - start) < 0.2
+        assert path["theta"]["middle"][-1] == pytest.approx(0.6, abs=0.1)
+        assert all(a <= b for a, b in zip(path["theta"]["low"], path["theta"]["high"], strict=True))
+    low, high = values["theta_best_band"]
+    assert low - 0.01 <= 0.6 <= high + 0.01
+
+
+def test_the_band_of_the_best_theta_holds_the_truth_in_most_maps():
+    rng, hits = np.random.default_rng(3), 0
+    for _ in range(20):
+        truth = rng.uniform(0.35, 0.65)
+        found = make_map(lambda u, truth=truth: 6.0 * (u - truth) ** 2 + rng.normal(0.0, 0.1, 9),
+                         error=0.1)  # fmt: skip
+        low, high = as_json.best_band(found)
+        hits += low - 0.01 <= truth <= high + 0.01
+    assert hits >= 15
