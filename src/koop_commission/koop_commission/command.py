@@ -16,13 +16,11 @@ from koop_commission.theta.commander_client import note_of
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_tune.excitation import progress
-from koop_tune.excitation.visits import unknown_twice
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.agreement import ROUNDS
 from koop_tune.search.rounds import Round, find_slowdown, kept_index, load_verification
-from koop_tune.search.settings import TuningSettings
+from koop_tune.search.settings import VERIFICATION, TuningSettings
 
 NAME, RIG = "commission.json", "rig.yaml"
 RECORDINGS = Path("recordings")
@@ -116,7 +114,7 @@ class Commissioning:
         while True:
             rounds = load_verification(self._folder).finished
             number = len(rounds) + 1
-            if rounds and (rounds[-1].damped_as_predicted or number > ROUNDS):
+            if rounds and (rounds[-1].damped_as_predicted or number > VERIFICATION.rounds):
                 break
             if rounds:
                 self._set_aside(len(rounds))
@@ -146,7 +144,7 @@ class Commissioning:
         else:
             state = excite(self._rig, self._folder, self._watch)
             print(describe_result(self._rig, state))
-        if unknown_twice(state.visits, len(state.values)):
+        if state.lacks_visits:
             print(
                 f"\ntheta was not at each dwell point twice in {self._rig.time:g} s: set a longer "
                 "'time' in the rig file and run the same command again"

@@ -157,6 +157,18 @@ def test_a_value_that_is_added_leaves_the_visits_where_they_were():
     assert (state.levels, state.staircase, state.reached) == (9, 17, [2, 4, 5])
 
 
+def test_every_value_but_the_turning_point_is_visited_twice():
+    def lacks(*levels):
+        state = progress.begin(0, RIG)
+        state.values = state.values[:3]
+        state.visits = [Visit(level, (0.0,), (0.1,), 0.0, 1.0) for level in levels]
+        return state.lacks_visits
+
+    assert not lacks(0, 1, 2, 1, 0)
+    assert lacks(0, 1, 2, 1)
+    assert lacks(0, 1, 0, 1)
+
+
 def test_progress_is_what_was_saved_and_of_this_rig(tmp_path):
     state = progress.begin(3, RIG)
     assert progress.load(RIG, tmp_path) is None

@@ -7,12 +7,10 @@ import pytest
 from scipy.signal import lfilter
 
 from koop_tune.excitation.visits import (
-    Visit,
     count_alike,
     mean_level,
     standard_error,
     summarise,
-    unknown_twice,
 )
 
 
@@ -57,12 +55,3 @@ def test_windows_in_which_the_rig_settled_are_left_out():
     assert summarise(series, [1]).skip < summary.skip  # another channel guides
     slow = 3.0 * np.exp(-k / 40.0)
     assert not summarise(noise + slow[:, None], [0]).settled
-
-
-def test_every_value_but_the_turning_point_is_visited_twice():
-    def visits(*levels):
-        return [Visit(level, (0.0,), (0.1,), 0.0, 1.0) for level in levels]
-
-    assert not unknown_twice(visits(0, 1, 2, 1, 0), 3)
-    assert unknown_twice(visits(0, 1, 2, 1), 3)
-    assert unknown_twice(visits(0, 1, 0, 1), 3)

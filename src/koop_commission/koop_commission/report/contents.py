@@ -115,12 +115,9 @@ class Contents:
         if not state.visits or state.how is None:
             return None
         names = state.how.names(self.rig.names)
-        feature, points = state.map_of(range(len(names)))
-        pairs = zip(state.values, points, strict=True)
-        rows = [(theta, point) for theta, point in pairs if point is not None]
-        errors = [point.error if np.isfinite(point.error) else 0.0 for _, point in rows]
-        amplitudes = [float(np.exp(point.mean)) for _, point in rows]
-        return MapPoints(names[feature], [theta for theta, _ in rows], amplitudes, errors)
+        feature, found = state.map_of(range(len(names)))
+        theta = [state.values[level] for level in state.reached]
+        return MapPoints(names[feature], theta, np.exp(found.mean).tolist(), found.error.tolist())
 
 
 def read_contents(folder: Path) -> Contents:

@@ -24,7 +24,6 @@ from koop_core.errors import KoopError, LiveError
 from koop_tune.excitation import progress as progress_file
 from koop_tune.excitation.progress import Progress
 from koop_tune.excitation.survey import SURVEY, Survey
-from koop_tune.excitation.visits import unknown_twice
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 
@@ -64,7 +63,7 @@ def main(args: argparse.Namespace) -> int:
     print("\n" + describe_result(rig, progress))
     print(try_report(folder))
     print(f"next: ./koop tune {args.rig} {folder}")
-    return 1 if unknown_twice(progress.visits, len(progress.values)) else 0
+    return 1 if progress.lacks_visits else 0
 
 
 def describe_result(rig: RigFile, progress: Progress) -> str:

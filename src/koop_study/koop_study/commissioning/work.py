@@ -29,7 +29,6 @@ from koop_tune.excitation.static_map import StaticMap
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
-    ROUNDS,
     aim_of,
     disagreements,
     measure,
@@ -37,7 +36,7 @@ from koop_tune.search.agreement import (
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.rounds import Round, Run, find_slowdown, kept_index
 from koop_tune.search.search import esc_of, lifter_of
-from koop_tune.search.settings import TuningSettings
+from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tuning import Tuning, tune
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.model import KoopmanModel
@@ -128,7 +127,7 @@ def commissioned(
     """
     rounds: list[Round] = []
     tried: list[tuple[Tuning, Row]] = []
-    while len(rounds) < ROUNDS and not (rounds and rounds[-1].damped_as_predicted):
+    while len(rounds) < VERIFICATION.rounds and not (rounds and rounds[-1].damped_as_predicted):
         settings = TuningSettings(
             seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
         )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
 from koop_core.config.parameter import parameter, validate
+from koop_tune.origin import studied
 
 
 class Evidence(NamedTuple):
@@ -43,24 +44,13 @@ class OptimumTest:
     """
 
     gain: float = parameter(
-        12.0, "evidence (chi-squared) from which on there is an optimum inside", low=0.0,
+        12.0, "evidence from which on there is an optimum inside", low=0.0,
         origin="3 sigma, and a margin for the choice of the feature",
     )  # fmt: skip
-    margin: float = parameter(
-        1.5, "factor on that, with which an excitation ends", low=1.0, origin="study commission"
-    )
-    end: float = parameter(
-        1.5, "standard errors by which points beside an end are worse if it is the best", low=0.0,
-        origin="study commission",
-    )  # fmt: skip
-    clear: float = parameter(
-        3.0, "standard errors by which an end is better than its neighbour if there is no optimum",
-        low=0.0, origin="3 sigma",
-    )  # fmt: skip
-    flat: float = parameter(
-        25.0, "chi-squared about a constant, below which 9 points show nothing", low=0.0,
-        origin="study commission",
-    )  # fmt: skip
+    margin: float = studied(1.5, "factor on that, with which an excitation ends", low=1.0)
+    end: float = studied(1.5, "standard errors by which an end is better, if the best", low=0.0)
+    clear: float = parameter(3.0, "the same where there is no optimum", low=0.0, origin="3 sigma")
+    flat: float = studied(25.0, "chi-squared about a constant of 9 points of nothing", low=0.0)
 
     def __post_init__(self) -> None:
         validate(self)

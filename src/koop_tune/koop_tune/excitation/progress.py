@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -100,21 +100,17 @@ class Progress:
         """Return the feature whose map stands out most from its errors."""
         return max(features, key=lambda feature: self.static_map(feature).clarity)
 
-    def map_of(self, features: Sequence[int]) -> tuple[int, list[Point | None]]:
-        """Return the feature with the clearest map, and its points; None where theta was not."""
+    def map_of(self, features: Sequence[int]) -> tuple[int, StaticMap]:
+        """Return the feature with the clearest map, and the map."""
         feature = self.clearest(features)
-        found, reached = self.static_map(feature), self.reached
-        points: list[Point | None] = [None] * len(self.values)
-        for i, level in enumerate(reached):
-            points[level] = Point(float(found.mean[i]), float(found.error[i]))
-        return feature, points
+        return feature, self.static_map(feature)
 
-
-class Point(NamedTuple):
-    """One value of the static map: mean and error of a feature."""
-
-    mean: float
-    error: float
+    @property
+    def lacks_visits(self) -> bool:
+        """Whether theta was at some value less than twice; the turning point needs one."""
+        visits = [visit.level for visit in self.visits]
+        counts = [visits.count(level) for level in range(len(self.values))]
+        return sum(count < 2 for count in counts) > 1 or 0 in counts
 
 
 def begin(seed: int, rig: RigFile) -> Progress:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from koop_core.config.parameter import parameter
 from koop_tune.excitation.optimum_test import Evidence, OptimumTest, clarity, nearest_valley, weigh
+from koop_tune.origin import jsbsim, studied
 
 GRID = 257  # points of a curve between 0 and 1
 
@@ -21,26 +21,11 @@ GRID = 257  # points of a curve between 0 and 1
 class MapSettings(OptimumTest):
     """How errors, curve, optimum and cliffs of a static map are found."""
 
-    least_error: float = parameter(
-        0.003, "least standard error of the logarithm of an amplitude", low=1e-6,
-        origin="better is not known of any sensor",
-    )  # fmt: skip
-    outlying: float = parameter(
-        10.0, "most that a point's variance between visits counts, over the median one", low=1.0,
-        origin="rigs that go to and fro between two amplitudes",
-    )  # fmt: skip
-    single: float = parameter(
-        2.0, "chi-squared of a point about the nearest curve with one optimum that is taken",
-        low=0.0, origin="study commission",
-    )  # fmt: skip
-    good: float = parameter(
-        2.0, "amplitude over the best one that no visit of a good value exceeds", low=1.0,
-        origin="study commission",
-    )  # fmt: skip
-    cliff: float = parameter(
-        8.0, "factor between neighbours that is a cliff; less is a steep side of a valley", low=1.0,
-        origin="study commission, and JSBSim's aircraft",
-    )  # fmt: skip
+    least_error: float = studied(0.003, "least standard error of a log amplitude", low=1e-6)
+    outlying: float = studied(10.0, "most that a point's variance counts, over the median", low=1.0)
+    single: float = studied(2.0, "chi-squared of a point of a curve with one optimum", low=0.0)
+    good: float = studied(2.0, "amplitude over the best one of a good value's visits", low=1.0)
+    cliff: float = jsbsim(8.0, "factor to a neighbour; less is a steep side of a valley", low=1.0)
 
 
 MAP = MapSettings()

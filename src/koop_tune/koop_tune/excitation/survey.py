@@ -25,6 +25,7 @@ from koop_tune.excitation.features import Bands, bands, bridged, features, windo
 from koop_tune.excitation.progress import Progress
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.excitation.visits import Visit, summarise
+from koop_tune.origin import jsbsim, studied
 from koop_tune.rig.rig_file import RigFile
 
 
@@ -32,55 +33,23 @@ from koop_tune.rig.rig_file import RigFile
 class SurveySettings:
     """When enough was heard, how long theta rests, and when the map is known."""
 
-    window: float = parameter(
-        4.0, "length of a window, in periods of the strongest oscillation", low=1.0,
-        origin="study commission",
-    )  # fmt: skip
-    slowest: float = parameter(
-        2.0, "the same in periods of the slowest one, where that is longer", low=1.0,
-        origin="study commission",
-    )  # fmt: skip
-    listen: float = parameter(
-        40.0, "periods that are listened to before theta moves", low=1.0, origin="study commission"
-    )
+    window: float = studied(4.0, "window, in periods of the strongest oscillation", low=1.0)
+    slowest: float = studied(2.0, "the same of the slowest one, if longer", low=1.0)
+    listen: float = studied(40.0, "periods before theta moves", low=1.0)
     shortest: float = parameter(3.0, "time of that at least", unit="s", low=0.1)
     longest: float = parameter(120.0, "time of that at most", unit="s", low=1.0)
-    longest_share: float = parameter(
-        0.02, "the same as a share of the rig file's time, where that is longer", low=0.0, high=1.0
-    )
-    fewest: int = parameter(6, "windows at a value", low=4, origin="study commission")
-    reserve: float = parameter(
-        2.0, "rest at a value at least, in times that the rig was seen to need", low=1.0,
-        origin="study commission",
-    )  # fmt: skip
-    most_share: float = parameter(
-        0.15, "rest at one value at most, as a share of the rig file's time", low=0.01, high=1.0
-    )
-    soon: float = parameter(
-        0.02, "share of the windows of a rest, after which it is judged again", low=0.0, high=1.0
-    )
-    error: float = parameter(
-        0.03, "standard error of an amplitude that is good enough", low=1e-3,
-        origin="study commission",
-    )  # fmt: skip
-    error_of_span: float = parameter(
-        0.05, "the same as a share of the map's span, where that is larger", low=0.0, high=1.0,
-        origin="study commission",
-    )  # fmt: skip
-    visits: int = parameter(6, "most visits of a value that is not known well enough", low=2)
-    visits_in_doubt: int = parameter(
-        16, "most visits of a value that leaves open whether there is an optimum", low=2,
-        origin="study commission",
-    )  # fmt: skip
-    finest: float = parameter(
-        0.04, "distance of two values, in ranges, within which none is added", low=1e-3, high=1.0,
-        origin="JSBSim's aircraft",
-    )  # fmt: skip
-    added: int = parameter(4, "values added at most", low=0, high=20, origin="JSBSim's aircraft")
-    linger: int = parameter(
-        48, "windows at a value beside a cliff: an oscillation begins slowly there", low=4,
-        origin="JSBSim's aircraft",
-    )  # fmt: skip
+    longest_share: float = parameter(0.02, "the same over the rig file's time, if more", low=0.0)
+    fewest: int = studied(6, "windows at a value", low=4)
+    reserve: float = studied(2.0, "rest, in times that the rig was seen to need", low=1.0)
+    most_share: float = parameter(0.15, "longest rest, over the rig file's time", low=0.01)
+    soon: float = parameter(0.02, "share of a rest after which it is judged again", low=0.0)
+    error: float = studied(0.03, "standard error that is good enough", low=1e-3)
+    error_of_span: float = studied(0.05, "the same over the map's span, if more", low=0.0)
+    visits: int = studied(6, "most visits of a value", low=2)
+    visits_in_doubt: int = studied(16, "the same of one that leaves the optimum open", low=2)
+    finest: float = jsbsim(0.04, "distance of two values, in ranges", low=1e-3, high=1.0)
+    added: int = jsbsim(4, "values that are added", low=0, high=20)
+    linger: int = jsbsim(48, "windows at a value beside a cliff", low=4)
 
     def __post_init__(self) -> None:
         validate(self)

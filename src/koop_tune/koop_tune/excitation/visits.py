@@ -20,8 +20,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_tune.rig.scale import Scale
-
 
 @dataclass(frozen=True)
 class Visit:
@@ -130,14 +128,3 @@ def count_alike(values: NDArray[np.float64]) -> NDArray[np.float64]:
     pairs = rho[: rho.shape[0] // 2 * 2].reshape(-1, 2, values.shape[1]).sum(axis=1) / power
     positive = np.cumprod(pairs > 0.0, axis=0)  # up to the first that is not
     return np.asarray(np.clip(2.0 * (pairs * positive).sum(axis=0) - 1.0, 1.0, m / 3.0))
-
-
-def away(theta: float, low: float, high: float, share: float) -> float:
-    """Return :meth:`Scale.step_away`."""
-    return Scale(low, high).step_away(theta, share)
-
-
-def unknown_twice(visits: Sequence[Visit], count: int) -> bool:
-    """Return whether theta was at some value less than twice; the turning point needs one."""
-    counts = [sum(visit.level == level for visit in visits) for level in range(count)]
-    return sum(count < 2 for count in counts) > 1 or 0 in counts

@@ -17,6 +17,7 @@ from koop_identify.recording.loaded import Loaded, pieces
 from koop_tune.excitation.features import Bands, features
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.excitation.visits import mean_level, summarise
+from koop_tune.origin import studied
 from koop_tune.rig.scale import Scale
 
 SHORTEST, LONGEST = 16, 4096  # samples of a piece whose spectra are averaged
@@ -26,31 +27,21 @@ SHORTEST, LONGEST = 16, 4096  # samples of a piece whose spectra are averaged
 class DwellSettings:
     """Which rests of theta count, and what theta must change there."""
 
-    fewest: int = parameter(4, "windows of a rest", low=2, origin="study commission")
-    settled: int = parameter(2, "windows of it that count at least", low=2)
-    values: int = parameter(
-        5, "values of theta that a map needs", low=3, origin="a valley and both of its sides"
-    )
-    still: float = parameter(
-        2e-3, "share of theta's range by which it may move in a window at rest", low=0.0, high=0.1
-    )
-    same: float = parameter(
-        0.02, "share of theta's range within which two values are one", low=0.0, high=0.1
-    )
+    fewest: int = studied(4, "windows of a rest", low=2)
+    settled: int = studied(2, "windows of it that count at least", low=2)
+    values: int = parameter(5, "values of a map", low=3, origin="a valley and both of its sides")
+    still: float = studied(2e-3, "motion in a window at rest, in ranges", low=0.0, high=0.1)
+    same: float = studied(0.02, "distance of two rests at one value, in ranges", low=0.0, high=0.1)
     part: float = parameter(
-        0.25, "share of the usual rest, below which one is left out", low=0.0, high=1.0,
+        0.25, "shortest rest over the usual one", low=0.0, high=1.0,
         origin="the rest before an excitation is a short one",
     )  # fmt: skip
     part_of_spectra: float = parameter(
-        0.5, "the same for spectra, which a short rest would blur", low=0.0, high=1.0,
-        origin="rests that lost messages cut",
-    )  # fmt: skip
-    parts: int = parameter(4, "pieces of the shortest rest whose spectra are averaged", low=1)
-    change: float = parameter(
-        0.3, "change of the logarithm of a power that theta makes", low=0.0,
-        origin="study commission",
-    )  # fmt: skip
-    doubt: float = parameter(2.0, "standard errors that are subtracted from a change", low=0.0)
+        0.5, "the same for spectra", low=0.0, high=1.0, origin="rests that lost messages cut"
+    )
+    parts: int = studied(4, "pieces of the shortest rest whose spectra are averaged", low=1)
+    change: float = studied(0.3, "change of a log power that theta makes", low=0.0)
+    doubt: float = studied(2.0, "standard errors that are subtracted from a change", low=0.0)
 
     def __post_init__(self) -> None:
         validate(self)

@@ -1,4 +1,4 @@
-"""A closed loop on a rig, measured and compared with what was predicted of it. Pure: no ROS.
+"""A closed loop on a rig, measured and compared with what was predicted of it.
 
 The amplitude is that of the channel or band in which theta shows most, in the windows of the
 excitation; converged, distance and excess are those of :mod:`koop_tune.search.search`. The
@@ -25,16 +25,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.surrogate import BLOCKS
 from koop_tune.search.prediction import Prediction
-from koop_tune.search.settings import CONVERGENCE
-
-SMOOTHED = 3  # windows at least, in whose mean an amplitude counts as converged
-ERRORS = 2.0  # standard errors that a band is widened by
-LATER = 1.2  # than the band, a loop may converge
-BLURRED = 3.0  # times the best amplitude, that a prediction allows which says nothing
-TWICE = 2.0  # times the time to converge, that the loop is closed at least; half of it counts
-MOST_SLOWER = 4.0  # times, that a rig is taken to be after one round
-ROUNDS = 3  # of tuning and verifying
-LEAST = 0.25  # of the prediction's runs, that it is closed at least
+from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
 
 
 @dataclass(frozen=True)
@@ -61,6 +52,8 @@ class Aim:
         The rig's own time [s].
     predicted : Prediction
         The tuning's.
+    settings : VerificationSettings
+        How a loop is compared with it.
     """
 
     how: Bands
@@ -73,6 +66,7 @@ class Aim:
     bound: float
     time: float
     predicted: Prediction
+    settings: VerificationSettings = VERIFICATION
 
     @property
     def window(self) -> float:
@@ -88,7 +82,7 @@ class Aim:
     def duration(self) -> float:
         """How long the loop is closed at least to see whether the prediction holds [s]."""
         whole, late = self.longest, self.predicted.converges.high
-        return min(max(TWICE * late, LEAST * whole), whole)
+        return min(max(self.settings.twice * late, self.settings.least * whole), whole)
 
     def amplitudes(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the logarithm of the amplitude in each whole window of samples, shape (M, n)."""
@@ -191,7 +185,7 @@ def measure(
     logs, first = aim.amplitudes(x), aim.amplitudes(before)
     late, end = logs[logs.size // 2 :], theta[theta.size // 2 :]
     amplitude, began = _root_mean_square(late), _root_mean_square(first)
-    k = min(max(SMOOTHED, math.ceil(logs.size / BLOCKS)), logs.size)
+    k = min(max(aim.settings.smoothed, math.ceil(logs.size / BLOCKS)), logs.size)
     smooth = [_root_mean_square(logs[i : i + k]) for i in range(logs.size - k + 1)]
     inside = np.flatnonzero(aim.sense * (np.array(smooth) - aim.bound) <= 0.0)
     errors = [float(standard_error(part[:, None])[0]) for part in (late, first)]
@@ -232,20 +226,21 @@ def may_yet_agree(aim: Aim, run: Measured) -> bool:
 
 def _lasting(aim: Aim, run: Measured) -> list[str]:
     p, found = aim.predicted, []
-    if p.excess.high > BLURRED:
+    if p.excess.high > aim.settings.blurred:
         found.append(
             f"the prediction, {p.excess.low:.3g} to {p.excess.high:.3g} times the best "
             "amplitude, is too wide to be confirmed"
         )
     late, took = p.converges.high, run.time_to_converge
-    if (math.inf if took is None else took) > LATER * late + SMOOTHED * aim.window:
+    limit = aim.settings.later * late + aim.settings.smoothed * aim.window
+    if (math.inf if took is None else took) > limit:
         told = "did not converge" if took is None else f"took {took:.4g} s to converge"
         found.append(f"{told}, at most {late:.4g} s were predicted")
     return found
 
 
 def _passing(aim: Aim, run: Measured) -> list[str]:
-    p, widened, found = aim.predicted, math.exp(ERRORS * run.error), []
+    p, widened, found = aim.predicted, math.exp(aim.settings.errors * run.error), []
     if run.excess > p.excess.high * widened:
         found.append(
             f"ended at {run.excess:.3g} times the best amplitude, at most "
@@ -257,74 +252,6 @@ def _passing(aim: Aim, run: Measured) -> list[str]:
             f"{p.reduction.low:.3g} was predicted"
         )
     return found
-
-
-def slower(rounds: Sequence[dict[str, Any]]) -> float:
-    """Return by how much a rig follows theta more slowly than its recordings made believe.
-
-    Of the rounds of a verify.json that disagreed: the times that their loops took to converge over
-    the longest predicted, one after the other.
-
-    >>> p = {"converges": {"high": 50.0}}
-    >>> slower([{"agrees": False, "prediction": p, "runs": [{"time_to_converge": 100.0}]}])
-    2.0
-    """
-    found = 1.0
-    for item in rounds:
-        late = item["prediction"]["converges"]["high"]
-        if item["agrees"] is not False or late is None:
-            continue
-        took = [run["time_to_converge"] for run in item["runs"]]
-        ratios = [MOST_SLOWER if value is None else value / late for value in took]
-        found *= min(max(1.0, *ratios), MOST_SLOWER)
-    return found
-
-
-def ended(rounds: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return those rounds of a verify.json that came to their end."""
-    return [item for item in rounds if item["agrees"] is not None]
-
-
-def as_predicted(item: dict[str, Any]) -> bool:
-    """Return whether a round of a verify.json damped the rig, and as it was predicted.
-
-    >>> as_predicted({"agrees": True, "runs": [{"excess": 1.2}, {"excess": 3.0}]})
-    False
-    """
-    return bool(item["agrees"]) and _worst(item) <= CONVERGENCE.good
-
-
-def kept_round(rounds: Sequence[dict[str, Any]]) -> int:
-    """Return which of the rounds that ended has the controller that is kept; the first is 0.
-
-    The last one's if it damped the rig as predicted, which ends the rounds; else that of the round
-    which damped the rig best from its worse start.
-
-    >>> unlike = {"agrees": False, "runs": [{"excess": 1.1}, {"excess": 1.2}]}
-    >>> kept_round([unlike, {"agrees": True, "runs": [{"excess": 1.3}]}])
-    1
-    >>> kept_round([unlike, {"agrees": True, "runs": [{"excess": 1.8}]}])
-    0
-    """
-    if as_predicted(rounds[-1]):
-        return len(rounds) - 1
-    return min(range(len(rounds)), key=lambda k: _worst(rounds[k]))
-
-
-def agreement(item: dict[str, Any]) -> str:
-    """Return what a round that agrees with its prediction says.
-
-    >>> agreement({"runs": [{"excess": 1.2}, {"excess": 1.83}]})
-    'as predicted, or better, but 1.83 times the best of the static map: not damped'
-    """
-    said, worst = "as predicted, or better", _worst(item)
-    if worst <= CONVERGENCE.good:
-        return said
-    return f"{said}, but {worst:.3g} times the best of the static map: not damped"
-
-
-def _worst(item: dict[str, Any]) -> float:
-    return max(float(run["excess"]) for run in item["runs"])
 
 
 def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:

@@ -11,9 +11,9 @@ from typing import Any
 
 from koop_core.config.parameter import ConfigError
 from koop_tune.excitation.progress import write_whole
-from koop_tune.search.agreement import MOST_SLOWER, Measured
+from koop_tune.search.agreement import Measured
 from koop_tune.search.prediction import Prediction
-from koop_tune.search.settings import CONVERGENCE
+from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
 
 VERIFIED = "verify.json"
 
@@ -164,7 +164,7 @@ class Verification:
         return tuple(item for item in self.rounds if item.finished)
 
 
-def find_slowdown(rounds: Sequence[Round]) -> float:
+def find_slowdown(rounds: Sequence[Round], settings: VerificationSettings = VERIFICATION) -> float:
     """Return by what factor a rig follows theta more slowly than its recordings show.
 
     The times that the loops of each round that disagreed took to converge over the longest time
@@ -176,8 +176,9 @@ def find_slowdown(rounds: Sequence[Round]) -> float:
         if item.agrees is not False or math.isinf(longest):
             continue
         times = [run.measured.time_to_converge for run in item.runs]
-        ratios = [MOST_SLOWER if time is None else time / longest for time in times]
-        slowdown *= min(max(1.0, *ratios), MOST_SLOWER)
+        most = settings.most_slower
+        ratios = [most if time is None else time / longest for time in times]
+        slowdown *= min(max(1.0, *ratios), most)
     return slowdown
 
 
