@@ -43,7 +43,7 @@ def test_the_tuned_loop_damps_the_rig_as_predicted(seed, family, cost):
     rig = rig_of(seed, **QUICK, **family, noise_driven=0.0, maps={"symmetric": 1.0})
     found = tune(*recorded(rig), settings=TuningSettings(effort=0.1))
     assert found.chosen.name.startswith(cost)
-    best = found.seen.scale.theta_at(found.seen.amplitude.best())
+    best = found.findings.scale.theta_at(found.findings.amplitude.best())
     assert abs(best - rig.best()[0]) < 0.1 * (rig.params.theta_max - rig.params.theta_min)
     predicted = found.prediction.excess
     assert 0.9 < predicted.low <= predicted.middle <= predicted.high < 1.5

@@ -72,7 +72,7 @@ def tune_folders(
         except NoOptimum as refusal:
             bar.close()
             progress.write_whole(out / FIGURES, as_json.of_refusal(refusal))
-            print(as_text.as_table(refusal.seen))
+            print(as_text.as_table(refusal.findings))
             print(f"\nno optimum ({refusal.kind}): {refusal}")
             return False
     model = None
@@ -81,7 +81,7 @@ def tune_folders(
         train_from_bags(bags, tuning.chosen.maps.cost.training).save(model)
     progress.write_whole(out / FIGURES, as_json.of_tuning(tuning, rig, model))
     progress.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model))
-    print(as_text.as_table(tuning.seen, tuning))
+    print(as_text.as_table(tuning.findings, tuning))
     print("\n" + as_text.as_words(tuning))
     print(f"\ntuned in {time.monotonic() - began:.0f} s; written to {out}")
     return True

@@ -122,7 +122,7 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
 
 
 def test_table_and_words_hold_every_cost_and_the_prediction(tuning):
-    table = as_text.as_table(tuning.seen, tuning)
+    table = as_text.as_table(tuning.findings, tuning)
     assert "evidence" in table
     assert "lifted: too few windows" in table
     assert f"{math.exp(tuning.chosen.score):.3g}" in table
@@ -134,9 +134,11 @@ def test_table_and_words_hold_every_cost_and_the_prediction(tuning):
 def test_figures_are_json_and_hold_the_map_and_the_paths(tuning):
     values = json.loads(json.dumps(as_json.of_tuning(tuning, RIG, None)))
     assert values["verdict"] == "tuned"
-    assert values["static_map"]["amplitude"] == pytest.approx(np.exp(valley(tuning.seen.dwells.u)))
+    assert values["static_map"]["amplitude"] == pytest.approx(
+        np.exp(valley(tuning.findings.dwells.u))
+    )
     raw, lifted = values["costs"]
-    assert raw["map"]["r"] == pytest.approx(np.exp(2.0 * valley(tuning.seen.dwells.u)))
+    assert raw["map"]["r"] == pytest.approx(np.exp(2.0 * valley(tuning.findings.dwells.u)))
     assert (lifted["map"], lifted["problem"]) == (None, "too few windows")
     for path, start in zip(values["paths"], (0.0, 1.0), strict=True):
         assert path["start"] == start

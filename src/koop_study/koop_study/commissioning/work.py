@@ -94,14 +94,14 @@ def commission_plant(
     seen: StaticMap | None
     try:
         found = commissioned(rig, file, recorded, loops, seed, effort, row, watch)
-        row |= {"verdict": "tuned", "why": found.why, "doubt": found.seen.doubt,
+        row |= {"verdict": "tuned", "why": found.why, "doubt": found.findings.doubt,
                 "cost": found.chosen.name, "constants": asdict(found.best.constants),
                 "time_ratio": found.time / own, "predicted": found.prediction.excess.high,
                 }  # fmt: skip
-        seen = found.seen.amplitude
+        seen = found.findings.amplitude
     except NoOptimum as no:
         row |= {"verdict": no.kind, "why": str(no)}
-        seen = no.seen.amplitude
+        seen = no.findings.amplitude
     except ValueError as error:
         row |= {"verdict": "error", "why": str(error)}
         seen = None

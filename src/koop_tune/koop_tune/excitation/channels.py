@@ -111,8 +111,8 @@ def lines(x: NDArray[np.float64], dt: float) -> list[Line]:
     """
     from scipy.signal import welch  # slow to import
 
-    known = np.isfinite(x)
-    if known.sum() < 64 or np.ptp(x[known]) == 0.0:
+    finite = np.isfinite(x)
+    if finite.sum() < 64 or np.ptp(x[finite]) == 0.0:
         return []
     x = bridged(x[:, None])[:, 0]
     length = max(64, int(SEGMENT * x.size))
@@ -132,31 +132,31 @@ def peaks(frequency: NDArray[np.float64], power: NDArray[np.float64]) -> list[Li
     """
     # bins of the window overlap by 1.5: their sum is the power of what lies in them
     total = float(power[1:].sum()) / 1.5
-    found: list[Line] = []
+    named: list[Line] = []
     rest = power.copy()
     rest[0] = 0.0
-    while len(found) < NAMED and rest.any():
+    while len(named) < NAMED and rest.any():
         peak = int(np.argmax(rest))
         if power[max(peak - 1, 1) : peak + 2].max() > power[peak]:  # the foot of one that was named
             rest[peak] = 0.0
             continue
         inner = slice(max(peak - WIDTH, 1), peak + WIDTH + 1)
-        own = power[inner]
+        power_inside = power[inner]
         outer = np.r_[power[max(peak - AROUND, 1) : inner.start], power[inner.stop : peak + AROUND]]
-        share = float(own.sum()) / 1.5 / total
+        share = float(power_inside.sum()) / 1.5 / total
         narrow = power[peak] > LINE * np.median(outer) if outer.size else True
-        if found and not (narrow and share > WORTH):
+        if named and not (narrow and share > WORTH):
             break
-        at = float(np.average(frequency[inner], weights=own))
-        found.append(Line(at, math.sqrt(2.0 * float(own.sum()) / 1.5), share))
+        at = float(np.average(frequency[inner], weights=power_inside))
+        named.append(Line(at, math.sqrt(2.0 * float(power_inside.sum()) / 1.5), share))
         rest[inner] = 0.0
-    return found
+    return named
 
 
 def strongest_period(x: NDArray[np.float64], dt: float) -> float | None:
     """Return the period of the strongest oscillation of samples, shape (M, n) [s]; None if none."""
-    found = [peaks[0] for column in x.T if (peaks := lines(column, dt))]
-    return 1.0 / max(found, key=lambda line: line.share).frequency if found else None
+    named = [peaks[0] for column in x.T if (peaks := lines(column, dt))]
+    return 1.0 / max(named, key=lambda line: line.share).frequency if named else None
 
 
 def listens(x: NDArray[np.float64], dt: float, least: float, periods: float, most: float) -> bool:

@@ -92,8 +92,8 @@ def bridged(x: NDArray[np.float64]) -> NDArray[np.float64]:
         return x
     places, result = np.arange(x.shape[0]), x.copy()
     for j in range(x.shape[1]):
-        known = np.isfinite(x[:, j])
-        result[:, j] = np.interp(places, places[known], x[known, j]) if known.any() else 0.0
+        finite = np.isfinite(x[:, j])
+        result[:, j] = np.interp(places, places[finite], x[finite, j]) if finite.any() else 0.0
     return result
 
 

@@ -177,9 +177,9 @@ def load(rig: RigFile, folder: Path) -> Progress | None:
     path = folder / NAME
     if not path.exists():
         return None
-    own, found = read(folder)
-    refuse_other_rig(path, own, rig)
-    return found
+    recorded_rig, state = read(folder)
+    refuse_other_rig(path, recorded_rig, rig)
+    return state
 
 
 def read(folder: Path) -> tuple[RigFile, Progress]:
@@ -192,21 +192,21 @@ def read(folder: Path) -> tuple[RigFile, Progress]:
     """
     path = folder / NAME
     try:
-        known = json.loads(path.read_text(encoding="utf-8"))
-        own = RigFile(**known.pop("rig"))
-        how = known.pop("how")
+        values = json.loads(path.read_text(encoding="utf-8"))
+        recorded_rig = RigFile(**values.pop("rig"))
+        how = values.pop("how")
         visits = [
             Visit(**{**visit, "mean": tuple(visit["mean"]), "error": tuple(visit["error"])})
-            for visit in known.pop("visits")
+            for visit in values.pop("visits")
         ]
         bands = Bands(how[0], tuple(how[1]), how[2]) if how else None
-        found = Progress(how=bands, visits=visits, **known)
+        state = Progress(how=bands, visits=visits, **values)
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None
-    return own, found
+    return recorded_rig, state
 
 
-def refuse_other_rig(path: Path, own: RigFile, rig: RigFile) -> None:
+def refuse_other_rig(path: Path, recorded_rig: RigFile, rig: RigFile) -> None:
     """Refuse a rig file that is not that of what was begun.
 
     Raises
@@ -214,7 +214,7 @@ def refuse_other_rig(path: Path, own: RigFile, rig: RigFile) -> None:
     koop_core.config.parameter.ConfigError
         If it says something else that counts.
     """
-    for name, value in as_values(own).items():
+    for name, value in as_values(recorded_rig).items():
         if value != as_values(rig)[name] and name not in ("time", "theta_start", "pace"):
             raise ConfigError(
                 f"{path}: was begun with {name} = {value}, the rig file says "

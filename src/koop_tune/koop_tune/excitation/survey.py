@@ -1,7 +1,7 @@
 """What an excitation decides: what is heard first, where theta goes, when it goes on.
 
 Theta goes up and down through its values, then through them at random, so that neither a memory of
-the rig nor a drift is taken for the map. It stays at each until the rig has settled and the error
+the rig nor a drift is taken for the map. It rests at each until the rig has settled and the error
 is small enough: longer where it is noisy. Beside a cliff of the static map values are added.
 
 :class:`Survey` is told what the rig said, window by window, and says what is next; who moves theta
@@ -145,39 +145,41 @@ class Survey:
             wanted.insert(0, wanted[0] + (1 if wanted[0] + 1 < count else -1))
         return wanted
 
-    def _wanted(self, found: StaticMap) -> list[int]:
+    def _wanted(self, static_map: StaticMap) -> list[int]:
         """Return the values at which the map is not known well enough, and may be some day."""
-        s, visits = self._settings, [levels.size for levels in found.visits]
-        target, doubtful = self._target_error(found), found.undecided
+        s, visits = self._settings, [levels.size for levels in static_map.visits]
+        target, doubtful = self._target_error(static_map), static_map.undecided
         cliff = self._state.added_values > 0  # what is beyond need not be known well
-        worst = float(found.y.min()) + np.log(found.settings.cliff)
+        worst = float(static_map.y.min()) + np.log(static_map.settings.cliff)
         return [
             i
-            for i in range(found.u.size)
+            for i in range(static_map.u.size)
             if visits[i] < 2
             or (
-                (not cliff or found.y[i] < worst)
+                (not cliff or static_map.y[i] < worst)
                 and (
-                    (visits[i] < s.visits and found.error[i] > target)
+                    (visits[i] < s.visits and static_map.error[i] > target)
                     or (visits[i] < s.visits_in_doubt and i in doubtful)
                 )
             )
         ]
 
-    def _target_error(self, found: StaticMap) -> float:
+    def _target_error(self, static_map: StaticMap) -> float:
         """Return the standard error at which a map is known well enough."""
-        return max(self._settings.error, self._settings.error_of_span * float(np.ptp(found.mean)))
+        return max(
+            self._settings.error, self._settings.error_of_span * float(np.ptp(static_map.mean))
+        )
 
     def _add_values(self) -> list[int]:
         """Add values between the good ones and a cliff, until it is known; return their numbers."""
         state, s = self._state, self._settings
-        found = state.static_map(self._feature(), self._rig.sense)
+        static_map = state.static_map(self._feature(), self._rig.sense)
         added: list[int] = []
         for side in (1, -1):  # the upper one first: the numbers below stay
-            cliff = found.cliff(side)
+            cliff = static_map.cliff(side)
             if cliff is None or state.added_values >= s.added:
                 continue
-            a, b = found.u[cliff.inner], found.u[cliff.outer]
+            a, b = static_map.u[cliff.inner], static_map.u[cliff.outer]
             if abs(b - a) > s.finest:
                 above = max(cliff.inner, cliff.outer)
                 state.add(above, self._rig.scale.theta_at(0.5 * float(a + b)))
@@ -191,9 +193,9 @@ class Survey:
         self._guides = self._guiding()
         self._least, self._target = s.fewest, s.error
         if state.visits:
-            found = state.static_map(self._guides[0], self._rig.sense)
-            self._target = self._target_error(found)
-            if state.added_values and beside_cliff(found, state.reached, self._level):
+            static_map = state.static_map(self._guides[0], self._rig.sense)
+            self._target = self._target_error(static_map)
+            if state.added_values and beside_cliff(static_map, state.reached, self._level):
                 self._least = s.linger
         left = max(self._rig.time - elapsed, 0.0)
         fair = min(s.most_share * self._rig.time, 2.0 * left / self.visits_left)
@@ -251,13 +253,13 @@ class Survey:
         return self._state.clearest(range(len(self._how.edges) * len(self._rig.names)))
 
 
-def beside_cliff(found: StaticMap, reached: Sequence[int], level: int) -> bool:
+def beside_cliff(static_map: StaticMap, reached: Sequence[int], level: int) -> bool:
     """Return whether a value is the last good one before a cliff, or between that and beyond.
 
     ``reached`` holds the numbers of the map's values.
     """
     for side in (1, -1):
-        cliff = found.cliff(side)
+        cliff = static_map.cliff(side)
         if cliff is not None:
             inner, outer = reached[cliff.inner], reached[cliff.outer]
             if min(inner, outer) <= level <= max(inner, outer) and level != outer:
@@ -271,4 +273,4 @@ def from_both_sides(added: Sequence[int]) -> list[int]:
     >>> from_both_sides([5])
     [6, 5, 4, 5]
     """
-    return [level for own in added for level in (own + 1, own, own - 1, own)]
+    return [level for number in added for level in (number + 1, number, number - 1, number)]

@@ -27,7 +27,7 @@ EVERY = 4  # points of a curve that are kept, one of so many
 
 def of_refusal(no: NoOptimum) -> dict[str, Any]:
     """Return what was seen, and why nothing was chosen."""
-    return {"verdict": no.kind, "why": str(no), **of_seen(no.seen)}
+    return {"verdict": no.kind, "why": str(no), **of_seen(no.findings)}
 
 
 def of_tuning(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any]:
@@ -36,38 +36,38 @@ def of_tuning(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any
         "verdict": "tuned",
         "cost": tuning.chosen.name,
         "why": tuning.why,
-        "doubt": tuning.seen.doubt,
-        "limits": tuning.seen.limits.why,
+        "doubt": tuning.findings.doubt,
+        "limits": tuning.findings.limits.why,
         "constants": asdict(tuning.best.constants),
         "score": math.exp(tuning.best.score),
         "time": tuning.time,
-        **of_seen(tuning.seen, tuning),
+        **of_seen(tuning.findings, tuning),
         "predicted": tuning.prediction.as_json(),
         "paths": [_path(tuning, end) for end in (0, 1)],
         "parameters": _parameters(tuning, rig, model),
     }
 
 
-def of_seen(seen: Findings, tuning: Tuning | None = None) -> dict[str, Any]:
+def of_seen(findings: Findings, tuning: Tuning | None = None) -> dict[str, Any]:
     """Return what the recording shows."""
-    maps = seen.amplitude
+    maps = findings.amplitude
     curve = np.exp(maps.curve(maps.mean))[::EVERY]
     grid = np.asarray(np.linspace(0.0, 1.0, GRID)[::EVERY], np.float64)
     low, high = best_band(maps)
     return {
-        "feature": seen.feature,
-        "period": seen.period,
-        "windows": {**seen.dwells.how._asdict(), "feature": seen.dwells.feature},
-        "theta_best": seen.scale.theta_at(maps.best()),
-        "theta_best_band": [seen.scale.theta_at(low), seen.scale.theta_at(high)],
+        "feature": findings.feature,
+        "period": findings.period,
+        "windows": {**findings.dwells.how._asdict(), "feature": findings.dwells.feature},
+        "theta_best": findings.scale.theta_at(maps.best()),
+        "theta_best_band": [findings.scale.theta_at(low), findings.scale.theta_at(high)],
         "static_map": {
-            **_points(seen, maps, 1.0, "amplitude"),
+            **_points(findings, maps, 1.0, "amplitude"),
             "curve": {
-                "theta": seen.scale.theta(grid).tolist(),
+                "theta": findings.scale.theta(grid).tolist(),
                 "amplitude": curve.tolist(),
             },
         },
-        "costs": [_cost(candidate, seen, tuning) for candidate in seen.costs],
+        "costs": [_cost(candidate, findings, tuning) for candidate in findings.costs],
     }
 
 
@@ -79,12 +79,12 @@ def best_band(maps: StaticMap) -> tuple[float, float]:
     """
     rng = np.random.default_rng(0)
     grid = np.linspace(0.0, 1.0, GRID)
-    found = []
+    positions = []
     for _ in range(DRAWS):
         mean = maps.sense * maps.reweigh(maps.draw_weights(rng))
-        found.append(float(grid[int(np.argmin(maps.sense * maps.curve(maps.sense * mean)))]))
-        found.append(vertex(maps.u, mean))
-    low, high = np.percentile(found, [PERCENTILES[0], PERCENTILES[-1]])
+        positions.append(float(grid[int(np.argmin(maps.sense * maps.curve(maps.sense * mean)))]))
+        positions.append(vertex(maps.u, mean))
+    low, high = np.percentile(positions, [PERCENTILES[0], PERCENTILES[-1]])
     return float(low), float(high)
 
 
@@ -102,17 +102,17 @@ def vertex(u: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     return float(u[i] - b / (2.0 * a)) if a > 0.0 else float(u[i])
 
 
-def _points(seen: Findings, maps: StaticMap, power: float, name: str) -> dict[str, Any]:
+def _points(findings: Findings, maps: StaticMap, power: float, name: str) -> dict[str, Any]:
     """Return a map's points, errors (of the logarithm) and visits; exp(power * mean)."""
     return {
-        "theta": seen.scale.theta(seen.dwells.u).tolist(),
+        "theta": findings.scale.theta(findings.dwells.u).tolist(),
         name: np.exp(power * maps.mean).tolist(),
         "error": (power * maps.error).tolist(),
-        "visits": [np.exp(power * own).tolist() for own in maps.visits],
+        "visits": [np.exp(power * levels).tolist() for levels in maps.visits],
     }
 
 
-def _cost(candidate: CostMaps, seen: Findings, tuning: Tuning | None) -> dict[str, Any]:
+def _cost(candidate: CostMaps, findings: Findings, tuning: Tuning | None) -> dict[str, Any]:
     """Return a cost and its clearest map, of the chosen one that with the chosen omega_h."""
     name = candidate.cost.name
     scores = {s.name: math.exp(s.score) for s in tuning.searched} if tuning else {}
@@ -130,15 +130,15 @@ def _cost(candidate: CostMaps, seen: Findings, tuning: Tuning | None) -> dict[st
             maps = candidate.maps[omega_h]
         values["map"] = {
             "omega_h": omega_h,
-            "theta_best": seen.scale.theta_at(maps.best()) if maps.interior else None,
-            **_points(seen, maps, 2.0, "r"),  # r is the mean square of y_hp
+            "theta_best": findings.scale.theta_at(maps.best()) if maps.interior else None,
+            **_points(findings, maps, 2.0, "r"),  # r is the mean square of y_hp
         }
     return values
 
 
 def _path(tuning: Tuning, end: int) -> dict[str, Any]:
     """Return theta and amplitude of the predicted runs from one end of the range, as bands."""
-    scale, runs = tuning.seen.scale, tuning.runs[end::2]
+    scale, runs = tuning.findings.scale, tuning.runs[end::2]
     duration = tuning.prediction.duration
     blocks = runs[0].u.size
     return {

@@ -22,45 +22,51 @@ LEAST_TIMEOUT, TIMEOUT = 0.5, 20.0  # [s]; samples
 Parameters = dict[str, tuple[Any, str]]  # value and reason by name
 
 
-def as_table(seen: Findings, tuning: Tuning | None = None) -> str:
+def as_table(findings: Findings, tuning: Tuning | None = None) -> str:
     """Return the static map and what each cost shows of it."""
-    theta = seen.scale.theta(seen.dwells.u)
+    theta = findings.scale.theta(findings.dwells.u)
     rows = [
         [f"{value:.4g}", f"{math.exp(mean):.4g}", f"{100 * error:.2g} %", str(levels.size)]
         for value, mean, error, levels in zip(
-            theta, seen.amplitude.mean, seen.amplitude.error, seen.amplitude.visits, strict=True
+            theta,
+            findings.amplitude.mean,
+            findings.amplitude.error,
+            findings.amplitude.visits,
+            strict=True,
         )
     ]
     lines = [
-        f"amplitude of {seen.feature}; the oscillation's period is {seen.period:.3g} s",
+        f"amplitude of {findings.feature}; the oscillation's period is {findings.period:.3g} s",
         table(["theta", "amplitude", "error", "visits"], rows),
     ]
-    if seen.costs:
+    if findings.costs:
         scores = {s.name: math.exp(s.score) for s in tuning.searched} if tuning else {}
         rows = []
-        for candidate in seen.costs:
+        for candidate in findings.costs:
             name = candidate.cost.name
             if candidate.clearest is None:
                 rows.append([name, "-", "-", "-"])
                 continue
-            found = candidate.clearest[1]
+            clearest_map = candidate.clearest[1]
             where = (
-                f"{seen.scale.theta_at(found.best()):.4g}" if candidate.usable else "none inside"
+                f"{findings.scale.theta_at(clearest_map.best()):.4g}"
+                if candidate.usable
+                else "none inside"
             )
             score = f"{scores[name]:.3g}" if name in scores else "-"
-            rows.append([name, where, f"{found.evidence.gain:.3g}", score])
+            rows.append([name, where, f"{clearest_map.evidence.gain:.3g}", score])
         lines += ["", table(["cost", "best at theta", "evidence (Δχ²)", "score"], rows)]
-        lines += [f"{c.cost.name}: {c.cost.problem}" for c in seen.costs if c.cost.problem]
+        lines += [f"{c.cost.name}: {c.cost.problem}" for c in findings.costs if c.cost.problem]
     return "\n".join(lines)
 
 
 def as_words(tuning: Tuning) -> str:
     """Return what was chosen, why, and what it will do."""
     c, p = tuning.best.constants, tuning.prediction
-    span = "of log theta's range" if tuning.seen.scale.logarithmic else "of theta's range"
+    span = "of log theta's range" if tuning.findings.scale.logarithmic else "of theta's range"
     direction = "down" if tuning.task.sense > 0 else "up"
-    notes = [f"in doubt: {tuning.seen.doubt}"] if tuning.seen.doubt else []
-    notes += [f"narrower: {tuning.seen.limits.why}"] if tuning.seen.limits.why else []
+    notes = [f"in doubt: {tuning.findings.doubt}"] if tuning.findings.doubt else []
+    notes += [f"narrower: {tuning.findings.limits.why}"] if tuning.findings.limits.why else []
     return "\n".join(
         [
             *notes,
@@ -90,7 +96,7 @@ OF_RIG = "as the rig file says"
 
 
 def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
-    c, period = tuning.best.constants, tuning.seen.period
+    c, period = tuning.best.constants, tuning.findings.period
     detector = lifter_of(tuning.task, c)
     searched = (
         f"the best of a search on the rig that the recording shows, whose oscillation has a period "
@@ -118,9 +124,9 @@ def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
 
 
 def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
-    c, seen, time = tuning.best.constants, tuning.seen, tuning.time
-    best = seen.amplitude.best()
-    theta_best, logarithmic = seen.scale.theta_at(best), seen.scale.logarithmic
+    c, findings, time = tuning.best.constants, tuning.findings, tuning.time
+    best = findings.amplitude.best()
+    theta_best, logarithmic = findings.scale.theta_at(best), findings.scale.logarithmic
     ratio = rig.theta_max / rig.theta_min if rig.theta_min else math.nan
     reasons = {
         "law": "of the same search",
@@ -130,8 +136,8 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
         "step_ratio": "of the same search",
         "dwell": f"{c.dwell / time:.3g} times the rig's own time of {time:.3g} s",
         "tau_f": f"{c.tau_f / time:.3g} times the rig's own time",
-        "theta_min": seen.limits.why_low or OF_RIG,
-        "theta_max": seen.limits.why_high or OF_RIG,
+        "theta_min": findings.limits.why_low or OF_RIG,
+        "theta_max": findings.limits.why_high or OF_RIG,
         "rate_limit": "theta_rate of the rig file"
         + (" over theta_max: the rate of log theta" if logarithmic else ""),
         "objective": OF_RIG,
@@ -140,7 +146,7 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
     }  # fmt: skip
     esc = esc_of(tuning.task, c, rig.theta_start)
     parameters: Parameters = {name: (getattr(esc, name), why) for name, why in reasons.items()}
-    above = float(seen.scale.u(np.array(rig.theta_start))) > best
+    above = float(findings.scale.u(np.array(rig.theta_start))) > best
     parameters["epsilon_initial"] = (
         1 if above else -1, f"towards {theta_best:.4g}, where the recording is best"
     )  # fmt: skip
@@ -157,7 +163,10 @@ def as_parameters(tuning: Tuning, rig: RigFile, model: Path | None) -> str:
     """Return the annotated parameter file."""
     listed = list_parameters(tuning, rig, model)
     values, reasons = (
-        {node: {name: pair[i] for name, pair in own.items()} for node, own in listed.items()}
+        {
+            node: {name: pair[i] for name, pair in listing.items()}
+            for node, listing in listed.items()
+        }
         for i in (0, 1)
     )
     nodes = {node: KNOWN[node] for node in (*listed, "recorder")}

@@ -131,8 +131,8 @@ class RigFile:
     @property
     def speaks_state(self) -> bool:
         """Whether the rig itself publishes what the lifter listens to."""
-        own = (self.state.topic, self.measured_type) == (STATE, STATE_TYPE)
-        return own and self.names == tuple(f"x[{i}]" for i in range(len(self.names)))
+        standard = (self.state.topic, self.measured_type) == (STATE, STATE_TYPE)
+        return standard and self.names == tuple(f"x[{i}]" for i in range(len(self.names)))
 
     @property
     def takes_answers(self) -> bool:
@@ -182,16 +182,16 @@ def read(path: str | Path) -> RigFile:
     content = read_yaml(path, LinedLoader)
     lines: Mapping[str, int] = getattr(content, "lines", {})
     try:
-        given = mapping(content, "the file")
-        refuse_unknown(given, [item.name for item in fields(RigFile)], "key")
-        lacking = set(REQUIRED) - given.keys()
+        values = mapping(content, "the file")
+        refuse_unknown(values, [item.name for item in fields(RigFile)], "key")
+        lacking = set(REQUIRED) - values.keys()
         missing = [item for item in fields(RigFile) if item.name in lacking]
         if len(missing) == 1:
             raise ConfigError(f"'{missing[0].name}' is missing: {spec_of(missing[0]).description}")
         if missing:
             names = ", ".join(item.name for item in missing)
             raise ConfigError(f"these are missing: {names}; koop commission --new asks for each")
-        return RigFile(**given)
+        return RigFile(**values)
     except ConfigError as error:
         text = str(error)
         words = re.match(r"(?:unknown key ')?(\w+)", text)

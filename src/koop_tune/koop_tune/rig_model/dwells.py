@@ -206,8 +206,8 @@ def find_dwells(
         """Return by how much theta changes a feature, less what its errors may feign."""
         visits = [(rest.level, float(s.mean[feature]), float(min(s.error[feature], 1e3)))
                   for rest, s in zip(rests, summaries, strict=True)]  # fmt: skip
-        found = StaticMap.from_visits(u, visits, 1.0)
-        return float(found.mean.std()) - settings.doubt * float(np.median(found.error))
+        static_map = StaticMap.from_visits(u, visits, 1.0)
+        return float(static_map.mean.std()) - settings.doubt * float(np.median(static_map.error))
 
     for _ in range(2):  # with all channels first, then with what theta shows most in
         summaries = [summarise(windows, guides) for windows in series]

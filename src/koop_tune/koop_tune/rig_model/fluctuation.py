@@ -6,7 +6,7 @@ rests, the autocovariance of its power p = |z|^2 over the mean is
     cov(p(t), p(t + s)) = share exp(-2 s / tau) + const
 
 with the time constant tau with which the amplitude follows theta, too. White noise of a window
-adds to it at s = 0 only, a level that drifts from stay to stay the constant.
+adds to it at s = 0 only, a level that drifts from rest to rest the constant.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from koop_tune.rig_model.dwells import Dwells
 
 SHORTEST, COUNT = 0.3, 60  # windows of the shortest decay; decays that are tried
-PART = 0.1  # of the longest stay, as long as a decay may be
+PART = 0.1  # of the longest rest, as long as a decay may be
 AS_GOOD = 1.02  # times the least misfit: the shortest decay that fits so well is taken
 MOST_OF_IT = 0.4  # of the variance: what lasts is no less, a drift of the level is
-LAGS = 0.5  # of the longest stay, up to which it is fitted
+LAGS = 0.5  # of the longest rest, up to which it is fitted
 
 
 class Fluctuation(NamedTuple):
@@ -43,19 +43,19 @@ class Fluctuation(NamedTuple):
 
 
 def fluctuation(dwells: Dwells) -> Fluctuation:
-    """Fit the autocovariance of the power in the windows of all stays once the rig had settled."""
+    """Fit the autocovariance of the power in the windows of all rests once the rig had settled."""
     parts = relative_power(dwells)
     longest = max(part.size for part in parts)
     lags = max(int(LAGS * longest), 3)
-    found, count = autocovariance(parts, lags)
-    k, y, w = np.arange(1, lags), found[1:], count[1:]
+    fit, count = autocovariance(parts, lags)
+    k, y, w = np.arange(1, lags), fit[1:], count[1:]
     decays = np.geomspace(SHORTEST, max(PART * longest, 2.0 * SHORTEST), COUNT)
-    least = MOST_OF_IT * float(found[0])
+    least = MOST_OF_IT * float(fit[0])
     misfits = np.array([_misfit(k, y, w, float(decay), least) for decay in decays])
     windows = 1.0
     if np.isfinite(misfits).any():
         windows = 2.0 * float(decays[int(np.argmax(misfits <= AS_GOOD * misfits.min()))])
-    return Fluctuation(windows * dwells.how.length * dwells.how.dt, float(found[0]))
+    return Fluctuation(windows * dwells.how.length * dwells.how.dt, float(fit[0]))
 
 
 def _misfit(
@@ -69,7 +69,7 @@ def _misfit(
 
 
 def relative_power(dwells: Dwells) -> list[NDArray[np.float64]]:
-    """Return the power in the windows of each stay over that of all stays at its theta, less 1."""
+    """Return the power in the windows of each rest over the mean one at its theta, less 1."""
     settled = dwells.settled(dwells.amplitude)
     top = max(float(values.max()) for values in settled)
     power = [np.exp(2.0 * (values - top)) for values in settled]
@@ -89,7 +89,7 @@ def autocovariance(
     for part in parts:
         upto = min(lags, part.size)
         size = 1 << (2 * part.size - 1).bit_length()
-        own = np.fft.irfft(np.abs(np.fft.rfft(part, size)) ** 2, size)[:upto]
-        total[:upto] += own
+        products = np.fft.irfft(np.abs(np.fft.rfft(part, size)) ** 2, size)[:upto]
+        total[:upto] += products
         count[:upto] += part.size - np.arange(upto)
     return total / np.maximum(count, 1.0), count

@@ -107,20 +107,20 @@ def high_pass(
 ) -> NDArray[np.float64]:
     """Return y_hp of the detector for every sample of a recording."""
     alpha = math.exp(-omega_h * dt)
-    found = np.zeros(y_out.size)
+    filtered = np.zeros(y_out.size)
     for piece in pieces(loaded.begins):
-        own = y_out[piece]
-        known = np.flatnonzero(np.isfinite(own))
-        if known.size > 1:
-            own = np.where(np.isfinite(own), own, own[known[0]])
-            found[piece] = lfilter([1.0 - alpha, alpha - 1.0], [1.0, -alpha], own - own[0])
-    return found
+        part = y_out[piece]
+        usable = np.flatnonzero(np.isfinite(part))
+        if usable.size > 1:
+            part = np.where(np.isfinite(part), part, part[usable[0]])
+            filtered[piece] = lfilter([1.0 - alpha, alpha - 1.0], [1.0, -alpha], part - part[0])
+    return filtered
 
 
 def fit_times(
     loaded: Loaded, dwells: Dwells, amplitude: StaticMap, scale: Scale, dt: float
 ) -> Times:
-    """Fit the time constants to the amplitude's logarithm in the windows of all stays.
+    """Fit the time constants to the amplitude's logarithm in the windows of all rests.
 
     Where noise drives the oscillation its amplitude is seldom where theta leads it: how it comes
     and goes by itself tells the time constant far better than how it follows theta does.
@@ -137,20 +137,20 @@ def fit_times(
         np.concatenate([np.arange(s.begin, s.end, dwells.how.length) for s in dwells.dwells])
         // every
     )
-    seen = np.concatenate(dwells.amplitude)
+    measured = np.concatenate(dwells.amplitude)
     middle = float(np.mean(curve))
     usual = 0.02 + float(np.median([v.std() for v in dwells.settled(dwells.amplitude)]))
-    own = fluctuation(dwells)
-    if own.share > WANDERS:
-        return Times(math.log(own.time), 0.0, 0.0, middle)
+    process = fluctuation(dwells)
+    if process.share > WANDERS:
+        return Times(math.log(process.time), 0.0, 0.0, middle)
     longest = max(s.end - s.begin for s in dwells.dwells) * dt
     shortest = 0.05 * dwells.how.length * dt
-    found = np.empty(target.size)
+    path = np.empty(target.size)
 
     def loss(c: NDArray[np.float64]) -> float:
-        _follow(target, begins, every * dt, Times(c[0], c[1], c[2], middle), found)
-        made = sum(found[np.minimum(starts + j, found.size - 1)] for j in range(4)) / 4.0
-        error = np.minimum(np.abs(made - seen) / usual, 5.0)
+        _follow(target, begins, every * dt, Times(c[0], c[1], c[2], middle), path)
+        levels = sum(path[np.minimum(starts + j, path.size - 1)] for j in range(4)) / 4.0
+        error = np.minimum(np.abs(levels - measured) / usual, 5.0)
         beyond = max(0.0, c[0] - math.log(longest)) + max(0.0, math.log(shortest) - c[0])
         prior = 0.5 * c[1] ** 2 + 5.0 * c[2] ** 2 + 100.0 * beyond**2
         return float((error**2).sum()) + prior
@@ -173,14 +173,14 @@ def _rate(times: Times, dt: float, target: float, now: float) -> float:
 @njit()
 def _follow(
     target: NDArray[np.float64], begins: NDArray[np.bool_], dt: float, times: Times,
-    found: NDArray[np.float64],
+    path: NDArray[np.float64],
 ) -> None:  # fmt: skip
-    now = target[0]
+    level = target[0]
     for k in range(target.size):
         if begins[k]:
-            now = target[k]
-        now += (target[k] - now) * _rate(times, dt, target[k], now)
-        found[k] = now
+            level = target[k]
+        level += (target[k] - level) * _rate(times, dt, target[k], level)
+        path[k] = level
 
 
 @njit()
@@ -214,13 +214,13 @@ def _next_place(
     piece = place = -1
     best = math.inf
     for i in range(PLACES):
-        own = s.first[level] + int(draws[(number + 2 * i) % draws.size]
+        candidate = s.first[level] + int(draws[(number + 2 * i) % draws.size]
                                    * (s.first[level + 1] - s.first[level]))  # fmt: skip
-        size = s.begins[own + 1] - s.begins[own]
-        at = s.begins[own] + int(draws[(number + 2 * i + 1) % draws.size] * 0.9 * size)
+        size = s.begins[candidate + 1] - s.begins[candidate]
+        at = s.begins[candidate] + int(draws[(number + 2 * i + 1) % draws.size] * 0.9 * size)
         far = abs(s.y[at] - value)
         if far < best:
-            best, piece, place = far, own, at
+            best, piece, place = far, candidate, at
     return piece, place
 
 
@@ -258,7 +258,7 @@ def run(
         Receive the mean of theta's position from the optimum's motion, and the mean square of the
         amplitude, of each block.
     """
-    seen = cost.initial()
+    cost_state = cost.initial()
     position = _position(s, state.output)
     level, a = _at(s.levels, start), _at(s.amplitudes, start)
     value = _nearest(s.u, position)
@@ -272,8 +272,10 @@ def run(
         gain = math.exp(level - s.recorded[value])
         y = gain * s.y[place]
         # a filter without memory makes of this sum what is added
-        r, seen = cost.follow(detector, seen, arrival, seen.y_previous + y if s.coarse else y)
-        state, _, _ = relay.answer(params, state, arrival, False, seen.settling > 0, r, False)
+        r, cost_state = cost.follow(
+            detector, cost_state, arrival, cost_state.y_previous + y if s.coarse else y
+        )
+        state, _, _ = relay.answer(params, state, arrival, False, cost_state.settling > 0, r, False)
         position = _position(s, state.output)
         moved = position - drift * k
         aim = _at(s.levels, moved)
@@ -292,8 +294,8 @@ def run(
                 near = value
         if near != value or place >= s.begins[piece + 1]:
             number += 2 * PLACES
-            now = y * math.exp(s.recorded[near] - level)
-            piece, place = _next_place(s, near, now, draws, number)
+            wanted = y * math.exp(s.recorded[near] - level)
+            piece, place = _next_place(s, near, wanted, draws, number)
             value = near
     u /= block
     power /= block

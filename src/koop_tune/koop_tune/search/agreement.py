@@ -225,33 +225,33 @@ def may_yet_agree(aim: Aim, run: Measured) -> bool:
 
 
 def _lasting(aim: Aim, run: Measured) -> list[str]:
-    p, found = aim.predicted, []
+    p, worse = aim.predicted, []
     if p.excess.high > aim.settings.blurred:
-        found.append(
+        worse.append(
             f"the prediction, {p.excess.low:.3g} to {p.excess.high:.3g} times the best "
             "amplitude, is too wide to be confirmed"
         )
     late, took = p.converges.high, run.time_to_converge
     limit = aim.settings.later * late + aim.settings.smoothed * aim.window
     if (math.inf if took is None else took) > limit:
-        told = "did not converge" if took is None else f"took {took:.4g} s to converge"
-        found.append(f"{told}, at most {late:.4g} s were predicted")
-    return found
+        outcome = "did not converge" if took is None else f"took {took:.4g} s to converge"
+        worse.append(f"{outcome}, at most {late:.4g} s were predicted")
+    return worse
 
 
 def _passing(aim: Aim, run: Measured) -> list[str]:
-    p, widened, found = aim.predicted, math.exp(aim.settings.errors * run.error), []
+    p, widened, worse = aim.predicted, math.exp(aim.settings.errors * run.error), []
     if run.excess > p.excess.high * widened:
-        found.append(
+        worse.append(
             f"ended at {run.excess:.3g} times the best amplitude, at most "
             f"{p.excess.high:.3g} were predicted"
         )
     if run.reduction < p.reduction.low / widened:
-        found.append(
+        worse.append(
             f"changed the amplitude by a factor of {run.reduction:.3g}, at least "
             f"{p.reduction.low:.3g} was predicted"
         )
-    return found
+    return worse
 
 
 def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
@@ -289,7 +289,7 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
         third = (
             f"The rig is not damped after {_each(rounds, 'round')}: "
             f"{worse[0] if worse else 'the static map is not known well enough'}; record it again "
-            "with longer stays (more 'time')"
+            "with longer rests (increase 'time')"
         )
     return f"{first}. {second}. {third}."
 

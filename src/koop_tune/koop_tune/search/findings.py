@@ -25,10 +25,10 @@ from koop_tune.search.settings import TUNING, TuningSettings
 class NoOptimum(InputError):
     """There is no optimum to seek; ``kind`` is monotone, flat or drowned."""
 
-    def __init__(self, kind: str, message: str, seen: Findings) -> None:
+    def __init__(self, kind: str, message: str, findings: Findings) -> None:
         super().__init__(message)
         self.kind = kind
-        self.seen = seen
+        self.findings = findings
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,19 @@ class CostMaps:
         """Those with an optimum inside; in doubt, those that lead to where the amplitude does."""
         reference = self.reference
         return {
-            omega_h: found
-            for omega_h, found in self.maps.items()
-            if found.interior
-            or (reference is not None and not found.flat and self.leads_to(reference, found))
+            omega_h: static_map
+            for omega_h, static_map in self.maps.items()
+            if static_map.interior
+            or (
+                reference is not None
+                and not static_map.flat
+                and self.leads_to(reference, static_map)
+            )
         }
 
-    def leads_to(self, reference: StaticMap, found: StaticMap) -> bool:
+    def leads_to(self, reference: StaticMap, static_map: StaticMap) -> bool:
         """Return whether a map has its optimum where another one has it."""
-        return abs(found.best() - reference.best()) < self.near
+        return abs(static_map.best() - reference.best()) < self.near
 
     @property
     def clearest(self) -> tuple[float, StaticMap] | None:
@@ -141,8 +145,8 @@ def analyse(
         candidates.append(CostMaps(cost, maps, settings.near))
     reference = _reference(amplitude, candidates, dwells, settings)
     limits = limit_theta(amplitude, reference, rig, settings)
-    seen = Findings(scale, dwells, amplitude, period, feature, candidates, limits)
-    return decide(seen, reference, rig, settings)
+    findings = Findings(scale, dwells, amplitude, period, feature, candidates, limits)
+    return decide(findings, reference, rig, settings)
 
 
 def _reference(
@@ -156,81 +160,83 @@ def _reference(
     for candidate in candidates:
         if candidate.cost.name.startswith("contrast") and candidate.cost.y_out is not None:
             levels = dwells.window_levels(np.sqrt(np.nan_to_num(candidate.cost.y_out)))
-            found = dwells.static_map(levels, amplitude.sense)
-            if found.clarity > settings.clearer * reference.clarity:
-                reference = found
+            static_map = dwells.static_map(levels, amplitude.sense)
+            if static_map.clarity > settings.clearer * reference.clarity:
+                reference = static_map
     return reference
 
 
 def decide(
-    seen: Findings, reference: StaticMap, rig: RigFile, settings: TuningSettings
+    findings: Findings, reference: StaticMap, rig: RigFile, settings: TuningSettings
 ) -> Findings:
     """Return what was seen, with the doubts; raise NoOptimum where there is none to seek."""
 
     def refer(doubt: str) -> Findings:
-        costs = [replace(candidate, reference=reference) for candidate in seen.costs]
-        return replace(seen, costs=costs, doubt=doubt)
+        costs = [replace(candidate, reference=reference) for candidate in findings.costs]
+        return replace(findings, costs=costs, doubt=doubt)
 
     flat = reference.flat or float(np.ptp(reference.mean)) < settings.slight
     if not reference.interior and flat:
-        raise NoOptimum("flat", _flat(seen, reference), seen)
+        raise NoOptimum("flat", _flat(findings, reference), findings)
     if not reference.interior and not any(
-        found.evidence.gain > settings.decides * found.settings.gain
-        and candidate.leads_to(reference, found)
-        for candidate in seen.costs
-        for found in candidate.maps.values()
+        static_map.evidence.gain > settings.decides * static_map.settings.gain
+        and candidate.leads_to(reference, static_map)
+        for candidate in findings.costs
+        for static_map in candidate.maps.values()
     ):  # no cost shows beyond doubt the optimum that the amplitude only suggests
         if reference.best_end is not None:
-            raise NoOptimum("monotone", _monotone(seen, reference, rig), seen)
-        seen = refer(_doubt(reference))
-    if not any(candidate.usable for candidate in seen.costs):
-        seen = refer(seen.doubt or "no cost shows the optimum of the amplitude beyond doubt")
-    if not any(candidate.usable for candidate in seen.costs):
-        raise NoOptimum("drowned", _drowned(seen), seen)
-    return seen
+            raise NoOptimum("monotone", _monotone(findings, reference, rig), findings)
+        findings = refer(_doubt(reference))
+    if not any(candidate.usable for candidate in findings.costs):
+        findings = refer(
+            findings.doubt or "no cost shows the optimum of the amplitude beyond doubt"
+        )
+    if not any(candidate.usable for candidate in findings.costs):
+        raise NoOptimum("drowned", _drowned(findings), findings)
+    return findings
 
 
-def _doubt(found: StaticMap) -> str:
+def _doubt(static_map: StaticMap) -> str:
     """Return in words what a map without a clear optimum leaves open."""
-    limit = "min" if found.evidence.rising else "max"
+    limit = "min" if static_map.evidence.rising else "max"
     return (
-        f"the amplitude changes by {_change(found)} %, but whether it gets worse again towards "
-        f"theta_{limit} is not certain (errors of {_error(found)} %): if not, theta will stay near "
-        "that limit"
+        f"the amplitude changes by {_change(static_map)} %, but whether it gets worse again "
+        f"towards theta_{limit} is not certain (errors of {_error(static_map)} %): if not, theta "
+        "will stay near that limit"
     )
 
 
-def _flat(seen: Findings, found: StaticMap) -> str:
+def _flat(findings: Findings, static_map: StaticMap) -> str:
     return (
-        f"over theta's range the amplitude of {seen.feature} varies by {_change(found)} %, with "
-        f"errors of {_error(found)} %, and shows no optimum: run 'koop check' to see whether theta "
-        "reaches the rig and what hides the oscillation, then record wider limits or longer rests "
-        "(increase 'time')"
+        f"over theta's range the amplitude of {findings.feature} varies by {_change(static_map)} "
+        f"%, with errors of {_error(static_map)} %, and shows no optimum: run 'koop check' to see "
+        "whether theta reaches the rig and what hides the oscillation, then record wider limits or "
+        "longer rests (increase 'time')"
     )
 
 
-def _monotone(seen: Findings, found: StaticMap, rig: RigFile) -> str:
-    low = int(np.argmin(found.y)) == 0
+def _monotone(findings: Findings, static_map: StaticMap, rig: RigFile) -> str:
+    low = int(np.argmin(static_map.y)) == 0
     name, value = ("theta_min", rig.theta_min) if low else ("theta_max", rig.theta_max)
     return (
-        f"the amplitude of {seen.feature} is best at {name} = {value:g}, the limit: there is "
+        f"the amplitude of {findings.feature} is best at {name} = {value:g}, the limit: there is "
         f"nothing to seek; leave theta there, or record with a {name} beyond it"
     )
 
 
-def _drowned(seen: Findings) -> str:
-    best = seen.scale.theta_at(seen.amplitude.best())
-    evidence = max(0.0, *(candidate.evidence for candidate in seen.costs))
+def _drowned(findings: Findings) -> str:
+    best = findings.scale.theta_at(findings.amplitude.best())
+    evidence = max(0.0, *(candidate.evidence for candidate in findings.costs))
     return (
-        f"the amplitude of {seen.feature} has an optimum near {best:.4g}, but no cost shows it "
+        f"the amplitude of {findings.feature} has an optimum near {best:.4g}, but no cost shows it "
         f"(evidence {evidence:.1f}): noise or interference drowns it; record longer rests "
         "(increase 'time'), or measure where the oscillation is stronger"
     )
 
 
-def _change(found: StaticMap) -> str:
-    return f"{100 * math.expm1(float(np.ptp(found.mean))):.2g}"
+def _change(static_map: StaticMap) -> str:
+    return f"{100 * math.expm1(float(np.ptp(static_map.mean))):.2g}"
 
 
-def _error(found: StaticMap) -> str:
-    return f"{100 * float(np.median(found.error)):.2g}"
+def _error(static_map: StaticMap) -> str:
+    return f"{100 * float(np.median(static_map.error)):.2g}"

@@ -84,21 +84,21 @@ def limit_theta(
     return Limits(limits[0], limits[1], why[0], why[1])
 
 
-def known_cliff(found: StaticMap, side: int, width: float) -> Cliff | None:
+def known_cliff(static_map: StaticMap, side: int, width: float) -> Cliff | None:
     """Return the cliff on a side (-1 or 1) if it is known within a width, in ranges."""
-    cliff = found.cliff(side)
-    if cliff is None or abs(found.u[cliff.outer] - found.u[cliff.inner]) > width:
+    cliff = static_map.cliff(side)
+    if cliff is None or abs(static_map.u[cliff.outer] - static_map.u[cliff.inner]) > width:
         return None
     return cliff
 
 
-def outermost_good(found: StaticMap, side: int, good: float, doubt: float) -> float:
+def outermost_good(static_map: StaticMap, side: int, good: float, doubt: float) -> float:
     """Return the position furthest out on a side (-1 or 1) that may be good.
 
     That is ``good`` times the best one, less ``doubt`` standard errors.
     """
-    curve = found.sense * found.curve(found.mean)
+    curve = static_map.sense * static_map.curve(static_map.mean)
     grid = np.linspace(0.0, 1.0, GRID)
-    error = np.interp(grid, found.u, found.error)
+    error = np.interp(grid, static_map.u, static_map.error)
     inside = grid[curve - doubt * error < float(curve.min()) + math.log(good)]
     return float(inside[0] if side < 0 else inside[-1])

@@ -101,7 +101,7 @@ BANDS = ("converges", "distance", "excess", "reduction")
 
 
 def predict(
-    task: Task, trial: Trial, seen: Findings, seed: int, count: int
+    task: Task, trial: Trial, findings: Findings, seed: int, count: int
 ) -> tuple[Prediction, list[Outcome]]:
     """Run what was chosen some times, with fresh random numbers.
 
@@ -109,8 +109,8 @@ def predict(
     one, widen the bands.
     """
     runs = [try_out(task, trial.constants, n, seed) for n in range(count)]
-    wander = find_wander(seen.dwells, 0.5 * task.steps)
-    error = float(seen.amplitude.error[int(np.argmin(seen.amplitude.y))])
+    wander = find_wander(findings.dwells, 0.5 * task.steps)
+    error = float(findings.amplitude.error[int(np.argmin(findings.amplitude.y))])
     rng = np.random.default_rng(seed)
     noise = np.exp(math.hypot(wander, error) * rng.standard_normal(count)).tolist()
     prediction = Prediction(

@@ -27,28 +27,28 @@ class Recorded(NamedTuple):
 
 
 def make_task(
-    loaded: Loaded, seen: Findings, cost: CostMaps, times: Times, time: float, rig: RigFile,
+    loaded: Loaded, findings: Findings, cost: CostMaps, times: Times, time: float, rig: RigFile,
     settings: TuningSettings,
 ) -> Task:  # fmt: skip
     """Return the rigs that the recording may be of, for one cost and each corner frequency."""
     y_out = cost.cost.y_out
     assert y_out is not None
     every = max(1, int(time / (settings.blocks * rig.dt)))
-    parts, first = cut_pieces(y_out, seen.dwells)
+    parts, first = cut_pieces(y_out, findings.dwells)
     y, begins = np.concatenate(parts), np.cumsum([0, *(part.size for part in parts)])
     recorded = Recorded(y, begins, first, rig.dt)
     fine: dict[float, list[Surrogate]] = {}
     coarse: dict[float, list[Surrogate]] = {}
-    for omega_h, found in cost.usable.items():
-        fine[omega_h] = draw_surrogates(seen, found, recorded, times, settings)
-        filtered, _ = cut_pieces(high_pass(y_out, loaded, omega_h, rig.dt), seen.dwells)
+    for omega_h, static_map in cost.usable.items():
+        fine[omega_h] = draw_surrogates(findings, static_map, recorded, times, settings)
+        filtered, _ = cut_pieces(high_pass(y_out, loaded, omega_h, rig.dt), findings.dwells)
         blocks = [block_rms(part, every) for part in filtered]
         ends = np.cumsum([0, *(block.size for block in blocks)])
         coarse[omega_h] = [
             s._replace(y=np.concatenate(blocks), begins=ends, dt=every * rig.dt, coarse=True)
             for s in fine[omega_h]
         ]
-    low, high = seen.limits[:2]
+    low, high = findings.limits[:2]
     return Task(fine, coarse, rig.sense, time, rig.dt, rig.theta_rate, low, high, settings.search)
 
 
@@ -76,23 +76,27 @@ def block_rms(values: NDArray[np.float64], every: int) -> NDArray[np.float64]:
 
 
 def draw_surrogates(
-    seen: Findings, found: StaticMap, recorded: Recorded, times: Times, settings: TuningSettings
+    findings: Findings,
+    static_map: StaticMap,
+    recorded: Recorded,
+    times: Times,
+    settings: TuningSettings,
 ) -> list[Surrogate]:
     """Return rigs that the recording may be of; the first one is as it was measured."""
     rng = np.random.default_rng(settings.seed)
     drawn = []
     for i in range(settings.surrogates):
-        weights = found.draw_weights(rng)
+        weights = static_map.draw_weights(rng)
         shift = float(rng.normal(0.0, settings.tau_spread))
         if i == 0:
-            weights, shift = [np.full(v.size, 1.0 / v.size) for v in found.visits], 0.0
+            weights, shift = [np.full(v.size, 1.0 / v.size) for v in static_map.visits], 0.0
         drawn.append(
             Surrogate(
-                found.curve(found.reweigh(weights)),
-                seen.amplitude.curve(seen.amplitude.reweigh(weights)),
-                seen.dwells.u, found.mean, recorded.y, recorded.begins, recorded.first,
-                times._replace(usual=times.usual + shift), recorded.dt, seen.scale.low,
-                seen.scale.high, seen.scale.logarithmic, False,
+                static_map.curve(static_map.reweigh(weights)),
+                findings.amplitude.curve(findings.amplitude.reweigh(weights)),
+                findings.dwells.u, static_map.mean, recorded.y, recorded.begins, recorded.first,
+                times._replace(usual=times.usual + shift), recorded.dt, findings.scale.low,
+                findings.scale.high, findings.scale.logarithmic, False,
             )
         )  # fmt: skip
     return drawn

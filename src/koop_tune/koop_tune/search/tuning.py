@@ -59,7 +59,7 @@ class Tuning:
 
     Attributes
     ----------
-    seen : Findings
+    findings : Findings
         What the recording shows.
     searched : list of SearchedCost
         Costs for which constants were searched, the best first.
@@ -79,7 +79,7 @@ class Tuning:
         Why this cost, in words.
     """
 
-    seen: Findings
+    findings: Findings
     searched: list[SearchedCost]
     chosen: SearchedCost
     best: Trial
@@ -133,13 +133,13 @@ def tune(
         If the recording cannot be used.
     """
     report("costs", 0.0)
-    seen = analyse(loaded, rig, training, how, settings)
-    times = fit_times(loaded, seen.dwells, seen.amplitude, seen.scale, rig.dt)
-    slowest = max(times.tau(float(a), up) for a in seen.amplitude.mean for up in (False, True))
+    findings = analyse(loaded, rig, training, how, settings)
+    times = fit_times(loaded, findings.dwells, findings.amplitude, findings.scale, rig.dt)
+    slowest = max(times.tau(float(a), up) for a in findings.amplitude.mean for up in (False, True))
     slowdown = limit_slowdown(slowest, rig.time, settings)
     times = times._replace(usual=times.usual + math.log(slowdown))
-    time = slowdown * slowest + 2.0 * seen.period
-    usable = sorted((j for j in seen.costs if j.usable), key=lambda j: -j.evidence)
+    time = slowdown * slowest + 2.0 * findings.period
+    usable = sorted((j for j in findings.costs if j.usable), key=lambda j: -j.evidence)
     candidates = usable[: settings.candidates]
     candidates += [j for j in usable[settings.candidates :] if j.cost.name == "raw"]
     searched = []
@@ -149,16 +149,18 @@ def tune(
         def report_part(part: float, name: str = name, share: float = share) -> None:
             report(name, part * share)
 
-        make = functools.partial(make_task, loaded, seen, maps, times, rig=rig, settings=settings)
+        make = functools.partial(
+            make_task, loaded, findings, maps, times, rig=rig, settings=settings
+        )
         searched.append(search_cost(make, time, maps, rig, settings, report_part))
     searched.sort(key=lambda s: s.score)
     chosen, why = choose(searched, settings.as_good)
     best = confirm(chosen.task, chosen.trials, settings.seed)[0]
     assert chosen.maps.cost.y_out is not None
     largest = float(np.nanmax(chosen.maps.cost.y_out))
-    prediction = predict(chosen.task, best, seen, settings.seed + 1, settings.runs)
+    prediction = predict(chosen.task, best, findings, settings.seed + 1, settings.runs)
     return Tuning(
-        seen, searched, chosen, best, times, settings.y_out_max * largest, *prediction, why
+        findings, searched, chosen, best, times, settings.y_out_max * largest, *prediction, why
     )
 
 
