@@ -193,5 +193,5 @@ def test_a_string_cannot_end_the_script() -> None:
     )
     section = Section("s", "S", "<i>", figures=[Figure("f", "c", panels)])
     page = render([section], [], "koop study")
-    assert page.count("</script>") == 3  # data, library, how to draw
+    assert page.count("</script>") == 2  # data, and how to draw them
     assert "&lt;i&gt;" in page

@@ -15,8 +15,11 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
+from koop_core.config.parameter import ConfigError
+from koop_view.config import ViewConfig
 from koop_view.protocol import SUBPROTOCOLS, AdvertisedChannel, AdvertisedService
 from koop_view.recorded import RecordedSource
+from koop_view.server import ViewServer
 from koop_view.source import Refused, ViewSource
 
 TOKEN = "a-token-of-24-characters"
@@ -163,6 +166,15 @@ def test_a_client_that_does_not_keep_up_is_dropped_and_told_why(port, loop):
         code, reason = closed_with(slow)
     assert code == 1008
     assert "too slow" in reason
+
+
+def test_a_port_that_is_taken_is_an_error_in_words(port):
+    async def start():
+        async with ViewServer(FakeLoop(), ViewConfig(port=port), "", "0"):
+            pass
+
+    with pytest.raises(ConfigError, match=f"port {port} is taken"):
+        asyncio.run(start())
 
 
 def test_there_are_no_more_clients_than_allowed_and_no_message_is_too_long(port):
