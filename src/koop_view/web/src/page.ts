@@ -225,8 +225,10 @@ export class Page {
   message(topic: string, time: number, message: Message): void {
     if (this.read !== undefined) this.read += 1;
     const isSetBack = time < this.newest - CLOCK_STEP;
-    if (!(time <= this.newest)) this.newestAt = now();
-    if (isSetBack || !(time <= this.newest)) this.newest = time;
+    if (isSetBack || !(time <= this.newest)) {
+      this.newest = time;
+      this.newestAt = now();
+    }
     if (topic === "/diagnostics") this.takeDiagnostics(message);
     else if (topic === "/rosout") this.takeLog(message, time);
     else this.loop?.take(topic, time, now(), message);
