@@ -229,13 +229,13 @@ def model(pressure, tmp_path_factory):
 
 def test_a_replay_of_any_states_says_what_the_nodes_would(pressure, model, tmp_path, capsys):
     """Beside it the same kernel, called state by state as the nodes call it."""
-    out = tmp_path / "answers.csv"
+    out = tmp_path / "answers.npz"
     given = ["--offline", "--measured", PRESSURE, "--command", "/knob:data", "--model", str(model)]
     assert main(["replay", str(pressure), *given, "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "OPEN LOOP" in printed
     assert "identical" not in printed
-    found = np.genfromtxt(out, delimiter=",", names=True)
+    found = np.load(out)
     states = np.ascontiguousarray(read_signals(pressure, reading(PRESSURE)).x)
     lifter, relay = LifterConfig(dt=DT), EscConfig(dt=DT)
     lifting = load(model).lifting()

@@ -47,7 +47,7 @@ def register(commands: Any) -> None:
     parser.add_argument("--namespace", default="/", help="namespace of the recorded loop")
     parser.add_argument(
         "--out", type=Path, metavar="FILE",
-        help="write the answers as .npz; with --measured also as .csv",
+        help="write the answers as .npz",
     )  # fmt: skip
     parser.add_argument(
         "--plot",

@@ -11,7 +11,9 @@ from koop_lab.replay.plan import Plan
 from koop_lab.replay.recording import Recording
 from koop_loop.kernel import Controller, Memory, control, listen
 from koop_loop.loop import controller
+from koop_loop.parameters import LoopParameters
 from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
 
 
@@ -83,6 +85,72 @@ def replay_kernel(
     return Memory(detector, relay)
 
 
+class OfflineLoop:
+    """Lifter and controller on their kernels, from one stretch of states to the next.
+
+    Parameters
+    ----------
+    parameters : LoopParameters
+        Of the first stretch.
+    """
+
+    def __init__(self, parameters: LoopParameters) -> None:
+        self._memory = Memory(cost.initial(), parameters.esc.initial())
+        self._work: Workspace | None = None
+        self._states = self._costs = NOTHING
+        self._origin: tuple[int, str] | None = None
+
+    def restart_detector(self, lifter: LifterConfig) -> None:
+        """Forget the energies before: a cost or a model was set."""
+        self._memory = self._memory._replace(detector=cost.joining(lifter.detector_params()))
+        self._work = None
+
+    def answer(
+        self,
+        parameters: LoopParameters,
+        step: NDArray[np.int64],
+        x: NDArray[np.float64],
+        hold: NDArray[np.bool_],
+        unheard: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Answer states with the same parameters.
+
+        Parameters
+        ----------
+        parameters : LoopParameters
+            Of lifter and controller.
+        step : ndarray of int64, shape (M,)
+            Step of each state.
+        x : ndarray, shape (M, n)
+            Measured states.
+        hold, unheard : ndarray of bool, shape (M,)
+            Whether the user holds theta, and whether the controller does not hear the cost.
+
+        Returns
+        -------
+        r, theta : ndarray, shape (M,)
+            What lifter and controller answer.
+        """
+        lifter, esc, model = parameters.lifter, parameters.esc, parameters.load_model()
+        made = controller(lifter, esc, model)
+        if self._work is None:
+            self._work = cost.workspace(made.lifting)
+        origin = (lifter.source, model.model_id if model is not None else "")
+        switched, self._origin = origin != self._origin, origin
+        states = np.empty(step.size, np.int8)
+        self._states = listen(step, lifter.state_timeout, lifter.dt, self._states, states)
+        heard = (states != Arrival.LATE) & ~unheard
+        arrivals = np.empty(np.count_nonzero(heard), np.int8)
+        self._costs = listen(step[heard], esc.cost_timeout, esc.dt, self._costs, arrivals)
+        costs = np.full_like(states, Arrival.LATE)
+        costs[heard] = arrivals
+        r, theta = np.empty(step.size), np.empty(step.size)
+        self._memory = replay_kernel(
+            made, self._memory, self._work, switched, step, states, costs, x, hold, r, theta
+        )
+        return r, theta
+
+
 def replay_offline(
     recording: Recording, plan: Plan
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -93,50 +161,25 @@ def replay_offline(
     r, theta : ndarray, shape (M,)
         What lifter and controller answer.
     """
-    r, theta = np.empty(recording.step.size), np.empty(recording.step.size)
-    first = plan.stretches[0].parameters
-    memory = Memory(cost.initial(), first.esc.initial())
-    states = costs = NOTHING
-    origin = None
+    loop = OfflineLoop(plan.stretches[0].parameters)
+    answers = []
     x: NDArray[np.float64] | None = None
-    work: Workspace | None = None
     for stretch in plan.stretches:
-        part = slice(stretch.begin, stretch.end)
-        lifter, esc = stretch.parameters.lifter, stretch.parameters.esc
-        model = stretch.parameters.load_model()
-        if lifter.cost == "lifted" and model is not None:
-            if x is None or x.shape[1] != model.delays.channels:
-                x = recording.states(model.delays.channels)
-        elif x is None:
-            x = recording.states()
+        part, parameters = slice(stretch.begin, stretch.end), stretch.parameters
+        model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
+        n = model.delays.channels if model is not None else 0
+        if x is None or n not in (0, x.shape[1]):
+            x = recording.states(n)
         if any({"cost", "model"} & set(change.values) for change in stretch.changed):
-            memory = memory._replace(detector=cost.joining(lifter.detector_params()))
-            work = None
-        made = controller(lifter, esc, model)
-        if work is None:
-            work = cost.workspace(made.lifting)
-        now = (lifter.source, model.model_id if model is not None else "")
-        switched, origin = origin != now, now
-        step = recording.step[part]
-        state_arrivals = np.empty(step.size, np.int8)
-        states = listen(step, lifter.state_timeout, lifter.dt, states, state_arrivals)
-        answered = state_arrivals != Arrival.LATE
-        cost_arrivals = np.full_like(state_arrivals, Arrival.LATE)
-        heard = answered & ~plan.unheard[part]
-        found = np.empty(np.count_nonzero(heard), np.int8)
-        costs = listen(step[heard], esc.cost_timeout, esc.dt, costs, found)
-        cost_arrivals[heard] = found
-        memory = replay_kernel(
-            made,
-            memory,
-            work,
-            switched,
-            step,
-            state_arrivals,
-            cost_arrivals,
-            x[part],
-            recording.hold[part],
-            r[part],
-            theta[part],
+            loop.restart_detector(parameters.lifter)
+        answers.append(
+            loop.answer(
+                parameters,
+                recording.step[part],
+                x[part],
+                recording.hold[part],
+                plan.unheard[part],
+            )
         )
-    return r, theta
+    r, theta = zip(*answers, strict=True)
+    return np.concatenate(r), np.concatenate(theta)

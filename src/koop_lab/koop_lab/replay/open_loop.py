@@ -15,15 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
-from koop_core.stream.arrival import NOTHING
 from koop_identify.recording.signals import Signals
-from koop_lab.replay.offline import replay_kernel
+from koop_lab.replay.offline import OfflineLoop
 from koop_lab.replay.plan import OWN_TOPICS, check_channels, given_values
 from koop_loop import parameters
-from koop_loop.kernel import Memory, listen
-from koop_loop.loop import controller
 from koop_loop.parameters import LoopParameters
-from koopman_lifter import cost
 
 
 @dataclass(frozen=True)
@@ -95,29 +91,11 @@ def answer(signals: Signals, made: LoopParameters, what: str) -> Answers:
     koop_core.config.parameter.ConfigError
         If the model is for another number of channels.
     """
-    lifted = made.lifter.cost == "lifted"
-    model = made.load_model() if lifted else None
+    model = made.load_model() if made.lifter.cost == "lifted" else None
     check_channels(model, signals.x.shape[1], what)
-    size = signals.step.size
-    parts = controller(made.lifter, made.esc, model)
-    states, costs = np.empty(size, np.int8), np.empty(size, np.int8)
-    listen(signals.step, made.lifter.state_timeout, made.lifter.dt, NOTHING, states)
-    listen(signals.step, made.esc.cost_timeout, made.esc.dt, NOTHING, costs)
-    r, theta = np.empty(size), np.empty(size)
-    replay_kernel(
-        parts,
-        Memory(cost.initial(), made.esc.initial()),
-        cost.workspace(parts.lifting),
-        False,
-        signals.step,
-        states,
-        costs,
-        np.ascontiguousarray(signals.x),
-        np.zeros(size, np.bool_),
-        r,
-        theta,
-    )
-    return Answers(r, theta)
+    nothing = np.zeros(signals.step.size, np.bool_)
+    x = np.ascontiguousarray(signals.x)
+    return Answers(*OfflineLoop(made).answer(made, signals.step, x, nothing, nothing))
 
 
 def turns(theta: NDArray[np.float64]) -> int:
@@ -157,20 +135,14 @@ def describe(signals: Signals, made: LoopParameters, answers: Answers) -> list[s
 
 
 def write(path: Path, signals: Signals, answers: Answers) -> None:
-    """Write states and answers: as CSV by that ending, else as `.npz`."""
-    columns = {
-        "step": signals.step,
-        "t": signals.t,
-        **dict(zip(signals.names, signals.x.T, strict=True)),
-        "recorded_theta": signals.theta,
-        "open_loop_r": answers.r,
-        "open_loop_theta": answers.theta,
-    }
-    if path.suffix == ".csv":
-        table = np.stack([values.astype(np.float64) for values in columns.values()], axis=1)
-        header = ",".join(columns)
-        formats = ["%d", *["%.17g"] * (len(columns) - 1)]
-        np.savetxt(path, table, formats, delimiter=",", header=header, comments="")
-        return
+    """Write states and answers as `.npz`."""
     with open(path, "wb") as file:
-        np.savez(file, **columns)
+        np.savez(
+            file,
+            step=signals.step,
+            t=signals.t,
+            **dict(zip(signals.names, signals.x.T, strict=True)),
+            recorded_theta=signals.theta,
+            open_loop_r=answers.r,
+            open_loop_theta=answers.theta,
+        )
