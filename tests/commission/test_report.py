@@ -32,7 +32,7 @@ def excitation(folder, rig):
     how = bands(x, round(8.0 / rig.frequency / dt), dt)
     visits = []
     values = file.scale.divide(9)
-    for level, begin, end in find_rests(loaded, file.scale, how.length)[1]:
+    for level, begin, end, _ in find_rests(loaded, file.scale, how.length)[1]:
         series = np.array([features(x[k : k + how.length], how)
                            for k in range(begin, end, how.length)])  # fmt: skip
         summary = summarise(series, [0])

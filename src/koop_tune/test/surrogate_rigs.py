@@ -8,7 +8,7 @@ from koop_identify.model.compare import Cost
 from koop_tune.excitation.features import Bands
 from koop_tune.excitation.static_map import GRID, StaticMap
 from koop_tune.rig.scale import Scale
-from koop_tune.rig_model.dwells import Dwell, Dwells
+from koop_tune.rig_model.dwells import Dwells, Rest
 from koop_tune.rig_model.surrogate import Surrogate, Times
 from koop_tune.search.findings import CostMaps, Findings
 from koop_tune.search.limits import Limits
@@ -71,7 +71,7 @@ def make_cost(name, level, error=0.05, near=0.2, sense=1.0):
 def make_findings(level, costs=(), error=0.05, wander=0.01, sense=1.0, scale=Scale(0.0, 1.0)):  # noqa: B008
     """Return what a recording of such a map shows."""
     amplitude = [np.random.default_rng(i).normal(0.0, wander, 100) for i in range(9)]
-    rests = [Dwell(i, 100 * i, 100 * (i + 1), 0) for i in range(9)]
+    rests = [Rest(i, 100 * i, 100 * (i + 1), 0) for i in range(9)]
     dwells = Dwells(np.linspace(0.0, 1.0, 9), rests, Bands(50, (1, 2), DT), 0, amplitude)
     found = make_map(level, error, sense)
     limits = Limits(scale.low, scale.high)

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from surrogate_rigs import make_findings, make_task
 
 from koop_tune.excitation.features import Bands
-from koop_tune.rig_model.dwells import Dwell, Dwells
+from koop_tune.rig_model.dwells import Dwells, Rest
 from koop_tune.search.prediction import Band, Prediction, find_wander, predict
 from koop_tune.search.search import Trial, search
 
@@ -36,7 +36,7 @@ def noise_driven(tau, rest, count, rng, length=50, dt=0.02):
         white = rng.normal(size=(2, rest + 200)) * math.sqrt(1.0 - keep**2)
         z = lfilter([1.0], [1.0, -keep], white, axis=1)[:, 200:]
         amplitude.append(0.5 * np.log((z**2).sum(axis=0)))
-    rests = [Dwell(i % 9, i * rest * length, (i + 1) * rest * length, 0) for i in range(count)]
+    rests = [Rest(i % 9, i * rest * length, (i + 1) * rest * length, 0) for i in range(count)]
     return Dwells(np.linspace(0.0, 1.0, 9), rests, Bands(length, (1, 2), dt), 0, amplitude)
 
 

@@ -12,7 +12,7 @@ from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.features import Bands
 from koop_tune.excitation.static_map import GRID, StaticMap
 from koop_tune.rig.scale import Scale
-from koop_tune.rig_model.dwells import Dwell, Dwells
+from koop_tune.rig_model.dwells import Dwells, Rest
 from koop_tune.rig_model.fluctuation import autocovariance, fluctuation
 from koop_tune.rig_model.surrogate import (
     BLOCKS,
@@ -42,7 +42,7 @@ def test_the_time_constant_of_what_noise_drives_is_that_of_its_process(tau):
         z = lfilter([1.0], [1.0, -keep], white, axis=1) * rng.uniform(0.8, 1.25)
         power = (z**2).sum(axis=0).reshape(-1, per).mean(axis=1) * (1.0 + 0.2 * level)
         amplitude.append(0.5 * np.log(power + 0.05 * rng.chisquare(2, power.size)))
-        rests.append(Dwell(level, 0, steps, 0))
+        rests.append(Rest(level, 0, steps, 0))
     how = Bands(per, (1, 2), window / per)
     found = fluctuation(Dwells(np.linspace(0.0, 1.0, 9), rests, how, 0, amplitude))
     assert 0.6 * tau < found.time < 1.4 * tau
@@ -106,7 +106,7 @@ def test_the_time_constant_is_found_in_how_the_windows_follow_theta():
     noise = np.random.default_rng(0).normal(0.0, 0.01, a.size // window)
     windows = a.reshape(-1, window).mean(axis=1) + noise
     per = rest // window
-    rests = [Dwell(i, k * rest, (k + 1) * rest, per // 2) for k, i in enumerate(order)]
+    rests = [Rest(i, k * rest, (k + 1) * rest, per // 2) for k, i in enumerate(order)]
     amplitude = [windows[k * per : (k + 1) * per] for k in range(len(order))]
     dwells = Dwells(values, rests, Bands(window, (1, 2), DT), 0, amplitude)
     begins = np.arange(theta.size) == 0

@@ -1,26 +1,39 @@
-"""What is wrong with a measured channel, and its spectrum. Pure: arrays in, figures out."""
+"""What is wrong with a measured channel, and its spectrum."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import parameter, validate
 from koop_tune.excitation.features import bridged
 
-LEVELS = 0.25  # of the samples: with more values than that a channel is not quantised
-FLAT = 0.01  # share of the samples at an extreme, from which on it may be a stop
-FLATTER = 3.0  # than a sine of the same swing is at its extremes
-HELD = 0.1  # of the record, that a channel may rest at one value
-SEGMENT = 0.25  # of the record, one segment of the spectrum
-LINE = 8.0  # times the spectrum around it, that a line stands out by
-WORTH = 0.02  # of the power, from which on a line is named
-NAMED = 4  # lines
-AROUND = 12  # bins to each side, that a line is compared with
 FEWEST = 128  # samples, before which there is no spectrum to speak of
-WIDTH = 2  # bins to each side, that belong to a line: the window's
+WIDTH = 2  # bins to each side that belong to a line under a Hann window
+
+
+@dataclass(frozen=True)
+class ChannelSettings:
+    """When values count as quantised or at a stop, and a peak of a spectrum as a line."""
+
+    levels: float = parameter(0.25, "values over samples of a quantised channel", low=0.0)
+    stop: float = parameter(0.01, "share of the samples at an extreme that is a stop", low=0.0)
+    flatter: float = parameter(3.0, "that share over the one of a sine", low=1.0)
+    segment: float = parameter(0.25, "segment of a spectrum, over the record", low=0.0, high=1.0)
+    line: float = parameter(8.0, "power of a line over the spectrum around it", low=1.0)
+    around: int = parameter(12, "bins to each side of that", low=3)
+    share: float = parameter(0.02, "power of a line over the whole", low=0.0, high=1.0)
+    lines: int = parameter(4, "lines that are named at most", low=1)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+CHANNELS = ChannelSettings()
 
 
 class Channel(NamedTuple):
@@ -62,7 +75,7 @@ class Line(NamedTuple):
     share: float
 
 
-def channel(x: NDArray[np.float64]) -> Channel:
+def channel(x: NDArray[np.float64], settings: ChannelSettings = CHANNELS) -> Channel:
     """Look at the samples of one channel, shape (M,)."""
     usable = x[np.isfinite(x)]
     bad = 1.0 - usable.size / max(x.size, 1)
@@ -71,33 +84,35 @@ def channel(x: NDArray[np.float64]) -> Channel:
     low, high = float(usable.min()), float(usable.max())
     changes = np.flatnonzero(np.diff(usable) != 0.0)
     rests = np.diff(changes, prepend=-1, append=usable.size - 1)
-    quantum = _quantum(usable)
+    quantum = _quantum(usable, settings)
     return Channel(
         low, high, float(usable.std()), bad, float(rests.max()) / usable.size, quantum,
-        _saturated(usable, low, high, quantum),
+        _saturated(usable, low, high, quantum, settings),
     )  # fmt: skip
 
 
-def _quantum(x: NDArray[np.float64]) -> float:
+def _quantum(x: NDArray[np.float64], settings: ChannelSettings) -> float:
     values, counts = np.unique(x, return_counts=True)
     # a stop repeats one value without the others being steps
-    if values.size < 2 or values.size > LEVELS * (x.size - counts.max()):
+    if values.size < 2 or values.size > settings.levels * (x.size - counts.max()):
         return 0.0
     steps = np.diff(values)
     return float(np.median(steps[steps > 1e-9 * (values[-1] - values[0])]))
 
 
-def _saturated(x: NDArray[np.float64], low: float, high: float, quantum: float) -> float:
+def _saturated(
+    x: NDArray[np.float64], low: float, high: float, quantum: float, settings: ChannelSettings
+) -> float:
     """Return the share at the stops: far more than a sine spends within a quantum of its end."""
     swing = 0.5 * (high - low)
     if swing == 0.0:
         return 0.0
     usual = math.acos(max(1.0 - max(quantum, 1e-6 * swing) / swing, -1.0)) / math.pi
     shares = [float(np.mean(x == end)) for end in (low, high)]
-    return sum(share for share in shares if share > max(FLAT, FLATTER * usual))
+    return sum(share for share in shares if share > max(settings.stop, settings.flatter * usual))
 
 
-def lines(x: NDArray[np.float64], dt: float) -> list[Line]:
+def lines(x: NDArray[np.float64], dt: float, settings: ChannelSettings = CHANNELS) -> list[Line]:
     """Return the narrow peaks of a channel's spectrum, the strongest first.
 
     By Welch's method, about a straight line in each segment. At least the largest peak is named.
@@ -115,12 +130,14 @@ def lines(x: NDArray[np.float64], dt: float) -> list[Line]:
     if finite.sum() < 64 or np.ptp(x[finite]) == 0.0:
         return []
     x = bridged(x[:, None])[:, 0]
-    length = max(64, int(SEGMENT * x.size))
+    length = max(64, int(settings.segment * x.size))
     frequency, power = welch(x, 1.0 / dt, "hann", length, detrend="linear", scaling="spectrum")
-    return peaks(frequency, power)
+    return peaks(frequency, power, settings)
 
 
-def peaks(frequency: NDArray[np.float64], power: NDArray[np.float64]) -> list[Line]:
+def peaks(
+    frequency: NDArray[np.float64], power: NDArray[np.float64], settings: ChannelSettings = CHANNELS
+) -> list[Line]:
     """Return the narrow peaks of a spectrum under a Hann window, the strongest first.
 
     Parameters
@@ -135,17 +152,20 @@ def peaks(frequency: NDArray[np.float64], power: NDArray[np.float64]) -> list[Li
     named: list[Line] = []
     rest = power.copy()
     rest[0] = 0.0
-    while len(named) < NAMED and rest.any():
+    while len(named) < settings.lines and rest.any():
         peak = int(np.argmax(rest))
         if power[max(peak - 1, 1) : peak + 2].max() > power[peak]:  # the foot of one that was named
             rest[peak] = 0.0
             continue
         inner = slice(max(peak - WIDTH, 1), peak + WIDTH + 1)
         power_inside = power[inner]
-        outer = np.r_[power[max(peak - AROUND, 1) : inner.start], power[inner.stop : peak + AROUND]]
+        outer = np.r_[
+            power[max(peak - settings.around, 1) : inner.start],
+            power[inner.stop : peak + settings.around],
+        ]
         share = float(power_inside.sum()) / 1.5 / total
-        narrow = power[peak] > LINE * np.median(outer) if outer.size else True
-        if named and not (narrow and share > WORTH):
+        narrow = power[peak] > settings.line * np.median(outer) if outer.size else True
+        if named and not (narrow and share > settings.share):
             break
         at = float(np.average(frequency[inner], weights=power_inside))
         named.append(Line(at, math.sqrt(2.0 * float(power_inside.sum()) / 1.5), share))

@@ -51,16 +51,7 @@ DWELLS = DwellSettings()
 
 
 class Rest(NamedTuple):
-    """Number of a value of theta, and the samples at which theta rested there."""
-
-    level: int
-    begin: int
-    end: int
-
-
-@dataclass(frozen=True)
-class Dwell:
-    """A rest in windows.
+    """A time in which theta rested.
 
     Attributes
     ----------
@@ -75,7 +66,7 @@ class Dwell:
     level: int
     begin: int
     end: int
-    skip: int
+    skip: int = 0
 
 
 @dataclass(frozen=True)
@@ -86,7 +77,7 @@ class Dwells:
     ----------
     u : ndarray, shape (N,)
         Positions of the values of theta, rising.
-    dwells : list of Dwell
+    rests : list of Rest
         In the order of the recording.
     how : Bands
         How windows are looked at.
@@ -97,22 +88,22 @@ class Dwells:
     """
 
     u: NDArray[np.float64]
-    dwells: list[Dwell]
+    rests: list[Rest]
     how: Bands
     feature: int
     amplitude: list[NDArray[np.float64]]
 
     def settled(self, windows: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Return what is left of windows, rest by rest, once the rig had settled."""
-        return [w[d.skip :] for d, w in zip(self.dwells, windows, strict=True)]
+        return [w[d.skip :] for d, w in zip(self.rests, windows, strict=True)]
 
     def static_map(self, windows: list[NDArray[np.float64]], sense: float) -> StaticMap:
         """Return the map of a quantity from its logarithm in the windows of each rest."""
         visits = []
-        for dwell, values in zip(self.dwells, self.settled(windows), strict=True):
+        for rest, values in zip(self.rests, self.settled(windows), strict=True):
             mean, error = (float(part[0]) for part in mean_level(values[:, None]))
             visits.append(
-                (dwell.level, mean, error if math.isfinite(error) else float(np.ptp(values)))
+                (rest.level, mean, error if math.isfinite(error) else float(np.ptp(values)))
             )
         return StaticMap.from_visits(self.u, visits, sense)
 
@@ -121,7 +112,7 @@ class Dwells:
         length, tiny = self.how.length, 1e-300
         return [
             0.5 * np.log((values[d.begin : d.end].reshape(-1, length) ** 2).mean(axis=1) + tiny)
-            for d in self.dwells
+            for d in self.rests
         ]
 
 
@@ -195,7 +186,7 @@ def find_dwells(
     """
     length, n = how.length, loaded.x.shape[0]
     u, rests = _leave_out_short(*find_rests(loaded, scale, length, settings), settings.part)
-    series = [features(loaded.x[:, a:b].T.reshape(-1, length, n), how) for _, a, b in rests]
+    series = [features(loaded.x[:, a:b].T.reshape(-1, length, n), how) for _, a, b, _ in rests]
     each = series[0].shape[1] // n
     guides = [i * each for i in range(n)]
     line = round(length * how.dt / period)  # bin of the oscillation
@@ -212,11 +203,11 @@ def find_dwells(
     for _ in range(2):  # with all channels first, then with what theta shows most in
         summaries = [summarise(windows, guides) for windows in series]
         guides = [max(candidates, key=change)]
-    dwells = [
-        Dwell(*rest, min(s.skip, windows.shape[0] - settings.settled))
+    rests = [
+        rest._replace(skip=min(s.skip, windows.shape[0] - settings.settled))
         for rest, s, windows in zip(rests, summaries, series, strict=True)
     ]
-    return Dwells(u, dwells, how, guides[0], [windows[:, guides[0]] for windows in series])
+    return Dwells(u, rests, how, guides[0], [windows[:, guides[0]] for windows in series])
 
 
 class Spectra(NamedTuple):
@@ -281,7 +272,7 @@ def spectra_by_theta(
     u, rests = _leave_out_short(u, rests, settings.part_of_spectra)
     size = min(LONGEST, min(rest.end - rest.begin for rest in rests) // (parts or settings.parts))
     spectra = np.array(
-        [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b in rests]
+        [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b, _ in rests]
     )
     level = np.array([rest.level for rest in rests])
     logs = np.log(spectra + 1e-300)

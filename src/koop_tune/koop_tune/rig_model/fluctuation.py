@@ -1,4 +1,4 @@
-"""How an oscillation that noise drives comes and goes by itself. Pure: arrays in, figures out.
+"""How an oscillation that noise drives comes and goes by itself.
 
 The amplitude of such an oscillation is that of a complex Ornstein-Uhlenbeck process: where theta
 rests, the autocovariance of its power p = |z|^2 over the mean is
@@ -12,18 +12,33 @@ adds to it at s = 0 only, a level that drifts from rest to rest the constant.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import parameter, validate
+from koop_tune.origin import studied
 from koop_tune.rig_model.dwells import Dwells
 
-SHORTEST, COUNT = 0.3, 60  # windows of the shortest decay; decays that are tried
-PART = 0.1  # of the longest rest, as long as a decay may be
-AS_GOOD = 1.02  # times the least misfit: the shortest decay that fits so well is taken
-MOST_OF_IT = 0.4  # of the variance: what lasts is no less, a drift of the level is
-LAGS = 0.5  # of the longest rest, up to which it is fitted
+
+@dataclass(frozen=True)
+class FluctuationSettings:
+    """How the autocovariance is fitted."""
+
+    shortest: float = studied(0.3, "shortest decay", unit="windows", low=0.1)
+    longest: float = studied(0.1, "longest decay, over the longest rest", low=0.0, high=1.0)
+    count: int = parameter(60, "decays that are tried", low=2)
+    as_good: float = studied(1.02, "misfit over the least of the shortest that fits", low=1.0)
+    least: float = studied(0.4, "share of the variance that lasts: a drift is less", low=0.0)
+    lags: float = studied(0.5, "lags that are fitted, over the longest rest", low=0.0, high=1.0)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+FLUCTUATION = FluctuationSettings()
 
 
 class Fluctuation(NamedTuple):
@@ -42,19 +57,21 @@ class Fluctuation(NamedTuple):
     share: float
 
 
-def fluctuation(dwells: Dwells) -> Fluctuation:
+def fluctuation(dwells: Dwells, settings: FluctuationSettings = FLUCTUATION) -> Fluctuation:
     """Fit the autocovariance of the power in the windows of all rests once the rig had settled."""
     parts = relative_power(dwells)
     longest = max(part.size for part in parts)
-    lags = max(int(LAGS * longest), 3)
+    lags = max(int(settings.lags * longest), 3)
     fit, count = autocovariance(parts, lags)
     k, y, w = np.arange(1, lags), fit[1:], count[1:]
-    decays = np.geomspace(SHORTEST, max(PART * longest, 2.0 * SHORTEST), COUNT)
-    least = MOST_OF_IT * float(fit[0])
+    decays = np.geomspace(
+        settings.shortest, max(settings.longest * longest, 2.0 * settings.shortest), settings.count
+    )
+    least = settings.least * float(fit[0])
     misfits = np.array([_misfit(k, y, w, float(decay), least) for decay in decays])
     windows = 1.0
     if np.isfinite(misfits).any():
-        windows = 2.0 * float(decays[int(np.argmax(misfits <= AS_GOOD * misfits.min()))])
+        windows = 2.0 * float(decays[int(np.argmax(misfits <= settings.as_good * misfits.min()))])
     return Fluctuation(windows * dwells.how.length * dwells.how.dt, float(fit[0]))
 
 
@@ -73,7 +90,7 @@ def relative_power(dwells: Dwells) -> list[NDArray[np.float64]]:
     settled = dwells.settled(dwells.amplitude)
     top = max(float(values.max()) for values in settled)
     power = [np.exp(2.0 * (values - top)) for values in settled]
-    levels = np.array([dwell.level for dwell in dwells.dwells])
+    levels = np.array([rest.level for rest in dwells.rests])
     mean = {
         level: float(np.concatenate([power[i] for i in np.flatnonzero(levels == level)]).mean())
         for level in np.unique(levels)

@@ -134,7 +134,7 @@ def fit_times(
     begins = np.zeros(target.size, np.bool_)
     begins[np.flatnonzero(jumps) // every] = True
     starts = (
-        np.concatenate([np.arange(s.begin, s.end, dwells.how.length) for s in dwells.dwells])
+        np.concatenate([np.arange(s.begin, s.end, dwells.how.length) for s in dwells.rests])
         // every
     )
     measured = np.concatenate(dwells.amplitude)
@@ -143,7 +143,7 @@ def fit_times(
     process = fluctuation(dwells)
     if process.share > WANDERS:
         return Times(math.log(process.time), 0.0, 0.0, middle)
-    longest = max(s.end - s.begin for s in dwells.dwells) * dt
+    longest = max(s.end - s.begin for s in dwells.rests) * dt
     shortest = 0.05 * dwells.how.length * dt
     path = np.empty(target.size)
 

@@ -59,10 +59,10 @@ def cut_pieces(
 
     The second array has the first piece of each value of theta.
     """
-    by_level = sorted(dwells.dwells, key=lambda d: d.level)
+    by_level = sorted(dwells.rests, key=lambda d: d.level)
     parts = []
-    for dwell in by_level:
-        part = values[dwell.begin + dwell.skip * dwells.how.length : dwell.end]
+    for rest in by_level:
+        part = values[rest.begin + rest.skip * dwells.how.length : rest.end]
         part = part[np.isfinite(part)]
         parts.append(part - part.mean() if part.size else np.zeros(2))
     return parts, np.searchsorted([d.level for d in by_level], np.arange(dwells.u.size + 1))
