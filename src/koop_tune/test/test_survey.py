@@ -75,6 +75,15 @@ def test_the_map_is_found_as_well_as_was_promised(tau, noise):
     assert np.abs(off - off.mean()).max() < 4.0 * target
 
 
+def test_theta_does_not_go_on_before_a_slow_rig_has_settled():
+    def shallow(theta):  # neighbours differ by so little that a drift looks like a small error
+        return 0.3 * valley(theta)
+
+    state = excite(Simulated(40.0, 0.001, shallow))
+    off = state.static_map(0).mean - shallow(np.array(state.values))
+    assert np.abs(off - off.mean()).max() < 0.05
+
+
 def test_theta_rests_longer_where_the_rig_is_slow_or_noisy():
     def rest(tau, noise):
         return np.mean([visit.stay for visit in excite(Simulated(tau, noise)).visits])
