@@ -95,7 +95,8 @@ def test_a_rest_that_lost_messages_cut_short_does_not_hide_the_period():
 def test_the_period_is_that_of_what_theta_changes_not_of_what_is_strongest():
     theta = staircase(np.linspace(0.0, 1.0, 9), 1600, 2)
     t = np.arange(theta.size) * DT
-    x = oscillating(theta, 1.0, lambda theta: 0.5 + theta) + 5.0 * np.sin(2 * np.pi * 4.0 * t)
+    comes = np.repeat(np.random.default_rng(3).uniform(1.0, 5.0, 18), 1600)  # and goes by itself
+    x = oscillating(theta, 1.0, lambda theta: 0.5 + theta) + comes * np.sin(2 * np.pi * 4.0 * t)
     assert find_period(recording(theta, x[:, None]), UNIT, DT) == pytest.approx(1.0, rel=0.1)
     alone = 5.0 * np.sin(2 * np.pi * 4.0 * t) + oscillating(theta, 1.0, lambda theta: 0.0)
     assert find_period(recording(theta, alone[:, None]), UNIT, DT) is None

@@ -168,8 +168,13 @@ def test_the_loop_seeks_the_optimum_of_a_surrogate_and_follows_it_when_it_moves(
     worst, _ = closed(rig, esc_config(objective="maximise", theta_initial=0.5))
     assert abs(worst[BLOCKS // 2 :] - 0.6).mean() > 0.3
     steps = 20_000
-    moved, _ = closed(rig, esc_config(), steps, drift=-0.2 / steps)  # u is told from the optimum's
+    moved, _ = closed(rig, esc_config(), steps, drift=-0.2 / steps)
     assert moved[BLOCKS // 2 :].mean() == pytest.approx(0.6, abs=0.08)
+    still = esc_config(step_size=1e-12, theta_initial=0.5)
+    away, power = closed(rig, still, steps, drift=-0.2 / steps, start=0.5)
+    # u is theta's position as the optimum sees it
+    assert away == pytest.approx(np.linspace(0.5, 0.7, BLOCKS), abs=0.002)
+    assert 0.5 * np.log(power).min() < 0.02  # the optimum came by
 
 
 def test_a_rig_that_settled_elsewhere_comes_to_its_level_with_its_time_constant():

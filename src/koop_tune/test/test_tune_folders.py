@@ -1,0 +1,128 @@
+"""From folders to bags, and what is in them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from koop_bag.bag.writer import BagWriter, WriterOptions
+from koop_bag.cdr.schema import load_schema
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
+from koop_tune.excitation import progress
+from koop_tune.excitation.features import Bands
+from koop_tune.folder import CONTROLLER, TUNED, find_controller
+from koop_tune.rig.rig_file import RigFile
+from koop_tune.tune_folders import find_bags, reading_of, tune_folders
+
+RIG = RigFile(
+    "/state:x[0],x[1]", "koop_msgs/msg/MeasuredState", "/knob:data", "std_msgs/msg/Float64",
+    0.01, 0.0, 1.0, 0.5, 0.5, 0.5,
+)  # fmt: skip
+KNOB = np.dtype([("encoding", "<u4"), ("data", "<f8")])
+ANSWER = np.dtype(
+    {"names": ["encoding", "frame_id", "step", "theta"], "formats": ["<u4", "<u4", "<u8", "<f8"],
+     "offsets": [0, 12, 20, 28], "itemsize": 92}
+)  # fmt: skip
+
+
+def write(folder, topics, states=True):
+    """Write a bag of 50 states of two channels, and of the topics of theta that are named."""
+    state = np.dtype(
+        {"names": ["encoding", "frame_id", "step", "count", "x"],
+         "formats": ["<u4", "<u4", "<u8", "<u4", ("<f8", 2)],
+         "offsets": [0, 12, 20, 32, 36], "itemsize": 52}
+    )  # fmt: skip
+    kinds = {
+        "/knob": ("std_msgs/msg/Float64", KNOB),
+        "/theta": ("koop_msgs/msg/ControlInput", ANSWER),
+    }
+    with BagWriter(folder, WriterOptions(compression="none")) as bag:
+        own = bag.add_topic("/state", load_schema("koop_msgs/msg/MeasuredState"))
+        ids = {name: bag.add_topic(name, load_schema(kinds[name][0])) for name in topics}
+        for k in range(50):
+            at = 1_000_000_000 + k * 10_000_000
+            for name, number in ids.items():
+                message = np.zeros(1, kinds[name][1])
+                message["encoding"] = 0x0100
+                bag.write_many([(at, number, at, message.tobytes())])
+            if states:
+                message = np.zeros(1, state)
+                message["encoding"], message["frame_id"], message["count"] = 0x0100, 1, 2
+                message["step"] = k
+                bag.write_many([(at, own, at, message.tobytes())])
+    return folder
+
+
+def test_the_loops_own_topics_are_read_where_the_bag_has_them(tmp_path):
+    other = replace(RIG, measured="/rig:data[0],data[1]",
+                    measured_type="std_msgs/msg/Float64MultiArray")  # fmt: skip
+    loop = reading_of(write(tmp_path / "loop", ["/theta", "/knob"]), other)
+    assert (str(loop.measured), str(loop.command)) == ("/state:x", "/theta:theta")
+    bare = reading_of(write(tmp_path / "bare", ["/knob"], states=False), other)
+    assert (str(bare.measured), str(bare.command)) == ("/rig:data[0],data[1]", "/knob:data")
+    assert bare.dt == other.dt
+
+
+def test_the_bags_of_an_excitation_are_those_of_its_parts(tmp_path, capsys):
+    state = progress.begin(0, RIG)
+    state.how = Bands(64, (1, 2, 5), 0.01)
+    state.parts = ["part-1", "part-2", "part-3"]  # the second one got no message
+    progress.save(state, RIG, tmp_path)
+    for part in ("part-1", "part-3"):
+        write(tmp_path / part / "bag", ["/knob"])
+    loop = write(tmp_path / "verify-1" / "bag", ["/theta"])
+    bags, how = find_bags([tmp_path, tmp_path / "verify-1"], RIG)
+    assert bags == [tmp_path / "part-1/bag", tmp_path / "part-3/bag", loop]
+    assert how == state.how
+    assert "not finished" in capsys.readouterr().out
+    bags, how = find_bags([loop], RIG)
+    assert (bags, how) == ([loop], None)
+
+
+def test_folders_without_a_recording_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="does not exist"):
+        find_bags([tmp_path / "no"], RIG)
+    progress.save(progress.begin(0, RIG), RIG, tmp_path)
+    with pytest.raises(ConfigError, match="no recording found: run 'koop excite' first"):
+        find_bags([tmp_path], RIG)
+    with pytest.raises(ConfigError, match="was begun with theta_max"):
+        find_bags([tmp_path], replace(RIG, theta_max=2.0))
+
+
+def test_a_recording_of_other_channels_is_refused(tmp_path):
+    write(tmp_path / "bag", ["/knob"])
+    three = replace(RIG, measured="/state:x[0],x[1],x[2]")
+    with pytest.raises(ConfigError, match="/state:x has 2 channels, the rig file 3"):
+        tune_folders(three, [tmp_path / "bag"], tmp_path / "out")
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / CONTROLLER).write_text("")
+    with pytest.raises(ConfigError, match="exists already: choose another --out"):
+        tune_folders(RIG, [tmp_path / "bag"], tmp_path / "there")
+
+
+def test_a_controller_is_found_by_its_file_or_a_folder_above_it(tmp_path):
+    file = tmp_path / "rig" / TUNED / CONTROLLER
+    file.parent.mkdir(parents=True)
+    file.write_text("")
+    assert find_controller(file) == (file, "controller")
+    assert find_controller(tmp_path / "rig") == (file, "rig")
+    assert find_controller(file.parent)[0] == file
+    with pytest.raises(ConfigError, match="run 'koop tune' first"):
+        find_controller(tmp_path)
+
+
+def test_a_file_is_whole_or_the_old_one(tmp_path):
+    path = tmp_path / "a.json"
+    progress.write_whole(path, {"a": 1})
+    (tmp_path / "a.json.new").symlink_to("/dev/full")
+    with pytest.raises(LiveError, match=r"a\.json: No space left on device: make room"):
+        progress.write_whole(path, {"a": 2})
+    assert [item.name for item in tmp_path.iterdir()] == ["a.json"]
+    assert progress.noted(path) == {"a": 1}
+    with pytest.raises(LiveError, match="No such file"):
+        progress.write_text(tmp_path / "no" / "b", "text")
+    assert progress.noted(tmp_path / "none") == {}
+    path.write_text("{")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        progress.noted(path)
