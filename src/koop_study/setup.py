@@ -21,7 +21,6 @@ setup(
         "koopman_lifter",
         "relay_esc",
         "vdp_plant",
-        "matplotlib",
         "numpy",
         "PyYAML",
         "scipy",

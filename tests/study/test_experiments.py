@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from koop_study.experiments.kinds import KINDS, read, read_folder
-from koop_study.over_dds import repeat as over_dds
-from koop_study.over_dds.headline import headline, headlines
+from koop_study.over_dds import headline, headlines, record
 from koop_study.simulation.case import Case
 from vdp_plant.config import PlantConfig
 
@@ -35,16 +34,16 @@ def test_headlines_are_the_rows_of_the_closed_loop_table() -> None:
     assert [item.name for item in found] == list(config.costs)
     by_name = {item.name: item for item in found}
     assert by_name["raw"].model is None
-    assert by_name["raw"].lifter.cost == "raw"
-    assert by_name["contrast"].lifter.cost == "lifted"
-    assert by_name["lifted"].plant == PlantConfig()
+    assert by_name["raw"].parameters.lifter.cost == "raw"
+    assert by_name["contrast"].parameters.lifter.cost == "lifted"
+    assert by_name["lifted"].parameters.plant == PlantConfig()
     assert by_name["lifted"].steps == 500_000
 
 
 def test_a_run_that_was_broken_off_is_not_taken_for_the_run(tmp_path: Path) -> None:
     (tmp_path / "bag").symlink_to(ROOT / "recordings" / "golden" / "run" / "bag")
     short = headline("golden", Case(cost="raw", duration=10.0))
-    assert over_dds._run(short, tmp_path).step.size == short.steps == 2000
+    assert record(short, tmp_path).step.size == short.steps == 2000
     longer = headline("golden", Case(cost="raw", duration=20.0))
     with pytest.raises(ValueError, match="the first 2000 of 4000 steps"):
-        over_dds._run(longer, tmp_path)
+        record(longer, tmp_path)

@@ -9,9 +9,9 @@ import time
 from pathlib import Path
 
 from koop_core.config.parameter import ConfigError
+from koop_study import over_dds
 from koop_study.experiments.kinds import KINDS, Experiment, in_order, read, read_folder
-from koop_study.over_dds import repeat as over_dds
-from koop_study.report import publish, summary
+from koop_study.report import page, summary
 from koop_study.runner import run_all
 from koop_study.workers.cluster import WorkerLost
 from koop_study.workers.units import Store
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         return 1
     command = shlex.join(["koop", "study", *args.kinds, *(["--quick"] if args.quick else [])])
     for folder in (out, *([args.publish] if args.publish else [])):
-        path = publish.write(folder, sections, experiments, command)
+        path = page.write(folder, sections, experiments, command)
     for claim in summary.sentences(summary.by_name(sections)):
         print(f"- {claim.text}")
     print(f"{path} ({time.monotonic() - begin:.0f} s)")

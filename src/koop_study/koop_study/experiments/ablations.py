@@ -12,9 +12,7 @@ from koop_study.experiments.spec import Seeds
 from koop_study.experiments.stats import finite, share, spread
 from koop_study.simulation.case import Case, check_path, override
 from koop_study.workers.units import Unit
-from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
-
-HARDLY = 1.25  # largest over least median IAE up to which a setting hardly matters
+from koop_view.report.document import Cell, Column, Figure, Panel, Section, Series, Table
 
 
 @dataclass(frozen=True)
@@ -116,11 +114,8 @@ def section(config: AblationsConfig, results: list[Any]) -> Section:
     for ablation in config.ablations:
         values = config.chosen(ablation)
         rows = {cost: [next(queue) for _ in values] for cost in config.compared(ablation)}
-        labels = [label(value) for value in values]
-        table = _table(ablation, labels, rows)
-        report.tables.append(table)
+        report.tables.append(_table(ablation, [label(value) for value in values], rows))
         report.figures.append(_figure(ablation, values, rows, list(config.costs)))
-        report.claims.append(_claim(ablation, labels, rows, table))
     return report
 
 
@@ -179,24 +174,3 @@ def _figure(
             ),
         ),
     )  # fmt: skip
-
-
-def _claim(
-    ablation: Ablation, labels: list[str], rows: dict[str, list[Any]], table: Table
-) -> Claim:
-    medians = {cost: [spread(r, "iae").median for r in found] for cost, found in rows.items()}
-    parts = []
-    for cost, values in medians.items():
-        best, worst = (labels[int(pick(values))] for pick in (np.argmin, np.argmax))
-        low, high = (table.cell(value, f"{cost}_iae_median") for value in (best, worst))
-        influence = "hardly changes" if max(values) < HARDLY * min(values) else "changes"
-        parts.append(
-            f"it {influence} the {cost} cost's median IAE (least {low} at {best}, "
-            f"{table.cell(best, f'{cost}_converged')} % converged; largest {high} at {worst}, "
-            f"{table.cell(worst, f'{cost}_converged')} %)"
-        )
-    if {"raw", "lifted"} <= medians.keys():
-        wins = [a < b for a, b in zip(medians["lifted"], medians["raw"], strict=True)]
-        often = "at every value" if all(wins) else "at some values only" if any(wins) else "nowhere"
-        parts.append(f"lifted is below raw {often}")
-    return Claim(f"{ablation.title}: {'; '.join(parts)}.", table.name)

@@ -8,7 +8,7 @@ from typing import Any
 
 from koop_loop.metrics import LOGGING_START, PAPER
 from koop_study.workers.units import Unit
-from koop_view.report.document import Claim, Column, Figure, Panel, Section, Series, Table
+from koop_view.report.document import Column, Figure, Panel, Section, Series, Table
 
 THETA_STAR = -3.0
 
@@ -71,20 +71,7 @@ def section(config: ClosedLoopConfig, results: list[Any]) -> Section:
         "initial state and the training trajectories, the interference has the paper's phases.",
         [table],
         figures,
-        [_claim(table, name) for name in config.costs],
     )
-
-
-def _claim(table: Table, cost: str) -> Claim:
-    reached = table.cell(cost, "t_theta")
-    when = "never reaches θ*" if reached == "–" else f"reaches θ* after {reached} s"
-    text = f"With the {cost} cost the loop {when} with IAE {table.cell(cost, 'iae')}"
-    if cost in PAPER:
-        paper = f"paper, {cost}"
-        text += (
-            f"; the paper reports {table.cell(paper, 't_theta')} s and {table.cell(paper, 'iae')}"
-        )
-    return Claim(text + ".", "closed_loop")
 
 
 def _figure(cost: str, trace: dict[str, Any]) -> Figure:

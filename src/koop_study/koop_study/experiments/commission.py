@@ -17,7 +17,7 @@ from koop_study.experiments.spec import Seeds, parse
 from koop_study.experiments.stats import quantile
 from koop_study.family.config import WITH_OPTIMUM, FamilyConfig
 from koop_study.workers.units import Unit
-from koop_view.report.document import Claim, Column, Figure, Panel, Section, Series, Table
+from koop_view.report.document import Column, Figure, Panel, Section, Series, Table
 
 GOOD = 1.5
 COMMISSIONED = "koop excite, tune, verify: at most three rounds"
@@ -93,15 +93,6 @@ def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
     summary = _summary(ways, with_optimum, len(rows))
     refusals, rounds = _refusals(rows), _rounds(with_optimum)
     kinds, time = _kinds(ways, with_optimum), _time(rows)
-    claim = Claim(
-        f"{len(rows)} random rigs, {len(with_optimum)} of them with an optimum: excited and tuned "
-        f"without a human, {summary.cell(COMMISSIONED, 'success')} % of these end "
-        f"within {GOOD} times the amplitude at the best fixed θ from either side; the best of a "
-        "grid for each rig "
-        f"{summary.cell('best of the grid for each rig (oracle)', 'success')} %, constants scaled "
-        f"by hand {summary.cell('scaled by hand', 'success')} %.",
-        summary.name,
-    )
     figure = Figure(
         "commission_figure",
         "Amplitude over that at the best fixed θ, from the worse side; cumulative over the rigs.",
@@ -121,7 +112,6 @@ def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
         "and know the rig's limits and dt.",
         [summary, refusals, rounds, kinds, time],
         [figure],
-        [claim],
     )
 
 

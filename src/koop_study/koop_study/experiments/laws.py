@@ -23,7 +23,7 @@ from koop_study.family.scaled import LAWS, ScaledConstants
 from koop_study.laws.plants import LawPlant, trials
 from koop_study.simulation.case import Case, override
 from koop_study.workers.units import Unit
-from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
+from koop_view.report.document import Column, Figure, Panel, Section, Series, Table
 
 AT_ONCE = 4  # seeds of a unit of work
 Rows = list[dict[str, Any]]
@@ -243,14 +243,12 @@ def _section(
 ) -> Section:
     tables: list[Table] = []
     figures: list[Figure] = [_drawn(config, traces)]
-    claims: list[Claim] = []
     for judged in config.plants:
         panels = []
         for scenario in judged.scenarios:
             rows = outcome[judged.plant.name, scenario]
             tables.append(_table(judged, scenario, rows))
             panels.append(_panel(judged, scenario, rows))
-        claims.append(_claim(judged, tables[-len(judged.scenarios)]))
         figures.append(
             Figure(
                 _slug(judged.plant.name, "figure"),
@@ -282,7 +280,6 @@ def _section(
         "slowest amplitude time and two periods.",
         [*tables, constants],
         figures,
-        claims,
     )
 
 
@@ -296,7 +293,6 @@ def _drawn(config: LawsConfig, traces: list[dict[str, Any]]) -> Figure:
         "laws_theta",
         f"θ over time on {config.drawn.plant}, {config.drawn.scenario}, seed {config.drawn.seed}.",
         (Panel("t [s]", "θ", (*series, best)),),
-        picture="theta.png",
     )
 
 
@@ -309,18 +305,3 @@ def _panel(judged: JudgedPlant, scenario: str, rows: dict[str, Rows]) -> Panel:
             series.append(Series(name, values.tolist(), shares.tolist(), "steps", color=i))
     label = "amplitude over that of the best fixed θ" if judged.plant.family else "IAE"
     return Panel(label, "share of runs [%]", tuple(series), title=scenario, log_x=True)
-
-
-def _claim(judged: JudgedPlant, table: Table) -> Claim:
-    def value(row: tuple[Cell, ...], i: int) -> float:
-        return float(row[i] or 0.0)
-
-    best = min(table.rows, key=lambda row: (value(row, 2), value(row, 1)))
-    figures = {
-        name: f"{table.cell(name, 'p90')} with a median of {table.cell(name, 'median')}"
-        for name in (best[0], "relay, tuned")
-    }
-    text = f"{judged.plant.name}: {best[0]} has the least 90th percentile, {figures[best[0]]}"
-    if best[0] != "relay, tuned":
-        text += f"; the tuned relay has {figures['relay, tuned']}"
-    return Claim(text + ".", table.name)

@@ -9,7 +9,7 @@ import numpy as np
 
 from koop_study.experiments.spec import Seeds
 from koop_study.workers.units import Unit
-from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
+from koop_view.report.document import Column, Figure, Panel, Section, Series, Table
 
 PAPER = (  # table 3: real part, imaginary part, selected
     (1.000000, 0.0, False),
@@ -23,7 +23,6 @@ PAPER = (  # table 3: real part, imaginary part, selected
     (0.734663, 0.105522, True),
     (0.734663, -0.105522, True),
 )
-SLOW = 4  # modes of |lambda| above 0.99
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,6 @@ def section(config: ModesConfig, results: list[Any]) -> Section:
                 100.0 * float(complex_[:, j].mean()),
             )
         )
-    claims = _claims(spread)
     ranks = [float(j) for j in range(moduli.shape[1])]
     figure = Figure(
         "modes",
@@ -106,42 +104,7 @@ def section(config: ModesConfig, results: list[Any]) -> Section:
         "corrupted trajectories, and the modes that the energy criterion keeps (paper, table 3).",
         [table, spread],
         [figure],
-        claims,
     )
-
-
-def _claims(spread: Table) -> list[Claim]:
-    """Say how far the slow and the fast modes are from the paper's."""
-    rows = [row for row in spread.rows if row[1] is not None]
-    difference = [column.key for column in spread.columns].index("difference")
-
-    def farthest(chosen: list[tuple[Cell, ...]]) -> Cell:
-        return max(chosen, key=lambda row: abs(float(row[difference] or 0.0)))[0]
-
-    slow, fast = farthest(rows[:SLOW]), farthest(rows[SLOW:])
-    claims = [
-        Claim(
-            f"The slow modes are the paper's: the one that differs most in |λ|, mode {slow}, does "
-            f"so by {spread.cell(slow, 'difference')}.",
-            "modes_spread",
-        ),
-        Claim(
-            f"The fast modes are not: mode {fast} has |λ| {spread.cell(fast, 'median')} (from "
-            f"{spread.cell(fast, 'least')} to {spread.cell(fast, 'largest')} over the seeds), the "
-            f"paper {spread.cell(fast, 'paper')}.",
-            "modes_spread",
-        ),
-    ]
-    dropped = [str(row[0]) for row in spread.rows if row[-2] == 0.0]
-    if dropped:
-        claims.append(
-            Claim(
-                f"The energy criterion drops mode {' and mode '.join(dropped)} with every training "
-                f"seed (kept in {spread.cell(int(dropped[0]), 'kept')} %).",
-                "modes_spread",
-            )
-        )
-    return claims
 
 
 def _table(found: dict[str, Any]) -> Table:

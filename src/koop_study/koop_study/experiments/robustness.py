@@ -17,7 +17,7 @@ from koop_study.experiments.stats import (
     win_rate,
 )
 from koop_study.workers.units import Unit
-from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
+from koop_view.report.document import Cell, Column, Figure, Panel, Section, Series, Table
 
 CHUNK = 8  # seeds a unit: short enough that a stopped study loses little
 
@@ -95,7 +95,6 @@ def section(config: RobustnessConfig, results: list[Any]) -> Section:
         "last 30 % is at most 0.6, and as having reached θ* once |θ − θ*| < 0.1.",
         [summary, detail],
         [_figure(rows)],
-        _claims(summary),
     )
 
 
@@ -123,25 +122,3 @@ def _figure(rows: dict[str, list[Any]]) -> Figure:
         tuple(panels),
         2,
     )
-
-
-def _claims(table: Table) -> list[Claim]:
-    claims = [
-        Claim(
-            f"With the {cost} cost the median IAE is {table.cell(cost, 'iae_median')} and the 90th "
-            f"percentile {table.cell(cost, 'iae_p90')}; {table.cell(cost, 'reached')} % of the "
-            f"runs reach θ* and {table.cell(cost, 'converged')} % converge.",
-            "robustness",
-        )
-        for cost in (str(row[0]) for row in table.rows)
-    ]
-    claims += [
-        Claim(
-            f"The {cost} cost has the smaller IAE than the raw cost at the same constants in "
-            f"{table.cell(cost, 'win_rate')} % of the seeds.",
-            "robustness",
-        )
-        for cost in (str(row[0]) for row in table.rows)
-        if cost == "lifted" and table.cell(cost, "win_rate") != "–"
-    ]
-    return claims

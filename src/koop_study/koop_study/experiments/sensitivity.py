@@ -12,7 +12,7 @@ import numpy as np
 from koop_study.experiments.spec import Seeds
 from koop_study.experiments.stats import finite, share, spread, win_rate
 from koop_study.workers.units import Unit
-from koop_view.report.document import Claim, Column, Figure, Heat, Panel, Section, Table
+from koop_view.report.document import Column, Figure, Heat, Panel, Section, Table
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 
@@ -113,7 +113,6 @@ def section(config: SensitivityConfig, results: list[Any]) -> Section:
         "and 1/τ_f gives nearly the same loop, which the maps show.",
         [best, _detail(rows)],
         [_figure(config, cost, found) for cost, found in rows.items()],
-        _claims(best),
     )
 
 
@@ -162,33 +161,3 @@ def _figure(config: SensitivityConfig, cost: str, found: dict[Key, list[Any]]) -
         tuple(panels),
         2,
     )
-
-
-def _claims(table: Table) -> list[Claim]:
-    claims = []
-    for row in table.rows:
-        cost = str(row[0])
-        cell = {column.key: table.cell(cost, column.key) for column in table.columns}
-        text = (
-            f"With the {cost} cost {cell['sound']} % of the cells are sound; the best one (ω_h = "
-            f"{cell['omega_h']}, ω_l = {cell['omega_l']} rad/s, τ_f = {cell['tau_f']} s) has "
-            f"median IAE {cell['best_iae']} with {cell['best_converged']} % converged"
-        )
-        if cell["cells_won"] != "–":
-            text += (
-                f"; at equal constants it has the smaller median than raw in {cell['cells_won']} % "
-                "of the cells"
-            )
-        claims.append(Claim(text + ".", "sensitivity"))
-    names = [str(row[0]) for row in table.rows]
-    if {"raw", "lifted"} <= set(names) and table.cell("lifted", "default_iae") != "–":
-        best, default = table.cell("raw", "best_iae"), table.cell("lifted", "default_iae")
-        verdict = "beats" if float(best) < float(default) else "does not beat"
-        claims.append(
-            Claim(
-                f"The raw cost at its best cell {verdict} the lifted cost at the default "
-                f"constants: median IAE {best} against {default}.",
-                "sensitivity",
-            )
-        )
-    return claims

@@ -10,7 +10,7 @@ import numpy as np
 from koop_core.config.parameter import ConfigError
 from koop_study.simulation import maps
 from koop_study.workers.units import Unit
-from koop_view.report.document import Cell, Claim, Column, Figure, Panel, Section, Series, Table
+from koop_view.report.document import Cell, Column, Figure, Panel, Section, Series, Table
 
 THETA_STAR = -3.0
 SHARED = ("esc.dt", "esc.theta_initial")  # must be the plant's
@@ -93,7 +93,6 @@ def section(config: StaticMapsConfig, results: list[Any]) -> Section:
         "The cost as a function of a constant or slowly falling θ, at the default constants.",
         [table],
         [figure],
-        _claims(config, table),
     )
 
 
@@ -113,28 +112,3 @@ def _ramp_panel(cost: str, duration: float, found: dict[str, Any]) -> Panel:
         f"{cost}, ramp of {duration:g} s",
         log_y=True,
     )
-
-
-def _claims(config: StaticMapsConfig, table: Table) -> list[Claim]:
-    if not {"raw", "lifted"} <= config.costs.keys():
-        return []
-    claims = []
-    for suffix in (*(f"ramp of {duration:g} s" for duration in config.ramps), "settled"):
-        raw, lifted = f"raw, {suffix}", f"lifted, {suffix}"
-        share = {name: float(table.cell(name, "convexity")) for name in (raw, lifted)}
-        verdict = (
-            "more convex than" if share[lifted] > share[raw]
-            else "as convex as" if share[lifted] == share[raw] else "less convex than"
-        )  # fmt: skip
-        claims.append(
-            Claim(
-                f"{suffix[0].upper() + suffix[1:]}: the lifted map is {verdict} the raw one "
-                f"({table.cell(lifted, 'convexity')} % against {table.cell(raw, 'convexity')} % of "
-                f"the second differences), its rank correlation is "
-                f"{table.cell(lifted, 'rank_correlation')} against "
-                f"{table.cell(raw, 'rank_correlation')}, and the minima lie at θ = "
-                f"{table.cell(lifted, 'argmin')} and {table.cell(raw, 'argmin')}.",
-                "static_maps",
-            )
-        )
-    return claims

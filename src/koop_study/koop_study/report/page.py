@@ -4,15 +4,30 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
+from pathlib import Path
 
 import yaml
 
 from koop_study.experiments.kinds import Experiment
 from koop_study.report import summary
+from koop_study.workers.units import write_atomically
 from koop_view.report import markup
 from koop_view.report.document import Section
 
 TITLE = "Extremum seeking in a Koopman-lifted space: the study"
+
+
+def write(
+    folder: Path, sections: Sequence[Section], experiments: Sequence[Experiment], command: str
+) -> Path:
+    """Write report.html and tables/*.csv; return the page's path. See :func:`render`."""
+    (folder / "tables").mkdir(parents=True, exist_ok=True)
+    for section in sections:
+        for table in section.tables:
+            write_atomically(folder / "tables" / f"{table.name}.csv", table.csv())
+    path = folder / "report.html"
+    write_atomically(path, render(sections, experiments, command))
+    return path
 
 
 def render(sections: Sequence[Section], experiments: Sequence[Experiment], command: str) -> str:

@@ -157,16 +157,12 @@ class Panel:
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels that are read together; ``columns`` of them stand side by side if there is room.
-
-    ``picture`` is the name of a PNG that shows them too, beside the page; empty: none.
-    """
+    """Panels that are read together; ``columns`` of them stand side by side if there is room."""
 
     name: str
     caption: str
     panels: tuple[Panel, ...]
     columns: int = 1
-    picture: str = ""
 
 
 @dataclass(frozen=True)
@@ -194,4 +190,3 @@ class Section:
     intro: str
     tables: list[Table] = field(default_factory=list)
     figures: list[Figure] = field(default_factory=list)
-    claims: list[Claim] = field(default_factory=list)

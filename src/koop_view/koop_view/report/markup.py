@@ -49,19 +49,17 @@ def _plain(value: Any) -> Any:
 
 
 def section(part: Section) -> str:
-    """Return a section: its sentences and tables, then its figures with theirs."""
+    """Return a section: its tables, then its figures with theirs."""
     parts = [
         f'<h2 id="{part.name}">{html.escape(part.title)}</h2>',
         f"<p>{html.escape(part.intro)}</p>",
     ]
     # what belongs to one figure stands with it, the rest before all figures
     named = {figure.name for figure in part.figures} - {part.name}
-    parts.append(claims([claim for claim in part.claims if claim.table not in named]))
     parts += [table(item) for item in part.tables if item.name not in named]
     for figure in part.figures:
-        sentences = [claim for claim in part.claims if claim.table == figure.name in named]
         tables = [item for item in part.tables if item.name == figure.name in named]
-        parts.append(_figure(figure, sentences, tables))
+        parts.append(_figure(figure, tables))
     return f"<section>{lines(parts)}</section>"
 
 
@@ -107,7 +105,7 @@ def _left(column: Column) -> str:
     return ' class="left"' if column.words else ""
 
 
-def _figure(figure: Figure, sentences: Sequence[Claim], tables: Sequence[Table]) -> str:
+def _figure(figure: Figure, tables: Sequence[Table]) -> str:
     panels = []
     for i, panel in enumerate(figure.panels):
         title = f'<div class="panel-title">{html.escape(panel.title)}</div>' if panel.title else ""
@@ -116,9 +114,8 @@ def _figure(figure: Figure, sentences: Sequence[Claim], tables: Sequence[Table])
             else f'<div class="plot" data-figure="{figure.name}" data-panel="{i}"></div>'
         )  # fmt: skip
         panels.append(f'<div class="panel">{title}{content}</div>')
-    words = "".join(f"<p>{html.escape(claim.text)}</p>" for claim in sentences)
     return (
         f"<figure><figcaption>{html.escape(figure.caption)}</figcaption>"
-        f'<div class="panels columns-{figure.columns}">{"".join(panels)}</div>{words}'
+        f'<div class="panels columns-{figure.columns}">{"".join(panels)}</div>'
         f"{''.join(table(item) for item in tables)}</figure>"
     )
