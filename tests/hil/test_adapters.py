@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from koop_msgs.msg import Cost, MeasuredState
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
@@ -51,19 +51,25 @@ def test_a_rig_that_is_faster_than_the_model_is_told_so(start, probe):
     reports = probe.collect(DiagnosticArray, "/diagnostics")
     probe.collect(Cost, "/rig/cost")
     rig = probe.publisher(JointState, "/rig/joints")
-    k = 0
+    k, statuses = 0, []
 
-    def told():
+    def warned():
         nonlocal k
         message = JointState(position=[3.0], velocity=[4.0])
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(k * 1_000_000, 10**9)
         rig.publish(message)
         k += 1
-        return any(
-            "faster than one message in dt = 0.005 s" in r.status[0].message for r in reports
-        )
+        statuses[:] = [
+            status
+            for report in reports
+            for status in report.status
+            if "faster than one message in dt = 0.005 s" in status.message
+        ]
+        return statuses
 
-    probe.spin_until(told, "the warning")
+    probe.spin_until(warned, "the warning")
+    assert statuses[0].level == DiagnosticStatus.WARN
+    assert "koopman_lifter" in statuses[0].name
 
 
 def start_reference(start, probe, states):

@@ -1,6 +1,6 @@
-"""What the recorded answers of the controller say: who gave them, and how old what they answer was.
+"""Which controller gave the recorded answers, and the age of the states that they answer.
 
-Pure: arrays in, figures out. Times are nanoseconds on the clock of whoever published.
+Pure: arrays in, figures out. Times are nanoseconds on the clock of the publisher.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ PASS = 1 << 48  # more than the steps of a plant until it is started again
 
 
 def answered_twice(cost: Columns, theta: Columns) -> int:
-    """Return how many answers too many there are: those of a second controller.
+    """Return the number of surplus answers: the answers of a second controller.
 
     A cost that was repeated may be answered again.
 
@@ -121,7 +121,7 @@ def active_times(transitions: Columns) -> list[tuple[int, int]]:
 def authors(
     theta: Columns, active: Mapping[str, list[tuple[int, int]]]
 ) -> tuple[dict[str, int], int]:
-    """Return how many thetas came while each controller alone was active, and how many did not.
+    """Return how many thetas came while each controller alone was active, and the other ones.
 
     Parameters
     ----------
@@ -131,12 +131,12 @@ def authors(
         :func:`active_times` of every controller.
     """
     at = theta["publish_time"].astype(np.int64)
-    who = {
+    masks = {
         name: np.logical_or.reduce([(begin <= at) & (at <= end) for begin, end in times])
         if times
         else np.zeros(at.size, bool)
         for name, times in active.items()
     }
-    count = np.sum(list(who.values()), axis=0)
-    alone = {name: int((mask & (count == 1)).sum()) for name, mask in who.items()}
+    count = np.sum(list(masks.values()), axis=0)
+    alone = {name: int((mask & (count == 1)).sum()) for name, mask in masks.items()}
     return alone, int((count != 1).sum())

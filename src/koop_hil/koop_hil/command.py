@@ -30,12 +30,12 @@ def register(commands: Any) -> None:
     parser.add_argument("--repeat", type=int, default=1, metavar="N", help="times in a row")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
-        help="in every scenario, such as relay_esc.law=adaptive; may be repeated",
+        help="a parameter in every scenario, such as relay_esc.law=adaptive; repeatable",
     )  # fmt: skip
     parser.add_argument(
         "--controller", type=Path, metavar="FILE",
-        help="in every scenario lifter and controller as this parameter file has them, in place of "
-        "its own; or the folder of 'koop tune' or 'koop commission'",
+        help="lifter and controller of every scenario from this parameter file, or from the folder "
+        "of 'koop tune' or 'koop commission'",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: recordings/TIME-hil")
     parser.add_argument("--table", type=Path, metavar="FILE", help="also write a Markdown table")

@@ -33,7 +33,7 @@ class HostsError(KoopError):
 
 
 def entrance() -> list[str]:
-    """Return the words before a command that give it a host of its own.
+    """Return the command prefix that gives a command a host of its own.
 
     Namespaces alone where that is permitted, to root; else a user namespace around them, in which
     a user may do so.
@@ -94,7 +94,7 @@ class Namespace:
 
     @property
     def words(self) -> list[str]:
-        """The words before a command that let it run there."""
+        """Command prefix that runs a command there."""
         enter = ["nsenter", f"--target={self.pid}", "--net", "--mount"]
         return [*enter, "env", f"--chdir={os.getcwd()}"]
 

@@ -1,4 +1,4 @@
-"""Runs a command in a process that has a host of its own, and so have all that it starts."""
+"""Runs a command, with all processes that it starts, on a host of its own."""
 
 from __future__ import annotations
 

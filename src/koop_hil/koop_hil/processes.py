@@ -26,7 +26,7 @@ ORDER = (
 
 
 def rig_script() -> Path:
-    """Return the stand-in for hardware, a program that imports nothing of this workspace."""
+    """Return the program of the simulated rigs, which imports nothing of this workspace."""
     return installed("rigs") / "rig.py"
 
 
@@ -58,7 +58,7 @@ class Processes:
 
     @property
     def logs(self) -> Path:
-        """The folder of what the processes print."""
+        """Folder of the processes' output."""
         return self._folder / "logs"
 
     def __enter__(self) -> Processes:

@@ -32,22 +32,22 @@ def line(verdict: Verdict) -> str:
 
 
 def remarks(verdict: Verdict) -> list[str]:
-    """Return what is not to be said of every run."""
-    said = []
+    """Return remarks on what is unusual about a run."""
+    notes = []
     if verdict.simulated < WHOLE * verdict.duration:
-        said.append(f"theta known for {verdict.simulated:.0f} of {verdict.duration:.0f} s")
-    said += [f"{count} answers of {name}" for name, count in verdict.answers.items()]
+        notes.append(f"theta known for {verdict.simulated:.0f} of {verdict.duration:.0f} s")
+    notes += [f"{count} answers of {name}" for name, count in verdict.answers.items()]
     if verdict.contested:
-        said.append(f"{verdict.contested} answers with two controllers or none")
-    return said
+        notes.append(f"{verdict.contested} answers with two controllers or none")
+    return notes
 
 
 def growth(verdict: Verdict) -> str:
     """Return how memory and latency changed, as a line."""
     slopes = ", ".join(f"{node} {slope:+.2f}" for node, slope in verdict.memory_slope.items())
     first, last = verdict.round_trip
-    told = math.isfinite(first) and math.isfinite(last)
-    times = f"{first:.2f} ms, at the end {last:.2f} ms" if told else "not told by this rig"
+    reported = math.isfinite(first) and math.isfinite(last)
+    times = f"{first:.2f} ms, at the end {last:.2f} ms" if reported else "not reported by this rig"
     return f"    memory [MB/h]: {slopes}; state to theta: {times}"
 
 

@@ -1,4 +1,4 @@
-"""Scenario files: a plant, what happens to the loop and when, and what must hold afterwards."""
+"""Scenario files: a plant, events in the loop, and limits that must hold afterwards."""
 
 from __future__ import annotations
 
@@ -88,6 +88,9 @@ class Limits:
     sent_age: float = parameter(
         NO_LIMIT, "age of a state when an answer to it is sent and moves theta", unit="s", low=0.0
     )
+    known: float = parameter(
+        0.3, "least share of the duration for which theta on the plant is known", low=0.0, high=1.0
+    )
     unrecorded: int = parameter(
         0, "messages that the recording may lack: those under way when a node was killed", low=0
     )
@@ -100,7 +103,7 @@ class Limits:
 class Setting:
     """Plant and pace of a scenario."""
 
-    description: str = parameter("", "what is shown")
+    description: str = parameter("", "purpose of the scenario")
     plant: str = parameter("vdp_plant", "vdp_plant, or the name of a rig (koop_hil/rigs)")
     rig_options: str = parameter(
         "",

@@ -1,4 +1,4 @@
-"""Runs a scenario: the processes, the events on time, and what /diagnostics said meanwhile."""
+"""Runs a scenario: its processes, its events on time, and the levels on /diagnostics."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class Supervisor:
         with ExitStack() as stack:
             if self._scenario.setting.remote:  # before the monitor: DDS looks for devices once
                 self._other_host = stack.enter_context(other_host())
-            if self._other_host is None:  # else there is nobody else on the network
+            if self._other_host is None:  # else no other process is on the network
                 stack.enter_context(alone(topics=self._scenario.publishers))
             monitor = stack.enter_context(Monitor())
             processes = stack.enter_context(

@@ -29,7 +29,6 @@ LIMITED = (
     "tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answered_twice",
     "answer_age", "sent_age",
 )  # fmt: skip
-LEAST = 0.3  # of the duration that must be known
 
 
 @dataclass
@@ -156,7 +155,7 @@ def _judge_theta(
     inside = (stamps >= record.begin) & (stamps <= record.end)
     stamps, theta = stamps[inside], ground_truth["theta_applied"][inside]
     verdict.simulated = float(stamps.size * scenario.dt)
-    if verdict.simulated < LEAST * verdict.duration:
+    if verdict.simulated < scenario.limits.known * verdict.duration:
         verdict.failures.append(f"theta is known for only {verdict.simulated:.1f} s of the run")
         return
     error = np.abs(scenario.off(theta))

@@ -21,7 +21,7 @@ INTERRUPTED = 130
 
 
 def run(args: argparse.Namespace) -> int:
-    """Do what the options of ``koop study`` ask for; return the exit code.
+    """Run ``koop study`` with its options; return the exit code.
 
     Raises
     ------

@@ -14,9 +14,8 @@ from koop_loop.parameters import make
 from koop_loop.training import train
 from koop_study.simulation import maps
 from koop_study.simulation.case import Case, model_of, override, seeded
-from koop_study.simulation.run import measure, run
+from koop_study.simulation.run import TOGETHER, is_plain, measure, run, run_seeds
 from koop_study.simulation.scenario import ScenarioConfig, expose, interference
-from koop_study.simulation.seeds import TOGETHER, is_plain, run_seeds
 from koop_study.simulation.work import case_of
 from koopman_lifter import cost
 from relay_esc import relay

@@ -129,7 +129,6 @@ trials: 2
 tuning: {first: 0, count: 1}
 fresh: {first: 10, count: 1}
 fixed: [{name: slow, constants: {omega_h: 1, omega_l: 1, speed: 0.1, dwell: 2, tau_f: 1}}]
-drawn: {plant: a, scenario: calm, laws: [slow], seed: 1}
 plants:
   - {plant: {name: a, family: false, cost: raw, duration: 5}, within: 3, scenarios: {calm: {}}}
   - {plant: {name: b, family: true, cost: raw, duration: 5}, within: 3, scenarios: {calm: {}}}
@@ -139,15 +138,12 @@ plants:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("laws: [slow]", "laws: [slwo]", "drawn: unknown law: did you mean 'slow'"),
         ("first: 10", "first: 0", "tuning and fresh seeds overlap"),
         ("family: true, cost: raw", "family: true, cost: lifted", "on the family raw or contrast"),
         ("5}, within: 3, scenarios: {calm: {}}}\n  -", "5}, within: 3, scenarios: {calm: {"
          "scenario.nois: 1}}}\n  -", "did you mean 'scenario.noise'"),
         ("name: b, family: true, cost: raw, duration: 5", "name: b, family: true, cost: raw, "
          "duration: 5, settings: {depht: [2, 3]}", "did you mean 'depth'"),
-        ("scenario: calm", "scenario: windy", "the plant has no scenario 'windy'"),
-        ("plant: a,", "plant: b,", "drawn: unknown plant: known are a"),
         ("name: b", "name: a", "two have the same name"),
         ("trials: 2", "trials: 0", "trials = 0: must be 1 to 4096"),
         ("speed: 0.1, ", "", "'speed' is missing"),

@@ -44,7 +44,7 @@ def register(rigs: Any, common: argparse.ArgumentParser) -> None:
     """Add it to the command line."""
     parser = rigs.add_parser(
         "jsbsim", parents=[common],
-        help="an aircraft in turbulence (JSBSim's c172x); says sensor_msgs/Imu on /imu and takes "
+        help="an aircraft in turbulence (JSBSim's c172x); publishes sensor_msgs/Imu on /imu, takes "
         "std_msgs/Float64 on /gain",
     )  # fmt: skip
     parser.add_argument("--throttle", type=float, default=THROTTLE, help="0 to 1")
@@ -126,18 +126,12 @@ class Flight:
             self.fdm.set_output_directive(file.name)
 
     def check(self, name: str) -> None:
-        """Refuse a property that JSBSim does not have.
-
-        Raises
-        ------
-        ValueError
-            If it has not.
-        """
+        """Raise ValueError if JSBSim does not have a property."""
         if not self.fdm.get_property_manager().hasNode(NAMES.get(name, name)):
             raise ValueError(f"--at: JSBSim has no property {name!r}; there is {', '.join(NAMES)}")
 
     def set(self, name: str, value: float) -> None:
-        """Set a property, or what has a name of ours."""
+        """Set a property, by JSBSim's name or by one of :data:`NAMES`."""
         self.fdm[NAMES.get(name, name)] = value
 
     def advance(self, theta: float) -> None:
@@ -186,7 +180,7 @@ def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
 
 
 def _quietly(call: Callable[[], Any]) -> Any:
-    """Call what prints a banner that nothing turns off, through Python or from C++."""
+    """Call a function without the banner that it prints, through Python or from C++."""
     sys.stdout.flush()
     kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)

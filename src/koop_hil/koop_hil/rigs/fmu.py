@@ -1,7 +1,7 @@
 """Any Functional Mock-up Unit as a rig, by FMPy: model exchange or co-simulation, FMI 1 to 3.
 
 Theta is one of its inputs, or of its tunable parameters, by name; the channels are any of its
-numbers. What stands in the FMU is its own: this module only steps it.
+numbers. The FMU holds the physics; this module steps it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def register(rigs: Any, common: argparse.ArgumentParser) -> None:
     """Add it to the command line."""
     parser = rigs.add_parser(
         "fmu", parents=[common],
-        help="any FMU; says sensor_msgs/JointState on /fmu, its outputs as positions, and takes "
-        "std_msgs/Float64 on /theta",
+        help="any FMU; publishes sensor_msgs/JointState on /fmu, its outputs as positions, and "
+        "takes std_msgs/Float64 on /theta",
     )  # fmt: skip
     parser.add_argument("file", metavar="MODEL.fmu")
     parser.add_argument("--input", required=True, metavar="NAME", help="variable that is theta")
@@ -174,7 +174,7 @@ def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
     """Run one."""
     model = Model(
         args.file, args.input, args.outputs.split(","), args.model_exchange, args.at
-    )  # before DDS: what is wrong is said at once
+    )  # before DDS: a wrong argument is reported at once
     from wire import JointState, Wire, joint_state
 
     names = [v.name for v in model.outputs]

@@ -8,7 +8,7 @@ It measures at its own pace with its own clock, and its actuator is late and slo
     python rig.py fmu MODEL.fmu --input stiffness --outputs x,v --dt 0.01
 
 The first three are oscillators of our own; jsbsim is an aircraft in turbulence, fmu any Functional
-Mock-up Unit. It waits until somebody listens, and says when the time is over.
+Mock-up Unit. It waits for a reader of its measurements, and prints a line when its time is over.
 """
 
 import argparse
@@ -36,7 +36,7 @@ def main() -> int:
     args = parser().parse_args()
 
     def begin(stand: Stand) -> Stand:
-        if args.until_eof:  # nobody writes to it: a read returns when who started it has ended
+        if args.until_eof:  # a read returns when the parent has ended: nothing is ever written
             threading.Thread(target=lambda: (os.read(0, 1), stand.stop()), daemon=True).start()
         stand.wait()
         return stand

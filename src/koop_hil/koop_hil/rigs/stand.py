@@ -1,4 +1,4 @@
-"""The stand that a simulated rig is on: its clock, its actuator, and what it exchanges."""
+"""The test stand of a simulated rig: its clock, its actuator, and its exchange of messages."""
 
 from __future__ import annotations
 
@@ -52,14 +52,14 @@ class Actuator:
 
 
 class Stand:
-    """Lets a rig run at its own pace, with its own clock.
+    """Runs a rig at its own pace, with its own clock.
 
     Parameters
     ----------
     args : argparse.Namespace
         Of :func:`options`.
     wire : Wire
-        What it says and hears.
+        Its topics.
     dt : float
         Time between two samples [s].
     knob : Knob
@@ -84,7 +84,7 @@ class Stand:
         self._stop.append(True)
 
     def wait(self) -> None:
-        """Wait until somebody listens."""
+        """Wait for the readers of the measurements."""
         while self._wire.readers < self._args.readers and not self._stop:
             time.sleep(SHORTEST)
         print("connected", flush=True)
@@ -96,7 +96,7 @@ class Stand:
         return self.steps * self._dt
 
     def exchange(self, x: Sequence[float], truth: Sequence[float]) -> float | None:
-        """Say a sample when its time has come; return theta until the next one, None at the end."""
+        """Publish a sample when its time has come; return theta until the next, None at the end."""
         if self.steps >= self._most or self._stop:
             time.sleep(0.2)  # a reliable writer's last samples are still on their way
             took = time.monotonic() - self._started
@@ -131,7 +131,7 @@ class Change(NamedTuple):
 
 
 def change(text: str) -> Change:
-    """Return what ``T:NAME=VALUE`` says, or ``NAME=VALUE``, which is said of the start.
+    """Return the change that ``T:NAME=VALUE`` names, or ``NAME=VALUE`` for the start.
 
     >>> change("60:throttle=0.9")
     Change(time=60.0, name='throttle', value=0.9)
@@ -162,14 +162,14 @@ class Schedule:
         self._left = sorted(changes, key=lambda change: change.time)
 
     def due(self, t: float) -> list[Change]:
-        """Return, once each, what is to be set by a time [s]."""
+        """Return, once each, the changes that are due by a time [s]."""
         count = sum(change.time <= t for change in self._left)
         now, self._left = self._left[:count], self._left[count:]
         return now
 
 
 def options() -> argparse.ArgumentParser:
-    """Return what every rig takes on the command line."""
+    """Return the options of every rig."""
     parser = argparse.ArgumentParser(add_help=False)
     parser.add_argument(
         "--duration", type=float, default=0.0, help="simulated seconds; 0: no limit"
@@ -188,7 +188,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--readers", type=int, default=1, help="of the measurements to wait for")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--truth", action="store_true", help="say koop_msgs/PlantTruth on /ground_truth, too"
+        "--truth", action="store_true", help="also publish koop_msgs/PlantTruth on /ground_truth"
     )
     parser.add_argument("--until-eof", action="store_true", help="end when stdin is closed")
     return parser

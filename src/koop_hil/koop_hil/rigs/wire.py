@@ -1,4 +1,4 @@
-"""What a rig says and hears, on Eclipse Cyclone DDS; shares no code with the nodes.
+"""The messages of a rig, on Eclipse Cyclone DDS; shares no code with the nodes.
 
 Nothing of ROS is here but the names and types on the wire.
 """
@@ -49,7 +49,7 @@ class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
 class MeasuredState(IdlStruct, typename="koop_msgs.msg.dds_.MeasuredState_"):
     header: Header
     step: uint64
-    lockstep: bool  # a rig waits for nobody: False
+    lockstep: bool  # a rig does not wait for answers: False
     x: sequence[float64]
 
 
@@ -147,9 +147,9 @@ class Wire:
     made : callable
         Makes a message of header, step and values.
     numbered : bool
-        Whether the command is a ControlInput, which says what step it answers; else a Float64.
+        Whether the command is a ControlInput, which names the step it answers; else a Float64.
     truth : bool
-        Whether what is true of each sample is said, too.
+        Whether the true state of each sample is published, too.
     """
 
     def __init__(
@@ -171,14 +171,14 @@ class Wire:
 
     @property
     def readers(self) -> int:
-        """How many listen to the measurements."""
+        """Number of subscriptions to the measurements."""
         return len(self._states.get_matched_subscriptions())
 
     def say(
         self, stamp: int, step: int, x: Sequence[float], truth: Sequence[float], theta: float,
         answered: int,
     ) -> None:  # fmt: skip
-        """Publish one sample with its stamp [ns], and what is true of it."""
+        """Publish one sample with its stamp [ns], and the true state."""
         header = Header(Time(stamp // 10**9, stamp % 10**9), "rig")
         self._states.write(self._made(header, step, x))
         if self._truths is not None:

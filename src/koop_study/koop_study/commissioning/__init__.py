@@ -1,1 +1,1 @@
-"""Rigs of the family commissioned offline: excited, tuned and verified by what ``koop`` does."""
+"""Rigs of the family commissioned offline: excited, tuned and verified by the code of ``koop``."""

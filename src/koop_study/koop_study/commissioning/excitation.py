@@ -20,12 +20,12 @@ from koop_tune.excitation.survey import SURVEY, Survey
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
 
 PERIODS = 10.0  # windows are as long as the slowest oscillation asks, an interference's too
-OFTEN = 0.1  # of what was heard, after which it is asked again whether that is enough
+OFTEN = 0.1  # of the samples so far, after which their number is judged again
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """What an excitation recorded.
+    """The recording of an excitation.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Excitation:
     x : ndarray, shape (M, n)
         Measured channels.
     progress : Progress
-        What was done.
+        Finished part of the excitation.
     """
 
     theta: NDArray[np.float64]

@@ -1,11 +1,10 @@
-"""One rig of the family commissioned: excited, tuned, verified, beside what else could be done."""
+"""One rig of the family commissioned: excited, tuned, verified, and compared with other ways."""
 
 from __future__ import annotations
 
 import functools
 import itertools
 import math
-import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
@@ -73,14 +72,11 @@ def commission_plant(
     Returns
     -------
     dict
-        What the rig is, what was said of it, how each controller did from either end, and the
-        seconds of the processor that each stage took.
+        The rig, its verdict, and the runs of each controller from either end.
     """
     rig = draw(family_of(family), seed)
     file, own = file_of(rig, rate, excitation), rig.time
-    watch = _Watch()
     recorded = excite(rig, file, seed + EARLIER)
-    watch.lap("excite")
     row: Row = {
         **_described(rig),
         "excited": recorded.progress.elapsed / own,
@@ -93,7 +89,7 @@ def commission_plant(
     found: Tuning | None = None
     seen: StaticMap | None
     try:
-        found = commissioned(rig, file, recorded, loops, seed, effort, row, watch)
+        found = commissioned(rig, file, recorded, loops, seed, effort, row)
         row |= {"verdict": "tuned", "why": found.why, "doubt": found.findings.doubt,
                 "cost": found.chosen.name, "constants": asdict(found.best.constants),
                 "time_ratio": found.time / own, "predicted": found.prediction.excess.high,
@@ -108,20 +104,18 @@ def commission_plant(
     if seen is not None:
         row |= {"gain": seen.evidence.gain, "map": seen.mean.tolist(),
                 "errors": seen.error.tolist(), "u_best": seen.best()}  # fmt: skip
-    watch.lap("tune")
     if rig.has_optimum:
         model = None if found is None else found.chosen.maps.cost.model
         noises = loops.noises
         row["runs"] = row.get("runs", {}) | beside(after, model, rate, noises, seed, grid)
-        watch.lap("beside")
-    return {**row, "seconds": watch.laps}
+    return row
 
 
 def commissioned(
     rig: Rig, file: RigFile, recorded: Excitation, loops: _Loops, seed: int, effort: float,
-    row: Row, watch: _Watch,
+    row: Row,
 ) -> Tuning:  # fmt: skip
-    """Tune and verify, as often as ``koop commission`` does; note in the row what came of it.
+    """Tune and verify, as often as ``koop commission`` does; note the outcome in the row.
 
     The recordings of the loops are not learned from, only how slow they say that the rig is.
     """
@@ -133,7 +127,6 @@ def commissioned(
         )
         how = recorded.progress.how
         found = tune(recorded.loaded, file, training_of(rig), how, settings)
-        watch.lap("tune")
         if not rig.has_optimum:
             return found
         closed = loops.close(found)
@@ -147,7 +140,6 @@ def commissioned(
         result = {"ratio": [loop.ratio for loop in closed],
                   "converged": [loop.converged for loop in closed]}  # fmt: skip
         tried.append((found, result))
-        watch.lap("verify")
     which = kept_index(rounds)
     found, result = tried[which]
     row |= {"runs": {"first": tried[0][1], "tuned": result}, "rounds": len(rounds),
@@ -168,7 +160,7 @@ class _Loops:
                 for end in ENDS]  # fmt: skip
 
     def close(self, found: Tuning) -> list[ClosedRun]:
-        """Close it with what was tuned."""
+        """Close it with the tuned controller."""
         task, constants, rig = found.task, found.best.constants, self._rig
         tuned = RigController(
             lifter_of(task, constants),
@@ -179,17 +171,6 @@ class _Loops:
             close_from_end(rig, tuned, end, self.noises[end], self._seed + end * OTHER)
             for end in ENDS
         ]
-
-
-class _Watch:
-    def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
-        self._last = time.process_time()
-
-    def lap(self, name: str) -> None:
-        now = time.process_time()
-        self.laps[name] = self.laps.get(name, 0.0) + now - self._last
-        self._last = now
 
 
 def _described(rig: Rig) -> Row:

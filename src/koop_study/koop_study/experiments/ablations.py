@@ -24,7 +24,7 @@ class Ablation:
     name : str
         Of the table and the figure.
     title : str
-        What is varied, in words, with its unit.
+        The varied quantity in words, with its unit.
     parameters : tuple of str
         Settings that get the value; if a value is a list, each gets its own element.
     values : tuple
@@ -61,7 +61,7 @@ class Ablation:
 
 @dataclass(frozen=True)
 class AblationsConfig:
-    """Costs with settings of their own, the seeds of every value, and what is varied."""
+    """Costs with settings of their own, the seeds of every value, and the varied settings."""
 
     seeds: Seeds
     costs: dict[str, dict[str, Any]]

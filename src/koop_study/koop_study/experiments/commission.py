@@ -1,7 +1,7 @@
 """Experiment ``commission``: unknown rigs from the first sample to a damped oscillation.
 
 Every rig of the family is excited, tuned and verified from either end of theta's range, offline, by
-what ``koop excite`` and ``koop tune`` do. Beside: what an engineer could do without them.
+the code of ``koop excite`` and ``koop tune``, beside simpler ways to choose the constants.
 """
 
 from __future__ import annotations
@@ -10,14 +10,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from koop_core.config.parameter import ConfigError, nearest
 from koop_study.experiments.spec import Seeds, parse
-from koop_study.experiments.stats import quantile
+from koop_study.experiments.stats import cumulative, quantile
 from koop_study.family.config import WITH_OPTIMUM, FamilyConfig
 from koop_study.workers.units import Unit
-from koop_view.report.document import Column, Figure, Panel, Section, Series, Table
+from koop_view.report.document import Column, Figure, Panel, Section, Table
 
 GOOD = 1.5
 COMMISSIONED = "koop excite, tune, verify: at most three rounds"
@@ -92,7 +90,7 @@ def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
     with_optimum = [row for row in rows if row["shape"] in WITH_OPTIMUM]
     summary = _summary(ways, with_optimum, len(rows))
     refusals, rounds = _refusals(rows), _rounds(with_optimum)
-    kinds, time = _kinds(ways, with_optimum), _time(rows)
+    kinds = _kinds(ways, with_optimum)
     figure = Figure(
         "commission_figure",
         "Amplitude over that at the best fixed θ, from the worse side; cumulative over the rigs.",
@@ -110,7 +108,7 @@ def section(config: CommissionConfig, results: Sequence[Any]) -> Section:
         "'scaled by hand' are the node's defaults in units of each rig's true time and frequency. "
         "They are given the cost that koop tune chose, raw where it refused; 'defaults' take raw "
         "and know the rig's limits and dt.",
-        [summary, refusals, rounds, kinds, time],
+        [summary, refusals, rounds, kinds],
         [figure],
     )
 
@@ -156,7 +154,7 @@ def _summary(ways: dict[str, Callable[[Row], Row | None]], rows: list[Row], ever
 def _refusals(rows: list[Row]) -> Table:
     table = Table(
         "commission_verdicts",
-        "What koop tune says, by the rig's map: rigs",
+        "Verdict of koop tune by the rig's map: number of rigs",
         (
             Column("map", "map"),
             Column("rigs", "rigs", ".0f"),
@@ -180,7 +178,7 @@ def _refusals(rows: list[Row]) -> Table:
 def _rounds(rows: list[Row]) -> Table:
     table = Table(
         "commission_rounds",
-        "What the verification says, and what is true: rigs that were tuned",
+        "Verdict of the verification and the truth: rigs that were tuned",
         (
             Column("says", "verification"),
             Column("rigs", "rigs", ".0f"),
@@ -251,40 +249,10 @@ def _kinds(ways: dict[str, Callable[[Row], Row | None]], rows: list[Row]) -> Tab
     return table
 
 
-def _time(rows: list[Row]) -> Table:
-    table = Table(
-        "commission_time",
-        "What it takes",
-        (
-            Column("what", "what"),
-            Column("median", "median", ".3g"),
-            Column("p90", "90 %", ".3g"),
-            Column("worst", "worst", ".3g"),
-        ),
-        detail=True,
-    )
-
-    def add(name: str, values: list[float]) -> None:
-        if values:
-            shares = (quantile(values, 0.5), quantile(values, 0.9), max(values))
-            table.rows.append((name, *shares))
-
-    add("excitation [rig's own time]", [row["excited"] for row in rows])
-    add("excitation [samples]", [float(row["samples"]) for row in rows])
-    for stage in ("excite", "tune", "verify", "beside"):
-        add(
-            f"{stage} [s of one core]",
-            [row["seconds"][stage] for row in rows if stage in row["seconds"]],
-        )
-    return table
-
-
 def _panel(ways: dict[str, Callable[[Row], Row | None]], rows: list[Row]) -> Panel:
-    series = []
-    for i, (name, way) in enumerate(ways.items()):
-        values = np.sort([max(run["ratio"]) for row in rows if (run := way(row)) is not None])
-        if values.size:
-            shares = (np.arange(values.size) + 1.0) / len(rows) * 100.0
-            series.append(Series(name, values.tolist(), shares.tolist(), "steps", color=i))
+    curves = {
+        name: [max(run["ratio"]) for row in rows if (run := way(row)) is not None]
+        for name, way in ways.items()
+    }
     label = "amplitude over that at the best fixed θ"
-    return Panel(label, "share of rigs [%]", tuple(series), log_x=True)
+    return Panel(label, "share of rigs [%]", cumulative(curves, len(rows)), log_x=True)

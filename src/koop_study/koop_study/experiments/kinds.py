@@ -19,7 +19,7 @@ from koop_study.experiments import (
     static_maps,
 )
 from koop_study.experiments.spec import parse, quickened, read_file
-from koop_study.workers.registry import check
+from koop_study.simulation import work
 from koop_study.workers.units import Unit
 from koop_view.report.document import Section
 
@@ -61,7 +61,7 @@ class Experiment:
     kind : str
         A key of :data:`KINDS`.
     content : dict
-        What is in force, in YAML terms.
+        Settings in force, in YAML terms.
     config : object
         The same as the kind's configuration class.
     """
@@ -91,8 +91,10 @@ def read(path: Path, quick: bool) -> Experiment:
         raise ConfigError(f"{path}: unknown experiment {kind!r}: {nearest(str(kind), KINDS)}")
     experiment = Experiment(path, kind, content, parse(KINDS[kind][0], content, str(path)))
     for unit in next(experiment.steps()):
+        if unit.work not in work.WORK:
+            continue  # checked where its configuration is read
         try:
-            check(unit.work, unit.arguments)
+            work.check(unit.work, unit.arguments)
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None
     return experiment

@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from koop_core.config.parameter import ConfigError, nearest
+from koop_core.config.parameter import ConfigError
 from koop_study.experiments.spec import Seeds, parse
-from koop_study.experiments.stats import finite, quantile
+from koop_study.experiments.stats import cumulative, finite, quantile
 from koop_study.family.config import FamilyConfig
 from koop_study.family.scaled import LAWS, ScaledConstants
 from koop_study.laws.plants import LawPlant, trials
 from koop_study.simulation.case import Case, override
 from koop_study.workers.units import Unit
-from koop_view.report.document import Column, Figure, Panel, Section, Series, Table
+from koop_view.report.document import Column, Figure, Panel, Section, Table
 
 AT_ONCE = 4  # seeds of a unit of work
 Rows = list[dict[str, Any]]
@@ -40,12 +40,12 @@ class FixedLaw:
 
 @dataclass(frozen=True)
 class JudgedPlant:
-    """A plant, the scenarios that a law is judged under, and what counts as reacquired in time.
+    """A plant, the scenarios that a law is judged under, and the time to reacquire the optimum.
 
     Attributes
     ----------
     plant : LawPlant
-        What the laws are tuned on.
+        Plant that the laws are tuned on.
     scenarios : dict of str to dict
         Settings of the plant that each adds.
     within : float
@@ -73,16 +73,6 @@ class JudgedPlant:
 
 
 @dataclass(frozen=True)
-class DrawnRun:
-    """What the figure of theta over time shows: fixed laws by name, on the paper's plant."""
-
-    plant: str
-    scenario: str
-    laws: tuple[str, ...]
-    seed: int
-
-
-@dataclass(frozen=True)
 class LawsConfig:
     """Plants with their scenarios, seeds, fixed laws, and how many trials tune each law."""
 
@@ -90,7 +80,6 @@ class LawsConfig:
     trials: int
     tuning: Seeds
     fresh: Seeds
-    drawn: DrawnRun
     fixed: tuple[FixedLaw, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)  # of every plant that is not a family
 
@@ -99,17 +88,8 @@ class LawsConfig:
             raise ConfigError("tuning and fresh seeds overlap")
         if not 1 <= self.trials <= 4096:
             raise ConfigError(f"trials = {self.trials}: must be 1 to 4096")
-        plants = {judged.plant.name: judged for judged in self.plants if not judged.plant.family}
         if len({judged.plant.name for judged in self.plants}) < len(self.plants):
             raise ConfigError("plants: two have the same name")
-        if self.drawn.plant not in plants:
-            raise ConfigError(f"drawn: unknown plant: {nearest(self.drawn.plant, plants)}")
-        if self.drawn.scenario not in plants[self.drawn.plant].scenarios:
-            raise ConfigError(f"drawn: the plant has no scenario '{self.drawn.scenario}'")
-        names = [law.name for law in self.fixed]
-        for law in self.drawn.laws:
-            if law not in names:
-                raise ConfigError(f"drawn: unknown law: {nearest(law, names)}")
 
     def described(self, plant: LawPlant) -> dict[str, Any]:
         """Return a plant in JSON terms, with the experiment's settings in force."""
@@ -165,20 +145,12 @@ def steps(config: LawsConfig) -> Generator[list[Unit], list[Any], Section]:
               "seeds": seeds})
         for judged, scenario, _, constants, seeds in cells
     ]  # fmt: skip
-    drawn = config.drawn
-    shown = next(judged for judged in config.plants if judged.plant.name == drawn.plant)
-    traced = [
-        Unit("law_trace",
-             {"plant": config.described(shown.under(drawn.scenario)),
-              "constants": asdict(every[drawn.plant, law]), "seed": drawn.seed})
-        for law in drawn.laws
-    ]  # fmt: skip
-    results = yield [*units, *traced]
+    results = yield units
     outcome: dict[tuple[str, str], dict[str, Rows]] = {}
-    for (judged, scenario, law, _, _), found in zip(cells, results, strict=False):
+    for (judged, scenario, law, _, _), found in zip(cells, results, strict=True):
         rows = outcome.setdefault((judged.plant.name, scenario), {})
         rows.setdefault(law, []).extend(found)
-    return _section(config, chosen, outcome, results[len(units) :])
+    return _section(config, chosen, outcome)
 
 
 def _parts(seeds: list[int]) -> list[list[int]]:
@@ -239,10 +211,9 @@ def _section(
     config: LawsConfig,
     chosen: dict[tuple[str, str], ScaledConstants],
     outcome: dict[tuple[str, str], dict[str, Rows]],
-    traces: list[dict[str, Any]],
 ) -> Section:
     tables: list[Table] = []
-    figures: list[Figure] = [_drawn(config, traces)]
+    figures: list[Figure] = []
     for judged in config.plants:
         panels = []
         for scenario in judged.scenarios:
@@ -283,25 +254,8 @@ def _section(
     )
 
 
-def _drawn(config: LawsConfig, traces: list[dict[str, Any]]) -> Figure:
-    series = [
-        Series(name, trace["t"], trace["theta"], color=i)
-        for i, (name, trace) in enumerate(zip(config.drawn.laws, traces, strict=True))
-    ]
-    best = Series("θ*", traces[0]["t"], traces[0]["best"], "level")
-    return Figure(
-        "laws_theta",
-        f"θ over time on {config.drawn.plant}, {config.drawn.scenario}, seed {config.drawn.seed}.",
-        (Panel("t [s]", "θ", (*series, best)),),
-    )
-
-
 def _panel(judged: JudgedPlant, scenario: str, rows: dict[str, Rows]) -> Panel:
-    series = []
-    for i, (name, found) in enumerate(rows.items()):
-        values = np.sort([v for v in _values(found, "score") if math.isfinite(v) and v > 0.0])
-        if values.size:
-            shares = (np.arange(values.size) + 1.0) / len(found) * 100.0
-            series.append(Series(name, values.tolist(), shares.tolist(), "steps", color=i))
+    curves = {name: _values(found, "score") for name, found in rows.items()}
     label = "amplitude over that of the best fixed θ" if judged.plant.family else "IAE"
-    return Panel(label, "share of runs [%]", tuple(series), title=scenario, log_x=True)
+    count = len(next(iter(curves.values())))
+    return Panel(label, "share of runs [%]", cumulative(curves, count), scenario, log_x=True)

@@ -5,19 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from koop_study.experiments.spec import Seeds
 from koop_study.experiments.stats import (
     SUMMARY_COLUMNS,
     column,
-    finite,
+    cumulative,
     spread,
     summary_cells,
     win_rate,
 )
 from koop_study.workers.units import Unit
-from koop_view.report.document import Cell, Column, Figure, Panel, Section, Series, Table
+from koop_view.report.document import Cell, Column, Figure, Panel, Section, Table
 
 CHUNK = 8  # seeds a unit: short enough that a stopped study loses little
 
@@ -102,19 +100,9 @@ def _figure(rows: dict[str, list[Any]]) -> Figure:
     labels = {"iae": "IAE", "ise": "ISE", "t_theta": "T [s]", "e_r_ss": "e_r^ss"}
     panels = []
     for name, label in labels.items():
-        series = []
-        for i, (cost, found) in enumerate(rows.items()):
-            values = np.sort(column(found, name))
-            shares = (np.arange(values.size) + 1.0) / values.size * 100.0
-            shown = [finite(float(v)) for v in values]
-            inside = [j for j, v in enumerate(shown) if v is not None]
-            series.append(
-                Series(
-                    cost, [float(values[j]) for j in inside], [float(shares[j]) for j in inside],
-                    "steps", color=i,
-                )
-            )  # fmt: skip
-        panels.append(Panel(label, "share of runs [%]", tuple(series), log_x=True))
+        curves = {cost: column(found, name) for cost, found in rows.items()}
+        count = len(next(iter(curves.values())))
+        panels.append(Panel(label, "share of runs [%]", cumulative(curves, count), log_x=True))
     return Figure(
         "robustness",
         "Cumulative distributions: how many of the runs stay at or below a value. A curve that "

@@ -60,7 +60,7 @@ def parse(kind: type[T], content: Any, where: str) -> T:
         A frozen dataclass with annotated fields: numbers, strings, mappings, tuples of them, or
         other dataclasses.
     content : object
-        What YAML gave.
+        Content of the YAML file.
     where : str
         Begin of an error message.
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from koop_study.simulation.run import Row
-from koop_view.report.document import Cell, Column
+from koop_view.report.document import Cell, Column, Series
 
 LONGEST = math.inf  # of a first hitting time that never comes
 
@@ -78,6 +78,22 @@ def summary_cells(rows: Sequence[Row]) -> tuple[Cell, ...]:
         share(rows, "reached"),
         share(rows, "converged"),
     )
+
+
+def cumulative(curves: Mapping[str, Sequence[float]], total: int) -> tuple[Series, ...]:
+    """Return the shares [%] of ``total`` runs that stay at or below a value, a curve a name.
+
+    Values that are not finite and above 0 have no place on a logarithmic axis.
+    """
+    series = []
+    for i, (name, values) in enumerate(curves.items()):
+        ordered = np.sort(np.asarray(values, np.float64))
+        shares = (np.arange(ordered.size) + 1.0) / total * 100.0
+        shown = (ordered > 0.0) & np.isfinite(ordered)
+        if shown.any():
+            x, y = ordered[shown].tolist(), shares[shown].tolist()
+            series.append(Series(name, x, y, "steps", color=i))
+    return tuple(series)
 
 
 def finite(value: float) -> float | None:

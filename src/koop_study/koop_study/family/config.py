@@ -1,4 +1,4 @@
-"""What a family of rigs is drawn from: ranges and shares, declared in an experiment file."""
+"""Ranges and shares of a family of rigs, declared in an experiment file."""
 
 from __future__ import annotations
 

@@ -48,12 +48,12 @@ class RigController:
 
 @dataclass(frozen=True)
 class RunNoise:
-    """What reaches a rig in a run, and how large the best fixed theta keeps it then.
+    """Noise and interference of a run, and the amplitude at the best fixed theta under them.
 
     Attributes
     ----------
     numbers : ndarray, shape (M, 2 + n)
-        Standard normal numbers of the rig, and what is added to its channels: noise, interference.
+        Standard normal numbers of the rig; noise and interference of its channels.
     best : float
         Root mean square of the amplitude over the second half at the best fixed theta.
     """
@@ -96,7 +96,7 @@ class ClosedRun(NamedTuple):
     converged : float
         Share of the run after which L(theta) is within 1.5 times the best one; 2 if never.
     x : ndarray, shape (M, n)
-        What was measured.
+        Measured channels.
     theta : ndarray, shape (M,)
         The controller's.
     """

@@ -1,4 +1,4 @@
-"""One step of a rig of the family, and what its sensors say; compiled.
+"""One step of a rig of the family, and its measurement; compiled.
 
 The oscillation is a complex amplitude z = a exp(i phi) that turns by 2 pi f dt a step. theta sets
 the level L(theta) that a settles at, with the time constant tau(theta); both kinds are exact for
@@ -219,7 +219,7 @@ def measure(
     noise: NDArray[np.float64],
     x: NDArray[np.float64],
 ) -> None:
-    """Fill ``x``, shape (n,), with what the channels say at t_k.
+    """Fill ``x``, shape (n,), with the measurement at t_k.
 
     ``noise``, shape (n,), are standard normal numbers.
     """

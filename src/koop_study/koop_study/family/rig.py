@@ -1,4 +1,4 @@
-"""Draw a rig from a family by its seed; its truths follow from its definition."""
+"""Draw a rig from a family by its seed; its true values follow from its definition."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ QUANTITIES = (  # each has random numbers of its own: a changed range changes no
 
 @dataclass(frozen=True)
 class Rig:
-    """A rig and what is true of it.
+    """A rig and its true values.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Rig:
 
     @property
     def channels(self) -> int:
-        """How many are measured."""
+        """Number of measured channels."""
         return int(self.params.offset.size)
 
     @property

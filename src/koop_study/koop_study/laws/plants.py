@@ -1,4 +1,4 @@
-"""What laws are compared on: the paper's plant or the rigs of the family, with a cost."""
+"""Plants for the comparison of laws: the paper's or the rigs of the family, with a cost."""
 
 from __future__ import annotations
 

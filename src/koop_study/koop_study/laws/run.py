@@ -1,4 +1,4 @@
-"""Run laws on plants and measure what they did; the functions that worker processes run."""
+"""Run laws on plants and measure the runs; the functions of the worker processes."""
 
 from __future__ import annotations
 
@@ -25,18 +25,16 @@ from koop_study.laws.plants import LawPlant, trials
 from koop_study.simulation import run as paper
 from koop_study.simulation.case import Case
 from koop_study.simulation.scenario import displacement
-from koop_study.simulation.seeds import run_seeds
 from koop_study.simulation.work import case_of
 from koopman_lifter.model import KoopmanModel
 
 JUMP = 0.1  # change of theta* from one step to the next that is not a drift
 WINDOW = 0.02  # of a run, over which the way to the optimum is averaged
-POINTS = 900  # that a drawn trace is thinned to
 LawRow = dict[str, Any]
 
 
 def rows(plant: LawPlant, constants: ScaledConstants, seeds: list[int]) -> Iterator[LawRow]:
-    """Yield what a law did with each seed.
+    """Yield the figures of a law's run with each seed.
 
     Yields
     ------
@@ -54,7 +52,7 @@ def rows(plant: LawPlant, constants: ScaledConstants, seeds: list[int]) -> Itera
             yield _rig_row(plant, constants, seed)
         return
     cases = [case_of(plant.paper_settings(constants), seed) for seed in seeds]
-    for case, trace in zip(cases, run_seeds(cases), strict=True):
+    for case, trace in zip(cases, paper.run_seeds(cases), strict=True):
         yield paper_row(case, trace)
 
 
@@ -145,23 +143,11 @@ def law_trials(plant: dict[str, Any], law: str, count: int, seeds: list[int]) ->
 
 
 def law_runs(plant: dict[str, Any], constants: dict[str, Any], seeds: list[int]) -> list[LawRow]:
-    """Return how a law did, one row a seed."""
+    """Return the figures of a law, one row a seed."""
     return list(rows(LawPlant(**plant), ScaledConstants(**constants), seeds))
-
-
-def law_trace(plant: dict[str, Any], constants: dict[str, Any], seed: int) -> dict[str, Any]:
-    """Return theta of one run on the paper's plant, thinned, and where the optimum was."""
-    case = case_of(LawPlant(**plant).paper_settings(ScaledConstants(**constants)), seed)
-    trace = paper.run(case)
-    every = max(1, case.steps // POINTS)
-    away = displacement(case.scenario, case.steps, case.plant.dt)
-    best = case.plant.theta_star + (away if away.size else np.zeros(case.steps))
-    signals = {"t": trace.t, "theta": trace.theta, "best": best}
-    return {name: values[::every].tolist() for name, values in signals.items()}
 
 
 WORK: dict[str, Callable[..., Any]] = {
     "law_trials": law_trials,
     "law_runs": law_runs,
-    "law_trace": law_trace,
 }

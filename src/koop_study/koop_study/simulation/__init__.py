@@ -1,1 +1,1 @@
-"""What decides results: cases, their disturbances, the loop, static maps, lifted costs."""
+"""The paper's loop under disturbances: cases, models, runs, static maps."""

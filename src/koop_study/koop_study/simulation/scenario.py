@@ -1,4 +1,4 @@
-"""What a run is exposed to beyond the paper's plant: noise, lost samples, a moving optimum.
+"""Disturbances beyond the paper's plant: noise, lost samples, a moving optimum.
 
 A moving optimum needs no other plant: the oscillator sees only theta - theta*, so an optimum that
 is displaced by s is the same plant fed with theta - s.
@@ -54,13 +54,13 @@ class ScenarioConfig:
         validate(self)
 
 
-# what the runs of a unit share, and most units of a study: they differ in seeds and constants
+# shared by the runs of a unit and by most units of a study
 _drive = lru_cache(maxsize=2)(drive_of)
 _interference = lru_cache(maxsize=16)(interference_of)  # the seeds of a unit
 
 
 def kept_waves(p: PlantParams, steps: int) -> Waves:
-    """Return what of the plant depends on time alone, kept from the runs before."""
+    """Return the part of the plant that depends on time alone, cached between runs."""
     without_phases = p._replace(interference_phase_1=0.0, interference_phase_2=0.0)
     return Waves(_drive(without_phases, steps), _interference(p, steps))
 
@@ -77,7 +77,7 @@ def interference(plant: PlantConfig, t: NDArray[np.float64]) -> NDArray[np.float
 def second_channel(
     config: ScenarioConfig, plant: PlantConfig, t: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return what makes the second state's interference differ from the first's, shape (M,)."""
+    """Return the second state's interference less the first's, shape (M,)."""
     if config.interference_gain_y == 1.0 and config.interference_lag_y == 0.0:
         return np.empty(0)
     lagged = interference(plant, t - config.interference_lag_y)

@@ -1,4 +1,4 @@
-"""What the lifter receives of the plant: which states, and how much of their past."""
+"""The part of the plant's state that the lifter receives, with its delays."""
 
 from __future__ import annotations
 

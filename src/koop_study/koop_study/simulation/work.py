@@ -13,9 +13,8 @@ from koop_loop.thinning import extremes
 from koop_study.simulation import maps
 from koop_study.simulation.case import DRAWN, Case, override, seeded
 from koop_study.simulation.learning import learn
-from koop_study.simulation.run import measure, run
+from koop_study.simulation.run import measure, run, run_seeds
 from koop_study.simulation.scenario import ScenarioConfig
-from koop_study.simulation.seeds import run_seeds
 from koopman_lifter.edmd import edmd
 from koopman_lifter.modes import decompose, select
 

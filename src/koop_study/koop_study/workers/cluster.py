@@ -26,7 +26,7 @@ DASHBOARD = "127.0.0.1:8787"  # Dask's usual port; another one where it is taken
 NO_DASHBOARD = "127.0.0.1:0"
 PATIENCE = 10.0  # for an answer of the scheduler [s]
 KEPT = dict.fromkeys(("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"), str(1 << 30))
-"""A worker's signals come and go by megabytes: what it freed is used again, not given back."""
+"""A worker's signals come and go by megabytes: freed memory is used again, not returned."""
 
 
 class WorkerLost(RuntimeError):
@@ -39,7 +39,7 @@ class Workers:
     Parameters
     ----------
     store : Store
-        What it has is not computed again; every new result is in it at once.
+        Results that it has are not computed again; every new one is saved at once.
     processes : int
         At work at the same time on this machine; they start when there is something to compute.
         One that is killed is started again, and another one takes its unit.
@@ -89,7 +89,7 @@ class Workers:
 
         from koop_study.workers.task import compute
 
-        # named by its content: what another study asks the same scheduler for is done once
+        # named by content: the scheduler computes a unit once, even for two studies
         name_of = {f"{unit.work}-{unit.key}": unit for unit in pending}
         futures = self._client.map(
             compute,
@@ -101,7 +101,7 @@ class Workers:
         lost = ""
         with tqdm(total=len(pending), unit="unit", smoothing=0.0, disable=None) as bar:
             arriving = as_completed(futures, loop=self._client.loop)
-            del futures  # what the store has, no worker need keep, nor do again for one that ended
+            del futures  # no worker need keep or repeat what is in the store
             for future in arriving:
                 try:
                     result = future.result()

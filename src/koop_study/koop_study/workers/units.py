@@ -1,7 +1,7 @@
-"""Units of work: what one process computes at a time, and their results on disk.
+"""Units of work, which a process computes one at a time, and their results on disk.
 
 A result's file is named by a hash of the work, its arguments and the code that does it. A study
-that was stopped goes on where it was; after a change of the numerical code everything is computed
+that was stopped resumes; after a change of the numerical code everything is computed
 again.
 """
 
@@ -33,7 +33,7 @@ LIBRARIES = ("numpy", "scipy", "numba")  # another version may round in another 
 
 @dataclass(frozen=True)
 class Unit:
-    """A function of :mod:`koop_study.workers.registry`, with its arguments in JSON terms."""
+    """A function of ``koop_study.workers.task.WORK``, with its arguments in JSON terms."""
 
     work: str
     arguments: dict[str, Any]
@@ -48,7 +48,7 @@ class Unit:
 
 @lru_cache(maxsize=2)
 def fingerprint(commissioning: bool = False) -> str:
-    """Return a hash of all that decides results: our code, and the libraries' versions.
+    """Return a hash of everything that decides results: our code, and the libraries' versions.
 
     With ``commissioning`` also of what decides :data:`COMMISSION`.
     """
@@ -74,7 +74,7 @@ def sources(packages: Sequence[str]) -> dict[str, str]:
 
 
 def meaning(source: str) -> str:
-    """Return a hash of what a module does: comments, docstrings and line breaks do not count."""
+    """Return a hash of a module's code without comments, docstrings and line breaks."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if (
