@@ -49,7 +49,7 @@ def make_task(level, rate=1e3, sense=1.0, settings=SearchSettings(), time=3.0, *
         for every in (0, 5)
     )
     low, high = of_rig.get("low", 0.0), of_rig.get("high", 1.0)
-    return Task(fine, coarse, sense, time, DT, rate, low, high, settings)
+    return Task(fine, coarse, Scale(low, high), sense, time, DT, rate, low, high, settings)
 
 
 def make_map(level, error=0.05, sense=1.0):

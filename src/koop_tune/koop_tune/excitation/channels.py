@@ -143,9 +143,9 @@ def peaks(
     Parameters
     ----------
     frequency : ndarray, shape (F,)
-        Of each bin [Hz]; the first one is left out.
+        Frequency of each bin [Hz]; the first one is left out.
     power : ndarray, shape (F,)
-        Of a sine at that frequency.
+        Power of a sine at that frequency.
     """
     # bins of the window overlap by 1.5: their sum is the power of what lies in them
     total = float(power[1:].sum()) / 1.5

@@ -1,4 +1,4 @@
-"""What a window of the measured channels says about the oscillation. Pure: arrays in, figures out.
+"""What a window of the measured channels says about the oscillation.
 
 The amplitude of each channel, and that in bands of frequency: where an interference hides the
 oscillation, one of the bands does not have it.
@@ -69,7 +69,7 @@ def features(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
     x : ndarray, shape (..., length, n)
         The samples of each window; NaN is bridged.
     how : Bands
-        Of the rig.
+        Bands of the rig.
 
     Returns
     -------

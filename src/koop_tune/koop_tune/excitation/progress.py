@@ -1,4 +1,4 @@
-"""How far an excitation is, in a file beside its recordings: what resumes it. Pure: no ROS."""
+"""How far an excitation is, in a file beside its recordings: what resumes it."""
 
 from __future__ import annotations
 

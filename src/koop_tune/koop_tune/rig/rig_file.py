@@ -1,4 +1,4 @@
-"""The rig file: what an engineer knows of a rig and the rig cannot tell. Pure: no ROS."""
+"""The rig file: what an engineer knows of a rig and the rig cannot tell."""
 
 from __future__ import annotations
 

@@ -23,18 +23,23 @@ class Scale:
         """Whether positions are those of log theta."""
         return self.low > 0.0 and self.high / self.low >= LOGARITHMIC
 
+    @property
+    def span(self) -> float:
+        """Length of the range; of log theta's where positions are its."""
+        return math.log(self.high / self.low) if self.logarithmic else self.high - self.low
+
     def u(self, theta: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return positions."""
         inside = np.clip(theta, self.low, self.high)
         if self.logarithmic:
-            return np.asarray(np.log(inside / self.low) / math.log(self.high / self.low))
-        return np.asarray((inside - self.low) / (self.high - self.low))
+            return np.asarray(np.log(inside / self.low) / self.span)
+        return np.asarray((inside - self.low) / self.span)
 
     def theta(self, u: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return theta at positions."""
         if self.logarithmic:
             return np.asarray(self.low * (self.high / self.low) ** np.asarray(u))
-        return np.asarray(self.low + np.asarray(u) * (self.high - self.low))
+        return np.asarray(self.low + np.asarray(u) * self.span)
 
     def theta_at(self, u: float) -> float:
         """Return theta at one position."""

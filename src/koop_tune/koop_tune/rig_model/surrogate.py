@@ -246,9 +246,9 @@ def run(
     detector, params, state
         The controller, which joins the run.
     steps : int
-        Of the run.
+        Samples of the run.
     drift : float
-        By which the optimum moves in one step [u].
+        Motion of the optimum in one sample [u].
     start : float
         Position of theta at which the rig has settled before; the controller's own limits may be
         narrower.

@@ -30,7 +30,7 @@ from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSet
 
 @dataclass(frozen=True)
 class Aim:
-    """What a tuning says of a rig.
+    """What a tuning expects of a rig.
 
     Attributes
     ----------
@@ -39,13 +39,13 @@ class Aim:
     feature : int
         The amplitude that counts.
     name : str
-        Of it, in words.
+        Its name.
     scale : Scale
-        Of theta.
+        Theta's range.
     sense : float
-        +1 if little is wanted.
+        +1 if little is wanted, else -1.
     theta : float
-        The best.
+        The best theta.
     best, bound : float
         Logarithms of the best amplitude, and of that at which a loop counts as converged.
     time : float
@@ -178,7 +178,7 @@ def measure(
     before : ndarray, shape (B, n)
         Measured channels once the rig had settled where the loop began.
     x : ndarray, shape (M, n)
-        With the loop closed.
+        Measured channels with the loop closed.
     theta : ndarray, shape (K,)
         Its theta, evenly over the same time.
     """
@@ -262,7 +262,7 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
     aim : Aim
         What was predicted.
     runs : sequence of Measured
-        Of the last round.
+        Runs of the last round.
     rounds : int
         How many there were.
     where : str

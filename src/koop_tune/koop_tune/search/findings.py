@@ -91,7 +91,7 @@ class Findings:
     scale, dwells, amplitude, period
         Theta's range; where it rested; static map of what is wanted; the oscillation's period [s].
     feature : str
-        In which theta shows most.
+        The amplitude that theta changes most.
     costs : list of CostMaps
         One of each candidate.
     limits : Limits

@@ -20,7 +20,7 @@ class Limits(NamedTuple):
     low, high : float
         Least and largest theta.
     why_low, why_high : str
-        In words; empty where it is the rig's.
+        Reasons in words; empty where it is the rig's.
     """
 
     low: float

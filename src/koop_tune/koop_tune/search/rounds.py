@@ -71,7 +71,7 @@ class Round:
     agrees : bool or None
         Whether no run was worse than predicted; None until all were made.
     summary : str
-        In which figures they were worse, or that they were not.
+        The figures that were worse, or that none was.
     """
 
     number: int
@@ -114,7 +114,7 @@ class Round:
 
     @property
     def agreement(self) -> str:
-        """In words, what it means that a round agrees with its prediction."""
+        """Summary of a round that agrees with its prediction."""
         text = "as predicted, or better"
         if self.worst_excess <= CONVERGENCE.good:
             return text
@@ -128,13 +128,13 @@ class Verification:
     Attributes
     ----------
     rounds : tuple of Round
-        In the order in which they were made.
+        Rounds, the first one first.
     damped : bool
         Whether the rig was damped with the controller that is kept.
     feature : str
         Amplitude that was measured.
     verdict : str
-        In three sentences.
+        Three sentences.
     """
 
     rounds: tuple[Round, ...] = ()

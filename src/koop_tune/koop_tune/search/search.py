@@ -9,7 +9,7 @@ once more. A run's score is
     log(amplitude over its second half / least amplitude) + slowness (share of the run to converge)
 
 and a constant's score the 90th percentile over its runs. Of constants that score alike those are
-taken that serve most rigs (USUAL): a surrogate is not the rig, and what is best on it by a hair may
+taken that serve most rigs: a surrogate is not the rig, and what is best on it by a hair may
 be far from what any rig has needed.
 """
 
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from koop_tune.rig.scale import Scale
 from koop_tune.rig_model import surrogate
 from koop_tune.rig_model.surrogate import BLOCKS, Surrogate
 from koop_tune.search.settings import SEARCH, SearchSettings
@@ -44,13 +45,13 @@ class Constants:
     law : str
         relay or adaptive.
     omega_h, omega_l : float
-        Of the detector [rad/s].
+        Corner frequencies of the detector [rad/s].
     speed : float
-        Of theta, in ranges of u a second.
+        Speed of theta [ranges/s].
     dwell, tau_f : float
-        [s].
+        Dwell time and filter of the relay [s].
     step_ratio : float
-        Of the adaptive law.
+        Smallest step of the adaptive law over the largest.
     """
 
     law: str
@@ -69,9 +70,11 @@ class Task:
     Attributes
     ----------
     surrogates, coarse : dict of float to list of Surrogate
-        By omega_h [rad/s]: sample by sample, and in blocks.
+        Rigs by omega_h [rad/s]: sample by sample, and in blocks.
+    scale : Scale
+        Theta's range in the rig file.
     sense : float
-        +1 to minimise.
+        +1 to minimise, else -1.
     time : float
         T [s].
     dt : float
@@ -79,13 +82,14 @@ class Task:
     rate : float
         Largest change of theta per second.
     low, high : float
-        Limits of the controller's theta; inside those of the rig file, or these.
+        Limits of the controller's theta, inside the range.
     settings : SearchSettings
         How constants are drawn and judged.
     """
 
     surrogates: dict[float, list[Surrogate]]
     coarse: dict[float, list[Surrogate]]
+    scale: Scale
     sense: float
     time: float
     dt: float
@@ -95,16 +99,15 @@ class Task:
     settings: SearchSettings = SEARCH
 
     @property
-    def any(self) -> Surrogate:
-        """Return one of the surrogates."""
-        return next(iter(self.surrogates.values()))[0]
+    def steps(self) -> int:
+        """Samples of a run."""
+        shortest = max(self.time, 0.2 * (self.scale.high - self.scale.low) / self.rate)
+        return round(self.settings.length * shortest / self.dt)
 
     @property
-    def steps(self) -> int:
-        """Of a run."""
-        s = self.any
-        shortest = max(self.time, 0.2 * (s.high - s.low) / self.rate)
-        return round(self.settings.length * shortest / self.dt)
+    def rate_of_steps(self) -> float:
+        """Largest change per second of what the relay steps: of log theta at its largest, if so."""
+        return self.rate / self.scale.high if self.scale.logarithmic else self.rate
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ class Outcome:
     excess : float
         Amplitude over the second half over the best one, at least about 1.
     converged : float
-        When [s]; infinite if never.
+        Time to converge [s]; infinite if never.
     distance : float
         Mean of abs(u - u*) over the second half.
     reduction : float
@@ -124,7 +127,7 @@ class Outcome:
     u, power : ndarray, shape (BLOCKS,)
         Where theta was, and the mean square of the amplitude.
     score : float
-        See above.
+        Score, as at the top of this file.
     """
 
     excess: float
@@ -138,18 +141,11 @@ class Outcome:
 
 def esc_of(task: Task, c: Constants, theta: float) -> EscConfig:
     """Return the controller's configuration with theta at the start."""
-    s = task.any
-    step = c.speed * task.dt
-    rate = task.rate
-    if s.logarithmic:
-        step *= math.log(s.high / s.low)
-        rate /= s.high  # of theta at its largest
-    else:
-        step *= s.high - s.low
+    rate = task.rate_of_steps
     return EscConfig(
         law=c.law,
-        theta_scale="log" if s.logarithmic else "linear",
-        step_size=min(rounded(step), rate * task.dt),
+        theta_scale="log" if task.scale.logarithmic else "linear",
+        step_size=min(rounded(c.speed * task.dt * task.scale.span), rate * task.dt),
         step_ratio=rounded(c.step_ratio),
         dwell=rounded(c.dwell),
         tau_f=rounded(c.tau_f),
@@ -166,7 +162,7 @@ def esc_of(task: Task, c: Constants, theta: float) -> EscConfig:
 def slow_down(esc: EscConfig, every: int, dt: float) -> EscConfig:
     """Return a controller that does with one of ``every`` samples what this one does with all.
 
-    In units of time in which its time step is ``dt``, one that a controller may have.
+    Its unit of time is one in which its time step is ``dt``, which a controller may have.
     """
     unit = dt / (every * esc.dt)
     return replace(
@@ -193,27 +189,34 @@ def rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def try_out(
-    task: Task, c: Constants, number: int, seed: int, start: float | None = None, fine: bool = True
-) -> Outcome:
+def try_out(task: Task, c: Constants, number: int, seed: int, fine: bool = True) -> Outcome:
     """Run once; ``number`` chooses surrogate and end of the range."""
     options = (task.surrogates if fine else task.coarse)[c.omega_h]
     s = options[(number // 2) % len(options)]
     rng = np.random.default_rng([seed, number])
-    end = float(number % 2) if start is None else start
-    theta = s.low * (s.high / s.low) ** end if s.logarithmic else s.low + end * (s.high - s.low)
+    end = number % 2
+    theta = task.scale.theta_at(float(end))
     every = round(s.dt / task.dt)
     steps = task.steps // every
     limit = task.settings.drift
     drift = 0.0 if number % 4 < 2 else float(rng.uniform(-limit, limit)) / steps
-    esc = replace(esc_of(task, c, theta), epsilon_initial=1 if end > 0.5 else -1)
+    esc = replace(esc_of(task, c, theta), epsilon_initial=1 if end else -1)
     detector = lifter_of(task, c).detector_params()
     if s.coarse:
         esc = slow_down(esc, every, task.settings.coarse_dt)
         detector = cost.detector_params(c.omega_h, c.omega_l, s.dt)._replace(alpha_hp=0.0)
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
     surrogate.run(
-        s, detector, esc.params(), esc.initial(), steps, drift, end, rng.random(1021), u, power
+        s,
+        detector,
+        esc.params(),
+        esc.initial(),
+        steps,
+        drift,
+        float(end),
+        rng.random(1021),
+        u,
+        power,
     )
     return outcome(task, s, u, power, steps * s.dt)
 
@@ -260,9 +263,7 @@ def draw(task: Task, count: int, seed: int) -> list[Constants]:
 
 
 def _in_units(task: Task, law: str, omega_h: float, v: dict[str, float]) -> Constants:
-    t, s = task.time, task.any
-    # the rate may allow less than the fastest
-    limit = task.rate / (s.high * math.log(s.high / s.low) if s.logarithmic else s.high - s.low)
+    t, limit = task.time, task.rate_of_steps / task.scale.span  # which may be below the fastest
     return Constants(
         law, omega_h, v["omega_l"] / t, min(v["speed"] / t, limit), v["dwell"] * t, v["tau_f"] * t,
         v["step_ratio"],
@@ -320,7 +321,7 @@ class Trial:
     unusual : float
         See :func:`unusual`.
     percentile : float
-        Of the runs' scores, that counts.
+        Percentile of the runs' scores that counts.
     """
 
     constants: Constants

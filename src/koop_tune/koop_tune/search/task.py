@@ -49,7 +49,9 @@ def make_task(
             for s in fine[omega_h]
         ]
     low, high = findings.limits[:2]
-    return Task(fine, coarse, rig.sense, time, rig.dt, rig.theta_rate, low, high, settings.search)
+    return Task(
+        fine, coarse, rig.scale, rig.sense, time, rig.dt, rig.theta_rate, low, high, settings.search
+    )
 
 
 def cut_pieces(

@@ -35,7 +35,7 @@ class SearchedCost:
     trials : list of Trial
         The best constants first.
     task : Task
-        On which they were found.
+        Rigs on which they were found.
     """
 
     maps: CostMaps
@@ -91,7 +91,7 @@ class Tuning:
 
     @property
     def task(self) -> Task:
-        """On which the constants were found."""
+        """Rigs on which the constants were found."""
         return self.chosen.task
 
     @property
@@ -117,7 +117,7 @@ def tune(
     rig : RigFile
         Limits, rate, objective, dt.
     training : BagTraining
-        With which models are learned.
+        How models are learned.
     how : Bands, optional
         How the excitation looked at its windows.
     settings : TuningSettings
