@@ -103,7 +103,9 @@ def damped(rig, found, seed, end):
     be large).
     """
     task, constants = found.task, found.best.constants
-    esc = search.esc_of(task, constants, rig.theta_initial)
-    controller = RigController(search.lifter_of(task, constants), esc, found.chosen.maps.cost.model)
+    esc = search.make_esc(task, constants, rig.theta_initial)
+    controller = RigController(
+        search.make_lifter(task, constants), esc, found.chosen.maps.cost.model
+    )
     noise = noise_of(rig, task.steps, seed)
     return close_from_end(rig, controller, end, noise, seed).ratio

@@ -12,7 +12,7 @@ from recorded_rig import excited, file_of, loaded_of, rig_of, write_bag
 from koop_commission.report import write_report
 from koop_lab.cli.main import main
 from koop_tune.excitation import progress
-from koop_tune.excitation.features import bands, features
+from koop_tune.excitation.features import choose_bands, log_amplitudes
 from koop_tune.excitation.visits import Visit, summarise
 from koop_tune.rig import rig_file
 from koop_tune.rig_model.dwells import find_rests
@@ -29,11 +29,11 @@ def excitation(folder, rig):
     file, (theta, x) = file_of(rig), excited(rig)
     write_bag(folder / "part-1/bag", rig, theta, x)
     dt, loaded = rig.params.dt, loaded_of(theta, x)
-    how = bands(x, round(8.0 / rig.frequency / dt), dt)
+    how = choose_bands(x, round(8.0 / rig.frequency / dt), dt)
     visits = []
     values = file.scale.divide(9)
     for level, begin, end, _ in find_rests(loaded, file.scale, how.length)[1]:
-        series = np.array([features(x[k : k + how.length], how)
+        series = np.array([log_amplitudes(x[k : k + how.length], how)
                            for k in range(begin, end, how.length)])  # fmt: skip
         summary = summarise(series, [0])
         visits.append(Visit(level, tuple(summary.mean.tolist()),

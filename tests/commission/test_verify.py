@@ -84,8 +84,8 @@ def tuned(tmp_path):
     how = Bands(50, (1, 3, 6, 10), DT)
     visits = [Visit(level, (0.0,) * 4, (0.1,) * 4, 0.2, 1.0) for level in [*range(9), *range(9)]]
     progress.save(progress.Progress(0, VALUES, how, visits, [], 9.0, [], True), ONE, folder)
-    progress.write_whole(folder / "commission.json", {"fit": True})
-    progress.write_whole(folder / "tuned/tune.json", TUNED)
+    progress.write_json(folder / "commission.json", {"fit": True})
+    progress.write_json(folder / "tuned/tune.json", TUNED)
     parameter_file.write(CONSTANTS, folder / "tuned/controller.yaml")
     return folder
 
@@ -139,7 +139,7 @@ def test_the_loop_is_closed_on_a_leash_and_goes_on_where_it_was_stopped(
 
 def test_a_sensor_that_dies_or_a_full_disk_ends_the_closed_loop(fast_rig, tuned, koop):
     slow = {**TUNED["predicted"], "duration": 300.0, "converges": dict.fromkeys(BAND, 300.0)}
-    progress.write_whole(tuned / "tuned/tune.json", {**TUNED, "predicted": slow})
+    progress.write_json(tuned / "tuned/tune.json", {**TUNED, "predicted": slow})
     for number, (fault, reason) in enumerate(FAULTS.items(), 1):
         process = koop("verify", "rig.yaml", tuned)
         wait(lambda: fast_rig.theta == -1.0, "theta at its start", process, LONG)
@@ -176,12 +176,12 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
     file, found = tmp_path / "rig.yaml", tuned / "commission.json"
     with full_disk():
         with pytest.raises(LiveError, match=r"commission.json: .*: make room"):
-            progress.write_whole(found, {"fit": False})
+            progress.write_json(found, {"fit": False})
         with pytest.raises(LiveError, match=r"controller.yaml: .*: make room"):
             progress.write_text(tmp_path / "controller.yaml", "dwell: 1.0\n")
         with pytest.raises(LiveError, match=r"rig.yaml: .*: make room"):
             Commissioning(ONE, file, tmp_path / "new", Watch())
-    assert progress.noted(found) == {"fit": True}
+    assert progress.read_json(found) == {"fit": True}
     assert not (tmp_path / "controller.yaml").exists()  # which tune would take for its own
     whole = Commissioning(ONE, file, tmp_path / "new", Watch())
     assert rig_file.read(tmp_path / "new/rig.yaml") == ONE
@@ -208,7 +208,7 @@ def test_the_best_round_is_kept_where_none_damped_as_predicted(tuned, tmp_path, 
         for i, worst in enumerate((3.0, 1.45, 2.0))
     ]  # fmt: skip
     verified = {"rounds": rounds, "damped": False, "verdict": ""}
-    progress.write_whole(tuned / "verify.json", verified)
+    progress.write_json(tuned / "verify.json", verified)
     for old in ("tuned-1", "tuned-2"):
         (tuned / old).mkdir()
         for name in ("tune.json", "controller.yaml"):

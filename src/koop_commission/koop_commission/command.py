@@ -104,7 +104,7 @@ class Commissioning:
                 shutil.copyfile(file, new)
                 new.rename(copy)
         except OSError as error:
-            raise LiveError(progress.not_written(copy, error)) from None
+            raise LiveError(progress.describe_failure(copy, error)) from None
         progress.refuse_other_rig(copy, rig_file.read(copy), rig)
 
     def run(self) -> int:
@@ -127,13 +127,13 @@ class Commissioning:
 
     def _check(self) -> bool:
         self._begin("check")
-        if progress.noted(self._folder / NAME).get("fit"):
+        if progress.read_json(self._folder / NAME).get("fit"):
             print("done before")
             return True
         if bad := check.print_findings(check.check_rig(self._rig, note=self._watch.note)):
             print(f"\nnot fit: {bad} BAD; mend that and run the same command again")
             return False
-        progress.write_whole(self._folder / NAME, {"fit": True})
+        progress.write_json(self._folder / NAME, {"fit": True})
         return True
 
     def _excite(self) -> bool:
@@ -169,7 +169,7 @@ class Commissioning:
             return tune_folders(self._rig, [self._folder, *loops], out, settings)
         except OSError as error:
             (out / CONTROLLER).unlink(missing_ok=True)  # written last: it may be torn
-            raise LiveError(progress.not_written(out, error)) from None
+            raise LiveError(progress.describe_failure(out, error)) from None
 
     def _set_aside(self, number: int) -> None:
         """Keep the controller of a round under its number."""

@@ -34,7 +34,7 @@ from koop_commission.fitness.settings import CheckSettings
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_tune.excitation.channels import Channel, Line
-from koop_tune.excitation.features import bands
+from koop_tune.excitation.features import choose_bands
 from koop_tune.rig.rig_file import RigFile
 
 DT = 0.01
@@ -98,7 +98,7 @@ def test_a_dead_sensor_and_a_command_that_is_not_applied_are_a_finding_each():
     assert [(f.name, f.text) for f in findings if f.level == BAD] == [
         ("channel", "y is always 0.5: dead sensor")
     ]
-    how = bands(noise[0][:, None], 300, DT)
+    how = choose_bands(noise[0][:, None], 300, DT)
     features = np.array([compute_block_features(x[:300, None], how) for x in noise])
     reaction = compare_blocks(features, draw_order(8, random.Random(5)))
     finding = judge_reaction(reaction, ["x"], "theta from 0 to 1")
@@ -174,7 +174,7 @@ def test_other_settings_judge_otherwise():
 
 
 def test_a_reaction_is_told_by_its_feature():
-    how = bands(np.sin(T)[:, None], 300, DT)
+    how = choose_bands(np.sin(T)[:, None], 300, DT)
     names = name_block_features(how, ["x"])
     assert names[0] == "x"
     assert names[-1] == "mean x"

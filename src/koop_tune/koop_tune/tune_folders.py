@@ -71,7 +71,7 @@ def tune_folders(
             tuning = tune(loaded, rig, BagTraining(reading), bands, settings, report)
         except NoOptimum as refusal:
             bar.close()
-            progress.write_whole(out / FIGURES, as_json.of_refusal(refusal))
+            progress.write_json(out / FIGURES, as_json.of_refusal(refusal))
             print(as_text.as_table(refusal.findings))
             print(f"\nno optimum ({refusal.kind}): {refusal}")
             return False
@@ -79,7 +79,7 @@ def tune_folders(
     if tuning.chosen.maps.cost.training is not None:
         model = out / MODEL
         train_from_bags(bags, tuning.chosen.maps.cost.training).save(model)
-    progress.write_whole(out / FIGURES, as_json.of_tuning(tuning, rig, model))
+    progress.write_json(out / FIGURES, as_json.of_tuning(tuning, rig, model))
     progress.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model))
     print(as_text.as_table(tuning.findings, tuning))
     print("\n" + as_text.as_words(tuning))

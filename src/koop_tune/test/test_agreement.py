@@ -10,8 +10,8 @@ import pytest
 from koop_core.config.parameter import ConfigError
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
-    aim_of,
-    disagreements,
+    find_disagreements,
+    make_aim,
     may_yet_agree,
     measure,
     read_aim,
@@ -49,7 +49,7 @@ def run(aim, upside=False, floor=1.0, swing=0.2):
 
 
 def test_a_run_is_measured_as_its_truth_is():
-    aim = aim_of(FIGURES, RIG)
+    aim = make_aim(FIGURES, RIG)
     assert aim.duration == 120.0  # twice the time that the prediction allows
     assert aim.longest == 400.0
     found = run(aim)
@@ -60,7 +60,7 @@ def test_a_run_is_measured_as_its_truth_is():
     assert found.reduction == pytest.approx(4.0, rel=0.1)
     assert found.distance == pytest.approx(0.1 / 4.0, abs=0.002)
     assert (found.swing, found.theta) == pytest.approx((0.2, BEST), abs=0.01)
-    assert disagreements(aim, found) == []
+    assert find_disagreements(aim, found) == []
     said = verdict(aim, [found, found], 1, "there")
     assert said.count(". ") == 2
     assert said.startswith(f"From 2 starts theta ends at {found.theta:.3g} and")
@@ -68,7 +68,7 @@ def test_a_run_is_measured_as_its_truth_is():
 
 
 def test_an_amplitude_that_is_to_be_large_is_judged_the_other_way_round():
-    aim = aim_of(FIGURES | {"theta_best": -1.0}, replace(RIG, objective="maximise"))
+    aim = make_aim(FIGURES | {"theta_best": -1.0}, replace(RIG, objective="maximise"))
     found = run(aim, upside=True)
     assert found.excess == pytest.approx(1.0, abs=0.1)
     assert found.reduction == pytest.approx(4.0, rel=0.1)
@@ -86,13 +86,13 @@ def test_an_amplitude_that_is_to_be_large_is_judged_the_other_way_round():
     ],
 )
 def test_only_what_is_worse_than_the_band_disagrees(change, message):
-    aim = aim_of(FIGURES, RIG)
-    found = disagreements(aim, replace(run(aim), error=0.01, **change))
+    aim = make_aim(FIGURES, RIG)
+    found = find_disagreements(aim, replace(run(aim), error=0.01, **change))
     assert found == [] if message is None else (len(found) == 1 and message in found[0])
     longer = message is not None and "converge" not in message  # a smaller step may still come
     rough = replace(run(aim), error=0.9, excess=1.6)  # agrees, for what little is known of it
     assert may_yet_agree(aim, rough)
-    assert not disagreements(aim, rough)
+    assert not find_disagreements(aim, rough)
     assert may_yet_agree(aim, replace(run(aim), error=0.01, **change)) == longer
     worse = replace(run(aim), **{"excess": 2.0, **change}, error=0.0)
     said = verdict(aim, [run(aim), worse], 3, "there")
@@ -101,8 +101,8 @@ def test_only_what_is_worse_than_the_band_disagrees(change, message):
 
 def test_a_prediction_that_allows_anything_is_not_confirmed():
     wide = {**BANDS, "excess": {**BANDS["excess"], "high": 3.4}}
-    aim = aim_of(FIGURES | {"predicted": wide}, RIG)
-    (said,) = disagreements(aim, run(aim))
+    aim = make_aim(FIGURES | {"predicted": wide}, RIG)
+    (said,) = find_disagreements(aim, run(aim))
     assert not may_yet_agree(aim, replace(run(aim), excess=9.0))
     assert "to 3.4 times the best amplitude, is too wide to be confirmed" in said
     assert "damped, but after 2 rounds not as predicted" in verdict(aim, [run(aim)], 2, "there")
@@ -110,7 +110,7 @@ def test_a_prediction_that_allows_anything_is_not_confirmed():
 
 def rounds_of(*rounds, excess=1.0):
     """Return rounds of which each is told by whether it agrees and the times of its runs."""
-    aim = aim_of(FIGURES, RIG)
+    aim = make_aim(FIGURES, RIG)
     measured = run(aim)
     return [
         Round(number, aim.predicted,
@@ -160,4 +160,4 @@ def test_a_folder_without_a_controller_is_refused(tmp_path):
     (tmp_path / "tune.json").write_text('{"verdict": "flat"}')
     with pytest.raises(ConfigError, match="holds no controller"):
         read_aim(tmp_path / "tune.json", RIG)
-    assert set(asdict(run(aim_of(FIGURES, RIG)))) >= {"time_to_converge", "distance", "reduction"}
+    assert set(asdict(run(make_aim(FIGURES, RIG)))) >= {"time_to_converge", "distance", "reduction"}

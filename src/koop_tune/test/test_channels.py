@@ -5,8 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from koop_tune.excitation.channels import channel, lines, listens, strongest_period
-from koop_tune.excitation.features import bands, bridged, features, window_length
+from koop_tune.excitation.channels import (
+    describe_channel,
+    find_lines,
+    should_listen,
+    strongest_period,
+)
+from koop_tune.excitation.features import bridge_gaps, choose_bands, log_amplitudes, window_length
 
 DT = 0.01
 T = np.arange(6000) * DT
@@ -15,36 +20,38 @@ T = np.arange(6000) * DT
 def test_a_spectrum_names_frequency_and_amplitude_of_each_sine():
     noise = np.random.default_rng(0).normal(0.0, 0.1, T.size)
     x = 7.0 + 3.0 * np.sin(2 * np.pi * 1.7 * T) + 0.8 * np.sin(2 * np.pi * 6.3 * T) + noise
-    peaks = lines(x, DT)
+    peaks = find_lines(x, DT)
     assert [line.frequency for line in peaks] == pytest.approx([1.7, 6.3], abs=0.02)
     assert [line.amplitude for line in peaks] == pytest.approx([3.0, 0.8], rel=0.03)
     assert strongest_period(x[:, None], DT) == pytest.approx(1 / 1.7, rel=0.01)
-    assert lines(np.ones(500), DT) == []
+    assert find_lines(np.ones(500), DT) == []
 
 
 @pytest.mark.parametrize("quantum", [0.0, 0.05])
 def test_a_stop_is_distinguished_from_the_turning_point_of_a_sine(quantum):
     x = 2.0 * np.sin(2 * np.pi * 1.3 * T)
     x = np.round(x / quantum) * quantum if quantum else x
-    assert channel(x).saturated == 0.0
-    stopped = channel(np.minimum(x, 1.5))
+    assert describe_channel(x).saturated == 0.0
+    stopped = describe_channel(np.minimum(x, 1.5))
     assert stopped.saturated == pytest.approx(math.acos(0.75) / math.pi, abs=0.02)  # of a sine
     assert stopped.quantum == pytest.approx(quantum)
 
 
 def test_a_channel_that_says_nothing_or_rests_is_seen():
     x = np.sin(T)
-    assert channel(np.full(100, 3.0)).dead
-    assert channel(np.full(100, math.nan)).dead
-    assert channel(np.r_[x[:3000], np.full(3000, x[2999])]).held == pytest.approx(0.5, abs=0.01)
-    assert channel(np.where(T < 6.0, math.nan, x)).bad == pytest.approx(0.1)
+    assert describe_channel(np.full(100, 3.0)).dead
+    assert describe_channel(np.full(100, math.nan)).dead
+    assert describe_channel(np.r_[x[:3000], np.full(3000, x[2999])]).held == pytest.approx(
+        0.5, abs=0.01
+    )
+    assert describe_channel(np.where(T < 6.0, math.nan, x)).bad == pytest.approx(0.1)
 
 
 def test_listening_ends_after_some_periods_or_at_the_limit():
     x = np.sin(2 * np.pi * 2.0 * T)[:, None]
 
     def wanted(seconds, periods=10.0, longest=50.0):
-        return listens(x[: round(seconds / DT)], DT, 2.0, periods, longest)
+        return should_listen(x[: round(seconds / DT)], DT, 2.0, periods, longest)
 
     assert wanted(1.0)  # shorter than the least
     assert wanted(4.0)  # of ten periods of 0.5 s
@@ -54,8 +61,8 @@ def test_listening_ends_after_some_periods_or_at_the_limit():
 
 def test_features_are_the_logarithms_of_amplitudes_in_all_and_in_bands():
     x = np.column_stack([2.0 * np.sin(2 * np.pi * 5.0 * T), 0.5 * np.sin(2 * np.pi * 1.5 * T)])
-    how = bands(x, 400, DT)
-    found = np.exp(features(x[:400], how)).reshape(2, -1)
+    how = choose_bands(x, 400, DT)
+    found = np.exp(log_amplitudes(x[:400], how)).reshape(2, -1)
     assert found[:, 0] == pytest.approx([2.0, 0.5], rel=0.01)
     inside = [a <= 5.0 * 4.0 < b for a, b in zip(how.edges, how.edges[1:], strict=False)]
     assert found[0, 1:][inside] == pytest.approx([2.0], rel=0.05)
@@ -67,16 +74,18 @@ def test_features_are_the_logarithms_of_amplitudes_in_all_and_in_bands():
 def test_windows_are_looked_at_one_by_one_or_all_at_once():
     x = np.random.default_rng(0).normal(size=(1200, 2))
     x[500, 1] = math.nan
-    how = bands(bridged(x), 400, DT)
-    at_once = features(x.reshape(3, 400, 2), how)
-    assert at_once == pytest.approx(np.array([features(part, how) for part in np.split(x, 3)]))
+    how = choose_bands(bridge_gaps(x), 400, DT)
+    at_once = log_amplitudes(x.reshape(3, 400, 2), how)
+    assert at_once == pytest.approx(
+        np.array([log_amplitudes(part, how) for part in np.split(x, 3)])
+    )
     assert np.isfinite(at_once).all()
 
 
 def test_what_is_missing_is_bridged_by_a_straight_line():
     x = np.column_stack([np.arange(6.0), np.full(6, math.nan)])
     x[2:4, 0] = math.nan
-    assert bridged(x)[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    assert not bridged(x)[:, 1].any()
+    assert bridge_gaps(x)[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert not bridge_gaps(x)[:, 1].any()
     assert window_length(2.0, 4.0, DT) == 800
     assert window_length(0.02, 4.0, DT) == 64

@@ -7,7 +7,7 @@ import pytest
 
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded
-from koop_tune.excitation.features import bands
+from koop_tune.excitation.features import choose_bands
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import (
     DwellSettings,
@@ -120,7 +120,7 @@ def test_the_channel_that_theta_changes_counts_and_its_levels_are_the_amplitudes
         oscillating(theta, 1.0, lambda theta: 0.5 + 4.0 * (theta - 0.5) ** 2, 2),
     ])  # fmt: skip
     loaded = recording(theta, x)
-    how = bands(x, 200, DT)
+    how = choose_bands(x, 200, DT)
     found = find_dwells(loaded, UNIT, how, 1.0)
     assert how.names(["a", "b"])[found.feature].startswith("b")
     truth = np.log(0.5 + 4.0 * (found.u - 0.5) ** 2)

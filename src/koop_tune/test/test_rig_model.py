@@ -13,7 +13,7 @@ from koop_tune.excitation.features import Bands
 from koop_tune.excitation.static_map import GRID, StaticMap
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwells, Rest
-from koop_tune.rig_model.fluctuation import autocovariance, fluctuation
+from koop_tune.rig_model.fluctuation import estimate_autocovariance, fit_fluctuation
 from koop_tune.rig_model.surrogate import (
     BLOCKS,
     Surrogate,
@@ -44,14 +44,14 @@ def test_the_time_constant_of_what_noise_drives_is_that_of_its_process(tau):
         amplitude.append(0.5 * np.log(power + 0.05 * rng.chisquare(2, power.size)))
         rests.append(Rest(level, 0, steps, 0))
     how = Bands(per, (1, 2), window / per)
-    found = fluctuation(Dwells(np.linspace(0.0, 1.0, 9), rests, how, 0, amplitude))
+    found = fit_fluctuation(Dwells(np.linspace(0.0, 1.0, 9), rests, how, 0, amplitude))
     assert 0.6 * tau < found.time < 1.4 * tau
     assert found.share > 0.3
 
 
 def test_the_autocovariance_of_pieces_is_the_mean_of_their_products():
     parts = [np.random.default_rng(i).normal(size=n) for i, n in enumerate((40, 7, 3))]
-    found, pairs = autocovariance(parts, 10)
+    found, pairs = estimate_autocovariance(parts, 10)
     for lag in range(10):
         products = [part[i] * part[i + lag] for part in parts for i in range(part.size - lag)]
         assert pairs[lag] == len(products)

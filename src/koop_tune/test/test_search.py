@@ -13,12 +13,12 @@ from koop_tune.search.search import (
     SEARCHED,
     Outcome,
     Trial,
-    anchors,
     confirm,
     draw,
     draw_near,
-    esc_of,
-    lifter_of,
+    list_anchors,
+    make_esc,
+    make_lifter,
     outcome,
     search,
     slow_down,
@@ -78,19 +78,19 @@ def test_draws_fill_their_ranges_in_units_of_the_rig():
 
 def test_no_theta_is_faster_than_the_rig_file_allows():
     slow = make_task(valley, rate=1e-4)
-    for c in [*anchors(slow), *draw(slow, 64, 0)]:
+    for c in [*list_anchors(slow), *draw(slow, 64, 0)]:
         assert c.speed <= 1e-4
-        assert esc_of(slow, c, 0.5).step_size <= 1e-4 * DT * 1.001
+        assert make_esc(slow, c, 0.5).step_size <= 1e-4 * DT * 1.001
     far = make_task(valley, rate=0.01, low=0.5, high=50.0, logarithmic=True)
     for c in draw(far, 64, 0):
-        esc = esc_of(far, c, 1.0)
+        esc = make_esc(far, c, 1.0)
         assert esc.theta_scale == "log"
         assert esc.step_size / DT * 50.0 <= 0.01 * 1.001  # of log theta, at the largest theta
 
 
 def test_constants_nearby_scatter_about_their_centres():
     task = make_task(valley)
-    centre = anchors(task)[0]
+    centre = list_anchors(task)[0]
     near = draw_near([centre], 2000, np.random.default_rng(0), 0.2)
     for name in SEARCHED:
         logs = np.log([getattr(c, name) / getattr(centre, name) for c in near])
@@ -103,7 +103,7 @@ def test_a_constant_far_from_the_usual_must_be_worth_it():
     task = make_task(valley)
     usual = {name: getattr(task.settings, name)[1] for name in SEARCHED}
     c = replace(
-        anchors(task)[0], omega_l=usual["omega_l"] / 3.0, speed=usual["speed"] / 3.0,
+        list_anchors(task)[0], omega_l=usual["omega_l"] / 3.0, speed=usual["speed"] / 3.0,
         dwell=usual["dwell"] * 3.0, tau_f=usual["tau_f"] * 3.0, step_ratio=usual["step_ratio"],
     )  # fmt: skip
     assert unusual(task, c) == pytest.approx(0.0)
@@ -143,7 +143,7 @@ def test_converged_is_a_part_of_what_theta_can_do_where_that_is_little():
 
 def test_runs_begin_at_both_ends_and_the_optimum_moves_in_half_of_them():
     task = make_task(valley, settings=SearchSettings(length=5.0))
-    c = anchors(task)[0]
+    c = list_anchors(task)[0]
     runs = [try_out(task, c, n, 0) for n in range(4)]
     assert [run.u[0] > 0.5 for run in runs] == [False, True, False, True]
     again = try_out(task, c, 2, 0)
@@ -166,7 +166,7 @@ def test_a_coarse_run_comes_to_what_a_fine_one_does():
 
 def test_a_slowed_controller_does_with_one_sample_what_the_other_does_with_all():
     task = make_task(valley)
-    esc = replace(esc_of(task, replace(anchors(task)[0], law="relay"), 0.2), rate_limit=0.0)
+    esc = replace(make_esc(task, replace(list_anchors(task)[0], law="relay"), 0.2), rate_limit=0.0)
     slow = slow_down(esc, 5, 0.01)
 
     def last(config, every, count):
@@ -182,6 +182,6 @@ def test_a_slowed_controller_does_with_one_sample_what_the_other_does_with_all()
 
 def test_constants_are_written_with_three_digits():
     task = make_task(valley)
-    c = replace(anchors(task)[0], dwell=1.23456)
-    assert esc_of(task, c, 0.5).dwell == 1.23
-    assert lifter_of(task, c).omega_h == float(f"{c.omega_h:.3g}")
+    c = replace(list_anchors(task)[0], dwell=1.23456)
+    assert make_esc(task, c, 0.5).dwell == 1.23
+    assert make_lifter(task, c).omega_h == float(f"{c.omega_h:.3g}")

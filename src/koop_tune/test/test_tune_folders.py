@@ -114,15 +114,15 @@ def test_a_controller_is_found_by_its_file_or_a_folder_above_it(tmp_path):
 
 def test_a_file_is_whole_or_the_old_one(tmp_path):
     path = tmp_path / "a.json"
-    progress.write_whole(path, {"a": 1})
+    progress.write_json(path, {"a": 1})
     (tmp_path / "a.json.new").symlink_to("/dev/full")
     with pytest.raises(LiveError, match=r"a\.json: No space left on device: make room"):
-        progress.write_whole(path, {"a": 2})
+        progress.write_json(path, {"a": 2})
     assert [item.name for item in tmp_path.iterdir()] == ["a.json"]
-    assert progress.noted(path) == {"a": 1}
+    assert progress.read_json(path) == {"a": 1}
     with pytest.raises(LiveError, match="No such file"):
         progress.write_text(tmp_path / "no" / "b", "text")
-    assert progress.noted(tmp_path / "none") == {}
+    assert progress.read_json(tmp_path / "none") == {}
     path.write_text("{")
     with pytest.raises(ConfigError, match="cannot be read"):
-        progress.noted(path)
+        progress.read_json(path)

@@ -13,7 +13,7 @@ from koop_tune.result import as_json, as_text
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.surrogate import Times
 from koop_tune.search.prediction import predict
-from koop_tune.search.search import Outcome, Trial, anchors, search
+from koop_tune.search.search import Outcome, Trial, list_anchors, search
 from koop_tune.search.settings import SearchSettings, TuningSettings
 from koop_tune.search.tuning import SearchedCost, Tuning, choose, limit_slowdown, search_cost
 
@@ -27,7 +27,9 @@ def valley(u):
 def searched(name, score):
     run = Outcome(1.0, 1.0, 0.0, 1.0, np.zeros(1), np.zeros(1), math.log(score))
     task = make_task(valley)
-    return SearchedCost(make_cost(name, valley), [Trial(anchors(task)[0], [run], 0.0, 90.0)], task)
+    return SearchedCost(
+        make_cost(name, valley), [Trial(list_anchors(task)[0], [run], 0.0, 90.0)], task
+    )
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,8 @@ from koop_commission.fitness.reaction import STAGES, Reaction, describe_change
 from koop_commission.fitness.samples import Samples
 from koop_commission.fitness.settings import DEFAULTS, CheckSettings
 from koop_core.errors import InputError
-from koop_tune.excitation.channels import Channel, Line, channel, lines
-from koop_tune.excitation.features import Bands, bridged, features
+from koop_tune.excitation.channels import Channel, Line, describe_channel, find_lines
+from koop_tune.excitation.features import Bands, bridge_gaps, log_amplitudes
 from koop_tune.rig.rig_file import RigFile
 
 OK, NOTE, BAD = "ok", "note", "BAD"
@@ -54,9 +54,9 @@ def judge_samples(
     low = rig.channel_min or (-math.inf,) * len(rig.names)
     high = rig.channel_max or (math.inf,) * len(rig.names)
     for name, x, least, most in zip(rig.names, samples.x.T, low, high, strict=True):
-        yield judge_channel(name, channel(x), (least, most), settings)
+        yield judge_channel(name, describe_channel(x), (least, most), settings)
     for name, x in zip(rig.names, samples.x.T, strict=True):
-        if peaks := lines(x, rig.dt):
+        if peaks := find_lines(x, rig.dt):
             yield describe_lines(name, peaks)
 
 
@@ -142,7 +142,7 @@ def judge_reaction(reaction: Reaction, names: Sequence[str], between: str) -> Fi
 
 def compute_block_features(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
     """Return the features of a block, shape (M, n): of the oscillation, and each channel's mean."""
-    return np.r_[features(x, how), bridged(x).mean(axis=0)]
+    return np.r_[log_amplitudes(x, how), bridge_gaps(x).mean(axis=0)]
 
 
 def name_block_features(how: Bands, channels: Sequence[str]) -> list[str]:
@@ -152,7 +152,7 @@ def name_block_features(how: Bands, channels: Sequence[str]) -> list[str]:
 
 def choose_period(rig: RigFile, samples: Samples) -> float:
     """Return the period to wait by [s]: of the strongest oscillation, or half of the slowest."""
-    every = [line for x in samples.x.T for line in lines(x, rig.dt)]
+    every = [line for x in samples.x.T for line in find_lines(x, rig.dt)]
     if not every:
         return BLIND * rig.dt
     strongest = max(every, key=lambda line: line.share).frequency

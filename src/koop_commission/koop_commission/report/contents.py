@@ -81,7 +81,7 @@ class Contents:
 
     def tuned_for(self, item: Round) -> dict[str, Any]:
         """Return the ``tune.json`` of a round; a later round sets it aside."""
-        return progress.noted(self.folder / f"{TUNED}-{item.number}" / FIGURES) or self.tuned
+        return progress.read_json(self.folder / f"{TUNED}-{item.number}" / FIGURES) or self.tuned
 
     @property
     def rig_file(self) -> str:
@@ -131,7 +131,7 @@ def read_contents(folder: Path) -> Contents:
     if not (folder / progress.NAME).exists():
         raise ConfigError(f"{folder}: has no {progress.NAME}: name a folder of 'koop excite'")
     rig, state = progress.read(folder)
-    tuned = progress.noted(folder / TUNED / FIGURES)
+    tuned = progress.read_json(folder / TUNED / FIGURES)
     return Contents(folder, rig, state, tuned, load_verification(folder))
 
 

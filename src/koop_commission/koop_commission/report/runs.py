@@ -13,7 +13,7 @@ from koop_core.errors import InputError
 from koop_identify.recording.loaded import pieces
 from koop_identify.recording.signals import loop_signals
 from koop_loop.thinning import extremes
-from koop_tune.excitation.features import Bands, features
+from koop_tune.excitation.features import Bands, log_amplitudes
 
 POINTS = 400  # of a curve; theta has twice as many
 
@@ -69,7 +69,7 @@ def read_run(bag: Path, bands: Bands, feature: int, steps: Sequence[int]) -> Rec
             x = signals.x[window]
             if closed[window].all() and np.isfinite(x).any(axis=0).all():
                 middles.append(float(t[first]) + 0.5 * length * bands.dt)
-                amplitudes.append(float(np.exp(features(x, bands)[feature])))
+                amplitudes.append(float(np.exp(log_amplitudes(x, bands)[feature])))
     every = max(-(-len(middles) // POINTS), 1)
     return RecordedRun(
         *thin(t[controlled], signals.theta[controlled]),

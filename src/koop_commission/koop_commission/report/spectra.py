@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from koop_commission.report.colors import BEST, FAINT, INTERFERENCE, MEASURED
 from koop_commission.report.contents import Contents
 from koop_core.errors import InputError
-from koop_tune.excitation.channels import Line, peaks
+from koop_tune.excitation.channels import Line, pick_lines
 from koop_tune.rig_model.dwells import SHORTEST, Spectra, spectra_by_theta
 from koop_view.report.document import Cell, Column, Figure, Mark, Panel, Section, Series, Table
 
@@ -115,8 +115,8 @@ def find_peaks(spectra: Spectra, channel: int) -> list[Peak]:
     found: list[Peak] = []
     taken: list[int] = []
     for spectrum in (power.mean(axis=0), power[int(np.argmin(power.sum(axis=1)))]):
-        # peaks() leaves out the first bin
-        for line in peaks(np.r_[0.0, frequency], np.r_[0.0, spectrum]):
+        # pick_lines() leaves out the first bin
+        for line in pick_lines(np.r_[0.0, frequency], np.r_[0.0, spectrum]):
             at = int(np.argmin(np.abs(frequency - line.frequency)))
             if any(abs(at - other) <= NEAR for other in taken):
                 continue

@@ -45,8 +45,8 @@ from koop_commission.theta.limits import compute_return_time
 from koop_core.errors import LiveError
 from koop_node.client.client import Client
 from koop_node.process.domain import current_domain
-from koop_tune.excitation.channels import listens
-from koop_tune.excitation.features import Bands, bands, bridged
+from koop_tune.excitation.channels import should_listen
+from koop_tune.excitation.features import Bands, bridge_gaps, choose_bands
 from koop_tune.rig.rig_file import RigFile, read
 
 SLOW_RETURN = 5.0  # [s] from which on the return of theta is announced
@@ -185,7 +185,7 @@ class LiveCheck:
         own, rig = self.settings, self.rig
         end = time.monotonic() + own.longest
         samples = self.listener.samples()
-        while time.monotonic() < end and listens(
+        while time.monotonic() < end and should_listen(
             samples.x, rig.dt, own.listen, own.periods, own.longest * rig.pace
         ):
             self.spin(0.2 * own.listen)
@@ -234,8 +234,8 @@ class LiveCheck:
                 f"{most:.0f} s; Ctrl-C ends it, theta returns to {rig.theta_safe:g}",
                 flush=True,
             )
-            x = bridged(self.listener.samples().x)
-            how = bands(x, min(observe, x.shape[0]), rig.dt)._replace(length=observe)
+            x = bridge_gaps(self.listener.samples().x)
+            how = choose_bands(x, min(observe, x.shape[0]), rig.dt)._replace(length=observe)
             blocks = Blocks(theta, other, settle, observe, how)
             features: list[NDArray[np.float64]] = []
             moved: list[bool] = []

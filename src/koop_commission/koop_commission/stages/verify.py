@@ -16,7 +16,7 @@ from koop_tune.folder import FIGURES, TUNED
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
-    disagreements,
+    find_disagreements,
     read_aim,
     verdict,
 )
@@ -106,7 +106,7 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> Verification:
     for start in left:
         current = replace(current, runs=(*current.runs, loop.record(start)))
         save_verification(Verification((*rounds, current)), folder)
-    worse = [text for run in current.runs for text in disagreements(aim, run.measured)]
+    worse = [text for run in current.runs for text in find_disagreements(aim, run.measured)]
     current = replace(current, agrees=not worse, summary="; ".join(worse) or current.agreement)
     save_verification(Verification((*rounds, current)), folder)
     return judge(rig, folder, len(rounds))

@@ -28,13 +28,13 @@ from koop_tune.excitation.static_map import StaticMap
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
-    aim_of,
-    disagreements,
+    find_disagreements,
+    make_aim,
     measure,
 )
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.rounds import Round, Run, find_slowdown, kept_index
-from koop_tune.search.search import esc_of, lifter_of
+from koop_tune.search.search import make_esc, make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tuning import Tuning, tune
 from koopman_lifter.config import LifterConfig
@@ -130,12 +130,12 @@ def commissioned(
         if not rig.has_optimum:
             return found
         closed = loops.close(found)
-        aim = aim_of(as_json.of_tuning(found, file, None), file)
+        aim = make_aim(as_json.of_tuning(found, file, None), file)
         runs = tuple(
             Run(start, measure(aim, loop.x[: BEFORE * aim.how.length], loop.x, loop.theta))
             for start, loop in zip((file.theta_min, file.theta_max), closed, strict=True)
         )
-        agrees = not any(disagreements(aim, run.measured) for run in runs)
+        agrees = not any(find_disagreements(aim, run.measured) for run in runs)
         rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees))
         result = {"ratio": [loop.ratio for loop in closed],
                   "converged": [loop.converged for loop in closed]}  # fmt: skip
@@ -163,8 +163,8 @@ class _Loops:
         """Close it with the tuned controller."""
         task, constants, rig = found.task, found.best.constants, self._rig
         tuned = RigController(
-            lifter_of(task, constants),
-            esc_of(task, constants, rig.theta_initial),
+            make_lifter(task, constants),
+            make_esc(task, constants, rig.theta_initial),
             found.chosen.maps.cost.model,
         )
         return [

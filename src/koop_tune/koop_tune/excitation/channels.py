@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import parameter, validate
-from koop_tune.excitation.features import bridged
+from koop_tune.excitation.features import bridge_gaps
 
 FEWEST = 128  # samples, before which there is no spectrum to speak of
 WIDTH = 2  # bins to each side that belong to a line under a Hann window
@@ -75,7 +75,7 @@ class Line(NamedTuple):
     share: float
 
 
-def channel(x: NDArray[np.float64], settings: ChannelSettings = CHANNELS) -> Channel:
+def describe_channel(x: NDArray[np.float64], settings: ChannelSettings = CHANNELS) -> Channel:
     """Look at the samples of one channel, shape (M,)."""
     usable = x[np.isfinite(x)]
     bad = 1.0 - usable.size / max(x.size, 1)
@@ -112,7 +112,9 @@ def _saturated(
     return sum(share for share in shares if share > max(settings.stop, settings.flatter * usual))
 
 
-def lines(x: NDArray[np.float64], dt: float, settings: ChannelSettings = CHANNELS) -> list[Line]:
+def find_lines(
+    x: NDArray[np.float64], dt: float, settings: ChannelSettings = CHANNELS
+) -> list[Line]:
     """Return the narrow peaks of a channel's spectrum, the strongest first.
 
     By Welch's method, about a straight line in each segment. At least the largest peak is named.
@@ -129,13 +131,13 @@ def lines(x: NDArray[np.float64], dt: float, settings: ChannelSettings = CHANNEL
     finite = np.isfinite(x)
     if finite.sum() < 64 or np.ptp(x[finite]) == 0.0:
         return []
-    x = bridged(x[:, None])[:, 0]
+    x = bridge_gaps(x[:, None])[:, 0]
     length = max(64, int(settings.segment * x.size))
     frequency, power = welch(x, 1.0 / dt, "hann", length, detrend="linear", scaling="spectrum")
-    return peaks(frequency, power, settings)
+    return pick_lines(frequency, power, settings)
 
 
-def peaks(
+def pick_lines(
     frequency: NDArray[np.float64], power: NDArray[np.float64], settings: ChannelSettings = CHANNELS
 ) -> list[Line]:
     """Return the narrow peaks of a spectrum under a Hann window, the strongest first.
@@ -175,11 +177,13 @@ def peaks(
 
 def strongest_period(x: NDArray[np.float64], dt: float) -> float | None:
     """Return the period of the strongest oscillation of samples, shape (M, n) [s]; None if none."""
-    named = [peaks[0] for column in x.T if (peaks := lines(column, dt))]
+    named = [peaks[0] for column in x.T if (peaks := find_lines(column, dt))]
     return 1.0 / max(named, key=lambda line: line.share).frequency if named else None
 
 
-def listens(x: NDArray[np.float64], dt: float, least: float, periods: float, most: float) -> bool:
+def should_listen(
+    x: NDArray[np.float64], dt: float, least: float, periods: float, most: float
+) -> bool:
     """Return whether more must be heard: some periods of what is strongest, not for ever [s].
 
     What is strongest shows only when it is heard long enough, so this is asked again and again.

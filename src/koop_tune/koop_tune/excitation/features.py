@@ -45,7 +45,7 @@ class Bands(NamedTuple):
         return [f"{name}{band}" for name in channels for band in ("", *bands)]
 
 
-def bands(x: NDArray[np.float64], length: int, dt: float) -> Bands:
+def choose_bands(x: NDArray[np.float64], length: int, dt: float) -> Bands:
     """Choose bands for windows of a length, from samples, shape (M, n)."""
     spectrum = np.zeros(length // 2 + 1)
     for start in range(0, x.shape[0] - length + 1, length):
@@ -61,7 +61,7 @@ def bands(x: NDArray[np.float64], length: int, dt: float) -> Bands:
     return Bands(length, tuple(int(edge) for edge in edges), dt)
 
 
-def features(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
+def log_amplitudes(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
     """Return the logarithms of the amplitudes of windows, channel by channel.
 
     Parameters
@@ -77,7 +77,7 @@ def features(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
         For each channel that of all frequencies, then that of each band.
     """
     if not np.isfinite(x).all():
-        x = np.reshape([bridged(w) for w in x.reshape(-1, *x.shape[-2:])], x.shape)
+        x = np.reshape([bridge_gaps(w) for w in x.reshape(-1, *x.shape[-2:])], x.shape)
     power = np.abs(np.fft.rfft(_detrended(x) * np.hanning(x.shape[-2])[:, None], axis=-2)) ** 2
     whole = amplitude(np.swapaxes(x, -1, -2))
     total = np.maximum(power[..., 1:, :].sum(axis=-2), FLOOR)
@@ -86,7 +86,7 @@ def features(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
     return np.asarray(np.log(np.maximum(rows, FLOOR)).reshape(*x.shape[:-2], -1))
 
 
-def bridged(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def bridge_gaps(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return samples, shape (M, n), with those that are not finite taken from their neighbours."""
     if np.isfinite(x).all():
         return x

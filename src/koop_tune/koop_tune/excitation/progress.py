@@ -130,11 +130,11 @@ def staircase(up_first: bool, count: int) -> list[int]:
 
 
 def save(progress: Progress, rig: RigFile, folder: Path) -> None:
-    """Write the file; as :func:`write_whole`."""
-    write_whole(folder / NAME, {"rig": as_values(rig), **asdict(progress)})
+    """Write the file; as :func:`write_json`."""
+    write_json(folder / NAME, {"rig": as_values(rig), **asdict(progress)})
 
 
-def write_whole(path: Path, values: Any) -> None:
+def write_json(path: Path, values: Any) -> None:
     """Write a JSON file; as :func:`write_text`."""
     write_text(path, json.dumps(values, indent=1) + "\n")
 
@@ -157,10 +157,10 @@ def write_text(path: Path, text: str) -> None:
     except OSError as error:
         with suppress(OSError):
             new.unlink()
-        raise LiveError(not_written(path, error)) from None
+        raise LiveError(describe_failure(path, error)) from None
 
 
-def not_written(path: Path, error: OSError) -> str:
+def describe_failure(path: Path, error: OSError) -> str:
     """Return why a file or a folder cannot be written, and what to do, in words."""
     room = ": make room" if error.errno in FULL else ""
     return f"{path}: {error.strerror or error}{room}"
@@ -222,7 +222,7 @@ def refuse_other_rig(path: Path, recorded_rig: RigFile, rig: RigFile) -> None:
             )
 
 
-def noted(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> dict[str, Any]:
     """Return what a JSON file holds; nothing if there is none.
 
     Raises

@@ -20,8 +20,14 @@ from numpy.typing import NDArray
 
 from koop_core.config.parameter import parameter, validate
 from koop_core.errors import InputError
-from koop_tune.excitation.channels import lines, listens
-from koop_tune.excitation.features import Bands, bands, bridged, features, window_length
+from koop_tune.excitation.channels import find_lines, should_listen
+from koop_tune.excitation.features import (
+    Bands,
+    bridge_gaps,
+    choose_bands,
+    log_amplitudes,
+    window_length,
+)
 from koop_tune.excitation.progress import Progress
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.excitation.visits import Visit, summarise
@@ -94,7 +100,7 @@ class Survey:
         """Return whether more must be heard than x, shape (M, n), before theta moves."""
         s = self._settings
         longest = max(s.longest, s.longest_share * self._rig.time)
-        return listens(x, self._rig.dt, s.shortest, s.listen, longest)
+        return should_listen(x, self._rig.dt, s.shortest, s.listen, longest)
 
     def look(self, x: NDArray[np.float64]) -> Heard:
         """Choose the windows from what was heard, shape (M, n).
@@ -104,15 +110,15 @@ class Survey:
         koop_core.errors.InputError
             If no channel moves.
         """
-        dt, x = self._rig.dt, bridged(x)
-        peaks = [line for column in x.T for line in lines(column, dt)]
+        dt, x = self._rig.dt, bridge_gaps(x)
+        peaks = [line for column in x.T for line in find_lines(column, dt)]
         if not peaks:
             raise InputError("no channel moves: dead sensors, or other fields")
         strongest = 1.0 / max(peaks, key=lambda line: line.share).frequency
         slowest = 1.0 / min(line.frequency for line in peaks)
         window = max(self._settings.window * strongest, self._settings.slowest * slowest)
         length = min(window_length(window, 1.0, dt), x.shape[0])
-        self._state.how = bands(x, length, dt)
+        self._state.how = choose_bands(x, length, dt)
         return Heard(strongest, slowest)
 
     # -- where theta goes -----------------------------------------------------------------------
@@ -205,7 +211,7 @@ class Survey:
     def take(self, x: NDArray[np.float64]) -> bool:
         """Take a window of samples, shape (length, n); return whether theta may go on."""
         how, s = self._how, self._settings
-        self._series.append(features(x, how))
+        self._series.append(log_amplitudes(x, how))
         length, count = how.length * how.dt, len(self._series)
         if count < max(s.fewest, self._next):
             return False

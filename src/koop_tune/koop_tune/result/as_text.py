@@ -14,7 +14,7 @@ from koop_core.text_table import table
 from koop_tune.result.parameter_text import HEAD, KNOWN
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.findings import Findings
-from koop_tune.search.search import esc_of, lifter_of
+from koop_tune.search.search import make_esc, make_lifter
 from koop_tune.search.tuning import Tuning
 
 LEAST_TIMEOUT, TIMEOUT = 0.5, 20.0  # [s]; samples
@@ -97,7 +97,7 @@ OF_RIG = "as the rig file says"
 
 def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
     c, period = tuning.best.constants, tuning.findings.period
-    detector = lifter_of(tuning.task, c)
+    detector = make_lifter(tuning.task, c)
     searched = (
         f"the best of a search on the rig that the recording shows, whose oscillation has a period "
         f"of {period:.3g} s and whose amplitude follows theta within about "
@@ -144,7 +144,7 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
         "theta_initial": "theta_start of the rig file: no jump when the loop is closed",
         "dt": OF_RIG,
     }  # fmt: skip
-    esc = esc_of(tuning.task, c, rig.theta_start)
+    esc = make_esc(tuning.task, c, rig.theta_start)
     parameters: Parameters = {name: (getattr(esc, name), why) for name, why in reasons.items()}
     above = float(findings.scale.u(np.array(rig.theta_start))) > best
     parameters["epsilon_initial"] = (

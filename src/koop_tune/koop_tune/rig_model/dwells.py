@@ -14,7 +14,7 @@ from scipy.signal import welch
 from koop_core.config.parameter import parameter, validate
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded, pieces
-from koop_tune.excitation.features import Bands, features
+from koop_tune.excitation.features import Bands, log_amplitudes
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.excitation.visits import mean_level, summarise
 from koop_tune.origin import studied
@@ -186,7 +186,9 @@ def find_dwells(
     """
     length, n = how.length, loaded.x.shape[0]
     u, rests = _leave_out_short(*find_rests(loaded, scale, length, settings), settings.part)
-    series = [features(loaded.x[:, a:b].T.reshape(-1, length, n), how) for _, a, b, _ in rests]
+    series = [
+        log_amplitudes(loaded.x[:, a:b].T.reshape(-1, length, n), how) for _, a, b, _ in rests
+    ]
     each = series[0].shape[1] // n
     guides = [i * each for i in range(n)]
     line = round(length * how.dt / period)  # bin of the oscillation

@@ -57,12 +57,12 @@ class Fluctuation(NamedTuple):
     share: float
 
 
-def fluctuation(dwells: Dwells, settings: FluctuationSettings = FLUCTUATION) -> Fluctuation:
+def fit_fluctuation(dwells: Dwells, settings: FluctuationSettings = FLUCTUATION) -> Fluctuation:
     """Fit the autocovariance of the power in the windows of all rests once the rig had settled."""
     parts = relative_power(dwells)
     longest = max(part.size for part in parts)
     lags = max(int(settings.lags * longest), 3)
-    fit, count = autocovariance(parts, lags)
+    fit, count = estimate_autocovariance(parts, lags)
     k, y, w = np.arange(1, lags), fit[1:], count[1:]
     decays = np.geomspace(
         settings.shortest, max(settings.longest * longest, 2.0 * settings.shortest), settings.count
@@ -98,7 +98,7 @@ def relative_power(dwells: Dwells) -> list[NDArray[np.float64]]:
     return [p / max(mean[level], 1e-300) - 1.0 for p, level in zip(power, levels, strict=True)]
 
 
-def autocovariance(
+def estimate_autocovariance(
     parts: list[NDArray[np.float64]], lags: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the autocovariance of pieces about zero at 0 .. lags - 1, and of how many pairs."""

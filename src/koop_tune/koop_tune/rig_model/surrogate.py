@@ -32,7 +32,7 @@ from koop_identify.recording.loaded import Loaded, pieces
 from koop_tune.excitation.static_map import GRID, StaticMap
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwells
-from koop_tune.rig_model.fluctuation import fluctuation
+from koop_tune.rig_model.fluctuation import fit_fluctuation
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams
 from relay_esc import relay
@@ -140,7 +140,7 @@ def fit_times(
     measured = np.concatenate(dwells.amplitude)
     middle = float(np.mean(curve))
     usual = 0.02 + float(np.median([v.std() for v in dwells.settled(dwells.amplitude)]))
-    process = fluctuation(dwells)
+    process = fit_fluctuation(dwells)
     if process.share > WANDERS:
         return Times(math.log(process.time), 0.0, 0.0, middle)
     longest = max(s.end - s.begin for s in dwells.rests) * dt

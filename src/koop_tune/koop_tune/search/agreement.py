@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
-from koop_tune.excitation.features import Bands, features
+from koop_tune.excitation.features import Bands, log_amplitudes
 from koop_tune.excitation.visits import standard_error
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
@@ -88,10 +88,10 @@ class Aim:
         """Return the logarithm of the amplitude in each whole window of samples, shape (M, n)."""
         length = self.how.length
         starts = range(0, x.shape[0] - length + 1, length)
-        return np.array([features(x[k : k + length], self.how)[self.feature] for k in starts])
+        return np.array([log_amplitudes(x[k : k + length], self.how)[self.feature] for k in starts])
 
 
-def aim_of(figures: dict[str, Any], rig: RigFile) -> Aim:
+def make_aim(figures: dict[str, Any], rig: RigFile) -> Aim:
     """Return what a tune.json aims at.
 
     Raises
@@ -121,7 +121,7 @@ def read_aim(path: Path, rig: RigFile) -> Aim:
         If there is none, or it holds no controller.
     """
     try:
-        return aim_of(json.loads(path.read_text(encoding="utf-8")), rig)
+        return make_aim(json.loads(path.read_text(encoding="utf-8")), rig)
     except FileNotFoundError:
         raise ConfigError(f"{path} is not there: koop tune first") from None
     except (OSError, ValueError, KeyError, TypeError):
@@ -207,7 +207,7 @@ def _root_mean_square(logs: NDArray[np.float64]) -> float:
     return 0.5 * math.log(float(np.exp(2.0 * logs).mean()))
 
 
-def disagreements(aim: Aim, run: Measured) -> list[str]:
+def find_disagreements(aim: Aim, run: Measured) -> list[str]:
     """Return in which figures a run is worse than predicted, in words.
 
     A prediction that allows almost anything is not confirmed by anything.
@@ -268,7 +268,7 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
     where : str
         Folder that ``koop up`` runs.
     """
-    worse = [text for run in runs for text in disagreements(aim, run)]
+    worse = [text for run in runs for text in find_disagreements(aim, run)]
     damped = all(run.damped for run in runs)
     fell = "falls" if aim.sense > 0 else "rises"
     first = (

@@ -12,7 +12,7 @@ from koop_identify.model.compare import Cost, costs
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.model.windows import period_of
 from koop_identify.recording.loaded import Loaded
-from koop_tune.excitation.features import Bands, bands, window_length
+from koop_tune.excitation.features import Bands, choose_bands, window_length
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
@@ -129,7 +129,7 @@ def analyse(
     dt, scale = rig.dt, rig.scale
     period = find_period(loaded, scale, dt) or period_of(loaded, dt)
     if how is None:
-        how = bands(loaded.x.T, window_length(period, settings.periods, dt), dt)
+        how = choose_bands(loaded.x.T, window_length(period, settings.periods, dt), dt)
     dwells = find_dwells(loaded, scale, how, period)
     amplitude = dwells.static_map(dwells.amplitude, rig.sense)
     feature = how.names(rig.names)[dwells.feature]

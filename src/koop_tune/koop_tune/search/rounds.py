@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_core.config.parameter import ConfigError
-from koop_tune.excitation.progress import write_whole
+from koop_tune.excitation.progress import write_json
 from koop_tune.search.agreement import Measured
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
@@ -218,4 +218,4 @@ def save_verification(verification: Verification, folder: Path) -> None:
     koop_core.errors.LiveError
         If the disk is full.
     """
-    write_whole(folder / VERIFIED, verification.as_json())
+    write_json(folder / VERIFIED, verification.as_json())

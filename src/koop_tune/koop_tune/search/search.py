@@ -139,7 +139,7 @@ class Outcome:
     score: float
 
 
-def esc_of(task: Task, c: Constants, theta: float) -> EscConfig:
+def make_esc(task: Task, c: Constants, theta: float) -> EscConfig:
     """Return the controller's configuration with theta at the start."""
     rate = task.rate_of_steps
     return EscConfig(
@@ -175,7 +175,7 @@ def slow_down(esc: EscConfig, every: int, dt: float) -> EscConfig:
     )
 
 
-def lifter_of(task: Task, c: Constants) -> LifterConfig:
+def make_lifter(task: Task, c: Constants) -> LifterConfig:
     """Return the detector's configuration."""
     return LifterConfig(omega_h=rounded(c.omega_h), omega_l=rounded(c.omega_l), dt=task.dt)
 
@@ -200,8 +200,8 @@ def try_out(task: Task, c: Constants, number: int, seed: int, fine: bool = True)
     steps = task.steps // every
     limit = task.settings.drift
     drift = 0.0 if number % 4 < 2 else float(rng.uniform(-limit, limit)) / steps
-    esc = replace(esc_of(task, c, theta), epsilon_initial=1 if end else -1)
-    detector = lifter_of(task, c).detector_params()
+    esc = replace(make_esc(task, c, theta), epsilon_initial=1 if end else -1)
+    detector = make_lifter(task, c).detector_params()
     if s.coarse:
         esc = slow_down(esc, every, task.settings.coarse_dt)
         detector = cost.detector_params(c.omega_h, c.omega_l, s.dt)._replace(alpha_hp=0.0)
@@ -285,7 +285,7 @@ def draw_near(
     return drawn
 
 
-def anchors(task: Task) -> list[Constants]:
+def list_anchors(task: Task) -> list[Constants]:
     """Return constants that serve many rigs."""
     high = sorted(task.surrogates)
     omega_h = high[min(2, len(high) - 1)]
@@ -365,7 +365,7 @@ def search(
     s = task.settings
     first = 2 ** max(round(math.log2(s.first * effort)), 3)
     rng = np.random.default_rng([seed, 7])
-    total = 8 * first + 16 * s.top + 2 * len(anchors(task))
+    total = 8 * first + 16 * s.top + 2 * len(list_anchors(task))
 
     with ThreadPoolExecutor(workers) as pool:
 
@@ -383,7 +383,7 @@ def search(
         def begin(constants: Sequence[Constants], runs: int) -> list[Trial]:
             return run_more([Trial(c, [], unusual(task, c), s.percentile) for c in constants], runs)
 
-        trials = begin([*anchors(task), *draw(task, first, seed)], 2)
+        trials = begin([*list_anchors(task), *draw(task, first, seed)], 2)
         trials = run_more(trials[: first // 4], 8)
         for spread in (0.35, 0.2):
             near = draw_near([t.constants for t in trials[:4]], first // 4, rng, spread)
