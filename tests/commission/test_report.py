@@ -29,17 +29,17 @@ def excitation(folder, rig):
     file, (theta, x) = file_of(rig), excited(rig)
     write_bag(folder / "part-1/bag", rig, theta, x)
     dt, loaded = rig.params.dt, loaded_of(theta, x)
-    how = choose_bands(x, round(8.0 / rig.frequency / dt), dt)
+    bands = choose_bands(x, round(8.0 / rig.frequency / dt), dt)
     visits = []
     values = file.scale.divide(9)
-    for level, begin, end, _ in find_rests(loaded, file.scale, how.length)[1]:
-        series = np.array([log_amplitudes(x[k : k + how.length], how)
-                           for k in range(begin, end, how.length)])  # fmt: skip
+    for level, begin, end, _ in find_rests(loaded, file.scale, bands.length)[1]:
+        series = np.array([log_amplitudes(x[k : k + bands.length], bands)
+                           for k in range(begin, end, bands.length)])  # fmt: skip
         summary = summarise(series, [0])
-        visits.append(Visit(level, tuple(summary.mean.tolist()),
-                                      tuple(summary.error.tolist()), summary.skip * how.length * dt,
-                                      (end - begin) * dt))  # fmt: skip
-    state = progress.Progress(0, values, how, visits, [], theta.size * dt, ["part-1"], True)
+        mean, error = (tuple(figures.tolist()) for figures in (summary.mean, summary.error))
+        settled = summary.skip * bands.length * dt
+        visits.append(Visit(level, mean, error, settled, (end - begin) * dt))
+    state = progress.Progress(0, values, bands, visits, [], theta.size * dt, ["part-1"], True)
     progress.save(state, file, folder)
     rig_file.write(file, folder / "rig.yaml")
     return file

@@ -98,8 +98,8 @@ def test_a_dead_sensor_and_a_command_that_is_not_applied_are_a_finding_each():
     assert [(f.name, f.text) for f in findings if f.level == BAD] == [
         ("channel", "y is always 0.5: dead sensor")
     ]
-    how = choose_bands(noise[0][:, None], 300, DT)
-    features = np.array([compute_block_features(x[:300, None], how) for x in noise])
+    bands = choose_bands(noise[0][:, None], 300, DT)
+    features = np.array([compute_block_features(x[:300, None], bands) for x in noise])
     reaction = compare_blocks(features, draw_order(8, random.Random(5)))
     finding = judge_reaction(reaction, ["x"], "theta from 0 to 1")
     assert finding.level == BAD
@@ -174,11 +174,11 @@ def test_other_settings_judge_otherwise():
 
 
 def test_a_reaction_is_told_by_its_feature():
-    how = choose_bands(np.sin(T)[:, None], 300, DT)
-    names = name_block_features(how, ["x"])
+    bands = choose_bands(np.sin(T)[:, None], 300, DT)
+    names = name_block_features(bands, ["x"])
     assert names[0] == "x"
     assert names[-1] == "mean x"
-    assert len(names) == compute_block_features(np.sin(T[:300])[:, None], how).size
+    assert len(names) == compute_block_features(np.sin(T[:300])[:, None], bands).size
     level = judge_reaction(Reaction(0.01, len(names) - 1, 0.25), names, "theta from 0 to 1")
     assert (
         level.text

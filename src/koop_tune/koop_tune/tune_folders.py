@@ -121,7 +121,7 @@ def find_bags(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands 
         if state is None:
             bags.append(folder / "bag" if (folder / "bag").is_dir() else folder)
             continue
-        bands = state.how
+        bands = state.bands
         bags += [folder / part / "bag" for part in state.parts if (folder / part / "bag").is_dir()]
         if not state.done:
             print(f"note: {folder}: the excitation is not finished")

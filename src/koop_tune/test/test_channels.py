@@ -61,23 +61,23 @@ def test_listening_ends_after_some_periods_or_at_the_limit():
 
 def test_features_are_the_logarithms_of_amplitudes_in_all_and_in_bands():
     x = np.column_stack([2.0 * np.sin(2 * np.pi * 5.0 * T), 0.5 * np.sin(2 * np.pi * 1.5 * T)])
-    how = choose_bands(x, 400, DT)
-    found = np.exp(log_amplitudes(x[:400], how)).reshape(2, -1)
+    bands = choose_bands(x, 400, DT)
+    found = np.exp(log_amplitudes(x[:400], bands)).reshape(2, -1)
     assert found[:, 0] == pytest.approx([2.0, 0.5], rel=0.01)
-    inside = [a <= 5.0 * 4.0 < b for a, b in zip(how.edges, how.edges[1:], strict=False)]
+    inside = [a <= 5.0 * 4.0 < b for a, b in zip(bands.edges, bands.edges[1:], strict=False)]
     assert found[0, 1:][inside] == pytest.approx([2.0], rel=0.05)
     assert found[0, 1:][~np.array(inside)].max() < 0.4
-    assert len(how.names(["x", "y"])) == found.size
-    assert how.names(["x"])[1].startswith("x from 0.25 to ")
+    assert len(bands.names(["x", "y"])) == found.size
+    assert bands.names(["x"])[1].startswith("x from 0.25 to ")
 
 
 def test_windows_are_looked_at_one_by_one_or_all_at_once():
     x = np.random.default_rng(0).normal(size=(1200, 2))
     x[500, 1] = math.nan
-    how = choose_bands(bridge_gaps(x), 400, DT)
-    at_once = log_amplitudes(x.reshape(3, 400, 2), how)
+    bands = choose_bands(bridge_gaps(x), 400, DT)
+    at_once = log_amplitudes(x.reshape(3, 400, 2), bands)
     assert at_once == pytest.approx(
-        np.array([log_amplitudes(part, how) for part in np.split(x, 3)])
+        np.array([log_amplitudes(part, bands) for part in np.split(x, 3)])
     )
     assert np.isfinite(at_once).all()
 

@@ -120,9 +120,9 @@ def test_the_channel_that_theta_changes_counts_and_its_levels_are_the_amplitudes
         oscillating(theta, 1.0, lambda theta: 0.5 + 4.0 * (theta - 0.5) ** 2, 2),
     ])  # fmt: skip
     loaded = recording(theta, x)
-    how = choose_bands(x, 200, DT)
-    found = find_dwells(loaded, UNIT, how, 1.0)
-    assert how.names(["a", "b"])[found.feature].startswith("b")
+    bands = choose_bands(x, 200, DT)
+    found = find_dwells(loaded, UNIT, bands, 1.0)
+    assert bands.names(["a", "b"])[found.feature].startswith("b")
     truth = np.log(0.5 + 4.0 * (found.u - 0.5) ** 2)
     amplitude = found.static_map(found.amplitude, 1.0)
     assert np.abs(amplitude.mean - truth).max() < 0.15  # noise of 0.3 adds to the weakest

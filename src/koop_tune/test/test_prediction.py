@@ -45,7 +45,7 @@ def test_how_much_an_amplitude_differs_by_itself_is_the_spread_over_that_time():
     dwells = noise_driven(tau, rest, 18, rng)
     levels = [0.5 * math.log(np.exp(2.0 * a).mean())
               for a in noise_driven(tau, rest, 600, rng).amplitude]  # fmt: skip
-    samples = rest * dwells.how.length
+    samples = rest * dwells.bands.length
     assert find_wander(dwells, samples) == pytest.approx(np.std(levels), rel=0.35)
     assert find_wander(dwells, 4 * samples) == pytest.approx(0.5 * find_wander(dwells, samples))
 

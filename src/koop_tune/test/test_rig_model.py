@@ -43,8 +43,8 @@ def test_the_time_constant_of_what_noise_drives_is_that_of_its_process(tau):
         power = (z**2).sum(axis=0).reshape(-1, per).mean(axis=1) * (1.0 + 0.2 * level)
         amplitude.append(0.5 * np.log(power + 0.05 * rng.chisquare(2, power.size)))
         rests.append(Rest(level, 0, steps, 0))
-    how = Bands(per, (1, 2), window / per)
-    found = fit_fluctuation(Dwells(np.linspace(0.0, 1.0, 9), rests, how, 0, amplitude))
+    bands = Bands(per, (1, 2), window / per)
+    found = fit_fluctuation(Dwells(np.linspace(0.0, 1.0, 9), rests, bands, 0, amplitude))
     assert 0.6 * tau < found.time < 1.4 * tau
     assert found.share > 0.3
 

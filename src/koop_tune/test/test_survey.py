@@ -58,7 +58,7 @@ def excite(simulated, rig=RIG, settings=SURVEY):
     assert periods.strongest == pytest.approx(PERIOD, rel=0.02)
     while (theta := survey.next_value()) is not None and simulated.seconds < rig.time:
         survey.arrive(simulated.seconds)
-        while not survey.take(simulated.window(theta, state.how.length)):
+        while not survey.take(simulated.window(theta, state.bands.length)):
             pass
     return state
 
@@ -95,7 +95,7 @@ def test_theta_rests_longer_where_the_rig_is_slow_or_noisy():
 
 def test_a_rest_is_as_long_as_the_settings_and_the_time_allow():
     short = excite(Simulated(1.0, 0.02), settings=SurveySettings(fewest=12))
-    window = short.how.length * DT
+    window = short.bands.length * DT
     assert min(visit.stay for visit in short.visits) >= 12 * window - 1e-9
     hurried = excite(Simulated(50.0, 0.5), replace(RIG, time=1500.0))
     assert max(v.stay for v in hurried.visits) <= SURVEY.most_share * 1500.0
@@ -126,7 +126,7 @@ def test_values_are_added_until_a_cliff_is_known_and_theta_lingers_there():
     assert state.values == sorted(state.values)
     assert 0 < state.added_values <= SURVEY.added
     assert u[below + 1] - u[below] <= SURVEY.finest + 0.125 / 2**SURVEY.added
-    window = state.how.length * DT
+    window = state.bands.length * DT
     lingers = [v.stay for v in state.visits if v.level == below][-1]
     assert lingers >= SURVEY.linger * window - 1e-9
     found = state.static_map(0)
@@ -181,7 +181,7 @@ def test_every_value_but_the_turning_point_is_visited_twice():
 def test_progress_is_what_was_saved_and_of_this_rig(tmp_path):
     state = progress.begin(3, RIG)
     assert progress.load(RIG, tmp_path) is None
-    state.how = Bands(64, (1, 2, 5), DT)
+    state.bands = Bands(64, (1, 2, 5), DT)
     state.visits.append(Visit(4, (0.1, -2.0), (math.inf, 0.2), 1.0, 8.0))
     progress.save(state, RIG, tmp_path)
     assert progress.load(RIG, tmp_path) == state

@@ -66,18 +66,18 @@ def test_the_loops_own_topics_are_read_where_the_bag_has_them(tmp_path):
 
 def test_the_bags_of_an_excitation_are_those_of_its_parts(tmp_path, capsys):
     state = progress.begin(0, RIG)
-    state.how = Bands(64, (1, 2, 5), 0.01)
+    state.bands = Bands(64, (1, 2, 5), 0.01)
     state.parts = ["part-1", "part-2", "part-3"]  # the second one got no message
     progress.save(state, RIG, tmp_path)
     for part in ("part-1", "part-3"):
         write(tmp_path / part / "bag", ["/knob"])
     loop = write(tmp_path / "verify-1" / "bag", ["/theta"])
-    bags, how = find_bags([tmp_path, tmp_path / "verify-1"], RIG)
+    bags, bands = find_bags([tmp_path, tmp_path / "verify-1"], RIG)
     assert bags == [tmp_path / "part-1/bag", tmp_path / "part-3/bag", loop]
-    assert how == state.how
+    assert bands == state.bands
     assert "not finished" in capsys.readouterr().out
-    bags, how = find_bags([loop], RIG)
-    assert (bags, how) == ([loop], None)
+    bags, bands = find_bags([loop], RIG)
+    assert (bags, bands) == ([loop], None)
 
 
 def test_folders_without_a_recording_are_refused(tmp_path):

@@ -140,14 +140,14 @@ def judge_reaction(reaction: Reaction, names: Sequence[str], between: str) -> Fi
     return Finding(OK, "theta", f"{confidence}; {between}: {name} {how}")
 
 
-def compute_block_features(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
+def compute_block_features(x: NDArray[np.float64], bands: Bands) -> NDArray[np.float64]:
     """Return the features of a block, shape (M, n): of the oscillation, and each channel's mean."""
-    return np.r_[log_amplitudes(x, how), bridge_gaps(x).mean(axis=0)]
+    return np.r_[log_amplitudes(x, bands), bridge_gaps(x).mean(axis=0)]
 
 
-def name_block_features(how: Bands, channels: Sequence[str]) -> list[str]:
+def name_block_features(bands: Bands, channels: Sequence[str]) -> list[str]:
     """Return the name of each feature of a block."""
-    return [*how.names(channels), *(f"mean {name}" for name in channels)]
+    return [*bands.names(channels), *(f"mean {name}" for name in channels)]
 
 
 def choose_period(rig: RigFile, samples: Samples) -> float:

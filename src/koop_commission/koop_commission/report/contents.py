@@ -77,7 +77,7 @@ class Contents:
     @property
     def bands(self) -> Bands | None:
         """How windows are looked at."""
-        return bands_of(self.tuned) if self.tuned else self.excitation.how
+        return bands_of(self.tuned) if self.tuned else self.excitation.bands
 
     def tuned_for(self, item: Round) -> dict[str, Any]:
         """Return the ``tune.json`` of a round; a later round sets it aside."""
@@ -112,9 +112,9 @@ class Contents:
             columns = (figures[name] for name in ("theta", "amplitude", "error"))
             return MapPoints(self.tuned["feature"], *columns)
         state = self.excitation
-        if not state.visits or state.how is None:
+        if not state.visits or state.bands is None:
             return None
-        names = state.how.names(self.rig.names)
+        names = state.bands.names(self.rig.names)
         feature, found = state.map_of(range(len(names)))
         theta = [state.values[level] for level in state.reached]
         return MapPoints(names[feature], theta, np.exp(found.mean).tolist(), found.error.tolist())

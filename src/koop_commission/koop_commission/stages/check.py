@@ -152,7 +152,7 @@ class Blocks:
     high: float
     settle: int
     observe: int
-    how: Bands
+    bands: Bands
 
 
 @dataclass
@@ -235,8 +235,8 @@ class LiveCheck:
                 flush=True,
             )
             x = bridge_gaps(self.listener.samples().x)
-            how = choose_bands(x, min(observe, x.shape[0]), rig.dt)._replace(length=observe)
-            blocks = Blocks(theta, other, settle, observe, how)
+            bands = choose_bands(x, min(observe, x.shape[0]), rig.dt)._replace(length=observe)
+            blocks = Blocks(theta, other, settle, observe, bands)
             features: list[NDArray[np.float64]] = []
             moved: list[bool] = []
             for (count, alpha), done in zip(stages, itertools.count(1), strict=False):
@@ -249,7 +249,7 @@ class LiveCheck:
             between = (
                 f"theta from {theta:.4g} to {other:.4g}, {len(moved)} blocks of {seconds:.3g} s"
             )
-            finding = judge_reaction(reaction, name_block_features(how, rig.names), between)
+            finding = judge_reaction(reaction, name_block_features(bands, rig.names), between)
             if finding.level != BAD:
                 break
         assert finding is not None
@@ -266,4 +266,4 @@ class LiveCheck:
         self.spin(until=lambda: self.listener.count >= end, check=commander.check)
         x = self.listener.samples(begin, end).x
         refuse_dead(self.rig.names, x)
-        return compute_block_features(x, blocks.how)
+        return compute_block_features(x, blocks.bands)

@@ -90,8 +90,8 @@ class ClosedLoop:
         aim, dt, states = self.aim, self.rig.dt, session.listener
         fields = (parse_field("theta"), parse_field("epsilon"))
         answers = Listener(session.client, THETA, THETA_TYPE, fields, reliable=True)
-        rest = BEFORE * aim.how.length
-        session.still = aim.how.length
+        rest = BEFORE * aim.bands.length
+        session.still = aim.bands.length
         session.client.change_state(f"/{ESC}", "configure", START_TIMEOUT, session.check)
         session.go(start)
         session.wait_for_states(math.ceil(self.settling / dt), "settling")

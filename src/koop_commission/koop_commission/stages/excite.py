@@ -155,10 +155,10 @@ class Excitation:
     def run(self) -> None:
         """Move theta until the map is known or the time is over."""
         state = self._state
-        if state.how is None:
+        if state.bands is None:
             self._listen()
-        assert state.how is not None
-        self._session.still = state.how.length
+        assert state.bands is not None
+        self._session.still = state.bands.length
         self._print_forecast()
         while (value := self._survey.next_value()) is not None and self._dwell(value):
             self._save()
@@ -177,17 +177,17 @@ class Excitation:
             periods = self._survey.look(x)
         except KoopError as error:
             raise LiveError(str(error)) from None
-        assert self._state.how is not None
+        assert self._state.bands is not None
         print(
             f"periods from {min(periods):.3g} to {periods.slowest:.3g} s: amplitudes are taken in "
-            f"windows of {self._state.how.length * dt:.3g} s",
+            f"windows of {self._state.bands.length * dt:.3g} s",
             flush=True,
         )
 
     def _dwell(self, value: float) -> bool:
         """Hold theta at a dwell point as long as it needs; return False if the time is over."""
-        survey, how, listener = self._survey, self._state.how, self._listener
-        assert how is not None
+        survey, bands, listener = self._survey, self._state.bands, self._listener
+        assert bands is not None
         self._session.go(value)
         begin = end = listener.count
         survey.arrive(self._elapsed)
@@ -196,12 +196,12 @@ class Excitation:
             return listener.count >= end or self._elapsed > self._rig.time
 
         while True:
-            end = begin + (survey.windows + 1) * how.length
+            end = begin + (survey.windows + 1) * bands.length
             self._session.wait_until(is_over)
             self._session.refuse_dead()
             if self._elapsed > self._rig.time:
                 return False
-            if survey.take(listener.samples(end - how.length, end).x):
+            if survey.take(listener.samples(end - bands.length, end).x):
                 return True
 
     def _print_forecast(self) -> None:

@@ -47,8 +47,8 @@ class Excitation:
         size = self.theta.size
         begins = np.arange(size) == 0
         nowhere = np.zeros(size, np.bool_)
-        assert self.progress.how is not None
-        time = np.asarray(np.arange(size) * self.progress.how.dt, np.float64)
+        assert self.progress.bands is not None
+        time = np.asarray(np.arange(size) * self.progress.bands.dt, np.float64)
         return Loaded(np.ascontiguousarray(self.x.T), begins, nowhere, self.theta, time)
 
 
@@ -151,12 +151,12 @@ def excite(rig: Rig, file: RigFile, seed: int) -> Excitation:
         more = max(0.2 * SURVEY.shortest / file.dt, OFTEN * heard.shape[0])
         heard = np.concatenate([heard, running.stay(math.ceil(more))])
     survey.look(heard)
-    assert state.how is not None
+    assert state.bands is not None
     while (value := survey.next_value()) is not None:
         running.go(value)
         survey.arrive(running.elapsed)
         over = False
-        while not over and not survey.take(running.stay(state.how.length)):
+        while not over and not survey.take(running.stay(state.bands.length)):
             over = running.elapsed > file.time
         if over or running.elapsed > file.time:
             break

@@ -125,14 +125,14 @@ def commissioned(
         settings = TuningSettings(
             seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
         )
-        how = recorded.progress.how
-        found = tune(recorded.loaded, file, training_of(rig), how, settings)
+        bands = recorded.progress.bands
+        found = tune(recorded.loaded, file, training_of(rig), bands, settings)
         if not rig.has_optimum:
             return found
         closed = loops.close(found)
         aim = make_aim(as_json.of_tuning(found, file, None), file)
         runs = tuple(
-            Run(start, measure(aim, loop.x[: BEFORE * aim.how.length], loop.x, loop.theta))
+            Run(start, measure(aim, loop.x[: BEFORE * aim.bands.length], loop.x, loop.theta))
             for start, loop in zip((file.theta_min, file.theta_max), closed, strict=True)
         )
         agrees = not any(find_disagreements(aim, run.measured) for run in runs)

@@ -61,14 +61,14 @@ def choose_bands(x: NDArray[np.float64], length: int, dt: float) -> Bands:
     return Bands(length, tuple(int(edge) for edge in edges), dt)
 
 
-def log_amplitudes(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
+def log_amplitudes(x: NDArray[np.float64], bands: Bands) -> NDArray[np.float64]:
     """Return the logarithms of the amplitudes of windows, channel by channel.
 
     Parameters
     ----------
     x : ndarray, shape (..., length, n)
         The samples of each window; NaN is bridged.
-    how : Bands
+    bands : Bands
         Bands of the rig.
 
     Returns
@@ -81,7 +81,7 @@ def log_amplitudes(x: NDArray[np.float64], how: Bands) -> NDArray[np.float64]:
     power = np.abs(np.fft.rfft(_detrended(x) * np.hanning(x.shape[-2])[:, None], axis=-2)) ** 2
     whole = amplitude(np.swapaxes(x, -1, -2))
     total = np.maximum(power[..., 1:, :].sum(axis=-2), FLOOR)
-    inside = [power[..., a:b, :].sum(axis=-2) / total for a, b in itertools.pairwise(how.edges)]
+    inside = [power[..., a:b, :].sum(axis=-2) / total for a, b in itertools.pairwise(bands.edges)]
     rows = np.stack([whole, *(whole * np.sqrt(share) for share in inside)], axis=-1)
     return np.asarray(np.log(np.maximum(rows, FLOOR)).reshape(*x.shape[:-2], -1))
 

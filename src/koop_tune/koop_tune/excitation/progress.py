@@ -37,7 +37,7 @@ class Progress:
         Seed of the order of theta's values.
     values : list of float
         Values of theta, rising; a visit's level is the number of one.
-    how : Bands or None
+    bands : Bands or None
         How windows are looked at, once that is known.
     visits : list of Visit
         Done.
@@ -55,7 +55,7 @@ class Progress:
 
     seed: int
     values: list[float]
-    how: Bands | None
+    bands: Bands | None
     visits: list[Visit]
     queue: list[int]
     elapsed: float
@@ -194,13 +194,13 @@ def read(folder: Path) -> tuple[RigFile, Progress]:
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
         recorded_rig = RigFile(**values.pop("rig"))
-        how = values.pop("how")
+        bands = values.pop("bands")
         visits = [
             Visit(**{**visit, "mean": tuple(visit["mean"]), "error": tuple(visit["error"])})
             for visit in values.pop("visits")
         ]
-        bands = Bands(how[0], tuple(how[1]), how[2]) if how else None
-        state = Progress(how=bands, visits=visits, **values)
+        bands = Bands(bands[0], tuple(bands[1]), bands[2]) if bands else None
+        state = Progress(bands=bands, visits=visits, **values)
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None
     return recorded_rig, state

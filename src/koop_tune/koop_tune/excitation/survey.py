@@ -118,7 +118,7 @@ class Survey:
         slowest = 1.0 / min(line.frequency for line in peaks)
         window = max(self._settings.window * strongest, self._settings.slowest * slowest)
         length = min(window_length(window, 1.0, dt), x.shape[0])
-        self._state.how = choose_bands(x, length, dt)
+        self._state.bands = choose_bands(x, length, dt)
         return Heard(strongest, slowest)
 
     # -- where theta goes -----------------------------------------------------------------------
@@ -194,7 +194,7 @@ class Survey:
 
     def arrive(self, elapsed: float) -> None:
         """Begin a rest at that value, after so much of the rig's time [s]."""
-        state, how, s = self._state, self._how, self._settings
+        state, bands, s = self._state, self._bands, self._settings
         self._level, self._series, self._next = state.queue[0], [], 0
         self._guides = self._guiding()
         self._least, self._target = s.fewest, s.error
@@ -205,14 +205,14 @@ class Survey:
                 self._least = s.linger
         left = max(self._rig.time - elapsed, 0.0)
         fair = min(s.most_share * self._rig.time, 2.0 * left / self.visits_left)
-        self._most = max(s.fewest, int(fair / (how.length * how.dt)))
+        self._most = max(s.fewest, int(fair / (bands.length * bands.dt)))
         self._least = min(self._least, self._most)
 
     def take(self, x: NDArray[np.float64]) -> bool:
         """Take a window of samples, shape (length, n); return whether theta may go on."""
-        how, s = self._how, self._settings
-        self._series.append(log_amplitudes(x, how))
-        length, count = how.length * how.dt, len(self._series)
+        bands, s = self._bands, self._settings
+        self._series.append(log_amplitudes(x, bands))
+        length, count = bands.length * bands.dt, len(self._series)
         if count < max(s.fewest, self._next):
             return False
         self._next = count + 1 + int(s.soon * count)
@@ -243,20 +243,20 @@ class Survey:
         return queue + self._state.levels * first
 
     @property
-    def _how(self) -> Bands:
-        assert self._state.how is not None, "look first"
-        return self._state.how
+    def _bands(self) -> Bands:
+        assert self._state.bands is not None, "look first"
+        return self._state.bands
 
     def _guiding(self) -> list[int]:
         """Return the features that tell how long theta rests."""
         if len(self._state.visits) >= self._state.staircase:
             return [self._feature()]
-        each = len(self._how.edges)  # until then each channel's amplitude at all frequencies
+        each = len(self._bands.edges)  # until then each channel's amplitude at all frequencies
         return [i * each for i in range(len(self._rig.names))]
 
     def _feature(self) -> int:
         """Return the feature that tells theta best."""
-        return self._state.clearest(range(len(self._how.edges) * len(self._rig.names)))
+        return self._state.clearest(range(len(self._bands.edges) * len(self._rig.names)))
 
 
 def beside_cliff(static_map: StaticMap, reached: Sequence[int], level: int) -> bool:

@@ -57,7 +57,7 @@ def of_seen(findings: Findings, tuning: Tuning | None = None) -> dict[str, Any]:
     return {
         "feature": findings.feature,
         "period": findings.period,
-        "windows": {**findings.dwells.how._asdict(), "feature": findings.dwells.feature},
+        "windows": {**findings.dwells.bands._asdict(), "feature": findings.dwells.feature},
         "theta_best": findings.scale.theta_at(maps.best()),
         "theta_best_band": [findings.scale.theta_at(low), findings.scale.theta_at(high)],
         "static_map": {

@@ -79,7 +79,7 @@ class Dwells:
         Positions of the values of theta, rising.
     rests : list of Rest
         In the order of the recording.
-    how : Bands
+    bands : Bands
         How windows are looked at.
     feature : int
         The amplitude that theta shows most in.
@@ -89,7 +89,7 @@ class Dwells:
 
     u: NDArray[np.float64]
     rests: list[Rest]
-    how: Bands
+    bands: Bands
     feature: int
     amplitude: list[NDArray[np.float64]]
 
@@ -109,7 +109,7 @@ class Dwells:
 
     def window_levels(self, values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """Return half the logarithm of the mean square of a signal, shape (M,), in each window."""
-        length, tiny = self.how.length, 1e-300
+        length, tiny = self.bands.length, 1e-300
         return [
             0.5 * np.log((values[d.begin : d.end].reshape(-1, length) ** 2).mean(axis=1) + tiny)
             for d in self.rests
@@ -172,7 +172,7 @@ def _leave_out_short(
 
 
 def find_dwells(
-    loaded: Loaded, scale: Scale, how: Bands, period: float, settings: DwellSettings = DWELLS
+    loaded: Loaded, scale: Scale, bands: Bands, period: float, settings: DwellSettings = DWELLS
 ) -> Dwells:
     """Return the rests in a recording of an oscillation of a period [s].
 
@@ -184,15 +184,15 @@ def find_dwells(
     koop_core.errors.InputError
         If theta rested at too few values.
     """
-    length, n = how.length, loaded.x.shape[0]
+    length, n = bands.length, loaded.x.shape[0]
     u, rests = _leave_out_short(*find_rests(loaded, scale, length, settings), settings.part)
     series = [
-        log_amplitudes(loaded.x[:, a:b].T.reshape(-1, length, n), how) for _, a, b, _ in rests
+        log_amplitudes(loaded.x[:, a:b].T.reshape(-1, length, n), bands) for _, a, b, _ in rests
     ]
     each = series[0].shape[1] // n
     guides = [i * each for i in range(n)]
-    line = round(length * how.dt / period)  # bin of the oscillation
-    inside = [b for b, (low, high) in enumerate(pairwise(how.edges)) if low <= line < high]
+    line = round(length * bands.dt / period)  # bin of the oscillation
+    inside = [b for b, (low, high) in enumerate(pairwise(bands.edges)) if low <= line < high]
     candidates = [i + 1 + b for i in guides for b in inside[:1]] + guides
 
     def change(feature: int) -> float:
@@ -209,7 +209,7 @@ def find_dwells(
         rest._replace(skip=min(s.skip, windows.shape[0] - settings.settled))
         for rest, s, windows in zip(rests, summaries, series, strict=True)
     ]
-    return Dwells(u, rests, how, guides[0], [windows[:, guides[0]] for windows in series])
+    return Dwells(u, rests, bands, guides[0], [windows[:, guides[0]] for windows in series])
 
 
 class Spectra(NamedTuple):

@@ -72,7 +72,7 @@ def fit_fluctuation(dwells: Dwells, settings: FluctuationSettings = FLUCTUATION)
     windows = 1.0
     if np.isfinite(misfits).any():
         windows = 2.0 * float(decays[int(np.argmax(misfits <= settings.as_good * misfits.min()))])
-    return Fluctuation(windows * dwells.how.length * dwells.how.dt, float(fit[0]))
+    return Fluctuation(windows * dwells.bands.length * dwells.bands.dt, float(fit[0]))
 
 
 def _misfit(

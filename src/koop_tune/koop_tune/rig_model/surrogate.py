@@ -126,7 +126,7 @@ def fit_times(
     and goes by itself tells the time constant far better than how it follows theta does.
     """
     assert loaded.theta is not None
-    every = max(1, dwells.how.length // 4)
+    every = max(1, dwells.bands.length // 4)
     curve = amplitude.curve(amplitude.mean)
     position = np.nan_to_num(scale.u(loaded.theta), nan=0.5)
     target = np.interp(position[::every], np.linspace(0.0, 1.0, GRID), curve)
@@ -134,7 +134,7 @@ def fit_times(
     begins = np.zeros(target.size, np.bool_)
     begins[np.flatnonzero(jumps) // every] = True
     starts = (
-        np.concatenate([np.arange(s.begin, s.end, dwells.how.length) for s in dwells.rests])
+        np.concatenate([np.arange(s.begin, s.end, dwells.bands.length) for s in dwells.rests])
         // every
     )
     measured = np.concatenate(dwells.amplitude)
@@ -144,7 +144,7 @@ def fit_times(
     if process.share > WANDERS:
         return Times(math.log(process.time), 0.0, 0.0, middle)
     longest = max(s.end - s.begin for s in dwells.rests) * dt
-    shortest = 0.05 * dwells.how.length * dt
+    shortest = 0.05 * dwells.bands.length * dt
     path = np.empty(target.size)
 
     def loss(c: NDArray[np.float64]) -> float:

@@ -34,7 +34,7 @@ class Aim:
 
     Attributes
     ----------
-    how : Bands
+    bands : Bands
         How windows are looked at.
     feature : int
         The amplitude that counts.
@@ -56,7 +56,7 @@ class Aim:
         How a loop is compared with it.
     """
 
-    how: Bands
+    bands: Bands
     feature: int
     name: str
     scale: Scale
@@ -71,7 +71,7 @@ class Aim:
     @property
     def window(self) -> float:
         """Length of a window [s]."""
-        return self.how.length * self.how.dt
+        return self.bands.length * self.bands.dt
 
     @property
     def longest(self) -> float:
@@ -86,9 +86,11 @@ class Aim:
 
     def amplitudes(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the logarithm of the amplitude in each whole window of samples, shape (M, n)."""
-        length = self.how.length
+        length = self.bands.length
         starts = range(0, x.shape[0] - length + 1, length)
-        return np.array([log_amplitudes(x[k : k + length], self.how)[self.feature] for k in starts])
+        return np.array(
+            [log_amplitudes(x[k : k + length], self.bands)[self.feature] for k in starts]
+        )
 
 
 def make_aim(figures: dict[str, Any], rig: RigFile) -> Aim:

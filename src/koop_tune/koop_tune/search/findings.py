@@ -114,7 +114,7 @@ def analyse(
     loaded: Loaded,
     rig: RigFile,
     training: BagTraining,
-    how: Bands | None = None,
+    bands: Bands | None = None,
     settings: TuningSettings = TUNING,
 ) -> Findings:
     """Find where theta rested, the static map of the amplitude, and that of every cost.
@@ -128,11 +128,11 @@ def analyse(
     """
     dt, scale = rig.dt, rig.scale
     period = find_period(loaded, scale, dt) or period_of(loaded, dt)
-    if how is None:
-        how = choose_bands(loaded.x.T, window_length(period, settings.periods, dt), dt)
-    dwells = find_dwells(loaded, scale, how, period)
+    if bands is None:
+        bands = choose_bands(loaded.x.T, window_length(period, settings.periods, dt), dt)
+    dwells = find_dwells(loaded, scale, bands, period)
     amplitude = dwells.static_map(dwells.amplitude, rig.sense)
-    feature = how.names(rig.names)[dwells.feature]
+    feature = bands.names(rig.names)[dwells.feature]
     omega = 2.0 * math.pi / period
     candidates: list[CostMaps] = []
     for cost in costs(loaded, training, period, settings.learned):

@@ -130,5 +130,5 @@ def find_wander(dwells: Dwells, samples: float) -> float:
     for values in dwells.settled(dwells.amplitude):
         error = float(mean_level(values[:, None])[1][0])
         if math.isfinite(error):
-            errors.append(error * math.sqrt(values.size * dwells.how.length / samples))
+            errors.append(error * math.sqrt(values.size * dwells.bands.length / samples))
     return float(np.median(errors)) if errors else 0.0

@@ -64,7 +64,7 @@ def cut_pieces(
     by_level = sorted(dwells.rests, key=lambda d: d.level)
     parts = []
     for rest in by_level:
-        part = values[rest.begin + rest.skip * dwells.how.length : rest.end]
+        part = values[rest.begin + rest.skip * dwells.bands.length : rest.end]
         part = part[np.isfinite(part)]
         parts.append(part - part.mean() if part.size else np.zeros(2))
     return parts, np.searchsorted([d.level for d in by_level], np.arange(dwells.u.size + 1))

@@ -104,7 +104,7 @@ def tune(
     loaded: Loaded,
     rig: RigFile,
     training: BagTraining,
-    how: Bands | None = None,
+    bands: Bands | None = None,
     settings: TuningSettings = TUNING,
     report: Report = lambda step, share: None,
 ) -> Tuning:
@@ -118,7 +118,7 @@ def tune(
         Limits, rate, objective, dt.
     training : BagTraining
         How models are learned.
-    how : Bands, optional
+    bands : Bands, optional
         How the excitation looked at its windows.
     settings : TuningSettings
         Budget and thresholds.
@@ -133,7 +133,7 @@ def tune(
         If the recording cannot be used.
     """
     report("costs", 0.0)
-    findings = analyse(loaded, rig, training, how, settings)
+    findings = analyse(loaded, rig, training, bands, settings)
     times = fit_times(loaded, findings.dwells, findings.amplitude, findings.scale, rig.dt)
     slowest = max(times.tau(float(a), up) for a in findings.amplitude.mean for up in (False, True))
     slowdown = limit_slowdown(slowest, rig.time, settings)
