@@ -98,12 +98,9 @@ def bag_commands(commands: Any) -> Any:
 def _info(args: argparse.Namespace) -> int:
     from koop_bag.bag.info import as_text, describe
     from koop_bag.bag.reader import BagReader
-    from koop_bag.mcap.stored_file import traffic
 
     with BagReader(args.bag) as reader:
         info = describe(reader, args.brief)
-    for line in traffic():
-        print(line, file=sys.stderr)
     if args.json:
         print(json.dumps(dataclasses.asdict(info) | {"parameters": info.parameters}, indent=1))
     else:

@@ -10,7 +10,7 @@ from koop_bag.bag.playback import REORDER_WINDOW, Playback, Timeline, in_time_or
 from koop_bag.bag.reader import BagReader, RawMessage
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
-from koop_bag.player.config import PlayerConfig, default_topics, parse_remap
+from koop_bag.player.config import PlayerConfig, parse_remap
 from koop_core.config.parameter import ConfigError
 
 BEGIN = 1_700_000_000_000_000_000
@@ -126,60 +126,15 @@ def test_a_pause_shifts_what_follows_by_its_length():
     assert before + drain(playing, 70.0) == messages
 
 
-def test_a_paused_playback_goes_step_by_step():
-    messages = loop_messages(4)
-    playing = playback(messages, gate="state")
+def test_a_seek_goes_on_there():
+    playing = playback(loop_messages(100))
     playing.start(0.0)
-    assert not playing.step()
-    drain(playing, 0.0)  # the first state is due at once
-    playing.pause(0.0)
-    steps = []
-    for _ in range(3):
-        assert playing.step()
-        assert playing.wait(0.0) == 0.0
-        steps.append([m.topic + m.data.decode() for m in drain(playing, 0.0)])
-    assert steps == [
-        ["cost0", "theta0"],
-        ["state1", "cost1", "theta1"],
-        ["state2", "cost2", "theta2"],
-    ]
-    playing.resume(5.0)
-    assert playing.wait(5.0) == pytest.approx(3e-3)  # state3 lies 3 ms after theta2
-
-
-def test_without_a_topic_that_begins_steps_one_message_is_a_step():
-    playing = playback(loop_messages(2))
-    playing.pause(0.0)
-    for k in range(3):
-        playing.step()
-        assert len(drain(playing, 0.0)) == 1, k
-
-
-def test_lockstep_holds_the_next_state_until_the_answer_and_nothing_else():
-    messages = loop_messages(3)
-    playing = playback(messages, gate="state", lockstep=True)
-    playing.start(0.0)
-    for k in range(3):
-        assert drain(playing, 0.0) == messages[3 * k : 3 * k + 3]
-        assert playing.waiting
-        assert not playing.finished
-        playing.answered()
-    assert playing.finished
-
-
-def test_a_seek_goes_on_there_and_forgets_the_missing_answer():
-    messages = loop_messages(100)
-    playing = playback(messages, gate="state", lockstep=True)
-    playing.start(0.0)
-    drain(playing, 0.0)
     playing.seek(BEGIN + 250 * MS, 0.0)
     assert drain(playing, 0.0)[0].data == b"50"
-    timed = playback(messages)
-    timed.start(0.0)
-    drain(timed, 0.4)
-    timed.seek(BEGIN + 100 * MS, 0.4)  # back
-    assert [m.data for m in drain(timed, 0.4)] == [b"20"]
-    assert timed.wait(0.4) == pytest.approx(1e-3)
+    drain(playing, 0.4)
+    playing.seek(BEGIN + 100 * MS, 0.4)  # back
+    assert [m.data for m in drain(playing, 0.4)] == [b"20"]
+    assert playing.wait(0.4) == pytest.approx(1e-3)
 
 
 def test_a_loop_begins_again_when_the_pass_is_over_not_when_its_last_message_went_out():
@@ -249,12 +204,6 @@ def test_a_bag_is_iterated_in_time_order_or_in_that_of_its_file(tmp_path, messag
         )
     assert in_order == [10, 20, 30, 700]
     assert as_filed == [10, 30, 20, 700]
-
-
-def test_topics_that_live_nodes_publish_are_not_played_unless_chosen():
-    present = ["/rig/state", "/rig/cost", "/rig/theta", "/rig/ground_truth", "/rosout", "/clock"]
-    assert default_topics(present, lockstep=False) == present[:4]
-    assert default_topics(present, lockstep=True) == ["/rig/state", "/rig/ground_truth"]
 
 
 def test_options_in_words():

@@ -103,10 +103,6 @@ class Playback:
         Log times [ns] between which a pass runs; messages after `end` are left out.
     rate : float
         Bag seconds in a second; infinite: without a pace.
-    gate : str
-        Topic whose messages begin a step: :meth:`step` plays up to the next of them.
-    lockstep : bool
-        A message of `gate` waits until the last one was :meth:`answered`; time plays no part.
     loop : bool
         Begin again after the end.
 
@@ -123,21 +119,16 @@ class Playback:
         end: int,
         *,
         rate: float = 1.0,
-        gate: str = "",
-        lockstep: bool = False,
         loop: bool = False,
     ) -> None:
         self._source, self.begin = source, begin
         self.end = max(end, begin + SHORTEST_PASS)
-        self._timeline = Timeline(math.inf if lockstep else rate)
-        self._gate, self._lockstep, self.loop = gate, lockstep, loop
-        self.waiting = False
-        """Whether the answer to a message of the gate is missing."""
+        self._timeline = Timeline(rate)
+        self.loop = loop
         self.passes = 0
         self.lateness = 0.0
         """How long after its time the last message went out [s]."""
         self._started = self._paused = False
-        self._stepping = False
         self._position = begin
         self._timeline.set(begin, 0.0)
         self._open(begin)
@@ -190,85 +181,59 @@ class Playback:
 
     @property
     def paused(self) -> bool:
-        """Whether only single steps are played."""
+        """Whether it stands still until :meth:`resume`."""
         return self._paused
 
     def pause(self, now: float) -> None:
-        """Stand still; :meth:`step` goes on by one step."""
-        self._paused, self._stepping = True, False
+        """Stand still."""
+        self._paused = True
         self._timeline.stop(now)
 
     def resume(self, now: float) -> None:
         """Go on after a pause."""
         if self._paused:
-            self._paused = self._stepping = False
+            self._paused = False
             self._timeline.set(self.position(now), now)
             if self._started:
                 self._timeline.run(now)
 
-    def step(self) -> bool:
-        """Play one step of a paused playback; return False if it is not paused."""
-        self._stepping = self._paused
-        return self._paused
-
     def seek(self, bag_time: int, now: float) -> None:
-        """Go on at a log time; an answer that is still missing is forgotten."""
-        self.waiting = self._stepping = False
+        """Go on at a log time."""
         self._timeline.set(bag_time, now)
         self._position = bag_time
         self._open(bag_time)
 
     def set_rate(self, rate: float, now: float) -> None:
         """Change the rate without a jump."""
-        if not self._lockstep:
-            self._timeline.set_rate(rate, now)
-
-    def answered(self) -> None:
-        """The answer to the last message of the gate has come."""
-        self.waiting = False
+        self._timeline.set_rate(rate, now)
 
     # -- playing ------------------------------------------------------------------------------
 
     def take(self, now: float) -> RawMessage | None:
-        """The next message if it is to go out now."""
+        """The next message if it is due."""
         message = self._next
-        if message is None or not self._may_go(message, now):
+        if message is None or self.wait(now) > 0.0:
             return None
         due = self._timeline.due(message.log_time)
         self.lateness = now - due if self._timeline.paced else 0.0
         self._position = max(self._position, message.log_time)
-        if message.topic == self._gate and self._lockstep:
-            self.waiting = True
         self._advance(now)
-        if self._next is None or self._next.topic == self._gate or not self._gate:
-            self._stepping = False
         return message
 
     def wait(self, now: float) -> float:
-        """How long nothing will go out [s]: infinite if that takes a call of another method."""
-        message = self._next
-        if message is None or self._blocked(message):
+        """Time until a message is due [s]: infinite if that takes a call of another method."""
+        if self._next is None or self._paused:
             return math.inf
-        if self._stepping or self._lockstep:
-            return 0.0
-        return max(0.0, self._timeline.due(message.log_time) - now)
+        return max(0.0, self._timeline.due(self._next.log_time) - now)
 
     @property
     def finished(self) -> bool:
-        """Whether everything has gone out and, in lockstep, was answered."""
-        return self._next is None and not self.waiting
+        """Whether everything was taken."""
+        return self._next is None
 
     def position(self, now: float) -> int:
         """Log time that the playback has reached [ns]."""
         return max(self._position, min(self._timeline.bag_time(now), self.end))
-
-    def _may_go(self, message: RawMessage, now: float) -> bool:
-        return not self._blocked(message) and self.wait(now) <= 0.0
-
-    def _blocked(self, message: RawMessage) -> bool:
-        if self.waiting and message.topic == self._gate:
-            return True
-        return self._paused and not self._stepping
 
     def _open(self, bag_time: int) -> None:
         self._messages = self._source(bag_time)

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
-from koop_bag.bag.topics import is_common
 from koop_core.config.parameter import ConfigError, parameter, validate
 
 CLOCKS = ("off", "receive", "stamp")
-FAST, LOCKSTEP, REALTIME = "fast", "lockstep", "realtime"
-GATE, ANSWER = "state", "theta"  # last words of the topics that begin and end a step in lockstep
-ANSWERED = ("cost", ANSWER)  # topics that a running loop publishes while a bag is played to it
+FAST, REALTIME = "fast", "realtime"
 
 
 @dataclass(frozen=True)
@@ -28,14 +24,13 @@ class PlayerConfig:
     bag: str = parameter("", "bag, folder of a run, or .mcap file", read_only=True)
     pace: str = parameter(
         REALTIME,
-        "realtime; a number: so many times realtime; fast: as fast as the subscribers accept; "
-        "lockstep: a state is published when the theta for the last one has come",
+        "realtime; a number: so many times realtime; fast: as fast as the subscribers accept",
     )
     topics: str = parameter(
         "",
         "topics to play, separated by spaces, by their names in the bag; empty: all but those that "
         "every node publishes by itself (/rosout, /parameter_events, /diagnostics, /clock, "
-        "transition_event) and, in lockstep, those that the live nodes answer with (cost, theta)",
+        "transition_event)",
         read_only=True,
     )
     remap: str = parameter(
@@ -61,7 +56,7 @@ class PlayerConfig:
     @property
     def speed(self) -> float:
         """Bag seconds in a second."""
-        if self.pace in (FAST, LOCKSTEP):
+        if self.pace == FAST:
             return math.inf
         try:
             speed = 1.0 if self.pace == REALTIME else float(self.pace)
@@ -69,7 +64,7 @@ class PlayerConfig:
             speed = math.nan
         if not 1e-3 <= speed <= 1e3:
             raise ConfigError(
-                f"pace: '{self.pace}' is not realtime, fast, lockstep or a number from 0.001 to 1000"
+                f"pace: '{self.pace}' is not realtime, fast or a number from 0.001 to 1000"
             )
         return speed
 
@@ -87,11 +82,3 @@ def parse_remap(text: str) -> dict[str, str]:
             raise ConfigError(f"remap: '{item}' is not from:=to")
         names[old] = new
     return names
-
-
-def default_topics(present: Iterable[str], lockstep: bool) -> list[str]:
-    """Return the topics of a bag that are played if none are chosen."""
-    answers = ANSWERED if lockstep else ()
-    return [
-        name for name in present if not is_common(name) and name.rsplit("/", 1)[-1] not in answers
-    ]

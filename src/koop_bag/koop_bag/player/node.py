@@ -6,36 +6,26 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from typing import Any
 
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from koop_bag.bag.playback import Playback
 from koop_bag.bag.reader import BagReader, RawMessage
+from koop_bag.bag.topics import is_common
 from koop_bag.cdr.header import has_header
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.player.clock import ClockOutlet
-from koop_bag.player.config import (
-    ANSWER,
-    FAST,
-    GATE,
-    LOCKSTEP,
-    PlayerConfig,
-    default_topics,
-    parse_remap,
-)
-from koop_bag.player.gate import Gate
+from koop_bag.player.config import FAST, PlayerConfig, parse_remap
 from koop_bag.player.outlet import Outlet
 from koop_core.config.parameter import NodeConfig
 from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
-from koop_node.node.managed import ERROR, OK, Entities, ManagedNode, Run
+from koop_node.node.managed import OK, Entities, ManagedNode, Run
 from koop_node.node.schedule import Timer
 
 SLICE = 0.005  # [s] of publishing after which services and answers have their turn
-ANSWER_CHECK = 0.5  # [s] between looks for an overdue answer
 SETTLED = 0.3  # [s] without a new subscriber after which all that are coming have come
 FAREWELL = 2.0  # [s] that the last messages may take to arrive
 
@@ -55,9 +45,11 @@ class PlayerRun(Run):
             entities.on_close(self._bag.close)
             outlets = self._make_outlets(config, entities)
             self._outlets = {outlet.topic: outlet for outlet in outlets}
-            lockstep = config.pace == LOCKSTEP
-            self._gate = self._make_gate(entities) if lockstep else None
-            self._playback = self._make_playback(config)
+            self._playback = Playback.of_bag(
+                self._bag, [*self._outlets], rate=config.speed, loop=config.loop
+            )
+            if config.position:
+                self._playback.seek(self._log_time(config.position), 0.0)
         except BagError as error:
             raise ValueError(str(error)) from error
         if self._playback.finished:
@@ -72,15 +64,11 @@ class PlayerRun(Run):
         self._timer: Timer | None = None
         """There from the start of playing to the end of the active state."""
         entities.service(SetBool, "~/pause", self._on_pause)
-        entities.service(Trigger, "~/step", self._on_step)
 
     def activate(self, entities: Entities) -> None:
         _, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "")
-        if self._gate is not None or observers.names:
+        if observers.names:
             listeners = {outlet.publisher: observers for outlet in self._outlets.values()}
-            if self._gate is not None:  # one that answers, too
-                publisher = self._outlets[self._gate.topic].publisher
-                listeners[publisher] = replace(observers, count=len(observers.names) + 1)
             entities.when_heard(listeners, lambda: self._start(entities))
         else:
             self._start_when_heard(entities)
@@ -91,10 +79,7 @@ class PlayerRun(Run):
             self._playback.stop(time.monotonic())
 
     def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
-        new, old = configs[PlayerConfig], self._node.parameters[PlayerConfig]
-        if new.pace != old.pace and LOCKSTEP in (new.pace, old.pace):
-            raise ValueError("pace: a playback does not change to lockstep or from it")
-        if new.position > self._bag.duration:
+        if configs[PlayerConfig].position > self._bag.duration:
             raise ValueError(f"position: the bag is {self._bag.duration:.3f} s long")
 
     def parameters_changed(self, names: set[str]) -> None:
@@ -106,8 +91,6 @@ class PlayerRun(Run):
             self._playback.loop = config.loop
         if "position" in names:
             self._clock_outlet.jump()
-            if self._gate is not None:
-                self._gate.forget()
             try:
                 self._playback.seek(self._log_time(config.position), now)
             except BagError as error:
@@ -126,8 +109,6 @@ class PlayerRun(Run):
             "passes": self._playback.passes,
             "lateness_ms": f"{self._playback.lateness * 1e3:.3f}",
         }
-        if self._gate is not None and self._gate.overdue:
-            return ERROR, self._gate.silence(), values
         if self._timer is None:
             return OK, "waiting for subscribers" if self._node.active else "", values
         return OK, "paused" if self._playback.paused else "playing", values
@@ -143,8 +124,7 @@ class PlayerRun(Run):
 
     def _make_outlets(self, config: PlayerConfig, entities: Entities) -> Iterator[Outlet]:
         chosen = [self._full(name) for name in config.topics.split()]
-        present = [topic.name for topic in self._bag.topics]
-        for name in chosen or default_topics(present, config.pace == LOCKSTEP):
+        for name in chosen or [t.name for t in self._bag.topics if not is_common(t.name)]:
             topic = self._bag.topic(name)
             try:
                 yield Outlet(entities, topic, self._names.get(name, name))
@@ -152,32 +132,6 @@ class PlayerRun(Run):
                 if chosen:
                     raise
                 self._node.get_logger().warning(f"{name} is not played: {error}")
-
-    def _make_gate(self, entities: Entities) -> Gate:
-        gates = [name for name in self._outlets if name.rsplit("/", 1)[-1] == GATE]
-        if len(gates) != 1:
-            raise BagError(
-                f"lockstep needs one topic '{GATE}', these are played: {', '.join(self._outlets)}"
-            )
-        answer = f"{gates[0].removesuffix(GATE)}{ANSWER}"
-        name = self._names.get(answer, answer)
-        outlet = self._outlets[gates[0]]
-        return Gate(self._node, entities, self._bag, outlet, answer, name, self._on_answered)
-
-    def _make_playback(self, config: PlayerConfig) -> Playback:
-        # a step, while paused, is up to the next of these
-        gates = [name for name in self._outlets if name.rsplit("/", 1)[-1] == GATE]
-        playback = Playback.of_bag(
-            self._bag,
-            [*self._outlets],
-            rate=config.speed,
-            gate=gates[0] if gates else "",
-            lockstep=self._gate is not None,
-            loop=config.loop,
-        )
-        if config.position:
-            playback.seek(self._log_time(config.position), 0.0)
-        return playback
 
     def _start_when_heard(self, entities: Entities) -> None:
         """Start once there is a subscriber, and the others have had time to come, too."""
@@ -200,7 +154,6 @@ class PlayerRun(Run):
 
     def _start(self, entities: Entities) -> None:
         self._playback.start(time.monotonic())
-        entities.timer(ANSWER_CHECK, self._check_answer)
         self._timer = entities.timer(SLICE, self._tick)
         self._node.get_logger().info(f"playing {', '.join(self._outlets)} of {self._bag.path}")
         self._tick()
@@ -231,9 +184,7 @@ class PlayerRun(Run):
     def _publish(self, message: RawMessage) -> None:
         outlet = self._outlets[message.topic]
         self._clock_outlet.before(message)
-        if self._gate is not None and message.topic == self._gate.topic:
-            self._gate.ask(message)
-        if self._config.pace in (FAST, LOCKSTEP):  # which nothing else slows down
+        if self._config.pace == FAST:  # which nothing else slows down
             outlet.publish_acknowledged(message.data)
         else:
             outlet.publish(message.data)
@@ -262,17 +213,6 @@ class PlayerRun(Run):
         self._node.get_logger().error(str(error))
         self._node.finish(1)
 
-    def _on_answered(self) -> None:
-        self._playback.answered()
-        self._tick()
-
-    def _check_answer(self) -> None:
-        if self._gate is not None and not self._gate.check():
-            self._node.get_logger().error(self._gate.silence())
-            self._node.finish(1)
-
-    # -- services -----------------------------------------------------------------------------
-
     def _on_pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
         act = self._playback.pause if request.data else self._playback.resume
         act(time.monotonic())
@@ -280,19 +220,12 @@ class PlayerRun(Run):
         answer.success = True
         return answer
 
-    def _on_step(self, request: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        answer.success = self._playback.step()
-        answer.message = "" if answer.success else "stepping works only while the player is paused"
-        self._go_on()
-        return answer
-
 
 class PlayerNode(ManagedNode[PlayerRun]):
     """Plays while it is active, ends when all is played.
 
-    Services: ``~/pause`` (std_srvs/SetBool: true pauses, false resumes) and ``~/step``
-    (std_srvs/Trigger: one step while paused). The parameters ``position``, ``pace`` and ``loop``
-    may be set at any time; setting ``position`` is a seek.
+    Service: ``~/pause`` (std_srvs/SetBool: true pauses, false resumes). The parameters
+    ``position``, ``pace`` and ``loop`` may be set at any time; setting ``position`` is a seek.
     """
 
     configs = (PlayerConfig,)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
-from koop_bag.mcap.stored_file import stored_path, traffic
+from koop_bag.mcap.stored_file import stored_path
 from koop_core.errors import InputError
 from koop_identify.model.from_bags import BagTraining, train_from_bags
 from koop_lab.cli.source_options import add_reading_options, reading_of
@@ -92,8 +91,6 @@ def train_main(args: argparse.Namespace) -> int:
     model.save(args.out)
     print(describe(model))
     print(f"written to {args.out}")
-    for line in traffic():
-        print(line, file=sys.stderr)
     return 0
 
 
