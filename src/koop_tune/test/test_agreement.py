@@ -17,7 +17,16 @@ from koop_tune.search.agreement import (
     read_aim,
     verdict,
 )
-from koop_tune.search.rounds import Round, Run, Verification, find_slowdown, kept_index
+from koop_tune.search.rounds import (
+    Round,
+    Run,
+    Verification,
+    find_slowdown,
+    kept_index,
+    load_verification,
+    save_verification,
+)
+from koop_tune.search.settings import VerificationSettings
 
 DT, PERIOD, TAU, BEST = 0.01, 0.5, 20.0, 0.7
 RIG = RigFile(
@@ -161,3 +170,24 @@ def test_a_folder_without_a_controller_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="holds no controller"):
         read_aim(tmp_path / "tune.json", RIG)
     assert set(asdict(run(make_aim(FIGURES, RIG)))) >= {"time_to_converge", "distance", "reduction"}
+
+
+def test_a_verification_is_kept_in_its_folder(tmp_path):
+    assert load_verification(tmp_path) == Verification()
+    kept = Verification(tuple(rounds_of((True, 40.0, 50.0))), True, "x", "It is damped.")
+    save_verification(kept, tmp_path)
+    assert load_verification(tmp_path).as_json() == kept.as_json()
+    (tmp_path / "verify.json").write_text('{"rounds": [{"round": 1}]}')
+    with pytest.raises(ConfigError, match=r"verify\.json: cannot be read .*: move it away"):
+        load_verification(tmp_path)
+
+
+def test_how_strictly_a_loop_is_compared_is_a_setting():
+    aim = make_aim(FIGURES, RIG)
+    late = replace(run(aim), time_to_converge=90.0, error=0.01)
+    assert find_disagreements(aim, late)
+    patient = replace(aim, settings=VerificationSettings(later=2.0))
+    assert find_disagreements(patient, late) == []
+    assert patient.duration == aim.duration
+    assert replace(aim, settings=VerificationSettings(twice=4.0)).duration == 240.0
+    assert find_slowdown(rounds_of((False, None)), VerificationSettings(most_slower=2.0)) == 2.0

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from koop_tune.excitation.channels import (
+    ChannelSettings,
     describe_channel,
     find_lines,
+    pick_lines,
     should_listen,
     strongest_period,
 )
@@ -89,3 +91,19 @@ def test_what_is_missing_is_bridged_by_a_straight_line():
     assert not bridge_gaps(x)[:, 1].any()
     assert window_length(2.0, 4.0, DT) == 800
     assert window_length(0.02, 4.0, DT) == 64
+
+
+def test_lines_are_picked_from_a_spectrum_that_stand_out_from_what_is_around():
+    frequency = np.arange(200) * 0.1
+    power = np.full(200, 1e-3)
+    power[[49, 50, 51]] = [0.5, 1.0, 0.5]  # under a Hann window
+    power[[119, 120, 121]] = [0.05, 0.1, 0.05]
+    power[[149, 150, 151]] = [2e-3, 4e-3, 2e-3]  # hardly above its surroundings
+    strongest, other = pick_lines(frequency, power)
+    assert (strongest.frequency, other.frequency) == pytest.approx((5.0, 12.0))
+    assert strongest.amplitude == pytest.approx(math.sqrt(2.0 * 2.0 / 1.5), rel=0.01)
+    assert strongest.share == pytest.approx(10.0 * other.share, rel=0.1)
+    weaker = ChannelSettings(line=2.0, share=1e-3)
+    assert len(pick_lines(frequency, power, weaker)) == 3
+    (only,) = pick_lines(frequency, power, ChannelSettings(lines=1))
+    assert only == strongest

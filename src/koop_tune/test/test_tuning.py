@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from koop_loop import parameters
 from koop_tune.result import as_json, as_text
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.surrogate import Times
+from koop_tune.search.limits import Limits
 from koop_tune.search.prediction import predict
 from koop_tune.search.search import Outcome, Trial, list_anchors, search
 from koop_tune.search.settings import SearchSettings, TuningSettings
@@ -121,6 +123,26 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
     lines = [line for line in path.read_text().splitlines() if line.lstrip().startswith("# Here:")]
     assert len(lines) == sum(map(len, listed.values()))
     assert f"{c.omega_h / (2 * math.pi * FREQUENCY):.3g} times" in path.read_text()
+
+
+def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, tmp_path):
+    far = replace(RIG, theta_min=0.5, theta_max=50.0, theta_start=40.0, theta_safe=1.0,
+                  objective="maximise", command="/theta:theta",
+                  command_type="koop_msgs/msg/ControlInput")  # fmt: skip
+    task = replace(tuning.task, scale=far.scale, low=0.5, high=50.0, sense=-1.0, rate=0.5)
+    findings = replace(tuning.findings, scale=far.scale, limits=Limits(0.5, 50.0))
+    wide = replace(tuning, findings=findings, chosen=replace(tuning.chosen, task=task))
+    path = tmp_path / "controller.yaml"
+    path.write_text(as_text.as_parameters(wide, far, tmp_path / "model.npz"))
+    loop = parameters.make(parameters.read(path))
+    assert (loop.esc.theta_scale, loop.esc.objective) == ("log", "maximise")
+    assert loop.esc.rate_limit == pytest.approx(0.5 / 50.0)  # of log theta, at its largest
+    assert loop.esc.step_size <= 0.5 / 50.0 * 0.02 * 1.001
+    assert loop.esc.epsilon_initial == 1  # theta_start is above the best theta: down
+    assert loop.esc.command_topic == ""  # the rig listens to the controller's own topic
+    assert loop.lifter.cost == "lifted"
+    assert "model: model.npz" in path.read_text()  # beside the file: the folder may be moved
+    assert "a factor of 100 apart" in path.read_text()
 
 
 def test_table_and_words_hold_every_cost_and_the_prediction(tuning):

@@ -39,7 +39,7 @@ class Run:
     start: float
     measured: Measured
     bag: str = ""
-    seconds: float = math.nan
+    seconds: float = 0.0
     steps: tuple[int, int] = (0, 0)
 
     @classmethod
