@@ -80,7 +80,7 @@ def write_small(folder: Path) -> None:
                 ablation["values"] = [4, 8]
         if content["experiment"] == "laws":
             quick = content["quick"]
-            quick.update(trials=2, fresh={"first": 7000, "count": 2})
+            quick["seeds"]["count"] = 2
             quick["plants"][1]["plant"]["duration"] = 10
             quick["plants"][0]["scenarios"]["jumps"]["scenario.jump_every"] = 100.0
         (folder / path.name).write_text(yaml.safe_dump(content))

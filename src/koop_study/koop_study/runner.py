@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from koop_study.experiments.kinds import Experiment
 from koop_study.workers.cluster import Workers
-from koop_study.workers.units import Store, Unit
+from koop_study.workers.units import Store
 from koop_view.report.document import Section
 
 
@@ -16,28 +15,20 @@ def run_all(
 ) -> list[Section]:
     """Return one section an experiment, in their order.
 
-    Experiments ask for units in stages; all that are at the same stage share the workers:
-    ``processes`` of this machine, or those of the Dask scheduler at an address.
+    All units share the workers: ``processes`` of this machine, or those of the Dask scheduler at an
+    address.
 
     Raises
     ------
     KeyboardInterrupt
         On Ctrl-C; every result that was complete is in the store.
     koop_study.workers.cluster.WorkerLost
-        If workers were killed again and again; so it is then.
+        If workers were killed again and again; the same holds then.
     """
-    sections: dict[int, Section] = {}
-    steps = {i: experiment.steps() for i, experiment in enumerate(experiments)}
-    asked: dict[int, list[Unit]] = {i: next(step) for i, step in steps.items()}
+    units = [experiment.units() for experiment in experiments]
     with Workers(store, processes, scheduler) as workers:
-        while asked:
-            results = iter(workers.results([unit for wanted in asked.values() for unit in wanted]))
-            following: dict[int, list[Unit]] = {}
-            for i, wanted in asked.items():
-                answer: list[Any] = [next(results) for _ in wanted]
-                try:
-                    following[i] = steps[i].send(answer)
-                except StopIteration as stop:
-                    sections[i] = stop.value
-            asked = following
-    return [sections[i] for i in range(len(experiments))]
+        results = iter(workers.results([unit for some in units for unit in some]))
+    return [
+        experiment.section([next(results) for _ in some])
+        for experiment, some in zip(experiments, units, strict=True)
+    ]

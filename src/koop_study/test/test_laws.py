@@ -14,7 +14,7 @@ from koop_study.experiments.kinds import read
 from koop_study.family.loop import close, noise_of
 from koop_study.family.rig import draw
 from koop_study.family.scaled import PAPER_CONSTANTS, ScaledConstants, scaled_to
-from koop_study.laws.plants import RANGES, LawPlant, trials
+from koop_study.laws.plants import LawPlant
 from koop_study.laws.run import law_runs, paper_row
 from koop_study.simulation.case import Case
 from koop_study.simulation.run import Trace
@@ -27,18 +27,6 @@ RIGS = LawPlant(
     {"amplitude_time": [2, 4], "clean": 1.0, "drift": [0, 0], "noise_driven": 0.0},
 )  # fmt: skip
 IDLE = ScaledConstants(omega_h=20.0, omega_l=4.5, speed=0.0, dwell=1.0, tau_f=1.0)
-
-
-def test_trials_are_within_the_ranges_of_their_law() -> None:
-    for law, extra in (("relay", False), ("adaptive", True)):
-        found = trials(law, 8)
-        assert len(found) == 8
-        for constants in found:
-            values = asdict(constants)
-            assert values.pop("law") == law
-            for name, (low, high) in RANGES.items():
-                if extra or name not in ("step_ratio", "lost"):
-                    assert low <= values[name] <= high
 
 
 def test_the_papers_constants_in_units_of_its_plant_are_the_nodes_defaults() -> None:
@@ -125,10 +113,8 @@ def test_an_optimum_that_swings_does_not_jump() -> None:
 
 BASE = """
 experiment: laws
-trials: 2
-tuning: {first: 0, count: 1}
-fresh: {first: 10, count: 1}
-fixed: [{name: slow, constants: {omega_h: 1, omega_l: 1, speed: 0.1, dwell: 2, tau_f: 1}}]
+seeds: {first: 10, count: 1}
+laws: [{name: slow, constants: {omega_h: 1, omega_l: 1, speed: 0.1, dwell: 2, tau_f: 1}}]
 plants:
   - {plant: {name: a, family: false, cost: raw, duration: 5}, within: 3, scenarios: {calm: {}}}
   - {plant: {name: b, family: true, cost: raw, duration: 5}, within: 3, scenarios: {calm: {}}}
@@ -138,14 +124,12 @@ plants:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("first: 10", "first: 0", "tuning and fresh seeds overlap"),
         ("family: true, cost: raw", "family: true, cost: lifted", "on the family raw or contrast"),
         ("5}, within: 3, scenarios: {calm: {}}}\n  -", "5}, within: 3, scenarios: {calm: {"
          "scenario.nois: 1}}}\n  -", "did you mean 'scenario.noise'"),
         ("name: b, family: true, cost: raw, duration: 5", "name: b, family: true, cost: raw, "
          "duration: 5, settings: {depht: [2, 3]}", "did you mean 'depth'"),
         ("name: b", "name: a", "two have the same name"),
-        ("trials: 2", "trials: 0", "trials = 0: must be 1 to 4096"),
         ("speed: 0.1, ", "", "'speed' is missing"),
         ("speed: 0.1", "speed: 0.1, law: golden", "law = 'golden': must be one of relay, adaptive"),
     ],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,30 +22,15 @@ from koop_study.simulation import work
 from koop_study.workers.units import Unit
 from koop_view.report.document import Section
 
-Steps = Generator[list[Unit], list[Any], Section]
-
-
-def _once(module: Any) -> Callable[[Any], Steps]:
-    """Return the steps of an experiment whose units are all known beforehand."""
-
-    def steps(config: Any) -> Steps:
-        results = yield module.units(config)
-        section = module.section(config, results)
-        assert isinstance(section, Section)
-        return section
-
-    return steps
-
-
-KINDS: dict[str, tuple[type[Any], Callable[[Any], Steps]]] = {  # in the order of the report
-    "modes": (modes.ModesConfig, _once(modes)),
-    "static_maps": (static_maps.StaticMapsConfig, _once(static_maps)),
-    "closed_loop": (closed_loop.ClosedLoopConfig, _once(closed_loop)),
-    "robustness": (robustness.RobustnessConfig, _once(robustness)),
-    "sensitivity": (sensitivity.SensitivityConfig, _once(sensitivity)),
-    "ablations": (ablations.AblationsConfig, _once(ablations)),
-    "laws": (laws.LawsConfig, laws.steps),
-    "commission": (commission.CommissionConfig, _once(commission)),
+KINDS: dict[str, tuple[type[Any], Any]] = {  # configuration and module, in the report's order
+    "modes": (modes.ModesConfig, modes),
+    "static_maps": (static_maps.StaticMapsConfig, static_maps),
+    "closed_loop": (closed_loop.ClosedLoopConfig, closed_loop),
+    "robustness": (robustness.RobustnessConfig, robustness),
+    "sensitivity": (sensitivity.SensitivityConfig, sensitivity),
+    "ablations": (ablations.AblationsConfig, ablations),
+    "laws": (laws.LawsConfig, laws),
+    "commission": (commission.CommissionConfig, commission),
 }
 
 
@@ -71,9 +55,14 @@ class Experiment:
     content: dict[str, Any]
     config: Any
 
-    def steps(self) -> Steps:
-        """Return the generator that asks for units and ends with a section of the report."""
-        return KINDS[self.kind][1](self.config)
+    def units(self) -> list[Unit]:
+        """Return the units of work that the experiment needs."""
+        return list(KINDS[self.kind][1].units(self.config))
+
+    def section(self, results: list[Any]) -> Section:
+        """Return the experiment's part of the report, from the results of its units."""
+        section: Section = KINDS[self.kind][1].section(self.config, results)
+        return section
 
 
 def read(path: Path, quick: bool) -> Experiment:
@@ -90,7 +79,7 @@ def read(path: Path, quick: bool) -> Experiment:
     if kind not in KINDS:
         raise ConfigError(f"{path}: unknown experiment {kind!r}: {nearest(str(kind), KINDS)}")
     experiment = Experiment(path, kind, content, parse(KINDS[kind][0], content, str(path)))
-    for unit in next(experiment.steps()):
+    for unit in experiment.units():
         if unit.work not in work.WORK:
             continue  # checked where its configuration is read
         try:

@@ -11,11 +11,6 @@ from koop_study.family.scaled import PAPER_OMEGA, PAPER_TIME, ScaledConstants
 from koop_study.simulation.case import Case, override
 
 COSTS_OF_RIGS = ("raw", "contrast")
-RANGES = {  # that a tuning trial draws from, logarithmic; the last two of the adaptive law alone
-    "omega_h": (1.0, 100.0), "omega_l": (0.5, 10.0), "speed": (0.005, 0.2), "dwell": (0.5, 8.0),
-    "tau_f": (0.3, 5.0), "step_ratio": (0.03, 0.3), "lost": (4.0, 16.0),
-}  # fmt: skip
-OF_ADAPTIVE = ("step_ratio", "lost")
 
 
 @dataclass(frozen=True)
@@ -65,23 +60,3 @@ class LawPlant:
             **{f"lifter.{name}": value for name, value in lifter.items()},
             **{f"esc.{name}": value for name, value in command.items()},
         }
-
-
-def trials(law: str, count: int) -> list[ScaledConstants]:
-    """Return the constants that a tuning tries: a Sobol sequence in the ranges of the law."""
-    from scipy.stats import qmc  # slow to import
-
-    ranges = [
-        (name, *limits) for name, limits in RANGES.items()
-        if law == "adaptive" or name not in OF_ADAPTIVE
-    ]  # fmt: skip
-    return [
-        ScaledConstants(
-            law=law,
-            **{
-                name: float(low * (high / low) ** x)
-                for (name, low, high), x in zip(ranges, point, strict=True)
-            },
-        )
-        for point in qmc.Sobol(len(ranges), seed=0).random(count)
-    ]

@@ -21,7 +21,7 @@ from koop_study.family.loop import GOOD, RunNoise, close, noise_of
 from koop_study.family.oscillator import RigParams
 from koop_study.family.rig import Rig, draw
 from koop_study.family.scaled import ScaledConstants, scaled_to
-from koop_study.laws.plants import LawPlant, trials
+from koop_study.laws.plants import LawPlant
 from koop_study.simulation import run as paper
 from koop_study.simulation.case import Case
 from koop_study.simulation.scenario import displacement
@@ -134,20 +134,9 @@ def _first_within(away: NDArray[np.float64], bound: float, width: int) -> int | 
     return int(inside[0]) + width - 1 if inside.size else None
 
 
-def law_trials(plant: dict[str, Any], law: str, count: int, seeds: list[int]) -> list[list[float]]:
-    """Return each trial's loss, a row a trial: the logarithm of the score, so that none rules."""
-    return [
-        [math.log(max(row["score"], 1e-3)) for row in rows(LawPlant(**plant), constants, seeds)]
-        for constants in trials(law, count)
-    ]
-
-
 def law_runs(plant: dict[str, Any], constants: dict[str, Any], seeds: list[int]) -> list[LawRow]:
     """Return the figures of a law, one row a seed."""
     return list(rows(LawPlant(**plant), ScaledConstants(**constants), seeds))
 
 
-WORK: dict[str, Callable[..., Any]] = {
-    "law_trials": law_trials,
-    "law_runs": law_runs,
-}
+WORK: dict[str, Callable[..., Any]] = {"law_runs": law_runs}

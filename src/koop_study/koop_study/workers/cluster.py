@@ -126,13 +126,16 @@ def on_this_machine(processes: int) -> Iterator[distributed.Client]:
     They end with this process, however it ends: each watches a pipe to it.
     """
     client, cluster = _dask()
+    import dask
+
     from koop_study.workers.task import THREADS
 
     # compiles, so that the processes need not
     runs({"duration": 1.0, "training.trajectories": 2, "training.duration": 2.0}, [0])
     dashboard = importlib.util.find_spec("bokeh") is not None
     with ExitStack() as stack:
-        stack.enter_context(_environment(dict.fromkeys(THREADS, "1") | KEPT))
+        environment = dict.fromkeys(THREADS, "1") | KEPT
+        stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": environment}))
         with _without_interrupt():
             local = stack.enter_context(
                 cluster(
@@ -190,19 +193,6 @@ def _dask() -> tuple[type[distributed.Client], type[distributed.LocalCluster]]:
             f"the study computes with Dask ({error}): pip install dask distributed"
         ) from None
     return Client, LocalCluster
-
-
-@contextmanager
-def _environment(added: dict[str, str]) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in added}
-    os.environ.update(added)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name)
-            if value is not None:
-                os.environ[name] = value
 
 
 @contextmanager
