@@ -394,8 +394,8 @@ def test_what_the_page_draws_is_what_was_recorded(story, bag):
         steps = drawn[name]["step"]
         assert steps == sorted(set(steps)), name
         assert [recorded[step] for step in steps] == drawn[name]["v"], name
-        # a server that has no processor for a while misses some, which holds up nobody else
-        assert len(steps) > 0.9 * (steps[-1] - steps[0] + 1), name
+        # a server without a processor misses messages, which delays nobody else
+        assert len(steps) > 0.5 * (steps[-1] - steps[0] + 1), name
 
 
 def test_a_click_holds_theta_and_a_refusal_says_why(story, bag):

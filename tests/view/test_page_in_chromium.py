@@ -50,15 +50,16 @@ class Long(RecordedSource):
     mode = "live"
     _sent = 0
 
-    async def _send(self, viewer, left):
+    async def _send(self, viewer, wanted):
+        numbers = {channel.topic: number for number, channel in wanted.items()}
+        topics = sorted({"/state", "/cost", "/theta"} & numbers.keys())
         with BagReader(GOLDEN) as bag:
-            wanted = {"/state", "/cost", "/theta"}
-            messages = [(m.topic, m.data) for m in bag.messages(sorted(wanted & left.keys()))]
+            messages = [(m.topic, m.data) for m in bag.messages(topics)]
         with suppress(ConnectionClosed):
             while self._sent < 3 * ALL:
                 topic, data = messages[self._sent % len(messages)]
                 time = BEGIN * 10**9 + self._sent // 3 * PERIOD
-                await viewer.deliver_slowly(left[topic], time, data)
+                await viewer.deliver_slowly(numbers[topic], time, data)
                 self._sent += 1
                 if self._sent % 60 == 0:
                     await asyncio.sleep(0)

@@ -18,7 +18,7 @@ from koop_view.roles import COST, STATE, THETA, namespace_of
 from koop_view.source import LoopNames, Viewer, ViewSource
 
 COMPLETE = "recording complete"
-TURN = 200  # messages after which the others have theirs
+TURN = 200  # messages after which other clients have their turn
 
 
 class RecordedSource(ViewSource):
@@ -40,7 +40,7 @@ class RecordedSource(ViewSource):
     def __init__(self, path: str | Path) -> None:
         super().__init__()
         self._path = path
-        self._under_way: list[tuple[Viewer, dict[str, int], asyncio.Task[None]]] = []
+        self._tasks: set[asyncio.Task[None]] = set()
         with BagReader(path) as bag:
             topics = [item for item in bag.topics if item.encoding == ENCODING]
             self._read_parameters(bag.custom_data().get("parameters", ""))
@@ -62,30 +62,23 @@ class RecordedSource(ViewSource):
 
     def subscribe(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
         """Send channels that are subscribed to together in time order."""
-        left = {channel.topic: number for number, channel in wanted.items()}
-        work = self._send(viewer, left)
-        task = asyncio.get_running_loop().create_task(work)
-        self._under_way.append((viewer, left, task))
-        task.add_done_callback(lambda done: self._end(done))
+        task = asyncio.get_running_loop().create_task(self._send(viewer, wanted))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
-    def unsubscribe(self, viewer: Viewer, subscription: int, channel: AdvertisedChannel) -> None:
-        for whose, left, task in self._under_way:
-            if whose is viewer and left.get(channel.topic) == subscription:
-                del left[channel.topic]
-                if not left:
-                    task.cancel()
-
-    def _end(self, done: asyncio.Task[None]) -> None:
-        self._under_way = [item for item in self._under_way if item[2] is not done]
-
-    async def _send(self, viewer: Viewer, left: dict[str, int]) -> None:
-        """Send topics, by the subscriptions that are left of them, and say when that is done."""
+    async def _send(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
+        """Send channels as long as they are subscribed to, and say when that is done."""
+        numbers = {channel.topic: number for number, channel in wanted.items()}
         try:
             with BagReader(self._path) as bag:
-                for count, message in enumerate(Playback.of_bag(bag, list(left))):
-                    if message.topic in left:
-                        number = left[message.topic]
-                        await viewer.deliver_slowly(number, message.log_time, message.data)
+                for count, message in enumerate(Playback.of_bag(bag, list(numbers))):
+                    number = numbers.get(message.topic)
+                    if number is None:
+                        continue
+                    if not await viewer.deliver_slowly(number, message.log_time, message.data):
+                        del numbers[message.topic]
+                    if not numbers:
+                        return
                     if count % TURN == 0:
                         await asyncio.sleep(0)
             viewer.say(INFO, COMPLETE)
@@ -101,15 +94,15 @@ def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str
     The nodes are recognised by parameters that only they have. A theta alone is not a loop: a
     controller published it while another one commanded the rig.
     """
-    known = {"omega_h": "lifter", "dwell": "controller", "theta_star": "plant"}
+    roles = {"omega_h": "lifter", "dwell": "controller", "theta_star": "plant"}
     kinds = {STATE: "state", COST: "cost", THETA: "theta"}
-    found: dict[str, dict[str, str]] = {}
+    loops: dict[str, dict[str, str]] = {}
     for topic, type_name in topics.items():
         name = kinds.get(type_name)
         if name is not None and topic.endswith(f"/{name}"):
-            found.setdefault(namespace_of(topic), {})[name] = topic
+            loops.setdefault(namespace_of(topic), {})[name] = topic
     for full in parameters:
         node, _, name = full.partition(".")
-        if name in known and namespace_of(node) in found:
-            found[namespace_of(node)][known[name]] = node
-    return {space: LoopNames(space, **it) for space, it in found.items() if it.keys() - {"theta"}}
+        if name in roles and namespace_of(node) in loops:
+            loops[namespace_of(node)][roles[name]] = node
+    return {space: LoopNames(space, **it) for space, it in loops.items() if it.keys() - {"theta"}}

@@ -114,9 +114,11 @@ class ClientSession:
     def deliver(self, subscription: int, time: int, data: bytes) -> None:
         self.send(protocol.message_data(subscription, time, data))
 
-    async def deliver_slowly(self, subscription: int, time: int, data: bytes) -> None:
-        if subscription in self._subscriptions:
-            await self._connection.send(protocol.message_data(subscription, time, data))
+    async def deliver_slowly(self, subscription: int, time: int, data: bytes) -> bool:
+        if subscription not in self._subscriptions:
+            return False
+        await self._connection.send(protocol.message_data(subscription, time, data))
+        return True
 
     def send_services(self, services: Iterable[AdvertisedService]) -> None:
         """Announce services, as far as the client may call them."""

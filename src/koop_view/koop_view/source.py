@@ -33,8 +33,8 @@ class Viewer(Protocol):
     def deliver(self, subscription: int, time: int, data: bytes) -> None:
         """Send a message of a channel, whether or not the client keeps up."""
 
-    async def deliver_slowly(self, subscription: int, time: int, data: bytes) -> None:
-        """Send a message as soon as the client takes it."""
+    async def deliver_slowly(self, subscription: int, time: int, data: bytes) -> bool:
+        """Send a message as soon as the client takes it; False if it has unsubscribed."""
 
     def say(self, level: int, text: str, identifier: str | None = None) -> None:
         """Show a text to the user of the client."""

@@ -194,27 +194,53 @@ def test_a_client_with_too_many_requests_is_dropped_and_told_why(port):
         assert closed_with(greedy) == (1008, "too many messages")
 
 
-def test_a_recording_comes_whole_and_in_its_order(tmp_path):
+@pytest.fixture
+def recording(tmp_path):
+    """Return the folder of a bag with three topics, and its messages."""
     schema = load_schema("std_msgs/msg/String")
-    sent = []
+    written = []
     with BagWriter(tmp_path / "bag") as bag:
         channels = {name: bag.add_topic(name, schema) for name in ("/a", "/b", "/c")}
         for k in range(3000):
             name = ("/a", "/b", "/c")[k % 3]
             data = b"\0\1\0\0" + struct.pack("<I", 5) + b"%4d\0" % k
             bag.write(channels[name], 1000 + k, 0, data)
-            sent.append((name, 1000 + k, data))
-    with running(RecordedSource(tmp_path)) as port, client(port) as viewer:
-        info = heard(viewer, "serverInfo")
-        assert info["metadata"]["koop_mode"] == "recorded"
-        offered = {item["topic"]: item for item in heard(viewer, "advertise")["channels"]}
-        assert offered["/a"]["schema"] == schema.text
-        asked = {1: "/a", 2: "/c"}
-        pairs = [{"id": n, "channelId": offered[topic]["id"]} for n, topic in asked.items()]
-        tell(viewer, "subscribe", subscriptions=pairs)
-        got = []
-        while isinstance(message := viewer.recv(10), bytes):
-            _, number, time = struct.unpack_from("<BIQ", message)
-            got.append((asked[number], time, message[13:]))
-        assert json.loads(message) == {"op": "status", "level": 0, "message": "recording complete"}
-    assert got == [item for item in sent if item[0] != "/b"]
+            written.append((name, 1000 + k, data))
+    return tmp_path, written
+
+
+def subscribe(viewer, topics):
+    """Subscribe to topics, by the number of the subscription."""
+    offered = {item["topic"]: item for item in heard(viewer, "advertise")["channels"]}
+    assert offered["/a"]["schema"] == load_schema("std_msgs/msg/String").text
+    pairs = [{"id": n, "channelId": offered[topic]["id"]} for n, topic in topics.items()]
+    tell(viewer, "subscribe", subscriptions=pairs)
+
+
+def received(viewer, topics):
+    """Return the messages until the recording is complete."""
+    messages = []
+    while isinstance(message := viewer.recv(TIMEOUT), bytes):
+        _, number, time = struct.unpack_from("<BIQ", message)
+        messages.append((topics[number], time, message[13:]))
+    assert json.loads(message) == {"op": "status", "level": 0, "message": "recording complete"}
+    return messages
+
+
+def test_a_recording_comes_whole_and_in_its_order(recording):
+    folder, written = recording
+    topics = {1: "/a", 2: "/c"}
+    with running(RecordedSource(folder)) as port, client(port) as viewer:
+        assert heard(viewer, "serverInfo")["metadata"]["koop_mode"] == "recorded"
+        subscribe(viewer, topics)
+        assert received(viewer, topics) == [item for item in written if item[0] != "/b"]
+
+
+def test_a_topic_of_a_recording_goes_on_when_another_is_unsubscribed(recording):
+    folder, written = recording
+    topics = {1: "/a", 2: "/c"}
+    with running(RecordedSource(folder)) as port, client(port) as viewer:
+        subscribe(viewer, topics)
+        tell(viewer, "unsubscribe", subscriptionIds=[1])
+        messages = [item for item in received(viewer, topics) if item[0] == "/c"]
+    assert messages == [item for item in written if item[0] == "/c"]
