@@ -65,6 +65,7 @@ class LiveSource(ViewSource):
         self._types: dict[str, str] = {}  # of the topics and services that were examined
         self._topics: dict[str, ViewedTopic] = {}
         self._viewers: dict[str, list[tuple[Viewer, int]]] = {}
+        self._thinned: set[str] = set()  # topics whose viewers were told that they are too fast
         self._numbers = iter(range(1, 2**32))
         self._listen()
 
@@ -85,6 +86,7 @@ class LiveSource(ViewSource):
     def subscribe(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
         for subscription, channel in wanted.items():
             self._viewers.setdefault(channel.topic, []).append((viewer, subscription))
+            self._thinned.discard(channel.topic)  # a new viewer is told, too
         self._listen()
 
     def unsubscribe(self, viewer: Viewer, subscription: int, channel: AdvertisedChannel) -> None:
@@ -112,13 +114,11 @@ class LiveSource(ViewSource):
             for viewer, subscription in self._viewers.get(name, ()):
                 for received, data in taken:
                     viewer.deliver(subscription, received, data)
-                if topic.left_out:
-                    viewer.say(
-                        WARNING,
-                        f"{name} comes faster than {self._config.rate:g} Hz: not all of it is sent",
-                        f"rate of {name}",
-                    )
-            topic.left_out = False
+            if topic.left_out and name not in self._thinned:
+                self._thinned.add(name)
+                text = f"{name} comes faster than {self._config.rate:g} Hz: it is thinned out"
+                for viewer, _ in self._viewers.get(name, ()):
+                    viewer.say(WARNING, text, f"rate of {name}")
             if name == DIAGNOSTICS:
                 self._hear([data for _, data in taken], now)
             elif name == CHANGES:

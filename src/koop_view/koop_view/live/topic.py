@@ -39,7 +39,7 @@ class ViewedTopic:
     ) -> None:
         self.name = name
         self.left_out = False
-        """Whether messages were left out, because they come too fast."""
+        """Whether messages have been left out because they come too fast."""
         self._node = node
         self._type = message_class(type_name)
         self._budget = Budget(rate, max(rate, WAITING))
