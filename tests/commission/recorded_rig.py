@@ -11,7 +11,7 @@ from koop_study.family.loop import RigController, close_from_end, noise_of
 from koop_study.family.rig import draw
 from koop_tune.excitation import progress
 from koop_tune.rig.scale import Scale
-from koop_tune.search import search
+from koop_tune.search.run import make_esc, make_lifter
 
 CALM = {"drift": (0.0, 0.0), "frequency": (1.0, 1.0), "log_scaled": 0.0, "maximised": 0.0}
 RATE = 0.5  # ranges of theta in the rig's own time, at most
@@ -103,9 +103,7 @@ def damped(rig, found, seed, end):
     be large).
     """
     task, constants = found.task, found.best.constants
-    esc = search.make_esc(task, constants, rig.theta_initial)
-    controller = RigController(
-        search.make_lifter(task, constants), esc, found.chosen.maps.cost.model
-    )
+    esc = make_esc(task, constants, rig.theta_initial)
+    controller = RigController(make_lifter(task, constants), esc, found.chosen.maps.cost.model)
     noise = noise_of(rig, task.steps, seed)
     return close_from_end(rig, controller, end, noise, seed).ratio

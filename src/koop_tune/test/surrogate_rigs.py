@@ -12,7 +12,7 @@ from koop_tune.rig_model.dwells import Dwells, Rest
 from koop_tune.rig_model.surrogate import Surrogate, Times
 from koop_tune.search.findings import CostMaps, Findings
 from koop_tune.search.limits import Limits
-from koop_tune.search.search import Task
+from koop_tune.search.run import Task
 from koop_tune.search.settings import SearchSettings
 
 DT, FREQUENCY = 0.02, 2.0

@@ -9,20 +9,15 @@ from surrogate_rigs import DT, make_surrogate, make_task
 
 from koop_core.stream.arrival import Arrival
 from koop_tune.rig_model.surrogate import BLOCKS
+from koop_tune.search.run import Outcome, judge_run, make_esc, make_lifter, slow_down, try_out
 from koop_tune.search.search import (
     SEARCHED,
-    Outcome,
     Trial,
     confirm,
     draw,
     draw_near,
     list_anchors,
-    make_esc,
-    make_lifter,
-    outcome,
     search,
-    slow_down,
-    try_out,
     unusual,
 )
 from koop_tune.search.settings import Convergence, SearchSettings
@@ -120,7 +115,7 @@ def test_a_run_is_judged_by_its_second_half_and_when_it_came_near(sense):
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
     u[:120], u[120:] = 0.0, BEST + 0.1
     power[:] = np.exp(2.0 * sense * valley(u))
-    found = outcome(task, make_surrogate(lambda u: sense * valley(u)), u, power, 400.0)
+    found = judge_run(task, make_surrogate(lambda u: sense * valley(u)), u, power, 400.0)
     late = np.r_[np.full(20, valley(0.0)), np.full(80, valley(BEST + 0.1))]
     excess = sense * 0.5 * math.log(np.mean(np.exp(2.0 * sense * late)))
     assert math.log(found.excess) == pytest.approx(excess, abs=0.01)
@@ -129,7 +124,7 @@ def test_a_run_is_judged_by_its_second_half_and_when_it_came_near(sense):
     assert math.log(found.reduction) == pytest.approx(valley(0.0) - excess, abs=0.01)
     assert found.score == pytest.approx(excess + 0.15 * 121 / 200, abs=0.01)
     power[:] = power[0]
-    never = outcome(task, make_surrogate(lambda u: sense * valley(u)), u, power, 400.0)
+    never = judge_run(task, make_surrogate(lambda u: sense * valley(u)), u, power, 400.0)
     assert never.converged == math.inf
     assert never.score == pytest.approx(valley(0.0) + 0.3, abs=0.01)
 

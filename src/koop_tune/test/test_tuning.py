@@ -15,7 +15,8 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.surrogate import Times
 from koop_tune.search.limits import Limits
 from koop_tune.search.prediction import predict
-from koop_tune.search.search import Outcome, Trial, list_anchors, search
+from koop_tune.search.run import Outcome
+from koop_tune.search.search import Trial, list_anchors, search
 from koop_tune.search.settings import SearchSettings, TuningSettings
 from koop_tune.search.tuning import SearchedCost, Tuning, choose, limit_slowdown, search_cost
 

@@ -34,7 +34,7 @@ from koop_tune.search.agreement import (
 )
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.rounds import Round, Run, find_slowdown, kept_index
-from koop_tune.search.search import make_esc, make_lifter
+from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tuning import Tuning, tune
 from koopman_lifter.config import LifterConfig

@@ -14,7 +14,7 @@ from koop_core.text_table import table
 from koop_tune.result.parameter_text import HEAD, KNOWN
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.findings import Findings
-from koop_tune.search.search import make_esc, make_lifter
+from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.tuning import Tuning
 
 LEAST_TIMEOUT, TIMEOUT = 0.5, 20.0  # [s]; samples

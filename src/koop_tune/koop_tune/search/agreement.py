@@ -1,7 +1,7 @@
 """A closed loop on a rig, measured and compared with what was predicted of it.
 
 The amplitude is that of the channel or band in which theta shows most, in the windows of the
-excitation; converged, distance and excess are those of :mod:`koop_tune.search.search`. The
+excitation; converged, distance and excess are those of :mod:`koop_tune.search.run`. The
 prediction's band is widened by what the measured amplitudes do not know: two standard errors.
 Better than predicted agrees.
 """

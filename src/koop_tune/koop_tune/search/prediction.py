@@ -12,7 +12,8 @@ import numpy as np
 from koop_tune.excitation.visits import mean_level
 from koop_tune.rig_model.dwells import Dwells
 from koop_tune.search.findings import Findings
-from koop_tune.search.search import Outcome, Task, Trial, try_out
+from koop_tune.search.run import Outcome, Task, try_out
+from koop_tune.search.search import Trial
 
 PERCENTILES = (5.0, 50.0, 95.0)
 

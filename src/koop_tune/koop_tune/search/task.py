@@ -13,7 +13,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import Dwells
 from koop_tune.rig_model.surrogate import Surrogate, Times, high_pass
 from koop_tune.search.findings import CostMaps, Findings
-from koop_tune.search.search import Task
+from koop_tune.search.run import Task
 from koop_tune.search.settings import TuningSettings
 
 

@@ -17,7 +17,8 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.surrogate import Times, fit_times
 from koop_tune.search.findings import CostMaps, Findings, analyse
 from koop_tune.search.prediction import Prediction, predict
-from koop_tune.search.search import Outcome, Task, Trial, confirm, search
+from koop_tune.search.run import Outcome, Task
+from koop_tune.search.search import Trial, confirm, search
 from koop_tune.search.settings import TUNING, TuningSettings
 from koop_tune.search.task import make_task
 

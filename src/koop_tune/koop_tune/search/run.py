@@ -1,0 +1,229 @@
+"""One run of the loop on a surrogate: the constants that are tried, the rig, and the outcome."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_tune.rig.scale import Scale
+from koop_tune.rig_model import surrogate
+from koop_tune.rig_model.surrogate import BLOCKS, Surrogate
+from koop_tune.search.settings import SEARCH, SearchSettings
+from koopman_lifter import cost
+from koopman_lifter.config import LifterConfig
+from relay_esc.config import EscConfig
+
+
+@dataclass(frozen=True)
+class Constants:
+    """What is searched, in SI units.
+
+    Attributes
+    ----------
+    law : str
+        relay or adaptive.
+    omega_h, omega_l : float
+        Corner frequencies of the detector [rad/s].
+    speed : float
+        Speed of theta [ranges/s].
+    dwell, tau_f : float
+        Dwell time and filter of the relay [s].
+    step_ratio : float
+        Smallest step of the adaptive law over the largest.
+    """
+
+    law: str
+    omega_h: float
+    omega_l: float
+    speed: float
+    dwell: float
+    tau_f: float
+    step_ratio: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """A rig and a cost to be controlled.
+
+    Attributes
+    ----------
+    surrogates, coarse : dict of float to list of Surrogate
+        Rigs by omega_h [rad/s]: sample by sample, and in blocks.
+    scale : Scale
+        Theta's range in the rig file.
+    sense : float
+        +1 to minimise, else -1.
+    time : float
+        T [s].
+    dt : float
+        Sampling time [s].
+    rate : float
+        Largest change of theta per second.
+    low, high : float
+        Limits of the controller's theta, inside the range.
+    settings : SearchSettings
+        How constants are drawn and judged.
+    """
+
+    surrogates: dict[float, list[Surrogate]]
+    coarse: dict[float, list[Surrogate]]
+    scale: Scale
+    sense: float
+    time: float
+    dt: float
+    rate: float
+    low: float
+    high: float
+    settings: SearchSettings = SEARCH
+
+    @property
+    def steps(self) -> int:
+        """Samples of a run."""
+        shortest = max(self.time, 0.2 * (self.scale.high - self.scale.low) / self.rate)
+        return round(self.settings.length * shortest / self.dt)
+
+    @property
+    def rate_of_steps(self) -> float:
+        """Largest change per second of what the relay steps: of log theta at its largest, if so."""
+        return self.rate / self.scale.high if self.scale.logarithmic else self.rate
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one run came to.
+
+    Attributes
+    ----------
+    excess : float
+        Amplitude over the second half over the best one, at least about 1.
+    converged : float
+        Time to converge [s]; infinite if never.
+    distance : float
+        Mean of abs(u - u*) over the second half.
+    reduction : float
+        Amplitude at the start over that of the second half.
+    u, power : ndarray, shape (BLOCKS,)
+        Where theta was, and the mean square of the amplitude.
+    score : float
+        log(excess) + slowness (share of the run to converge); the least is the best.
+    """
+
+    excess: float
+    converged: float
+    distance: float
+    reduction: float
+    u: NDArray[np.float64]
+    power: NDArray[np.float64]
+    score: float
+
+
+def make_esc(task: Task, c: Constants, theta: float) -> EscConfig:
+    """Return the controller's configuration with theta at the start."""
+    rate = task.rate_of_steps
+    return EscConfig(
+        law=c.law,
+        theta_scale="log" if task.scale.logarithmic else "linear",
+        step_size=min(round_digits(c.speed * task.dt * task.scale.span), rate * task.dt),
+        step_ratio=round_digits(c.step_ratio),
+        dwell=round_digits(c.dwell),
+        tau_f=round_digits(c.tau_f),
+        theta_min=task.low,
+        theta_max=task.high,
+        rate_limit=rate,
+        objective="minimise" if task.sense > 0.0 else "maximise",
+        theta_initial=theta,
+        epsilon_initial=1,
+        dt=task.dt,
+    )
+
+
+def slow_down(esc: EscConfig, every: int, dt: float) -> EscConfig:
+    """Return a controller that does with one of ``every`` samples what this one does with all.
+
+    Its unit of time is one in which its time step is ``dt``, which a controller may have.
+    """
+    unit = dt / (every * esc.dt)
+    return replace(
+        esc,
+        step_size=esc.step_size * every,
+        dwell=esc.dwell * unit,
+        tau_f=esc.tau_f * unit,
+        rate_limit=esc.rate_limit / unit,
+        dt=dt,
+    )
+
+
+def make_lifter(task: Task, c: Constants) -> LifterConfig:
+    """Return the detector's configuration."""
+    return LifterConfig(
+        omega_h=round_digits(c.omega_h), omega_l=round_digits(c.omega_l), dt=task.dt
+    )
+
+
+def round_digits(value: float) -> float:
+    """Return a number of three digits, as it is written into the file.
+
+    >>> round_digits(0.0123456)
+    0.0123
+    """
+    return float(f"{value:.3g}")
+
+
+def try_out(task: Task, c: Constants, number: int, seed: int, fine: bool = True) -> Outcome:
+    """Run once; ``number`` chooses surrogate and end of the range."""
+    options = (task.surrogates if fine else task.coarse)[c.omega_h]
+    s = options[(number // 2) % len(options)]
+    rng = np.random.default_rng([seed, number])
+    end = number % 2
+    theta = task.scale.theta_at(float(end))
+    every = round(s.dt / task.dt)
+    steps = task.steps // every
+    limit = task.settings.drift
+    drift = 0.0 if number % 4 < 2 else float(rng.uniform(-limit, limit)) / steps
+    esc = replace(make_esc(task, c, theta), epsilon_initial=1 if end else -1)
+    detector = make_lifter(task, c).detector_params()
+    if s.coarse:
+        esc = slow_down(esc, every, task.settings.coarse_dt)
+        detector = cost.detector_params(c.omega_h, c.omega_l, s.dt)._replace(alpha_hp=0.0)
+    u, power = np.empty(BLOCKS), np.empty(BLOCKS)
+    surrogate.run(
+        s,
+        detector,
+        esc.params(),
+        esc.initial(),
+        steps,
+        drift,
+        float(end),
+        rng.random(1021),
+        u,
+        power,
+    )
+    return judge_run(task, s, u, power, steps * s.dt)
+
+
+def judge_run(
+    task: Task, s: Surrogate, u: NDArray[np.float64], power: NDArray[np.float64], time: float
+) -> Outcome:
+    """Judge a run of a time [s]."""
+    maps = task.sense * s.amplitudes
+    i = int(np.argmin(maps))
+    best, worst = float(maps[i]), float(maps.max())
+    logs = 0.5 * task.sense * np.log(power) - best  # above 0, more or less
+    half = BLOCKS // 2
+    late = 0.5 * task.sense * math.log(float(power[half:].mean())) - best
+    inside = np.flatnonzero(logs <= task.settings.convergence.bound(worst - best))
+    share = (inside[0] + 1) / BLOCKS if inside.size else 2.0
+    distance = float(np.abs(np.clip(u, 0.0, 1.0)[half:] - i / (s.amplitudes.size - 1)).mean())
+    start = 0.5 * task.sense * math.log(float(power[0])) - best
+    return Outcome(
+        math.exp(late),
+        share * time if inside.size else math.inf,
+        distance,
+        math.exp(start - late),
+        u,
+        power,
+        late + task.settings.slowness * share,
+    )
