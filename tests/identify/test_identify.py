@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.linalg import expm
 
 from koop_identify.model.compare import costs
-from koop_identify.model.from_bags import BagTraining, joined, load_bags, train_from_bags
+from koop_identify.model.from_bags import BagTraining, join_parts, load_bags, train_from_bags
 from koop_identify.model.windows import period_of
 from koop_identify.recording import counted
 from koop_identify.recording.samples import Batch, recorded_source
@@ -185,15 +185,13 @@ def test_how_a_stream_is_batched_does_not_matter_to_the_count(data):
     t = (np.cumsum(1.0 + 5.0 * lost) * DT * 1e9).astype(np.int64)
     t += (rng.exponential(size=size) * DT * 1e9).astype(np.int64)
     edges = [0, *sorted(data.draw(st.sets(st.integers(1, size - 1), max_size=6))), size]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(counted, "MOST", 10)  # what is held back, in a stream of 80 samples
-        patch.setattr(counted, "LOOK", 5)
-        parts = [Batch(a, t[a:b], None, t[a:b, None] + 0.0, False) for a, b in pairwise(edges)]
-        whole = [Batch(0, t, None, t[:, None] + 0.0, False)]
-        times = [
-            np.concatenate([part.time for part in counted.recount(given, DT * 1e9, DT * 1e9)])
-            for given in (parts, whole)
-        ]
+    few = counted.CountSettings(least=5, most=10)  # of a stream of 80 samples
+    parts = [Batch(a, t[a:b], None, t[a:b, None] + 0.0, False) for a, b in pairwise(edges)]
+    whole = [Batch(0, t, None, t[:, None] + 0.0, False)]
+    times = [
+        np.concatenate([part.time for part in counted.recount(fed, DT * 1e9, DT * 1e9, few)])
+        for fed in (parts, whole)
+    ]
     assert times[0].tolist() == times[1].tolist()
 
 
@@ -214,7 +212,7 @@ def split(segmentation, time, step, x, bounds):
     edges = [0, *sorted(bounds), time.size]
     parts = [slice(a, b) for a, b in pairwise(edges)]
     fed = (Batch(p.start, time[p], step[p], x[p]) for p in parts)
-    parts = list(joined((part for batch in fed for part in segmenter.split(batch)), 3))
+    parts = list(join_parts((part for batch in fed for part in segmenter.split(batch)), 3))
     found = []
     for apart in (1, 3):
         pairs = [

@@ -13,7 +13,7 @@ from koop_bench.figures import Figure, Settings
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.process import TiedProcess
 from koop_core.errors import LiveError
-from koop_loop.ending import told
+from koop_loop.ending import describe_end
 from koop_loop.parameters import make
 
 DT = 0.005  # [s] of a step
@@ -72,5 +72,5 @@ def bare_rate(steps: int, raw: bool = False) -> float:
         for process in (first, *others):
             process.wait()
     if first.returncode != 0:
-        raise LiveError(told("the bare chain", first.returncode))
+        raise LiveError(describe_end("the bare chain", first.returncode))
     return float(printed.split()[-1])

@@ -33,7 +33,7 @@ from launch_ros.actions import Node
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
 from koop_core.config.parameter_file import write
-from koop_loop.ending import Ending, ending, told
+from koop_loop.ending import Ending, describe_end, ending
 from koop_node.client.alone import TOPICS, alone
 from koop_node.process.lifeline import TIED
 
@@ -140,7 +140,7 @@ class _Loop:
             self._ended += 1
             if self._ended == len(self.processes):
                 self._place.close()
-            text = told(node, event.returncode)
+            text = describe_end(node, event.returncode)
             found = ending(node, event.returncode, self._rig)
             actions = []
             if context.is_shutdown or self._ending:

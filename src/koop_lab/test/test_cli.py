@@ -63,7 +63,6 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
             ["simulate", "--params-file", "nowhere.yaml"],
             "nowhere.yaml: cannot be read: No such",
         ),
-        (["simulate", "--theta-initial", "9"], "relay_esc: theta_initial = 9 must lie within"),
         (["simulate", "--duration", "-1"], "duration = -1: must be 0 to 1e+09 s"),
         (["simulate", "--duration", "0"], "--duration must cover at least two steps"),
         (["simulate", "--seeds", "0"], "--seeds 0: must be at least 1"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from koop_lab.replay.unheard import joined_at, unheard_costs
+from koop_lab.replay.unheard import find_join, unheard_costs
 
 STEP = 0.01
 
@@ -46,15 +46,15 @@ def late(held):
 
 
 def test_a_controller_that_holds_its_first_thetas_for_as_long_as_one_that_joins_has_joined():
-    assert joined_at(*late(held=20), settling=20) == 30
+    assert find_join(*late(held=20), settling=20) == 30
 
 
 def test_a_controller_whose_first_thetas_move_sooner_was_there_before():
-    assert joined_at(*late(held=0), settling=20) is None
-    assert joined_at(*late(held=10), settling=20) is None
+    assert find_join(*late(held=0), settling=20) is None
+    assert find_join(*late(held=10), settling=20) is None
 
 
 def test_where_theta_begins_with_the_costs_nobody_joined_late():
     has_r, has_theta, holding, theta = late(held=20)
     has_r[:30] = False  # of a lifter that joined, too
-    assert joined_at(has_r, has_theta, holding, theta, settling=20) is None
+    assert find_join(has_r, has_theta, holding, theta, settling=20) is None

@@ -34,7 +34,7 @@ def ending(node: str, exit_code: int, rig: bool) -> Ending:
     return Ending.GO_ON if node == "recorder" and rig else Ending.FAILED
 
 
-def told(node: str, exit_code: int) -> str:
+def describe_end(node: str, exit_code: int) -> str:
     """Return how a node ended, in words."""
     if exit_code < 0:
         return f"{node} was killed by signal {-exit_code}"

@@ -1,8 +1,8 @@
 """The closed loop offline: the nodes' kernels composed in one compiled function, without ROS.
 
-The order of events is that of the nodes in lockstep. At step k the plant publishes x'(t_k), the
-lifter answers with r_k, the relay with theta_k, and the plant then advances with theta_k. Nothing
-is late or lost, so no timeout acts; every other setting does what it does in the nodes.
+Events have the order of the nodes in lockstep. At step k the plant publishes x'(t_k), the lifter
+answers with r_k, the relay with theta_k, and the plant then advances with theta_k. Nothing is late
+or lost, so no timeout acts; every other setting does what it does in the nodes.
 
 A run can be disturbed (:class:`Exposure`): noise, states that never arrive, an optimum that moves,
 a sensor of one state only. Without a disturbance the compiled loop has no trace of any.

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 PAPER_DURATION = 2500.0  # [s] length of the paper's runs
 LOGGING_START = 100.0  # [s] the paper logs from here on, to leave out the initial transient
 TOLERANCE = 0.1  # |theta - theta*| that counts as reached; the paper gives no value
-CONVERGED = 0.6  # mean |theta - theta*| of a converged tail: twice that of the relay's own cycle
+CONVERGED = (
+    0.6  # mean |theta - theta*| of a converged tail: twice the mean of the relay's own cycle
+)
 TAIL = 0.3  # share of the run that counts as steady state
 
 
@@ -27,8 +29,8 @@ class Metrics:
     t_theta : float or None
         First time with |theta - theta*| below the tolerance [s]; None if never.
     e_r_ss : float or None
-        |mean r over the last 30 % - r*| / (max r - min r) [-]; None without an r* or a range. r* is
-        that of ``koop_loop.static_map``.
+        |mean r over the last 30 % - r*| / (max r - min r) [-], r* from ``koop_loop.static_map``;
+        None without an r* or a range.
     tail_error : float
         Mean |theta - theta*| over the last 30 %.
     """

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def amplitude(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the amplitude of each window: that of a sine of the same power.
+    """Return the amplitude of each window: the amplitude of a sine of the same power.
 
         A = sqrt(2) sigma,   sigma^2 the mean square about the window's straight line
 

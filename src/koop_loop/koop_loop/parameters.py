@@ -80,7 +80,7 @@ def names_of(classes: Iterable[type]) -> set[str]:
 def build(
     values: Mapping[str, Mapping[str, Any]], nodes: Mapping[str, tuple[type, ...]] = NODES
 ) -> dict[str, dict[type, Any]]:
-    """Build the configurations of nodes from values by node; what is not given is the default.
+    """Build the configurations of nodes from values by node; other parameters have their defaults.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def _build(node: str, classes: tuple[type, ...], given: Mapping[str, Any]) -> di
 
 
 def make(values: Mapping[str, Mapping[str, Any]]) -> LoopParameters:
-    """Build the configurations from values by node; what is not given is the default.
+    """Build the configurations from values by node; other parameters have their defaults.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def read(
 def with_model_beside(
     path: str | Path, values: dict[str, dict[str, Any]]
 ) -> dict[str, dict[str, Any]]:
-    """Return the values of a file, a relative path of a model being that of one beside the file.
+    """Return the values of a file; a relative path of its model is resolved beside the file.
 
     So a folder that holds both can be moved. Where an absolute path leads nowhere, the model is the
     one that the recorder has kept of that name. Where none is beside it, the path is left as it is.

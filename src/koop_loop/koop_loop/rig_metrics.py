@@ -1,4 +1,4 @@
-"""Metrics of a rig whose best theta nobody knows.
+"""Metrics of a rig whose best theta is not known.
 
 The paper's metrics (``koop_loop.metrics``) measure the way to theta*. A rig has none; what counts
 is the amplitude before and after, and whether theta has come to rest.
@@ -72,8 +72,8 @@ class RigMetrics:
         )
 
     def as_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
-        """Return the figures in JSON terms; what is not a number becomes None."""
-        known = zip(names, self.before, self.after, self.reduction, strict=True)
+        """Return the figures in JSON terms; NaN becomes None."""
+        channels = zip(names, self.before, self.after, self.reduction, strict=True)
         return {
             "amplitude": {
                 "definition": "sqrt(2) times the standard deviation about a line, in windows",
@@ -82,7 +82,7 @@ class RigMetrics:
                 "after": {"from": self.after_from, "to": self.after_to},
                 "channels": {
                     name: {"before": _number(b), "after": _number(a), "reduction": _number(r)}
-                    for name, b, a, r in known
+                    for name, b, a, r in channels
                 },
             },
             "theta": {
@@ -151,10 +151,10 @@ def rig_metrics(
         ("theta_mean", "theta_swing", "settled_at", "at_limit")
     )
     if theta is not None and np.isfinite(theta).any():
-        known = np.isfinite(theta)
-        figures = _of_theta(t[known], theta[known], after_from)
+        finite = np.isfinite(theta)
+        figures = _theta_figures(t[finite], theta[finite], after_from)
         if limited is not None:
-            figures["at_limit"] = float(limited[known].mean())
+            figures["at_limit"] = float(limited[finite].mean())
     length = round(window / dt)
     return RigMetrics(
         length * dt,
@@ -201,15 +201,15 @@ def _amplitudes(
     for part in parts:
         whole = part[: part.size // length * length].reshape(-1, length)
         usable += [x[window].T for window in whole]
-    found = np.array([amplitude(window) for window in usable]).reshape(-1, x.shape[1])
-    return tuple(_root_mean_square(column[np.isfinite(column)]) for column in found.T)
+    amplitudes = np.array([amplitude(window) for window in usable]).reshape(-1, x.shape[1])
+    return tuple(_root_mean_square(column[np.isfinite(column)]) for column in amplitudes.T)
 
 
 def _root_mean_square(values: NDArray[np.float64]) -> float:
     return float(np.sqrt((values**2).mean())) if values.size else float("nan")
 
 
-def _of_theta(
+def _theta_figures(
     t: NDArray[np.float64], theta: NDArray[np.float64], after_from: float
 ) -> dict[str, float | None]:
     end = theta[t >= after_from]
@@ -221,7 +221,7 @@ def _of_theta(
     settled = float(t[outside[-1] + 1]) if outside.size else float(t[0])
     latest = after_from - REST * (float(t[-1]) - after_from)
     second = end[end.size // 2 :]
-    if np.ptp(second) < 0.5 * (high - low):  # it did not go to and fro
+    if np.ptp(second) < 0.5 * (high - low):  # it did not oscillate
         settled = math.inf
     return {
         "theta_mean": float(end.mean()),

@@ -23,13 +23,13 @@ class RigConfig:
         validate(self)
 
     def words(self) -> tuple[str, ...]:
-        """Return program and arguments; raise ConfigError if there is no such program."""
+        """Return program and arguments; raise ConfigError if the program does not exist."""
         try:
             words = tuple(shlex.split(self.command))
         except ValueError as error:
             raise ConfigError(f"rig: command = {self.command!r}: {error}") from None
         if words and shutil.which(words[0]) is None:
-            raise ConfigError(f"rig: command = {self.command!r}: there is no program {words[0]!r}")
+            raise ConfigError(f"rig: command = {self.command!r}: no program {words[0]!r} found")
         return words
 
 

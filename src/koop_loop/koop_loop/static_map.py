@@ -21,7 +21,7 @@ from vdp_plant.config import PlantConfig
 
 SETTLING = LOGGING_START  # [s] before r counts: the paper's transient
 WITHOUT_DRIFT = 200.0  # [s] over which r is averaged if the damping does not drift
-UNLIMITED = 1e6  # of a theta that nobody controls
+UNLIMITED = 1e6  # limits of a theta that is held
 
 Cost = Callable[[float, float], NDArray[np.float64]]
 """Returns r of every step at a constant theta for a duration [s]."""

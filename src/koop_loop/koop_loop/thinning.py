@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 def extremes(
     values: NDArray[np.float64], block: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return least and largest of every ``block`` samples; what is left over at the end is ignored.
+    """Return least and largest of every ``block`` samples; an incomplete last block is ignored.
 
-    So is what is not a number, as the cost of an unusable state.
+    NaN, as the cost of an unusable state, is ignored, too.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 import pytest
 
-from koop_loop.ending import Ending, ending, told
+from koop_loop.ending import Ending, describe_end, ending
 
 
 @pytest.mark.parametrize(
@@ -23,5 +23,5 @@ def test_a_rig_keeps_its_controller_when_the_recording_ends(node, exit_code, rig
 
 
 def test_a_signal_is_named():
-    assert told("relay_esc", -9) == "relay_esc was killed by signal 9"
-    assert told("relay_esc", 2) == "relay_esc ended with exit code 2"
+    assert describe_end("relay_esc", -9) == "relay_esc was killed by signal 9"
+    assert describe_end("relay_esc", 2) == "relay_esc ended with exit code 2"

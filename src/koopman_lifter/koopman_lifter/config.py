@@ -102,7 +102,7 @@ class ModelConfig:
 
     def __post_init__(self) -> None:
         validate(self)
-        if not self.model:  # so that whoever asks for the parameter learns which file is in use
+        if not self.model:  # a client that asks for the parameter learns which file is in use
             object.__setattr__(self, "model", str(shipped_model()))
 
     @property

@@ -10,12 +10,12 @@ restricted to the linear observables because an interference that is added to th
 there and nowhere else. With delays w is a filter over the last samples as well. The result is a
 projector of the model file, so that the lifter node runs it unchanged.
 
-Which windows are strong and weak is told by their amplitude, or, where theta of each window is
-known, by theta: an interference or a drift that is stronger than the oscillation comes and goes
-with time, the oscillation with theta. Then windows are put in bins of theta, every pair of bins
-proposes its directions, and the one is taken whose energy (w^T X)^2 theta explains best: the
-largest ratio of the variance of its logarithm between bins to that within them (Fisher's F),
-directions from one half of the windows being judged on the other.
+Windows are strong or weak by their amplitude, or, where theta of each window is known, by theta: an
+interference or a drift that is stronger than the oscillation comes and goes with time, the
+oscillation with theta. Then windows are put in bins of theta, every pair of bins proposes its
+directions, and the one is taken whose energy (w^T X)^2 theta explains best: the largest ratio of
+the variance of its logarithm between bins to that within them (Fisher's F), directions from one
+half of the windows being judged on the other.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def with_contrast(
     means : ndarray, shape (T, n)
         Of the state over the same windows.
     theta : ndarray, shape (T,), optional
-        Control input of each window, where it tells strong from weak.
+        Control input of each window, if strong and weak are distinguished by it.
 
     Raises
     ------
@@ -84,8 +84,8 @@ def with_contrast(
     return replace(model, projector=rows)
 
 
-def can_tell(theta: NDArray[np.float64] | None) -> bool:
-    """Return whether theta of the windows is known and varied enough to tell strong from weak."""
+def can_split(theta: NDArray[np.float64] | None) -> bool:
+    """Return whether theta of the windows is known and varied enough to split the windows."""
     if theta is None or not np.isfinite(theta).all() or theta.size < 2 * IN_A_BIN:
         return False
     bins = _bins(theta)
@@ -105,7 +105,7 @@ def _by_amplitude(
 def _by_theta(
     covariances: NDArray[np.float64], theta: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the direction, shape (n,), and which windows are weak: those of one bin of theta."""
+    """Return the direction, shape (n,), and which windows are weak: one bin of theta."""
     bins = _bins(theta)
     inside = [np.flatnonzero(bins == i) for i in np.unique(bins[bins >= 0])]
     halves = [(members[::2], members[1::2]) for members in inside]

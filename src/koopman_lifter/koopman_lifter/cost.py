@@ -16,7 +16,7 @@ to climb.
 
 Where the model's state is the last samples of the measurement, a delay line holds them, as much a
 part of the lifter's state as the filters. It is reset where they are not continued: at a start, a
-join, a silence. Until it is full there is no cost, which is no fault (``settling``). One or two
+join, a silence. Until it is full there is no cost, which is not a fault (``settling``). One or two
 samples that were lost are interpolated, as ``koop train`` bridges them; after more it is reset: a
 filter over the delays may cancel signals a thousand times its own output, and what is not of one
 piece comes out as a spike.
@@ -185,7 +185,7 @@ def initial() -> DetectorState:
 def joining(p: DetectorParams) -> DetectorState:
     """Return the state before the first sample of a run that is under way.
 
-    It serves a switch to another cost or model too, whose energies are another quantity.
+    Also used after a switch to another cost or model: its energies are another quantity.
     """
     return DetectorState(0.0, 0.0, 0.0, False, p.settling)
 

@@ -2,7 +2,7 @@
 
     X_k = [x'_k, x'_{k-s}, ..., x'_{k-(d-1)s}]
 
-One measured channel tells the state of an oscillator of several dimensions by its past (Takens
+The past of one measured channel determines the state of an oscillator of several dimensions (Takens
 1981); of the monomials of X_k follows Hankel DMD (Arbabi and Mezic 2017). ``count`` d = 1 is no
 embedding: the state is what is measured.
 """
@@ -106,7 +106,7 @@ def spacing_for(period: float, count: int) -> float:
 
 
 def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
-    """Return the period [s] of the oscillation that comes and goes.
+    """Return the period [s] of the oscillation whose power varies most.
 
     Where the power of the channels, in units of their variance, varies most from window to window
     (from the 10 to the 90 % quantile): an interference that is always there does not vary, however
@@ -133,7 +133,7 @@ def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
     deviation = np.hstack(list(pieces)).std(axis=1) if pieces else np.zeros(1)
     if length < 32 or not (deviation > 0.0).any():
         raise InputError(
-            f"{sizes.sum():.0f} samples are too few, or do not move: they tell no period to choose "
+            f"{sizes.sum():.0f} samples are too few, or do not move: no period is found to choose "
             "the spacing of delays or the length of windows by"
         )
     moving = deviation > 0.0

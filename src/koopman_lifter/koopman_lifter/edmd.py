@@ -22,7 +22,7 @@ from koopman_lifter.products import products
 
 
 class RankDeficient(InputError):
-    """The data do not tell the observables apart."""
+    """The data do not excite every observable."""
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
     x_hat(t + h Dt) = C K^h g(X(t)),   C picks the newest samples, monomials of degree one
 
-An error of 1 is that of predicting the mean; what predicting "no change" gives stands beside it.
+Predicting the mean has an error of 1; the error of predicting "no change" stands beside it.
 """
 
 from __future__ import annotations
@@ -76,12 +76,12 @@ class Forecast:
         mean = self._sum / self._states
         deviation = np.sqrt(np.maximum(self._squares / self._states - mean**2, 0.0))
         deviation[deviation == 0.0] = np.nan
-        found = []
+        entries = []
         for i, steps in enumerate(self.horizons):
             if self._counts[i]:
                 error = np.sqrt(self._errors[i] / self._counts[i]) / deviation
                 unchanged = np.sqrt(self._unchanged[i] / self._counts[i]) / deviation
-                found.append(
+                entries.append(
                     {
                         "steps": steps,
                         "error": [float(f"{value:.4g}") for value in error],
@@ -89,4 +89,4 @@ class Forecast:
                         "predictions": int(self._counts[i]),
                     }
                 )
-        return found
+        return entries

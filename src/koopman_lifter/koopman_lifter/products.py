@@ -87,7 +87,7 @@ def _tiles(observables: Monomials, states: NDArray[np.float64]) -> Iterator[NDAr
 
 
 class _Shifts(NamedTuple):
-    """Of the observables of a delay line.
+    """How the observables of a delay line shift in time.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class _Shifts(NamedTuple):
     newer : ndarray of int64, shape (p,)
         s(i) of those in S.
     depths : list of ndarray of int64
-        Those whose newest sample is at least 1, 2, ... steps old; the constant is one of them.
+        Observables whose newest sample is at least 1, 2, ... steps old, the constant included.
     """
 
     newest: NDArray[np.int64]

@@ -152,7 +152,7 @@ def insight(p: RelayParams, state: RelayState) -> tuple[float, float, float]:
     -------
     gradient : float
         Slope of the cost over u, of log r with the adaptive law; filtered as the rise is. It is
-        that of the cost's change by the step that theta makes, whatever causes the change.
+        the cost's change over theta's step, whatever causes the change.
     noise, confidence : float
         Of the cost's level, and of the adaptive law; NaN with the relay, which has none.
     """
@@ -255,7 +255,7 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
 
 @njit()
 def usable(p: RelayParams, r: float) -> bool:
-    """Say whether a cost tells anything; 0 has no logarithm."""
+    """Return whether a cost is usable; 0 has no logarithm."""
     return math.isfinite(r) and (r > 0.0 or not p.adaptive)
 
 
@@ -269,7 +269,7 @@ def wait(p: RelayParams, state: RelayState, r: float) -> RelayState:
 
 @njit()
 def outside(p: RelayParams, state: RelayState) -> bool:
-    """Say whether theta is yet to reach its limits."""
+    """Return whether theta has yet to reach its limits."""
     return state.given < p.u_min or state.given > p.u_max
 
 
@@ -300,7 +300,7 @@ def respond(
     r: float,
     hold_asked: bool,
 ) -> tuple[RelayState, bool]:
-    """Say what the relay asks for in answer to one cost; see :func:`answer`."""
+    """Return what the relay asks for in answer to one cost; see :func:`answer`."""
     if arrival == Arrival.RESTART:
         state = restart(state, 0, OPEN)
     elif arrival == Arrival.JOIN:

@@ -23,7 +23,7 @@ the optimum loses it, which the level shows.
 
 Noise turns the legs of a narrow swing too early or too late, and where they are would be a random
 walk. So the mean of the middles of the legs at home is kept, the centre c: wide legs, that see the
-optimum well, tell it to the narrow ones. Steps of a swing that is not at its widest are larger by a
+optimum well, guide the narrow ones. Steps of a swing that is not at its widest are larger by a
 half towards c and smaller by a half away from it. A lost optimum or a leg of two dwell times
 forgets c.
 
@@ -235,7 +235,7 @@ def turn(swing: Swing, length: float, u: float, least: float, lost: float) -> Sw
         away = above > lost * noise
         if swing.legs < LEARNED:
             noise = max(noise, change)
-        else:  # a jump of the level is no noise
+        else:  # a jump of the level is not noise
             rate = NOISE_RATE if home else NOISE_RATE_AWAY
             noise += rate * (min(change, 3.0 * noise) - noise)
         dip += DIP_RATE * (min(swing.begin, swing.level) - lowest - dip)

@@ -145,7 +145,7 @@ def runge_kutta(
 def actuate(p: PlantParams, applied: float, theta: float) -> float:
     """Return the theta that acts in the next step: within the actuator's bounds and rate.
 
-    The controller has limits of its own; these hold whoever commands the plant.
+    The controller has limits of its own; these hold for any source of commands.
 
     Parameters
     ----------

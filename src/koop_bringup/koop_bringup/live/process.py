@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_core.errors import LiveError
-from koop_loop.ending import told
+from koop_loop.ending import describe_end
 from koop_loop.parameters import CONTAINER, EXECUTABLES
 from koop_node.process.lifeline import TIED, deferred_signals
 
@@ -149,5 +149,5 @@ class NodeProcess:
     def failure(self) -> LiveError:
         """Return the error that says how the process ended, with its last words."""
         code = self.process.poll()
-        end = "has not ended" if code is None else told(self.node, code)
+        end = "has not ended" if code is None else describe_end(self.node, code)
         return LiveError(f"{end}:\n{self.last_lines()}\n({self.log})")

@@ -20,7 +20,7 @@ from koop_bringup.live.process import OWN_GROUP, uninterrupted
 from koop_commission.theta.assignment import Assignment
 from koop_commission.theta.limits import compute_return_time
 from koop_core.errors import LiveError
-from koop_loop.ending import told
+from koop_loop.ending import describe_end
 from koop_tune.rig.rig_file import RigFile
 
 SIGN_OF_LIFE = 1.0  # [s] between two lines to the commander
@@ -126,7 +126,7 @@ class CommanderClient:
         if self.reason:
             raise LiveError(self.reason)
         if self._process.poll() is not None:
-            raise LiveError(self._error or told("the commander", self._process.returncode))
+            raise LiveError(self._error or describe_end("the commander", self._process.returncode))
         if time.monotonic() - self._written > SIGN_OF_LIFE:
             self._write()
 

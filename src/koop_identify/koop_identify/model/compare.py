@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from koop_core.errors import InputError
 from koop_identify.model.energies import energies
-from koop_identify.model.from_bags import BagTraining, build_from, contrasted
+from koop_identify.model.from_bags import BagTraining, build_from, learn_contrast
 from koop_identify.recording.loaded import Loaded, pieces
 from koop_identify.recording.samples import state_names
 from koopman_lifter.delays import Delays, spacing_for
@@ -53,7 +53,7 @@ def costs(
 ) -> Iterator[Cost]:
     """Yield every candidate, learned from the training part of a recording.
 
-    ``period`` is that of the oscillation [s]; modes are learned from ``most`` samples, spread over
+    ``period`` is the oscillation's [s]; modes are learned from ``most`` samples, spread over
     the recording, or from all.
     """
     x, begins, dt = loaded.x, loaded.begins, training.reading.known_dt
@@ -75,7 +75,7 @@ def costs(
             problem = str(error)
         yield _judge(f"lifted{suffix}", plain, lifted, loaded, problem)
         try:
-            contrast = None if lifted is None else contrasted(lifted, loaded, period)
+            contrast = None if lifted is None else learn_contrast(lifted, loaded, period)
         except InputError as error:
             problem = str(error)
         with_period = replace(plain, contrast=True, period=period)

@@ -18,7 +18,7 @@ from koop_identify.recording.loaded import Loaded, load_states, load_with_comman
 from koop_identify.recording.samples import batches, sha256, state_names
 from koop_identify.recording.segmentation import BagReading, find_segmentation
 from koop_identify.recording.segments import Segment, Segmentation, Segmenter
-from koopman_lifter.contrast import can_tell, moments, with_contrast
+from koopman_lifter.contrast import can_split, moments, with_contrast
 from koopman_lifter.delays import Delays, embedded_degree, spacing_for
 from koopman_lifter.edmd import Gram, RankDeficient
 from koopman_lifter.model import KoopmanModel, build
@@ -44,7 +44,7 @@ class BagTraining:
         Whether the cost is the contrast of strong and weak oscillation (koopman_lifter.contrast)
         in place of the energy of the dominant modes.
     period : float or None
-        Of the oscillation that the contrast is of [s]; None: of what comes and goes.
+        Period of the oscillation to contrast [s]; None: of the one whose power varies most.
     delays : int
         Samples of every channel that make up the state.
     spacing : float or None
@@ -138,7 +138,7 @@ class _Sums:
             )
         before = self._gram.pairs
         segmenter = Segmenter(segmentation, bag.topic(measured.topic).count)
-        for segment, _ in joined(_segments(bag, measured, segmenter), self._delays.depth):
+        for segment, _ in join_parts(_segments(bag, measured, segmenter), self._delays.depth):
             if not segment.held_out:
                 self._gram.add_trajectory(self._delays.embed(segment.states))
         if training.contrast:
@@ -171,7 +171,7 @@ class _Sums:
         if not training.contrast:
             return model
         loaded = Loaded.joined(self._loaded)
-        return contrasted(model, loaded, training.period or period_of(loaded, dt))
+        return learn_contrast(model, loaded, training.period or period_of(loaded, dt))
 
 
 def load_bags(paths: Sequence[Path], reading: BagReading) -> tuple[Loaded, BagReading]:
@@ -218,10 +218,10 @@ def build_from(
         return build_from(lowered, training, names, provenance | lower, delays)
 
 
-def contrasted(model: KoopmanModel, loaded: Loaded, period: float) -> KoopmanModel:
+def learn_contrast(model: KoopmanModel, loaded: Loaded, period: float) -> KoopmanModel:
     """Return the model with the cost ``contrast``, learned from the windows of a recording.
 
-    ``period`` is that of the oscillation [s].
+    ``period`` is the oscillation's [s].
 
     Raises
     ------
@@ -233,7 +233,7 @@ def contrasted(model: KoopmanModel, loaded: Loaded, period: float) -> KoopmanMod
     theta = None
     if loaded.theta is not None:
         theta = cut_windows(loaded.theta, starts, length).mean(axis=1)
-    by_theta = can_tell(theta)
+    by_theta = can_split(theta)
     provenance = {
         **model.provenance,
         "variant": "contrast",
@@ -258,7 +258,7 @@ def _find_delays(
     return Delays.spaced(n, training.delays, spacing, dt)
 
 
-def joined(segments: Iterator[Segment], overlap: int) -> Iterator[tuple[Segment, int]]:
+def join_parts(segments: Iterator[Segment], overlap: int) -> Iterator[tuple[Segment, int]]:
     """Repeat the end of a part of a segment at the beginning of the next part.
 
     Yields
@@ -284,7 +284,7 @@ def _joined_segments(
 ) -> Iterator[tuple[Segment, int]]:
     measured = training.reading.measured
     segmenter = Segmenter(segmentation, bag.topic(measured.topic).count)
-    yield from joined(_segments(bag, measured, segmenter), overlap)
+    yield from join_parts(_segments(bag, measured, segmenter), overlap)
 
 
 def _segments(bag: BagReader, measured: Source, segmenter: Segmenter) -> Iterator[Segment]:

@@ -17,9 +17,9 @@ LEAST = 1.5  # periods that it is long at least
 SKIP = 2.0  # periods that the rig needs after a jump of theta
 SHARE = 0.3  # of the time until the next jump, at most
 JUMP = 0.05  # share of theta's range by which theta moves in a jump
-UNTOLD = 20  # windows that a recording without theta is cut into
+WITHOUT_THETA = 20  # windows that a recording without theta is cut into
 QUIET = 0.1  # share of theta's range by which theta may move within a window
-SHORTER = 0.95  # than a settled piece, so that one that is a little shorter counts, too
+SHORTER = 0.95  # than a settled piece, so that a slightly shorter one counts, too
 
 
 def period_of(loaded: Loaded, dt: float) -> float:
@@ -31,13 +31,13 @@ def period_of(loaded: Loaded, dt: float) -> float:
 
 
 def jumps(theta: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return where theta is no longer what it was, by more than a twentieth of its range."""
-    known = theta[np.isfinite(theta)]
-    if not known.size:
+    """Return where theta changes by more than a twentieth of its range."""
+    finite = theta[np.isfinite(theta)]
+    if not finite.size:
         return np.zeros(theta.size, np.bool_)
     moved = np.abs(np.diff(theta, prepend=theta[:1]))
     # NaN, where theta is not known, compares false
-    return np.asarray(moved > JUMP * np.ptp(known))
+    return np.asarray(moved > JUMP * np.ptp(finite))
 
 
 def usual_rest(theta: NDArray[np.float64] | None, dt: float) -> float:
@@ -88,10 +88,10 @@ def settled_windows(
     cut[0] = True
     moved, span = np.zeros(size), 0.0
     if theta is not None and np.isfinite(theta).any():
-        known = np.isfinite(theta)
+        finite = np.isfinite(theta)
         span = float(np.nanmax(theta) - np.nanmin(theta))
         moved[1:] = np.nan_to_num(np.abs(np.diff(theta)))
-        cut[1:] |= known[1:] != known[:-1]
+        cut[1:] |= finite[1:] != finite[:-1]
         cut |= moved > QUIET * span
     bounds = np.append(np.flatnonzero(cut), size)
     usable = np.maximum(np.diff(bounds) - round(skip / dt), 0)
@@ -104,7 +104,7 @@ def settled_windows(
     if speed > 0.0:
         limits.append(QUIET * span / speed)
     if span == 0.0:
-        limits.append(ordered.sum() / UNTOLD)
+        limits.append(ordered.sum() / WITHOUT_THETA)
     length = int(min(limits))
     if length < 3:
         return nothing
@@ -143,7 +143,7 @@ def training_windows(
     dt : float
         Time between two states [s].
     period : float
-        Of the oscillation [s], see :func:`period_of`.
+        Period of the oscillation [s], see :func:`period_of`.
 
     Returns
     -------

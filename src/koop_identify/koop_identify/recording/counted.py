@@ -1,11 +1,11 @@
-"""The time of samples that bear no stamp: counted, so that jitter of their reception is no gap.
+"""The time of samples that bear no stamp: counted, so that jitter of their reception is not a gap.
 
 A source without stamps is taken to sample evenly, as the lifter takes it, which counts its
 messages. Sample j is then received at t_j = t_0 + P (j + m_j) + l_j: P is the stream's mean period,
 m_j the number of samples that are missing before it, l_j >= 0 how late transport and a busy host
 made it. A late message, or a batch of them, is followed by a burst that makes up for it; for what
 was lost or not sampled nothing does. So the smallest of the next K and of the last K values of
-e_j = t_j - P (j + m_i) tell how many samples are missing between i and i + 1:
+e_j = t_j - P (j + m_i) show how many samples are missing between i and i + 1:
 
     (min(e_i+1 ... e_i+K) - min(e_i-K+1 ... e_i)) / P,    K = 2 (t_i+1 - t_i) / P, at least 50
 """
@@ -14,19 +14,37 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import parameter, validate
 from koop_core.kernels import njit
 from koop_identify.recording.samples import Batch
 
-LOOK = 50  # [samples] at least looked at before and after a long wait
-MOST = 10_000  # and at most: twice what a topic of the loop keeps for a link that was cut
-LONG = 1.5  # [periods] between two samples that make it worth looking for a missing one
-SURE = 0.75  # [periods] not made up for that tell of a missing one
+LONG = 1.5  # [periods] between two samples above which a missing one is looked for
+SURE = 0.75  # [periods] that are not made up for and show a missing sample
 SPAN = 1000  # [samples] over which the mean period is found
+
+
+@dataclass(frozen=True)
+class CountSettings:
+    """How far around a long wait the count looks."""
+
+    least: int = parameter(50, "samples looked at before and after a long wait, at least", low=1)
+    most: int = parameter(
+        10_000,
+        "the same at most, and samples that are held back",
+        low=1,
+        origin="twice what a topic of the loop keeps for a link that was cut",
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+DEFAULTS = CountSettings()
 
 
 def mean_period(time: NDArray[np.int64]) -> float:
@@ -38,7 +56,9 @@ def mean_period(time: NDArray[np.int64]) -> float:
     return float(np.median(time[span:] - time[:-span])) / span
 
 
-def recount(batches: Iterable[Batch], period: float, spacing: float) -> Iterator[Batch]:
+def recount(
+    batches: Iterable[Batch], period: float, spacing: float, settings: CountSettings = DEFAULTS
+) -> Iterator[Batch]:
     """Yield consecutive batches with counted times in place of times of reception.
 
     Parameters
@@ -49,13 +69,15 @@ def recount(batches: Iterable[Batch], period: float, spacing: float) -> Iterator
         Mean period P of the stream [ns].
     spacing : float
         Time [ns] from one sample to the next in the result, missing ones included.
+    settings : CountSettings
+        How far the count looks.
     """
     waiting: deque[Batch] = deque()
-    count = Count(period)
+    count = Count(period, settings)
     for batch in batches:
         waiting.append(batch)
         count.receive(batch.time)
-        while waiting and count.received >= waiting[0].time.size + MOST:
+        while waiting and count.received >= waiting[0].time.size + settings.most:
             yield _timed(waiting.popleft(), count, spacing)
     for batch in waiting:
         yield _timed(batch, count, spacing)
@@ -73,10 +95,12 @@ class Count:
     ----------
     period : float
         Mean period of the stream [ns].
+    settings : CountSettings
+        How far the count looks.
     """
 
-    def __init__(self, period: float) -> None:
-        self._period = period
+    def __init__(self, period: float, settings: CountSettings = DEFAULTS) -> None:
+        self._period, self._settings = period, settings
         self._times: NDArray[np.int64] = np.empty(0, np.int64)  # of all that is looked at
         self._numbers: NDArray[np.int64] = np.empty(0, np.int64)  # of those that were taken
 
@@ -90,11 +114,12 @@ class Count:
         self._times = np.append(self._times, times)
 
     def take(self, size: int) -> NDArray[np.int64]:
-        """Return the numbers of the next samples; the next MOST should have been received."""
+        """Return the numbers of the next samples; the next `most` should have been received."""
         begin, end = self._numbers.size, self._numbers.size + size
         numbers = np.append(self._numbers, np.zeros(size, np.int64))
-        _number(self._times - self._times[0], numbers, begin, self._period, LOOK, MOST)
-        kept = max(0, end - MOST)
+        least, most = self._settings.least, self._settings.most
+        _number(self._times - self._times[0], numbers, begin, self._period, least, most)
+        kept = max(0, end - most)
         self._times, self._numbers = self._times[kept:], numbers[kept:]
         return numbers[begin:]
 

@@ -140,5 +140,5 @@ def _theta_at(bag: BagReader, measured: Source, command: Source) -> NDArray[np.f
     usual = float(np.median(np.diff(when))) if when.size > 1 else np.inf
     place = np.searchsorted(when, received, side="right") - 1
     held, age = value[np.maximum(place, 0)], received - when[np.maximum(place, 0)]
-    known = (place >= 0) & (age <= max(STALE * usual, STALE_LEAST * 1e9))
-    return np.where(known, held, np.nan)
+    valid = (place >= 0) & (age <= max(STALE * usual, STALE_LEAST * 1e9))
+    return np.where(valid, held, np.nan)

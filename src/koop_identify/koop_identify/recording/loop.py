@@ -139,24 +139,24 @@ def read_loop(bag: Path, namespace: str = "/") -> LoopRecord:
                 f"--measured /TOPIC:FIELD,FIELD. It has {others or 'no messages'}"
             )
         columns: dict[str, Columns] = {}
-        for name, wanted in FIELDS.items():
+        for name, names in FIELDS.items():
             topic = f"{base}/{name}"
             if topic in present:
                 if name == "theta" and SWING in reader.topic(topic).definition:
-                    wanted = [*wanted, "swing"]
-                columns[name] = _columns(reader, topic, [*wanted, "log_time"])
+                    names = [*names, "swing"]
+                columns[name] = _columns(reader, topic, [*names, "log_time"])
     return _align(columns)
 
 
-def _columns(bag: BagReader, topic: str, wanted: list[str]) -> Columns:
+def _columns(bag: BagReader, topic: str, names: list[str]) -> Columns:
     """Read a topic; a state of another length than most, which has no use, is a row of NaN."""
     try:
-        return read_columns(bag, topic, wanted)
+        return read_columns(bag, topic, names)
     except BagError:
-        if "x" not in wanted:
+        if "x" not in names:
             raise
     elements = [name for name in measure(bag, topic).fields if name.startswith("x[")]
-    columns = read_columns(bag, topic, [*(name for name in wanted if name != "x"), *elements])
+    columns = read_columns(bag, topic, [*(name for name in names if name != "x"), *elements])
     x = np.stack([columns.pop(name) for name in elements], axis=1).astype(np.float64)
     n = int(np.median((~np.isnan(x)).sum(axis=1)))
     x[~np.isnan(x[:, n:]).all(axis=1)] = np.nan

@@ -25,7 +25,7 @@ EVENTS = "/parameter_events"
 
 
 @dataclass(frozen=True)
-class Change:
+class ParameterChange:
     """Parameters of one node that were set while recording.
 
     Attributes
@@ -35,8 +35,8 @@ class Change:
     node : str
         Name of the node.
     values : dict
-        The new values; an equal one counts too, for setting `cost` or `model` starts the detector
-        anew.
+        The new values; an equal one counts too, for setting `cost` or `model` restarts the
+        detector.
     """
 
     index: int
@@ -56,18 +56,18 @@ def recorded_values(
         if not text and (folder / "parameters.yaml").is_file():
             text = (folder / "parameters.yaml").read_text(encoding="utf-8")
     base, content = namespace.rstrip("/"), parse_map(text, "record of parameters")
-    found: dict[str, dict[str, Any]] = {}
+    values: dict[str, dict[str, Any]] = {}
     for node in nodes:
         section = content.get(f"{base}/{node}")
         if isinstance(section, dict) and isinstance(section.get("ros__parameters"), dict):
-            found[node] = _own_parameters(node, section["ros__parameters"])
-    return found
+            values[node] = _loop_parameters(section["ros__parameters"])
+    return values
 
 
-def _own_parameters(node: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def _loop_parameters(values: Mapping[str, Any]) -> dict[str, Any]:
     """Leave out what belongs to ROS or to the process and says nothing about the controller."""
     process = {item.name for item in fields(NodeConfig)}
-    return {k: v for k, v in given.items() if k not in process and not k.startswith(ROS_OWN)}
+    return {k: v for k, v in values.items() if k not in process and not k.startswith(ROS_OWN)}
 
 
 def known_parameters(node: str) -> set[str]:
@@ -81,7 +81,7 @@ def recorded_changes(
     answered: Mapping[str, NDArray[Any]],
     source: NDArray[Any],
     model: NDArray[np.str_],
-) -> tuple[Change, ...]:
+) -> tuple[ParameterChange, ...]:
     """Return what was changed between two answers.
 
     A node sends an event about the change and its answers from one thread, so that the times of
@@ -99,21 +99,21 @@ def recorded_changes(
         Recorded source, above 1 where there is none, and model of the cost; they say when it was
         switched where the event of that was not recorded.
     """
-    changes: list[Change] = []
+    changes: list[ParameterChange] = []
     names = {number: name for name, number in SOURCES.items()}
     recorded = any(topic.name == EVENTS and topic.count for topic in bag.topics)
     for event in _events(bag, namespace) if recorded else ():
         later = np.flatnonzero(answered[event.node] > event.sent)
         if event.changed and later.size:
-            changes.append(Change(int(later[0]), event.node, event.changed))
-    told = {change.index for change in changes if {"cost", "model"} & set(change.values)}
+            changes.append(ParameterChange(int(later[0]), event.node, event.changed))
+    switched = {change.index for change in changes if {"cost", "model"} & set(change.values)}
     for before, k in pairwise(np.flatnonzero(source < len(names)).tolist()):
-        if k in told or (source[k], model[k]) == (source[before], model[before]):
+        if k in switched or (source[k], model[k]) == (source[before], model[before]):
             continue
-        own = {"cost": names[int(source[k])]}
+        values = {"cost": names[int(source[k])]}
         if model[k] != model[before]:
-            own["model"] = str(model[k])
-        changes.append(Change(k, "koopman_lifter", own))
+            values["model"] = str(model[k])
+        changes.append(ParameterChange(k, "koopman_lifter", values))
     return tuple(sorted(changes, key=lambda change: change.index))
 
 
@@ -121,9 +121,9 @@ def first_values(
     bag: BagReader,
     namespace: str,
     collected: Mapping[str, Mapping[str, Any]],
-    changes: Iterable[Change],
+    changes: Iterable[ParameterChange],
 ) -> tuple[dict[str, dict[str, Any]], list[str]]:
-    """Return the parameters of the first state, and those of which the bag does not tell.
+    """Return the parameters at the first state, and the names of those that are not in the bag.
 
     The recorder asks every node once, perhaps after a change. What a changed parameter was before
     is known from the event of its declaration; which cost and model it was, from the first answer.
@@ -162,7 +162,7 @@ def _events(bag: BagReader, namespace: str) -> Iterator[_Event]:
         if event.node in nodes:
             node = nodes[event.node]
             declared, changed = (
-                _own_parameters(node, {item.name: _value(item.value) for item in items})
+                _loop_parameters({item.name: _value(item.value) for item in items})
                 for items in (event.new_parameters, event.changed_parameters)
             )
             yield _Event(message.publish_time, node, declared, changed)

@@ -29,7 +29,7 @@ def recorded_source(text: str) -> Source:
     Raises
     ------
     koop_core.config.parameter.ConfigError
-        If the text is no such source, or its topic is not a full name.
+        If the text is not such a source, or its topic is not a full name.
     """
     source = parse_source(text)
     if not source.topic.startswith("/"):
@@ -73,17 +73,17 @@ def batches(bag: BagReader, source: Source, by_stamp: bool = True) -> Iterator[B
     koop_bag.errors.BagError
         If the bag has no such topic or field, or a field has another length now and then.
     """
-    known = set(list_fields(bag, source.topic))
-    wanted = [*dict.fromkeys((*source.names, *(known & {STAMP, STEP}), LOG_TIME))]
-    index, stamped = 0, by_stamp and STAMP in known
-    for columns in iter_columns(bag, source.topic, wanted):
+    names = set(list_fields(bag, source.topic))
+    fields = [*dict.fromkeys((*source.names, *(names & {STAMP, STEP}), LOG_TIME))]
+    index, stamped = 0, by_stamp and STAMP in names
+    for columns in iter_columns(bag, source.topic, fields):
         if not index:
             stamped = stamped and bool(columns[STAMP][0])  # a source that never stamps writes zeros
         x = np.column_stack([columns[name] for name in source.names]).astype(np.float64, copy=False)
         yield Batch(
             index,
             columns[STAMP if stamped else LOG_TIME].astype(np.int64),
-            columns[STEP].astype(np.int64) if STEP in known else None,
+            columns[STEP].astype(np.int64) if STEP in names else None,
             x,
             stamped,
         )

@@ -30,7 +30,7 @@ class BagReading:
     command : Source or None
         Field that is theta; None: the loop's own where the bag has it.
     dt : float or None
-        Time between two states [s]; None: the recorded loop's, else that of the messages.
+        Time between two states [s]; None: the recorded loop's, else the messages'.
     gap : float or None
         Longest pause that is bridged [s]; None: three times the usual period, at least three dt.
         Without stamps, the time in which no sample was taken, however late those before came.
@@ -95,7 +95,7 @@ def _period(batch: Batch) -> float:
 
 
 def _sampling_time(batch: Batch, period: float) -> float:
-    """Return the dt of messages of which nothing else tells it [s], without their jitter."""
+    """Return dt from the messages themselves [s], without their jitter."""
     step_time = _step_time(batch)
     return float(f"{step_time if np.isfinite(step_time) else period:.3g}")
 

@@ -79,7 +79,7 @@ def counted_spacing(period: float, dt: float) -> float:
 class Segment(NamedTuple):
     """States one Dt apart, shape (n, M); of a long segment one part, which begins it or not.
 
-    ``time`` is that of the first state that was in no part before [ns].
+    ``time`` belongs to the first state that was not in an earlier part [ns].
     """
 
     states: NDArray[np.float64]
@@ -130,10 +130,10 @@ class Segmenter:
             time, x = np.append(self._last.time, time), np.vstack((self._last.x, x))
             if step is not None and self._last.step is not None:
                 step = np.append(self._last.step, step)
-        known = int(self._last is not None)
+        earlier = int(self._last is not None)
         self._last = Batch(0, time[-1:], None if step is None else step[-1:], x[-1:])
         finite = np.asarray(np.isfinite(x).all(axis=1), np.bool_)
-        self.dropped += int(np.count_nonzero(~finite[known:]))
+        self.dropped += int(np.count_nonzero(~finite[earlier:]))
         held = self.segmentation.is_held_out(
             (first + np.arange(time.size)) * BLOCKS // self._samples  # block of every sample
         )
@@ -142,7 +142,7 @@ class Segmenter:
         cut = ~neighbours | (held[1:] != held[:-1]) | ~(finite[1:] & finite[:-1])
         bounds = [0, *(np.flatnonzero(cut) + 1).tolist(), time.size]
         for begin, end in pairwise(bounds):
-            begins = begin > 0 or not known
+            begins = begin > 0 or not earlier
             if finite[begin] and end > begin + (not begins):
                 self.count += begins
                 pairs = end - begin - 1

@@ -75,8 +75,8 @@ class Signals:
     @property
     def covered(self) -> float:
         """Time for which there are a state and, if there is any, a theta [s]."""
-        known = np.isfinite(self.theta) if self.has_theta else np.isfinite(self.x).all(axis=1)
-        return float(np.count_nonzero(known)) * self.dt
+        usable = np.isfinite(self.theta) if self.has_theta else np.isfinite(self.x).all(axis=1)
+        return float(np.count_nonzero(usable)) * self.dt
 
 
 def of_loop(record: LoopRecord, dt: float, names: tuple[str, ...] | None = None) -> Signals:

@@ -17,8 +17,6 @@ def add_loop_options(parser: argparse.ArgumentParser, duration: float) -> None:
     parser.add_argument("--cost", choices=("lifted", "raw"), help="cost that the controller sees")
     parser.add_argument("--model", metavar="FILE", help="Koopman model (default: the shipped one)")
     parser.add_argument("--seed", type=int, help="seed of the plant's initial state")
-    parser.add_argument("--integrator", choices=("rk4", "euler"), help="one step of the plant")
-    parser.add_argument("--theta-initial", type=float, metavar="THETA", help="theta at the start")
     parser.add_argument(
         "--duration",
         type=float,
@@ -46,9 +44,6 @@ def given_values(
         ("koopman_lifter", "cost", args.cost),
         ("koopman_lifter", "model", args.model),
         ("vdp_plant", "seed", args.seed),
-        ("vdp_plant", "integrator", args.integrator),
-        ("vdp_plant", "theta_initial", args.theta_initial),
-        ("relay_esc", "theta_initial", args.theta_initial),
         ("vdp_plant", "duration", args.duration),
     )
     values.setdefault("vdp_plant", {}).setdefault("duration", args.usual_duration)

@@ -26,7 +26,7 @@ def add_reading_options(parser: Any) -> None:
     )
     parser.add_argument(
         "--dt", type=float, metavar="S",
-        help="time between two states (default: the model's, the loop's, or that of the messages)",
+        help="time between two states (default: the model's, the loop's or the messages')",
     )  # fmt: skip
     parser.add_argument(
         "--gap", type=float, metavar="S",

@@ -17,7 +17,7 @@ from koop_identify.recording.signals import read_signals
 from koop_lab.cli.source_options import add_reading_options, reading_of
 from koop_lab.replay.compare import Comparison, compare
 from koop_lab.replay.offline import replay_offline
-from koop_lab.replay.plan import Plan, make_plan
+from koop_lab.replay.plan import ReplayPlan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
 from koop_lab.replay.unheard import first_theta
 from koopman_lifter.model import load
@@ -129,7 +129,7 @@ def open_loop_main(args: argparse.Namespace, reading: BagReading) -> int:
     return 0
 
 
-def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[str]:
+def report(recording: Recording, plan: ReplayPlan, results: list[Comparison]) -> list[str]:
     """Return what a replay found, in lines for the terminal."""
     lines = list(plan.notes)
     if recording.repeated:
@@ -141,8 +141,8 @@ def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[
     lines += [
         f"from step {recording.step[change.index]} on, as recorded: {change.node} "
         + ", ".join(f"{name} = {value}" for name, value in change.values.items())
-        for stretch in plan.stretches
-        for change in stretch.changed
+        for segment in plan.segments
+        for change in segment.changed
     ]
     if plan.differences:
         rows = [[name, str(before), str(now)] for name, before, now in plan.differences]
@@ -161,7 +161,7 @@ def report(recording: Recording, plan: Plan, results: list[Comparison]) -> list[
     return lines + late(recording, plan) + restarted(recording, plan)
 
 
-def late(recording: Recording, plan: Plan) -> list[str]:
+def late(recording: Recording, plan: ReplayPlan) -> list[str]:
     """Say that theta begins late, which may be why it differs."""
     first = first_theta(recording.has_r, recording.has_theta)
     if first is None or plan.unheard[:first].any():
@@ -173,13 +173,13 @@ def late(recording: Recording, plan: Plan) -> list[str]:
     ]
 
 
-def restarted(recording: Recording, plan: Plan) -> list[str]:
+def restarted(recording: Recording, plan: ReplayPlan) -> list[str]:
     """Say where recorded answers show that a node was restarted, which a replay does not.
 
     A lifter that is started in mid-run says that it has to settle. Theta moves by a relay step at
     the most, unless it is set back.
     """
-    changed = {change.index for stretch in plan.stretches for change in stretch.changed}
+    changed = {change.index for segment in plan.segments for change in segment.changed}
     lines = []
     rows = np.flatnonzero(recording.has_r)
     for before, k in pairwise(rows):
@@ -189,9 +189,9 @@ def restarted(recording: Recording, plan: Plan) -> list[str]:
                 f"the lifter was restarted before step {recording.step[k]}: the recorded cost has "
                 "to settle there, which is not replayed"
             )
-    largest = max(stretch.parameters.esc.step_size for stretch in plan.stretches)
+    largest = max(segment.parameters.esc.step_size for segment in plan.segments)
     rows = np.flatnonzero(recording.has_theta)
-    logarithmic = plan.stretches[0].parameters.esc.theta_scale == "log"
+    logarithmic = plan.segments[0].parameters.esc.theta_scale == "log"
     u = np.log(recording.theta[rows]) if logarithmic else recording.theta[rows]
     jumps = np.abs(np.diff(u)) > largest * (1.0 + 1e-6)  # beyond any rounding
     for i in np.flatnonzero(jumps & ~np.append(False, jumps[:-1])):  # a ramp is one jump

@@ -60,13 +60,13 @@ def run_seeds(parameters: LoopParameters, count: int) -> list[Metrics]:
         raise ConfigError("--seeds: the plant's initial_state is given, no seed changes anything")
     model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
     steps = round(parameters.pace.duration / plant.dt)
-    found = []
+    metrics = []
     for first in range(0, count, GROUP):
         plants = [replace(plant, seed=plant.seed + i) for i in range(first, count)[:GROUP]]
         result = simulate_batch(plants, parameters.lifter, parameters.esc, model, steps)
         for r, theta in zip(result.r, result.theta, strict=True):
-            found.append(evaluate(result.t, theta, r, plant.theta_star))
-    return found
+            metrics.append(evaluate(result.t, theta, r, plant.theta_star))
+    return metrics
 
 
 def main(args: argparse.Namespace) -> int:
@@ -107,18 +107,18 @@ def main_of_seeds(args: argparse.Namespace, parameters: LoopParameters) -> int:
     if args.out is not None or args.plot is not None:
         raise ConfigError("--seeds: --out and --plot are of one loop")
     started = time.perf_counter()
-    found = run_seeds(parameters, args.seeds)
+    runs = run_seeds(parameters, args.seeds)
     elapsed = time.perf_counter() - started
     if args.json:
-        print(json.dumps([metrics.as_dict() for metrics in found], indent=1))
+        print(json.dumps([metrics.as_dict() for metrics in runs], indent=1))
         return 0
     rows = [
-        [title, *(f"{np.quantile([getattr(m, name) for m in found], q):.1f}" for q in SHARES)]
+        [title, *(f"{np.quantile([getattr(m, name) for m in runs], q):.1f}" for q in SHARES)]
         for name, title in (("iae_theta", "IAE_theta [s]"), ("ise_theta", "ISE_theta [s]"))
     ]
     print(table([f"{parameters.lifter.cost} cost", "median", "90 %", "worst"], rows))
-    converged = sum(metrics.converged for metrics in found)
-    print(f"{converged} of {len(found)} converged; {elapsed / len(found):.2f} s a loop")
+    converged = sum(metrics.converged for metrics in runs)
+    print(f"{converged} of {len(runs)} converged; {elapsed / len(runs):.2f} s a loop")
     return 0
 
 

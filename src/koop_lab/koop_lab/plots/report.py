@@ -85,7 +85,7 @@ def _draw_swing(axis: Axes, t: NDArray[np.float64], swing: NDArray[np.float64]) 
 def _draw_spectrogram(
     axis: Axes, t: NDArray[np.float64], y: NDArray[np.float64], dt: float, name: str
 ) -> None:
-    """Draw how the spectrum of a signal changes; what is missing is drawn as a straight line."""
+    """Draw how the spectrum of a signal changes; gaps are bridged by a straight line."""
     usable = np.isfinite(y)
     step = np.round(t / dt).astype(np.int64)
     axis.set_ylabel(f"frequency of {name} [Hz]")

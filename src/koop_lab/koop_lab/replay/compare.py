@@ -69,13 +69,17 @@ def compare(
         Which values were recorded.
     """
     step, recorded, replayed = step[present], recorded[present], replayed[present]
-    found = column_diff(recorded, replayed, bitwise=True)
-    if found is None:
+    difference = column_diff(recorded, replayed, bitwise=True)
+    if difference is None:
         return Comparison(name, step.size, 0)
     return Comparison(
         name,
         step.size,
-        found.count,
-        (int(step[found.first]), float(recorded[found.first]), float(replayed[found.first])),
-        (found.largest, int(step[found.largest_at])),
+        difference.count,
+        (
+            int(step[difference.first]),
+            float(recorded[difference.first]),
+            float(replayed[difference.first]),
+        ),
+        (difference.largest, int(step[difference.largest_at])),
     )

@@ -25,7 +25,7 @@ from koop_core.config import parameter_file
 from koop_core.errors import LiveError
 from koop_core.stream.resend import Due, Resend
 from koop_identify.recording.recorded_parameters import CONTROLLER
-from koop_lab.replay.plan import Plan, Stretch
+from koop_lab.replay.plan import ReplayPlan, ReplaySegment
 from koop_lab.replay.recording import Recording
 from koop_loop.parameters import COMPONENTS
 from koop_node.client.client import Client
@@ -38,7 +38,7 @@ RESENDS = 2
 
 
 def replay_live(
-    recording: Recording, plan: Plan
+    recording: Recording, plan: ReplayPlan
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Replay a recording through the nodes, in a process of theirs, over DDS.
 
@@ -70,8 +70,8 @@ def replay_live(
                 nodes.stop()
 
 
-def _parameter_file(folder: Path, plan: Plan) -> Path:
-    given = plan.stretches[0].parameters.as_ros()
+def _parameter_file(folder: Path, plan: ReplayPlan) -> Path:
+    given = plan.segments[0].parameters.as_ros()
     # the lifter starts to listen when the controller and the feeder take its cost, the controller
     # when the feeder takes its theta
     values = {node: {**given[node], "listeners": f"next {FEEDER}"} for node in CONTROLLER}
@@ -101,7 +101,7 @@ class Feeder(Client):
         self._theta: tuple[int, float] | None = None
 
     def run(
-        self, recording: Recording, plan: Plan
+        self, recording: Recording, plan: ReplayPlan
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Play all states and return the answers r, theta."""
         self.wait_for(
@@ -116,11 +116,11 @@ class Feeder(Client):
             return self._play(recording, plan)
 
     def _play(
-        self, recording: Recording, plan: Plan
+        self, recording: Recording, plan: ReplayPlan
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         size = recording.step.size
         r, theta = np.empty(size), np.empty(size)
-        begins = {stretch.begin: stretch for stretch in plan.stretches[1:]}
+        begins = {segment.begin: segment for segment in plan.segments[1:]}
         held = False
         for k, message in enumerate(tqdm(_states(recording), total=size, disable=None)):
             if k in begins:
@@ -165,10 +165,10 @@ class Feeder(Client):
         silent = CONTROLLER[0] if self._cost is None or self._cost[0] != step else CONTROLLER[1]
         raise LiveError(f"{silent} does not answer step {step}:\n{self._nodes.last_lines()}")
 
-    def _change(self, stretch: Stretch) -> None:
+    def _change(self, segment: ReplaySegment) -> None:
         """Set parameters as they were set while recording."""
-        for change in stretch.changed:
-            given = stretch.parameters.as_ros()[change.node]
+        for change in segment.changed:
+            given = segment.parameters.as_ros()[change.node]
             values = {name: given[name] for name in change.values}
             self.set_parameters(change.node, values, START_TIMEOUT, self._check_nodes)
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import NOTHING, Arrival
-from koop_lab.replay.plan import Plan
+from koop_lab.replay.plan import ReplayPlan
 from koop_lab.replay.recording import Recording
 from koop_loop.kernel import Controller, Memory, control, listen
 from koop_loop.loop import controller
@@ -86,12 +86,12 @@ def replay_kernel(
 
 
 class OfflineLoop:
-    """Lifter and controller on their kernels, from one stretch of states to the next.
+    """Lifter and controller on their kernels, from one segment of states to the next.
 
     Parameters
     ----------
     parameters : LoopParameters
-        Of the first stretch.
+        Of the first segment.
     """
 
     def __init__(self, parameters: LoopParameters) -> None:
@@ -152,7 +152,7 @@ class OfflineLoop:
 
 
 def replay_offline(
-    recording: Recording, plan: Plan
+    recording: Recording, plan: ReplayPlan
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Replay a recording on the kernels.
 
@@ -161,16 +161,16 @@ def replay_offline(
     r, theta : ndarray, shape (M,)
         What lifter and controller answer.
     """
-    loop = OfflineLoop(plan.stretches[0].parameters)
+    loop = OfflineLoop(plan.segments[0].parameters)
     answers = []
     x: NDArray[np.float64] | None = None
-    for stretch in plan.stretches:
-        part, parameters = slice(stretch.begin, stretch.end), stretch.parameters
+    for segment in plan.segments:
+        part, parameters = slice(segment.begin, segment.end), segment.parameters
         model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
         n = model.delays.channels if model is not None else 0
         if x is None or n not in (0, x.shape[1]):
             x = recording.states(n)
-        if any({"cost", "model"} & set(change.values) for change in stretch.changed):
+        if any({"cost", "model"} & set(change.values) for change in segment.changed):
             loop.restart_detector(parameters.lifter)
         answers.append(
             loop.answer(

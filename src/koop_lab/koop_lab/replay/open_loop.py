@@ -1,7 +1,7 @@
-"""What lifter and controller would say to the states of any bag: nothing recorded to compare with.
+"""What lifter and controller would answer to the states of any bag, without a comparison.
 
-The loop is open. The states are those of whatever theta the rig had at the time, so that theta here
-says how the controller would have begun, and where it would have turned; not where it would be.
+The loop is open: the rig did not react to this theta. It shows how the controller would have begun
+and where it would have turned, not where it would be.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def settings(
     recorded: Mapping[str, Mapping[str, Any]] | None = None,
     lifted: bool | None = None,
 ) -> LoopParameters:
-    """Return the parameters of an open-loop replay; what is not given is the default.
+    """Return the parameters of an open-loop replay; other values are defaults.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def answer(signals: Signals, made: LoopParameters, what: str) -> Answers:
     return Answers(*OfflineLoop(made).answer(made, signals.step, x, nothing, nothing))
 
 
-def turns(theta: NDArray[np.float64]) -> int:
+def count_turns(theta: NDArray[np.float64]) -> int:
     """Return how often theta changes its direction."""
     moves = np.sign(np.diff(theta))
     return int(np.count_nonzero(np.diff(moves[moves != 0.0])))
@@ -124,12 +124,12 @@ def describe(signals: Signals, made: LoopParameters, answers: Answers) -> list[s
         lines[-1] += f": least {low:.6g}, median {middle:.6g}, largest {high:.6g}"
     lines.append(
         f"theta  would have gone from {answers.theta[0]:.6g} to {answers.theta[-1]:.6g} "
-        f"with {turns(answers.theta)} turns"
+        f"with {count_turns(answers.theta)} turns"
     )
     if signals.has_theta:
         known = signals.theta[np.isfinite(signals.theta)]
         lines.append(
-            f"theta  recorded: from {known[0]:.6g} to {known[-1]:.6g}, {turns(known)} turns"
+            f"theta  recorded: from {known[0]:.6g} to {known[-1]:.6g}, {count_turns(known)} turns"
         )
     return lines
 

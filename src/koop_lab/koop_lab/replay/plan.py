@@ -10,9 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
-from koop_identify.recording.recorded_parameters import CONTROLLER, Change, Models, known_parameters
+from koop_identify.recording.recorded_parameters import (
+    CONTROLLER,
+    Models,
+    ParameterChange,
+    known_parameters,
+)
 from koop_lab.replay.recording import Recording
-from koop_lab.replay.unheard import joined_at, unheard_costs
+from koop_lab.replay.unheard import find_join, unheard_costs
 from koop_loop import parameters
 from koop_loop.parameters import LoopParameters
 from koopman_lifter.model import KoopmanModel
@@ -23,7 +28,7 @@ OWN_TOPICS = {"koopman_lifter": {"input_fields": ""}, "relay_esc": {"command_top
 
 
 @dataclass(frozen=True)
-class Stretch:
+class ReplaySegment:
     """States `begin` to `end` (exclusive), answered with the same parameters.
 
     Attributes
@@ -31,40 +36,42 @@ class Stretch:
     begin, end : int
         Rows of the recording.
     parameters : LoopParameters
-        Of the lifter and the controller; the plant's are defaults.
-    changed : tuple of Change
+        Parameters of the lifter and the controller; the plant's are defaults.
+    changed : tuple of ParameterChange
         What was set before the first of these states.
     """
 
     begin: int
     end: int
     parameters: LoopParameters
-    changed: tuple[Change, ...]
+    changed: tuple[ParameterChange, ...]
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Everything that decides on the answers, besides the states.
+class ReplayPlan:
+    """Everything that decides the answers, besides the states.
 
     Attributes
     ----------
-    stretches : tuple of Stretch
-        They follow on each other and cover the recording.
+    segments : tuple of ReplaySegment
+        Consecutive parts that cover the recording.
     differences : list of tuple
         (parameter, recorded, replayed) where the user's choice differs from the recording.
     notes : list of str
         What the user should know about the parameters.
     unheard : ndarray of bool, shape (M,)
-        Whose costs the controller did not hear.
+        States whose costs the controller did not hear.
     """
 
-    stretches: tuple[Stretch, ...]
+    segments: tuple[ReplaySegment, ...]
     differences: list[tuple[str, Any, Any]]
     notes: list[str]
     unheard: NDArray[np.bool_]
 
 
-def make_plan(recording: Recording, params: str | None = None, model: str | None = None) -> Plan:
+def make_plan(
+    recording: Recording, params: str | None = None, model: str | None = None
+) -> ReplayPlan:
     """Combine the recorded parameters with the user's.
 
     Parameters
@@ -72,69 +79,105 @@ def make_plan(recording: Recording, params: str | None = None, model: str | None
     recording : Recording
         The recording.
     params : str, optional
-        ROS 2 parameter file; what it gives takes the place of the recorded values.
+        ROS 2 parameter file; its values take the place of the recorded ones.
     model : str, optional
         Model file to use throughout.
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If a parameter or a model cannot be used.
     """
-    given = given_values(params, model)
-    notes, recorded = _known(recording.values)
-    first = recording.first_model
-    named = [recorded["koopman_lifter"], *(change.values for change in recording.changes)]
-    models = Models(recording.path, *(str(values.get("model", "")) for values in named))
+    chosen = given_values(params, model)
+    notes, recorded = _usable_values(recording)
+    changes = tuple(_without(change, chosen[change.node]) for change in recording.changes)
+    if recording.first_model:
+        recorded["koopman_lifter"]["model"] = ""
+        if "model" not in chosen["koopman_lifter"]:
+            named = [recording.values.get("koopman_lifter", {}), *(c.values for c in changes)]
+            models = Models(recording.path, *(str(values.get("model", "")) for values in named))
+            recorded["koopman_lifter"]["model"] = str(models.file(recording.first_model))
+            changes = tuple(_with_model(change, recording, models) for change in changes)
+    used = {node: {**recorded[node], **chosen[node], **OWN_TOPICS[node]} for node in CONTROLLER}
+    segments = _segments(used, changes, recording.step.size)
+    before = parameters.make(recorded)
+    differences = _differences(before, segments[0].parameters, chosen)
+    differences += _model_difference(recording, segments)
+    unheard, joined = _find_unheard(recording, before, segments)
+    if joined is not None:
+        notes.append(
+            f"the controller joined at step {recording.step[joined]}, where its first theta is"
+        )
+    return ReplayPlan(segments, differences, notes, unheard)
+
+
+def _usable_values(recording: Recording) -> tuple[list[str], Values]:
+    """Return notes, and the recorded parameters that this version has."""
+    notes: list[str] = []
+    usable: Values = {}
+    for node in CONTROLLER:
+        names, values = known_parameters(node), recording.values.get(node, {})
+        usable[node] = {name: value for name, value in values.items() if name in names}
+        usable[node].update(OWN_TOPICS[node])
+        notes += [
+            f"{node}.{name} = {value} was recorded; this version has no such parameter"
+            for name, value in values.items()
+            if name not in names
+        ]
+    if recording.first_cost:
+        usable["koopman_lifter"]["cost"] = recording.first_cost
     if lacking := recording.without_parameters:
         notes.append(
             f"the bag contains no parameters of {' and '.join(lacking)}: the defaults are assumed "
             "to be the recorded ones"
         )
     notes += [
-        f"{name} was changed while recording; what it was before is not in the bag, and it is "
-        "taken to have had the later value from the start"
+        f"{name} was changed while recording; its earlier value is not in the bag, and the later "
+        "one is assumed from the start"
         for name in recording.unknown
     ]
-    if recording.first_cost:
-        recorded["koopman_lifter"]["cost"] = recording.first_cost
-    changes = tuple(_without(change, given[change.node]) for change in recording.changes)
-    if first and "model" not in given["koopman_lifter"]:
-        recorded["koopman_lifter"]["model"] = str(models.file(first))
-        changes = tuple(_with_model(change, recording, models) for change in changes)
-    elif first:
-        recorded["koopman_lifter"]["model"] = ""
-    used = {node: {**recorded[node], **given[node], **OWN_TOPICS[node]} for node in CONTROLLER}
-    stretches = _stretches(used, changes, recording.step.size)
-    recorded_loop = parameters.make(recorded)
-    before = recorded_loop.as_ros()
-    differences = []
-    for node in CONTROLLER:
-        after = stretches[0].parameters.as_ros()[node]
-        for name in given[node]:
-            if name != "model" and after[name] != before[node][name]:
-                differences.append((f"{node}.{name}", before[node][name], after[name]))
-    used_model = stretches[0].parameters.load_model()
-    now = used_model.model_id if used_model is not None else "none"
-    if now != first and any(item.parameters.lifter.cost == "lifted" for item in stretches):
-        check_channels(used_model, recording.channels, f"the state in {recording.path}")
-    if first and now != first:
-        differences.append(("koopman_lifter.model", first, now))
-    step_size = max(
-        recorded_loop.esc.step_size, *(item.parameters.esc.step_size for item in stretches)
-    )
-    has_r, has_theta = recording.has_r, recording.has_theta
-    u = recording.theta if recorded_loop.esc.theta_scale == "linear" else np.log(recording.theta)
-    unheard = unheard_costs(has_r, has_theta, u, step_size)
+    return notes, usable
+
+
+def _differences(
+    recorded: LoopParameters, replayed: LoopParameters, chosen: Values
+) -> list[tuple[str, Any, Any]]:
+    """Return the user's values that differ from the recorded ones, but for the model."""
+    before, after = recorded.as_ros(), replayed.as_ros()
+    return [
+        (f"{node}.{name}", before[node][name], after[node][name])
+        for node in CONTROLLER
+        for name in chosen[node]
+        if name != "model" and after[node][name] != before[node][name]
+    ]
+
+
+def _model_difference(
+    recording: Recording, segments: tuple[ReplaySegment, ...]
+) -> list[tuple[str, Any, Any]]:
+    """Return the difference between the recorded model and the replayed one, if there is one."""
+    first, model = recording.first_model, segments[0].parameters.load_model()
+    model_id = model.model_id if model is not None else "none"
+    if model_id == first:
+        return []
+    if any(segment.parameters.lifter.cost == "lifted" for segment in segments):
+        check_channels(model, recording.channels, f"the state in {recording.path}")
+    return [("koopman_lifter.model", first, model_id)] if first else []
+
+
+def _find_unheard(
+    recording: Recording, recorded: LoopParameters, segments: tuple[ReplaySegment, ...]
+) -> tuple[NDArray[np.bool_], int | None]:
+    """Return the costs that the controller did not hear, and the row with which it joined."""
+    esc, has_r, has_theta = recorded.esc, recording.has_r, recording.has_theta
+    u = recording.theta if esc.theta_scale == "linear" else np.log(recording.theta)
+    sizes = [segment.parameters.esc.step_size for segment in segments]
+    unheard = unheard_costs(has_r, has_theta, u, max(esc.step_size, *sizes))
     held = recording.hold | ~np.isfinite(recording.r)
-    settling = recorded_loop.esc.params().settling
-    joined = joined_at(has_r, has_theta, held, recording.theta, settling)
+    joined = find_join(has_r, has_theta, held, recording.theta, esc.params().settling)
     if joined is not None:
         unheard[:joined] = has_r[:joined]
-        notes.append(
-            f"the controller joined at step {recording.step[joined]}, where its first theta is"
-        )
-    return Plan(stretches, differences, notes, unheard)
+    return unheard, joined
 
 
 def given_values(params: str | None, model: str | None) -> Values:
@@ -145,11 +188,12 @@ def given_values(params: str | None, model: str | None) -> Values:
     koop_core.config.parameter.ConfigError
         If one cannot be used.
     """
-    given = parameters.read(params) if params else {}
+    values = parameters.read(params) if params else {}
     if model is not None:
-        given.setdefault("koopman_lifter", {})["model"] = model
-    parameters.make({node: given.get(node, {}) for node in CONTROLLER})  # names what is wrong
-    return {node: dict(given.get(node, {})) for node in CONTROLLER}
+        values.setdefault("koopman_lifter", {})["model"] = model
+    chosen = {node: dict(values.get(node, {})) for node in CONTROLLER}
+    parameters.make(chosen)  # names what is wrong
+    return chosen
 
 
 def check_channels(model: KoopmanModel | None, n: int, what: str) -> None:
@@ -165,36 +209,20 @@ def check_channels(model: KoopmanModel | None, n: int, what: str) -> None:
         Where the states are from.
     """
     if model is not None and model.delays.channels != n:
-        wanted = model.delays.channels
+        channels = model.delays.channels
         raise ConfigError(
-            f"model {model.model_id} is for {wanted} channel{'s' * (wanted > 1)} "
+            f"model {model.model_id} is for {channels} channel{'s' * (channels > 1)} "
             f"({', '.join(model.state_names)}); {what} has {n}"
         )
 
 
-def _known(recorded: Values) -> tuple[list[str], Values]:
-    """Leave out recorded parameters that this version does not have."""
-    notes, kept = [], {}
-    for node in CONTROLLER:
-        known, values = known_parameters(node), recorded.get(node, {})
-        kept[node] = {name: value for name, value in values.items() if name in known}
-        kept[node].update(OWN_TOPICS[node])
-        notes += [
-            f"{node}.{name} = {value} was recorded; this version has no such parameter"
-            for name, value in values.items()
-            if name not in known
-        ]
-    return notes, kept
-
-
-def _without(change: Change, given: Mapping[str, Any]) -> Change:
+def _without(change: ParameterChange, chosen: Mapping[str, Any]) -> ParameterChange:
     """Leave out of a recorded change what the user has set for the whole replay."""
-    known = known_parameters(change.node)
-    kept = {k: v for k, v in change.values.items() if k in known and k not in given}
-    return replace(change, values=kept)
+    names = known_parameters(change.node) - chosen.keys()
+    return replace(change, values={k: v for k, v in change.values.items() if k in names})
 
 
-def _with_model(change: Change, recording: Recording, models: Models) -> Change:
+def _with_model(change: ParameterChange, recording: Recording, models: Models) -> ParameterChange:
     """Replace the path in a change of model, which may be another machine's, by a file at hand."""
     if "model" not in change.values:
         return change
@@ -202,19 +230,21 @@ def _with_model(change: Change, recording: Recording, models: Models) -> Change:
     return replace(change, values={**change.values, "model": path})
 
 
-def _stretches(used: Values, changes: Iterable[Change], size: int) -> tuple[Stretch, ...]:
-    at: dict[int, list[Change]] = {0: []}
+def _segments(
+    used: Values, changes: Iterable[ParameterChange], size: int
+) -> tuple[ReplaySegment, ...]:
+    at: dict[int, list[ParameterChange]] = {0: []}
     for change in changes:
         if change.values:
             at.setdefault(change.index, []).append(change)
     begins = sorted(at)
-    stretches = []
+    segments = []
     for begin, end in zip(begins, [*begins[1:], size], strict=True):
         for change in at[begin]:
             used = {**used, change.node: {**used[change.node], **change.values}}
-        made = parameters.make(used)
-        made.load_model()
-        if made.lifter.dt != made.esc.dt:
-            raise ConfigError(f"dt differs: lifter {made.lifter.dt}, controller {made.esc.dt} s")
-        stretches.append(Stretch(begin, end, made, tuple(at[begin])))
-    return tuple(stretches)
+        loop = parameters.make(used)
+        loop.load_model()
+        if loop.lifter.dt != loop.esc.dt:
+            raise ConfigError(f"dt differs: lifter {loop.lifter.dt}, controller {loop.esc.dt} s")
+        segments.append(ReplaySegment(begin, end, loop, tuple(at[begin])))
+    return tuple(segments)

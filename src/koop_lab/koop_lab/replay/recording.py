@@ -17,7 +17,7 @@ from koop_core.stream.arrival import Arrival
 from koop_identify.recording.passes import STATE_TYPE, Messages
 from koop_identify.recording.recorded_parameters import (
     CONTROLLER,
-    Change,
+    ParameterChange,
     decoder,
     first_values,
     recorded_changes,
@@ -62,12 +62,12 @@ class Recording:
         Id of the model that answered; empty where there is no answer.
     values : dict
         Parameters by node at the first state; empty if they were not recorded.
-    changes : tuple of Change
+    changes : tuple of ParameterChange
         Parameters changed while recording, in order of their first state.
     unknown : list of str
         Parameters that were changed while recording and of which the first value is not known.
     repeated, unanswered : int
-        States that are no part of this: of a step asked again, and without a recorded cost.
+        States that are left out: sent again, and without a recorded cost.
     """
 
     path: Path
@@ -84,7 +84,7 @@ class Recording:
     source: NDArray[np.uint8]
     model: NDArray[np.str_]
     values: dict[str, dict[str, Any]]
-    changes: tuple[Change, ...]
+    changes: tuple[ParameterChange, ...]
     unknown: list[str]
     repeated: int
     unanswered: int
@@ -135,7 +135,7 @@ class Recording:
         """Return the length of the first state that is not empty."""
         decode, first = decoder(bag, self.state_topic), self.message[0]
         messages = islice(bag.messages([self.state_topic]), int(first), None)
-        return next((found for m in messages if (found := len(decode(m.data).x))), 1)
+        return next((n for m in messages if (n := len(decode(m.data).x))), 1)
 
 
 def read_recording(path: Path, namespace: str = "/") -> Recording:
@@ -161,9 +161,9 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         types = {item.name: item.type_name for item in bag.topics if item.count}
         if types.get(topic) != STATE_TYPE:
             raise InputError(f"{path}: no {STATE_TYPE} on {topic}, there is nothing to replay")
-        wanted = {name: fields for name, fields in FIELDS.items() if f"{base}/{name}" in types}
+        names = {name: fields for name, fields in FIELDS.items() if f"{base}/{name}" in types}
         tables = read_tables(
-            bag, {topic: ["step"], **{f"{base}/{name}": f for name, f in wanted.items()}}
+            bag, {topic: ["step"], **{f"{base}/{name}": f for name, f in names.items()}}
         )
         state = Messages(tables[topic])
         cost = Messages(tables.get(f"{base}/cost"))

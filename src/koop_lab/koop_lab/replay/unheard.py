@@ -15,9 +15,9 @@ def unheard_costs(
     """Return which costs left no trace in the controller.
 
     A cost without a recorded theta was either not heard or its theta was lost on the way to the
-    recorder. Theta tells: a controller that heard several costs has moved by more than one step
-    when its thetas are there again. What lies after the last theta counts as heard, and what lies
-    before the first, unless the controller joined there (:func:`joined_at`).
+    recorder. Theta shows which: a controller that heard several costs has moved by more than one
+    step when its thetas are there again. Costs after the last theta count as heard, and so do costs
+    before the first, unless the controller joined there (:func:`find_join`).
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def first_theta(has_r: NDArray[np.bool_], has_theta: NDArray[np.bool_]) -> int |
     return int(rows[0]) if rows.size and has_r[: rows[0]].any() else None
 
 
-def joined_at(
+def find_join(
     has_r: NDArray[np.bool_],
     has_theta: NDArray[np.bool_],
     holding: NDArray[np.bool_],
