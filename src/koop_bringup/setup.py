@@ -23,6 +23,7 @@ setup(
         "koop_node",
         "koop_view",
         "koopman_lifter",
+        "vdp_plant",
     ],
     extras_require={"test": ["pytest"]},
     zip_safe=False,

@@ -21,7 +21,7 @@ def choose(tmp_path):
 
 MINE = """
 vdp_plant: {ros__parameters: {pace: scaled, time_scale: 4, duration: 30, seed: 5, listeners: it}}
-recorder: {ros__parameters: {compression: none, output: /nowhere}}
+recorder: {ros__parameters: {split_size: 5.0, output: /nowhere}}
 """
 
 
@@ -30,7 +30,7 @@ def test_the_file_wins_over_the_usual_values_of_the_command(choose):
     pace = parameters.pace
     assert (pace.pace, pace.time_scale, pace.duration) == ("scaled", 4.0, 30.0)
     assert parameters.plant.seed == 5
-    assert recorder.compression == "none"
+    assert recorder.split_size == 5.0
     usual, _ = choose("relay_esc: {ros__parameters: {dwell: 3.0}}")
     assert (usual.pace.pace, usual.pace.duration) == ("lockstep", 2500.0)
 
@@ -46,7 +46,7 @@ def test_an_option_wins_over_the_file(choose):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("recorder: {ros__parameters: {compression: lz4}}", "recorder: compression = 'lz4': must"),
+        ("recorder: {ros__parameters: {split_size: -1}}", "recorder: split_size = -1: must"),
         ("recorder: {ros__parameters: {speed: 3}}", "recorder: unknown parameter 'speed'"),
         ("vdp_plant: {ros__parameters: {duration: 0}}", "--duration must cover at least two steps"),
     ],
