@@ -11,15 +11,14 @@ import json
 import sys
 import time
 
-from koop_core.config.parameter import NodeConfig
 from koop_core.stream.durations import Durations
-from koop_node.process import realtime
+from koop_node.process.realtime import apply_priority
 from vdp_plant.pacing import Ticks
 
 
 def main(rate: float, seconds: float, priority: int) -> None:
     """Wake at a rate [1/s] for a time [s], with real-time priority and locked memory."""
-    problems = realtime.apply(NodeConfig(priority=priority, lock_memory=True))
+    problems = apply_priority(priority)
     gc.disable()
     period = 1.0 / rate
     ticks, behind, late, done = Ticks(period), Durations(), 0, 0

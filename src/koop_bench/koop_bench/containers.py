@@ -165,8 +165,7 @@ def parameters_at(rate: float, priority: int = 0) -> dict[str, dict[str, Any]]:
     pace: dict[str, Any] = {"pace": "realtime"}
     if abs(rate * DT - 1.0) > 1e-9:
         pace = {"pace": "scaled", "time_scale": rate * DT}
-    process = {"priority": priority, "lock_memory": priority > 0}
-    values: dict[str, dict[str, Any]] = {name: dict(process) for name in COMPONENTS}
+    values: dict[str, dict[str, Any]] = {name: {"priority": priority} for name in COMPONENTS}
     values["vdp_plant"] |= {**pace, "duration": 0.0}
     make(values)
     return values

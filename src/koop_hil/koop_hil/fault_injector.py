@@ -17,7 +17,7 @@ from typing import Any
 from koop_msgs.msg import ControlInput, MeasuredState
 from rclpy.publisher import Publisher
 
-from koop_core.config.parameter import NodeConfig, parameter, validate
+from koop_core.config.parameter import ListenersConfig, parameter, validate
 from koop_hil.faults import Channel, parse
 from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
@@ -59,7 +59,7 @@ class FaultInjectorRun(Run):
         self.parameters_changed(set())
 
     def activate(self, entities: Entities) -> None:
-        follower, _ = listeners_of(self._node.parameters[NodeConfig].listeners, "loop")
+        follower, _ = listeners_of(self._node.parameters[ListenersConfig].listeners, "loop")
         self._outlets = {
             "state": entities.publisher(MeasuredState, "state", RELIABLE),
             "theta": entities.publisher(ControlInput, "rig/theta", RELIABLE),
@@ -115,7 +115,7 @@ class FaultInjectorRun(Run):
 class FaultInjectorNode(ManagedNode[FaultInjectorRun]):
     """Passes messages on, each through a channel with a fault."""
 
-    configs = (FaultInjectorConfig,)
+    configs = (FaultInjectorConfig, ListenersConfig)
 
     def __init__(self, name: str = "fault_injector", **options: Any) -> None:
         super().__init__(name, FaultInjectorRun, **options)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_core.config import parameter_file
-from koop_core.config.parameter import ConfigError, NodeConfig, refuse_unknown
+from koop_core.config.parameter import ConfigError, ListenersConfig, NodeConfig, refuse_unknown
 from koop_core.config.parameter_file import ROS_OWN
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load_for
@@ -20,9 +20,9 @@ from relay_esc.config import EscConfig
 from vdp_plant.config import PaceConfig, PlantConfig
 
 NODES: dict[str, tuple[type, ...]] = {
-    "vdp_plant": (PlantConfig, PaceConfig, NodeConfig),
-    "koopman_lifter": (LifterConfig, ModelConfig, NodeConfig),
-    "relay_esc": (EscConfig, NodeConfig),
+    "vdp_plant": (PlantConfig, PaceConfig, ListenersConfig, NodeConfig),
+    "koopman_lifter": (LifterConfig, ModelConfig, ListenersConfig, NodeConfig),
+    "relay_esc": (EscConfig, ListenersConfig, NodeConfig),
 }
 EXECUTABLES = {  # package and name, in the order of starting: listeners come before speakers
     "recorder": ("koop_bag", "recorder"),

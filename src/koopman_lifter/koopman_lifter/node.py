@@ -13,7 +13,7 @@ from koop_msgs.msg import Cost, MeasuredState
 from numpy.typing import NDArray
 
 from koop_core.config.fields import Source, check_fields
-from koop_core.config.parameter import NodeConfig
+from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
@@ -88,7 +88,7 @@ class LifterRun(Run):
         self._publisher: Writer | None = None
 
     def activate(self, entities: Entities) -> None:
-        follower, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "loop")
+        follower, observers = listeners_of(self._node.parameters[ListenersConfig].listeners, "loop")
         writer = self._publisher = entities.writer(Cost, "cost", RELIABLE)
         needed = {writer.publisher: follower}
         foreign = self._foreign
@@ -247,7 +247,7 @@ class LifterNode(ManagedNode[LifterRun]):
     filters can't go back in time, and nobody must act on what is long past.
     """
 
-    configs = (LifterConfig, ModelConfig)
+    configs = (LifterConfig, ModelConfig, ListenersConfig)
 
     def __init__(self, name: str = "koopman_lifter", **options: Any) -> None:
         super().__init__(name, LifterRun, **options)

@@ -12,7 +12,7 @@ from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
 
 from koop_core.config.fields import check_fields, parse_field, write_field
-from koop_core.config.parameter import NodeConfig
+from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
@@ -57,7 +57,7 @@ class EscRun(Run):
         entities.service(SetBool, "~/hold", self._on_hold)
 
     def activate(self, entities: Entities) -> None:
-        rig, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "any")
+        rig, observers = listeners_of(self._node.parameters[ListenersConfig].listeners, "any")
         topic = self._node.parameters[EscConfig].command_topic
         writer = self._publisher = entities.writer(ControlInput, "theta", RELIABLE)
         if topic:  # the rig listens there, and to nothing else
@@ -161,7 +161,7 @@ class EscNode(ManagedNode[EscRun]):
     is silent.
     """
 
-    configs = (EscConfig,)
+    configs = (EscConfig, ListenersConfig)
 
     def __init__(self, name: str = "relay_esc", **options: Any) -> None:
         super().__init__(name, EscRun, **options)

@@ -19,7 +19,7 @@ from koop_bag.errors import BagError
 from koop_bag.player.clock import ClockOutlet
 from koop_bag.player.config import FAST, PlayerConfig, parse_remap
 from koop_bag.player.outlet import Outlet
-from koop_core.config.parameter import NodeConfig
+from koop_core.config.parameter import ListenersConfig
 from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
 from koop_node.node.managed import OK, Entities, ManagedNode, Run
@@ -66,7 +66,7 @@ class PlayerRun(Run):
         entities.service(SetBool, "~/pause", self._on_pause)
 
     def activate(self, entities: Entities) -> None:
-        _, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "")
+        _, observers = listeners_of(self._node.parameters[ListenersConfig].listeners, "")
         if observers.names:
             listeners = {outlet.publisher: observers for outlet in self._outlets.values()}
             entities.when_heard(listeners, lambda: self._start(entities))
@@ -228,7 +228,7 @@ class PlayerNode(ManagedNode[PlayerRun]):
     ``position``, ``pace`` and ``loop`` may be set at any time; setting ``position`` is a seek.
     """
 
-    configs = (PlayerConfig,)
+    configs = (PlayerConfig, ListenersConfig)
 
     def __init__(self, name: str = "player", **options: Any) -> None:
         super().__init__(name, PlayerRun, **options)

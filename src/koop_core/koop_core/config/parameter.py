@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -178,19 +177,6 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
 
 
-def processors(text: str) -> Iterator[int]:
-    """Yield the processors of a list such as ``0-2,5``, or raise ConfigError.
-
-    >>> list(processors("0-2,5"))
-    [0, 1, 2, 5]
-    """
-    for part in text.split(","):
-        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
-        if match is None or len(part) > 20 or int(match[1]) > int(match[2] or match[1]):
-            raise ConfigError(f"cpus = {text!r}: must be a list such as 0 or 0-2,5")
-        yield from range(int(match[1]), min(int(match[2] or match[1]), int(match[1]) + 4096) + 1)
-
-
 @dataclass(frozen=True)
 class NodeConfig:
     """Parameters of every node of the loop."""
@@ -198,28 +184,29 @@ class NodeConfig:
     autostart: bool = parameter(
         True, "configure and activate by itself at the start", read_only=True
     )
+    priority: int = parameter(
+        0,
+        "real-time priority (SCHED_FIFO) of the node's process, above all ordinary ones, with its "
+        "memory locked; 0: none",
+        low=0,
+        high=99,
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+@dataclass(frozen=True)
+class ListenersConfig:
+    """Parameters of every node that others of the loop listen to."""
+
     listeners: str = parameter(
         "next",
         "nodes that must listen before this one begins: their names, separated by spaces, such as "
         "recorder; 'next' is the next node of the loop, whatever its name is",
         read_only=True,
     )
-    priority: int = parameter(
-        0,
-        "real-time priority (SCHED_FIFO) of the node's process, above all ordinary ones; 0: none",
-        low=0,
-        high=99,
-        read_only=True,
-    )
-    cpus: str = parameter(
-        "", "processors that the node's process keeps to, such as 0 or 0-2,5; empty: all",
-        read_only=True,
-    )  # fmt: skip
-    lock_memory: bool = parameter(
-        False, "keep the memory of the node's process from being swapped out", read_only=True
-    )
 
     def __post_init__(self) -> None:
         validate(self)
-        if self.cpus:
-            list(processors(self.cpus))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from koop_bag.bag.metadata import parse_map
 from koop_bag.bag.reader import BagReader
-from koop_core.config.parameter import NodeConfig
+from koop_core.config.parameter import ListenersConfig, NodeConfig
 from koop_core.config.parameter_file import ROS_OWN
 from koop_core.errors import InputError
 from koop_loop.parameters import NODES
@@ -66,7 +66,7 @@ def recorded_values(
 
 def _loop_parameters(values: Mapping[str, Any]) -> dict[str, Any]:
     """Leave out what belongs to ROS or to the process and says nothing about the controller."""
-    process = {item.name for item in fields(NodeConfig)}
+    process = {item.name for cls in (ListenersConfig, NodeConfig) for item in fields(cls)}
     return {k: v for k, v in values.items() if k not in process and not k.startswith(ROS_OWN)}
 
 

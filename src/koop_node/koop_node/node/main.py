@@ -24,9 +24,9 @@ from koop_core.config.describe import ARGUMENTS, help_text
 from koop_core.config.parameter import NodeConfig
 from koop_node.node import schedule
 from koop_node.node.managed import ManagedNode
-from koop_node.process import realtime
 from koop_node.process.housekeeping import Housekeeping
 from koop_node.process.lifeline import end_with_parent
+from koop_node.process.realtime import apply_priority
 
 USAGE = f"a node takes {ARGUMENTS}; --help lists its parameters"
 QUEUED = 100  # callbacks that an executor may have to do before it knows of a change
@@ -113,17 +113,17 @@ def run_nodes(
         try:
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             nodes = make()
-            wanted = realtime.requested(node.parameters[NodeConfig] for node in nodes)
+            priority = max((node.parameters[NodeConfig].priority for node in nodes), default=0)
         except Exception as error:  # whatever the start-up raises, the user gets one line
             print(f"error: {_one_line(error)}", file=sys.stderr)
             rclpy.try_shutdown()
             return 2
-        return _spin(nodes, wanted, timers, keep_going)
+        return _spin(nodes, priority, timers, keep_going)
 
 
 def _spin(
     nodes: list[ManagedNode[Any]],
-    wanted: NodeConfig,
+    priority: int,
     timers: schedule.Schedule,
     keep_going: bool,
 ) -> int:
@@ -144,7 +144,7 @@ def _spin(
             house.tidy(time.monotonic(), wait)
             if not asked and all(node.active for node in nodes):
                 asked = True
-                for problem in realtime.apply(wanted):
+                for problem in apply_priority(priority):
                     nodes[0].get_logger().warning(problem)
             # spin() would hang in the Jazzy wheels, spin_once() costs 4 us for every callback
             executor.spin_until_future_complete(interrupted, timeout_sec=wait)

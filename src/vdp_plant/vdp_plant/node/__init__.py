@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
+from koop_core.config.parameter import ListenersConfig
 from koop_node.node.main import run
 from koop_node.node.managed import Entities, ManagedNode
 from vdp_plant.config import PaceConfig, PlantConfig
@@ -16,7 +17,7 @@ from vdp_plant.node.timed import TimedRun
 class PlantNode(ManagedNode[PlantRun]):
     """Simulates the plant step by step and publishes its corrupted state."""
 
-    configs = (PlantConfig, PaceConfig)
+    configs = (PlantConfig, PaceConfig, ListenersConfig)
 
     def __init__(self, name: str = "vdp_plant", **options: Any) -> None:
         super().__init__(name, _make_run, **options)

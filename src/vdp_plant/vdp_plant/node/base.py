@@ -12,7 +12,7 @@ from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
-from koop_core.config.parameter import NodeConfig
+from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
@@ -77,7 +77,7 @@ class PlantRun(Run):
 
     def activate(self, entities: Entities) -> None:
         outlets = Outlets(entities, self._node.parameters[PaceConfig].publish_clock)
-        follower, observers = listeners_of(self._node.parameters[NodeConfig].listeners, "loop")
+        follower, observers = listeners_of(self._node.parameters[ListenersConfig].listeners, "loop")
         needed = {outlets.state.publisher: follower, outlets.ground_truth.publisher: observers}
 
         def start() -> None:
