@@ -96,7 +96,6 @@ def test_no_callback_for_a_qos_event_is_installed(container, tmp_path, name):
     ("name", "parameters"),
     [
         ("koopman_lifter::LifterNode", {"model": "/nowhere.npz"}),
-        ("koopman_lifter::LifterNode", {"input_fields": "/rig:x", "input_type": "no_msgs/msg/No"}),
         ("koop_bag::RecorderNode", {"topics": "state /a:no_msgs/msg/No"}),
         ("koop_bag::RecorderNode", {"output": "/proc/nowhere"}),
         ("koop_bag::PlayerNode", {"bag": "/nowhere"}),

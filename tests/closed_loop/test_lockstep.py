@@ -37,11 +37,11 @@ CHANGED = {
 
 LIMITED = {  # every limit and timeout away from its default; y_out_max, limits and rates act
     "koopman_lifter": {
-        "cost": "raw", "y_out_max": 14.0, "omega_h": 30.0, "omega_l": 1.0, "state_timeout": 0.3,
+        "cost": "raw", "y_out_max": 14.0, "omega_h": 30.0, "omega_l": 1.0,
     },
     "relay_esc": {
         "dwell": 0.5, "tau_f": 2.0, "step_size": 0.01, "theta_min": 1.95, "theta_max": 2.1,
-        "rate_limit": 0.3, "cost_timeout": 0.4, "epsilon_initial": -1,
+        "rate_limit": 0.3, "epsilon_initial": -1,
     },
     "vdp_plant": {
         "theta_min": 1.98, "theta_max": 2.05, "theta_rate": 0.2, "theta_timeout": 3.0,
@@ -140,7 +140,7 @@ def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_
     recording = read_recording(lockstep.folder)
     replayed = replay_offline(recording, make_plan(recording))
     lifter = replace(given.lifter, cost=LifterConfig.cost)  # the study has a setting of its own
-    case = Case("raw", "relay", lockstep.steps * 0.005, given.plant, lifter, given.esc)
+    case = Case("raw", lockstep.steps * 0.005, given.plant, lifter, given.esc)
     study = run_case(case)
     for r, theta in ((offline.r, offline.theta), replayed, (study.r, study.theta)):
         np.testing.assert_array_equal(run.r, r)

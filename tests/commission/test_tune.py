@@ -111,7 +111,7 @@ def test_a_bag_becomes_a_controller_with_its_reasons(bagged, capsys):
     assert loop.lifter.cost == "lifted"
     assert loop.load_model().model_id == load(folder / "out/model.npz").model_id
     assert "model: model.npz" in (folder / "out/controller.yaml").read_text()
-    assert (loop.esc.command_topic, loop.esc.command_field) == ("/knob", "data")
+    assert loop.esc.command == "/knob:data"
     assert rig.params.theta_min <= loop.esc.theta_min < rig.best()[0]
     assert rig.best()[0] < loop.esc.theta_max <= rig.params.theta_max
     assert loop.esc.step_size <= file_of(rig).theta_rate * rig.params.dt

@@ -18,14 +18,14 @@ from koopman_lifter.config import LifterConfig
 
 @pytest.mark.parametrize("kind", ["JointState", "Float64MultiArray"])
 def test_a_standard_message_is_lifted_like_a_state(start, probe, kind):
-    given = {
-        "JointState": ("/joint_states:position[0],velocity[0]", "sensor_msgs/msg/JointState"),
-        "Float64MultiArray": ("/adc:data[2],data[0]", "std_msgs/msg/Float64MultiArray"),
+    measured = {
+        "JointState": "/joint_states:position[0],velocity[0]",
+        "Float64MultiArray": "/adc:data[2],data[0]",
     }[kind]
-    start("koopman_lifter", input_fields=given[0], input_type=given[1])
+    start("koopman_lifter", measured=measured, listeners="probe")
     costs, states = probe.collect(Cost, "cost"), probe.collect(MeasuredState, "state")
     message_type = {"JointState": JointState, "Float64MultiArray": Float64MultiArray}[kind]
-    topic = given[0].split(":")[0]
+    topic = measured.split(":")[0]
     # a driver's usual quality of service: best effort
     rig = probe.node.create_publisher(message_type, topic, qos_profile_sensor_data)
     probe.spin_until(lambda: rig.get_subscription_count(), "the lifter")
@@ -47,9 +47,11 @@ def test_a_standard_message_is_lifted_like_a_state(start, probe, kind):
 
 
 def test_a_rig_that_is_faster_than_the_model_is_told_so(start, probe):
-    start("koopman_lifter", "-r", "__ns:=/rig", input_fields="joints:position[0],velocity[0]")
+    start("koopman_lifter", "-r", "__ns:=/rig", measured="joints:position[0],velocity[0]",
+          listeners="probe")  # fmt: skip
     reports = probe.collect(DiagnosticArray, "/diagnostics")
     probe.collect(Cost, "/rig/cost")
+    probe.collect(MeasuredState, "/rig/state")
     rig = probe.publisher(JointState, "/rig/joints")
     k, statuses = 0, []
 
@@ -74,7 +76,7 @@ def test_a_rig_that_is_faster_than_the_model_is_told_so(start, probe):
 
 def start_reference(start, probe, states):
     """Return what the lifter answers if the rig speaks MeasuredState."""
-    start("koopman_lifter", "-r", "__ns:=/reference")
+    start("koopman_lifter", "-r", "__ns:=/reference", listeners="probe")
     answers = probe.collect(Cost, "/reference/cost")
     publisher = probe.publisher(MeasuredState, "/reference/state")
     for state in states[:5]:
@@ -92,7 +94,7 @@ def start_reference(start, probe, states):
     ],
 )
 def test_the_controller_also_speaks_what_the_rig_takes(start, probe, kind, field):
-    start("relay_esc", command_topic="/rig/theta", command_type=kind, command_field=field)
+    start("relay_esc", command=f"/rig/theta:{field}")
     message = message_type(kind)
     numbers = probe.collect(message, "/rig/theta")  # nobody listens to 'theta'
     cost = probe.publisher(Cost, "cost")
@@ -104,17 +106,19 @@ def test_the_controller_also_speaks_what_the_rig_takes(start, probe, kind, field
     assert said == pytest.approx([2.0, 2.0 - 1 / 3000, 2.0 - 2 / 3000])
 
 
-def test_a_source_that_cannot_be_ends_the_lifter_with_one_line(start):
-    process = start("koopman_lifter", input_fields="/js:torque[0]")
+def test_a_source_that_cannot_be_ends_the_lifter_with_one_line(start, probe):
+    rig = probe.node.create_publisher(JointState, "/js", 10)
+    probe.collect(Cost, "cost")
+    probe.collect(MeasuredState, "state")
+    process = start("koopman_lifter", measured="/js:torque[0]", cost="raw", listeners="probe")
     assert process.process.wait(60.0) == 1
     assert "JointState has no field 'torque'" in process.log.read_text()
+    probe.node.destroy_publisher(rig)
 
 
 def test_what_is_wrong_with_a_source_is_said():
     with pytest.raises(ConfigError, match="write /topic:field or /topic:field,field"):
-        LifterConfig(input_fields="/joint_states")
-    with pytest.raises(ConfigError, match="'os' is no"):
-        LifterConfig(input_fields="/js:x", input_type="os")
+        LifterConfig(measured="/joint_states")
     with pytest.raises(ValueError, match="no_msgs/msg/No is not installed"):
         message_type("no_msgs/msg/No")
     with pytest.raises(ConfigError, match="JointState: 'effort' needs an index"):

@@ -51,12 +51,12 @@ def test_a_rig_of_one_sensor_is_damped(start, probe, tmp_path, capfd):
     assert main([*learn, *what, "--out", str(model)]) == 0, capfd.readouterr()
     assert "strong_and_weak_by theta" in capfd.readouterr().out
     start(
-        "koopman_lifter", input_fields="/pressure:data", input_type=KIND, model=model, dt=DT,
-        omega_l=0.6, state_timeout=0.0,
+        "koopman_lifter", measured="/pressure:data", model=model, dt=DT,
+        omega_l=0.6,
     )  # fmt: skip
     start(
-        "relay_esc", command_topic="/knob", dt=DT, theta_initial=-1.0, step_size=DT / 15.0,
-        tau_f=3.0, cost_timeout=0.0,
+        "relay_esc", command="/knob:data", dt=DT, theta_initial=-1.0, step_size=DT / 15.0,
+        tau_f=3.0,
     )  # fmt: skip
     turned = probe.collect(Float64, "/knob")
     sensor = probe.publisher(Float64, "/pressure")

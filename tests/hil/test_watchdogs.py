@@ -93,7 +93,7 @@ def test_the_plant_enforces_its_own_bounds_and_refuses_what_is_no_number(start, 
 
 
 def test_silence_is_stale_and_a_second_publisher_is_an_error(start, probe, reports):
-    start("koopman_lifter", state_timeout=0.5)
+    start("koopman_lifter", listeners="probe")
     probe.collect(Cost, "cost")
     state = probe.publisher(MeasuredState, "state")
     state.publish(MeasuredState(step=0, x=[1.0, 2.0]))
@@ -107,7 +107,7 @@ def test_silence_is_stale_and_a_second_publisher_is_an_error(start, probe, repor
 
 
 def test_lost_late_and_unusable_states_are_counted(start, probe, reports):
-    start("koopman_lifter", state_timeout=0.0)
+    start("koopman_lifter", listeners="probe")
     answers = probe.collect(Cost, "cost")
     state = probe.publisher(MeasuredState, "state")
     for step in (0, 1, 5, 4, 6, 6):
@@ -115,7 +115,7 @@ def test_lost_late_and_unusable_states_are_counted(start, probe, reports):
     # a report counts what came since the one before: these six may lie on both sides of it
     probe.spin_until(lambda: len(answers) == 5, "the answers")
     reports.wait("/koopman_lifter", WARN, "on 'state'", since=0)
-    values = reports.wait("/koopman_lifter", OK)
+    values = reports.wait("/koopman_lifter", STALE)
     assert [a.step for a in answers] == [0, 1, 5, 6, 6]  # an overtaken state is not answered
     counted = [values[f"state {name}"] for name in ("missed_steps", "late", "repeated")]
     assert counted == ["3", "1", "1"]
@@ -125,7 +125,7 @@ def test_lost_late_and_unusable_states_are_counted(start, probe, reports):
 
 
 def test_the_controller_restarts_after_a_silence_without_turning(start, probe, reports):
-    start("relay_esc", dwell=1.0, step_size=0.001, cost_timeout=0.5)
+    start("relay_esc", dwell=1.0, step_size=0.001)
     answers = probe.collect(ControlInput, "theta")
     cost = probe.publisher(Cost, "cost")
 

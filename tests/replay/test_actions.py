@@ -18,6 +18,7 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
 from koop_core.config import parameter_file
+from koop_core.stream.arrival import timeout_of
 from koop_core.stream.resend import Due, Resend
 from koop_lab.cli.main import main
 from koop_lab.replay.recording import read_recording
@@ -28,7 +29,8 @@ from koopman_lifter.delays import Delays
 from vdp_plant.config import RESENDS, PlantConfig
 
 LISTENERS = "next recorder probe"  # on the cost
-TIMEOUT = 2.0  # [s] of states and costs: more than a busy machine lets a message wait
+TIMEOUT = timeout_of(0.005)  # [s] of states and costs
+PATIENCE = 1.0  # [s] without a theta, for a busy machine
 
 
 class Rig:
@@ -51,7 +53,7 @@ class Rig:
     def __call__(self, step, x):
         before = len(self.answers)
         self.send(step, x)
-        question = Resend(TIMEOUT / 2, RESENDS)
+        question = Resend(PATIENCE, RESENDS)
         question.ask(time.monotonic())
 
         def answered():
@@ -138,7 +140,6 @@ def eventful_run(without_shared_memory, module_start, module_probe, tmp_path_fac
         start(
             "relay_esc",
             listeners="next recorder",
-            cost_timeout=TIMEOUT,
             dwell=0.05,
             step_size=0.01,
             rate_limit=1.5,
@@ -146,7 +147,6 @@ def eventful_run(without_shared_memory, module_start, module_probe, tmp_path_fac
         start(
             "koopman_lifter",
             listeners=LISTENERS,
-            state_timeout=TIMEOUT,
             omega_h=200.0,
             omega_l=30.0,  # settles in 23 states
         ),
@@ -228,12 +228,11 @@ def test_a_late_controller_and_another_model_are_replayed(start, probe, tmp_path
     start(
         "relay_esc",
         listeners="next recorder",
-        cost_timeout=TIMEOUT,
         dwell=0.05,
         tau_f=0.02,
         step_size=0.01,
     )
-    start("koopman_lifter", listeners=LISTENERS, state_timeout=TIMEOUT)
+    start("koopman_lifter", listeners=LISTENERS)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.change_state("relay_esc", Transition.TRANSITION_DEACTIVATE)
@@ -260,9 +259,9 @@ def test_the_raw_cost_of_any_channels_needs_no_model_until_it_is_lifted(
 ):
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
-    esc = {"dt": 0.01, "cost_timeout": TIMEOUT, "dwell": 0.05, "step_size": 0.01}
+    esc = {"dt": 0.01, "dwell": 0.05, "step_size": 0.01}
     start("relay_esc", listeners="next recorder", **esc)
-    given = {"cost": "raw", "dt": 0.01, "model": "/nowhere.npz", "state_timeout": TIMEOUT}
+    given = {"cost": "raw", "dt": 0.01, "model": "/nowhere.npz"}
     lifter = start("koopman_lifter", listeners=LISTENERS, **given)
     rig = Rig(probe)
     wait_until_known(probe, folder)
@@ -300,8 +299,8 @@ def test_a_run_with_delays_is_replayed_bit_for_bit_over_a_gap(start, probe, tmp_
     train(PlantConfig(), config, True, Delays(2, 4, 5)).save(model)
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
-    start("relay_esc", listeners="next recorder", cost_timeout=TIMEOUT, dwell=0.05, step_size=0.01)
-    given = {"state_timeout": TIMEOUT, "omega_h": 200.0, "omega_l": 30.0, "model": model}
+    start("relay_esc", listeners="next recorder", dwell=0.05, step_size=0.01)
+    given = {"omega_h": 200.0, "omega_l": 30.0, "model": model}
     start("koopman_lifter", listeners=LISTENERS, **given)
     rig = Rig(probe)
     wait_until_known(probe, folder)
@@ -361,8 +360,8 @@ def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
     # one direction: no flip so soon
-    start("relay_esc", listeners="next recorder", cost_timeout=TIMEOUT, step_size=0.01)
-    lifter = start("koopman_lifter", listeners=LISTENERS, state_timeout=TIMEOUT)
+    start("relay_esc", listeners="next recorder", step_size=0.01)
+    lifter = start("koopman_lifter", listeners=LISTENERS)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.swing(range(40))
@@ -371,7 +370,7 @@ def test_a_reset_and_a_restart_are_told_where_a_replay_differs(start, probe, tmp
     assert lifter.stop() == 0
     count = rig.publisher.get_subscription_count
     probe.spin_until(lambda: count() == 1, "the lifter to be gone")
-    start("koopman_lifter", listeners=LISTENERS, state_timeout=TIMEOUT)
+    start("koopman_lifter", listeners=LISTENERS)
     probe.spin_until(lambda: count() == 2, "the lifter to be back")
     rig.swing(range(80, 120))
     recorder.process.send_signal(signal.SIGINT)

@@ -157,14 +157,15 @@ class Scenario:
 
     @property
     def sensor_topic(self) -> str:
-        """Where the plant measures if the lifter picks `input_fields` of it; else empty."""
-        fields = self.parameters.get("koopman_lifter", {}).get("input_fields", "")
+        """Where the plant measures if the lifter picks fields of it; else empty."""
+        fields = self.parameters.get("koopman_lifter", {}).get("measured", "")
         return parse_source(fields).topic.lstrip("/") if fields else ""
 
     @property
     def command_topic(self) -> str:
         """Where the plant takes a plain number in place of the controller's answers; else empty."""
-        return str(self.parameters.get("relay_esc", {}).get("command_topic", "")).lstrip("/")
+        command = str(self.parameters.get("relay_esc", {}).get("command", ""))
+        return command.partition(":")[0].lstrip("/")
 
     @property
     def dt(self) -> float:
@@ -271,7 +272,7 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
         {str(node): level for node, level in levels.items()},
     )
     if scenario.sensor_topic and scenario.injects:
-        raise ConfigError("inject: between the plant's 'state' and the lifter, not input_fields")
+        raise ConfigError("inject: between the plant's 'state' and the lifter, not measured")
     return scenario
 
 

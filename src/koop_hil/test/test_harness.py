@@ -93,9 +93,9 @@ def test_a_fault_that_is_none_is_refused(text):
         (
             {
                 "events": [{"at": 1, "inject": {"state": "off"}}],
-                "parameters": {"koopman_lifter": {"input_fields": "/rig/state:x[0]"}},
+                "parameters": {"koopman_lifter": {"measured": "/rig/state:x[0]"}},
             },
-            "and the lifter, not input_fields",
+            "and the lifter, not measured",
         ),
         ({"plant": "papier"}, "plant = 'papier': must be one of vdp_plant, galloping"),
         ({"remote": "recorder"}, "remote = 'recorder': must be one of"),
@@ -131,7 +131,7 @@ def test_the_link_is_cut_for_a_time():
 
 
 def test_a_rig_of_which_the_lifter_takes_one_field_measures_on_a_topic_of_its_own():
-    lifter = {"input_fields": "/rig/state:x[0]", "input_type": "koop_msgs/msg/MeasuredState"}
+    lifter = {"measured": "/rig/state:x[0]"}
     scenario = parse("name", {"parameters": {"koopman_lifter": lifter}}, Path("."))
     assert scenario.sensor_topic == "rig/state"
     assert scenario.publishers["rig/state"] == 1

@@ -61,7 +61,7 @@ def test_an_ablation_is_checked_before_anything_runs(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"esc.command_topic": "/a"}, r"esc\.command_topic: a study has no topics"),
+        ({"esc.command": "/a:b"}, r"esc\.command: a study has no topics"),
         ({"lifter.cost": "raw"}, r"lifter\.cost: the study's own setting 'cost'"),
         (
             {"cost": "raw", "sensing.delays": 2, "sensing.spacing": 0.1},

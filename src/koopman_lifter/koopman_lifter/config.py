@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from koop_core.config.fields import Source, check_type, parse_source
+from koop_core.config.fields import Source, parse_source
 from koop_core.config.parameter import parameter, validate
+from koop_core.stream.arrival import timeout_of
 from koopman_lifter.cost import LIFTED, RAW, DetectorParams, detector_params
 
 SOURCES = {"raw": RAW, "lifted": LIFTED}
@@ -52,36 +53,31 @@ class LifterConfig:
         0.005, "sampling time of the state", unit="s", low=1e-6, high=1.0, read_only=True
     )
 
-    state_timeout: float = parameter(
-        0.5,
-        "age at which the state is stale; after such a silence the detector takes no difference "
-        "to the state before it; 0: never",
-        unit="s",
-        low=0.0,
-        high=1e6,
-    )
-
-    input_fields: str = parameter(
+    measured: str = parameter(
         "",
         "for a rig that speaks another message: topic:field,field, for example "
         "/joint_states:position[0],velocity[0]; the node then publishes 'state' itself; empty: "
         "the rig publishes 'state'",
         read_only=True,
     )
-    input_type: str = parameter(
-        "sensor_msgs/msg/JointState", "message type of input_fields", read_only=True
-    )
 
     def __post_init__(self) -> None:
         validate(self)
-        check_type(self.input_type)
-        if self.input_fields:
-            parse_source(self.input_fields)
+        if self.measured:
+            parse_source(self.measured)
 
     @property
-    def foreign(self) -> Source | None:
+    def rig_source(self) -> Source | None:
         """Where the state comes from if not from the topic 'state'."""
-        return parse_source(self.input_fields) if self.input_fields else None
+        return parse_source(self.measured) if self.measured else None
+
+    @property
+    def timeout(self) -> float:
+        """Age at which the state is stale [s].
+
+        After such a silence the detector takes no difference to the state before it.
+        """
+        return timeout_of(self.dt)
 
     @property
     def source(self) -> int:

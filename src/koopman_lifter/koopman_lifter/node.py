@@ -41,15 +41,20 @@ class Loaded:
         self.work = cost.workspace(self.lifting)
 
 
-class Foreign:
+class ForeignSource:
     """A rig that speaks another message than MeasuredState."""
 
-    def __init__(self, source: Source, config: LifterConfig) -> None:
-        self.type = message_type(config.input_type)
-        check_fields(source.fields, self.type())
-        self.adapter = StateAdapter(source, config.dt)
+    def __init__(self, source: Source, dt: float) -> None:
+        self.topic, self._fields = source.topic, source.fields
+        self.adapter = StateAdapter(source, dt)
         self.publisher: Writer | None = None  # of 'state', while the node is active
         self._early = self._taken = 0
+
+    def take_type(self, name: str) -> Any:
+        """Return the message class of a type; raise ConfigError if it lacks the fields."""
+        kind = message_type(name)
+        check_fields(self._fields, kind())
+        return kind
 
     def convert(self, message: Any) -> MeasuredState:
         """Publish what the rig measured as 'state', for recording and replay, and return it."""
@@ -75,15 +80,16 @@ class LifterRun(Run):
     def __init__(self, node: LifterNode, entities: Entities) -> None:
         config = node.parameters[LifterConfig]
         self._node = node
-        self._foreign = Foreign(config.foreign, config) if config.foreign is not None else None
-        self._seen = len(config.foreign.fields) if config.foreign is not None else 0
+        source = config.rig_source
+        self._foreign = None if source is None else ForeignSource(source, config.dt)
+        self._seen = 0 if source is None else len(source.fields)
         self._candidate: KoopmanModel | None = None
         self._source, self._detector = config.source, config.detector_params()
         self._use(load_for(config, node.parameters[ModelConfig], self._seen))
         self._state = cost.initial()
         self._answer = codec(Cost).new()
-        self._topic = config.foreign.topic if config.foreign is not None else "state"
-        self._input = StreamMonitor(self._topic, config.state_timeout, config.dt, may_end=True)
+        self._topic = "state" if source is None else source.topic
+        self._input = StreamMonitor(self._topic, config.timeout, config.dt, may_end=True)
         self.inputs = (self._input,)
         self._publisher: Writer | None = None
 
@@ -100,9 +106,13 @@ class LifterRun(Run):
             if foreign is None:
                 entities.reader(MeasuredState, "state", self._on_state, RELIABLE)
             else:
-                own = foreign.type is MeasuredState
-                qos = RELIABLE if own else BEST_EFFORT
-                entities.dated_subscription(foreign.type, self._topic, self._on_foreign, qos)
+                entities.when_published(foreign.topic, listen_to)
+
+        def listen_to(name: str) -> None:
+            assert foreign is not None
+            kind = foreign.take_type(name)
+            qos = RELIABLE if kind is MeasuredState else BEST_EFFORT
+            entities.dated_subscription(kind, foreign.topic, self._on_foreign, qos)
 
         entities.when_heard(needed, listen)
 
@@ -126,7 +136,6 @@ class LifterRun(Run):
         if {"cost", "model"} & names:  # of another quantity the filters know nothing
             self._state = cost.joining(self._detector)
             self._loaded.work = cost.workspace(self._loaded.lifting)
-        self._input.timeout = config.state_timeout
 
     def samples(self) -> int:
         return self._input.count
@@ -243,7 +252,7 @@ class LifterNode(ManagedNode[LifterRun]):
     A state that cannot be used (wrong length, not finite) is answered with r = NaN, on which the
     controller holds; the detector goes on with the next usable state. So are the first states of a
     run that is under way already, flagged ``settling``. A state that was overtaken
-    by a newer one, or is older than ``state_timeout`` on arrival, is counted and not answered: the
+    by a newer one, or is stale on arrival, is counted and not answered: the
     filters can't go back in time, and nobody must act on what is long past.
     """
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from koop_core.config.fields import check_topic, check_type, parse_field
+from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError, parameter, validate
+from koop_core.stream.arrival import timeout_of
 from relay_esc.elementary import log
 from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
 from relay_esc.swing import LEVEL_TIME
@@ -66,14 +67,6 @@ class EscConfig:
         low=0.0,
         high=1e6,
     )
-    cost_timeout: float = parameter(
-        0.5,
-        "age at which the cost is stale; after such a silence filter and dwell time are reset; "
-        "0: never",
-        unit="s",
-        low=0.0,
-        high=1e6,
-    )
     objective: str = parameter(
         "minimise", "what the controller does with the cost", choices=("minimise", "maximise")
     )
@@ -86,17 +79,12 @@ class EscConfig:
     epsilon_initial: int = parameter(
         1, "first relay sign: 1 moves theta down, -1 up", low=-1, high=1, read_only=True
     )
-    command_topic: str = parameter(
+    command: str = parameter(
         "",
-        "topic on which theta is also published, for a rig that does not listen to theta; "
-        "empty: none",
+        "topic:field, such as /rig/theta:data, on which theta is also published, for a rig that "
+        "does not listen to theta; the message type is the one that the rig subscribes to; empty: "
+        "none",
         read_only=True,
-    )
-    command_type: str = parameter(
-        "std_msgs/msg/Float64", "message type of command_topic", read_only=True
-    )
-    command_field: str = parameter(
-        "data", "field of command_topic that is theta, such as data[0]", read_only=True
     )
     dt: float = parameter(
         0.005, "sampling time of the cost", unit="s", low=1e-6, high=1.0, read_only=True
@@ -104,10 +92,8 @@ class EscConfig:
 
     def __post_init__(self) -> None:
         validate(self)
-        if self.command_topic:
-            check_topic(self.command_topic)
-            check_type(self.command_type)
-            parse_field(self.command_field)
+        if self.command and len(parse_source(self.command).fields) != 1:
+            raise ConfigError(f"command = {self.command!r}: theta is one field")
         if self.theta_min >= self.theta_max:
             raise ConfigError(
                 f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"
@@ -125,6 +111,14 @@ class EscConfig:
                     raise ConfigError(f"{name} = {value:g}: must be above 0 with theta_scale log")
         if self.epsilon_initial == 0:
             raise ConfigError("epsilon_initial = 0: must be 1 or -1")
+
+    @property
+    def timeout(self) -> float:
+        """Age at which the cost is stale [s].
+
+        After such a silence filter and dwell time are reset.
+        """
+        return timeout_of(self.dt)
 
     @property
     def largest_change(self) -> float:

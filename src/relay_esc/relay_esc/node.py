@@ -11,7 +11,7 @@ from koop_msgs.msg import ControlInput, Cost
 from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
 
-from koop_core.config.fields import check_fields, parse_field, write_field
+from koop_core.config.fields import Source, check_fields, parse_source, write_field
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
@@ -37,18 +37,13 @@ class EscRun(Run):
         self._state = config.initial()
         self._answer = codec(ControlInput).new()
         self._answer.theta = self._state.output
-        self._input = StreamMonitor("cost", config.cost_timeout, config.dt, may_end=True)
+        self._input = StreamMonitor("cost", config.timeout, config.dt, may_end=True)
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
         self._hold_asked = False
         self._publisher: Writer | None = None
         self._command: Publisher | Writer | None = None
-        self._own: Any = None  # the message of command_topic, unless that is the answer itself
-        self._field = parse_field(config.command_field)
-        if config.command_topic:
-            message = message_type(config.command_type)()
-            check_fields((self._field,), message)
-            self._own = None if isinstance(message, ControlInput) else message
+        self._own: Any = None  # the rig's message, unless that is the answer itself
         # for the types that messages bring, and compiled before the first of them
         given = (int(Arrival.RESTART), False, False, 0.0, False)
         self._respond = direct(relay.answer, self._params, self._state, *given)
@@ -57,19 +52,34 @@ class EscRun(Run):
         entities.service(SetBool, "~/hold", self._on_hold)
 
     def activate(self, entities: Entities) -> None:
+        config = self._node.parameters[EscConfig]
         rig, observers = listeners_of(self._node.parameters[ListenersConfig].listeners, "any")
-        topic = self._node.parameters[EscConfig].command_topic
         writer = self._publisher = entities.writer(ControlInput, "theta", RELIABLE)
-        if topic:  # the rig listens there, and to nothing else
-            if self._own is None:
-                self._command = entities.writer(ControlInput, topic, NEWEST)
-                command = self._command.publisher
-            else:
-                command = self._command = entities.publisher(type(self._own), topic, NEWEST)
-            needed = {command: Listeners(next=rig.next), writer.publisher: observers}
+
+        def listen() -> None:
+            entities.reader(Cost, "cost", self._on_cost, RELIABLE)
+
+        def command(name: str) -> None:
+            publisher = self._make_command(entities, source, name)
+            needed = {publisher: Listeners(next=rig.next), writer.publisher: observers}
+            entities.when_heard(needed, listen)
+
+        if config.command:  # the rig listens there, and to nothing else
+            source = parse_source(config.command)
+            entities.when_subscribed(source.topic, command)
         else:
-            needed = {writer.publisher: rig}
-        entities.when_heard(needed, lambda: entities.reader(Cost, "cost", self._on_cost, RELIABLE))
+            entities.when_heard({writer.publisher: rig}, listen)
+
+    def _make_command(self, entities: Entities, source: Source, name: str) -> Publisher:
+        """Return the publisher of what the rig takes, a message of the type that it listens to."""
+        kind = message_type(name)
+        check_fields(source.fields, kind())
+        (self._field,) = source.fields
+        if kind is ControlInput:
+            self._own, self._command = None, entities.writer(kind, source.topic, NEWEST)
+            return self._command.publisher
+        self._own, self._command = kind(), entities.publisher(kind, source.topic, NEWEST)
+        return self._command
 
     def deactivate(self) -> None:
         self._publisher = self._command = None
@@ -77,7 +87,6 @@ class EscRun(Run):
     def parameters_changed(self, names: set[str]) -> None:
         config = self._node.parameters[EscConfig]
         self._params = config.params()
-        self._input.timeout = config.cost_timeout
 
     def samples(self) -> int:
         return self._input.count
@@ -157,7 +166,7 @@ class EscNode(ManagedNode[EscRun]):
 
     The control input is held, flagged ``holding``, after ``~/hold`` and for a cost that is not
     finite: silence would look like a dead controller. A cost that was overtaken by a newer one, or
-    is older than ``cost_timeout`` on arrival, is counted and not answered. An inactive controller
+    is stale on arrival, is counted and not answered. An inactive controller
     is silent.
     """
 

@@ -80,7 +80,7 @@ class ClosedLoop:
             "autostart": False,
             "theta_initial": start,
             "epsilon_initial": -1 if u[0] <= u[1] else 1,
-            "command_topic": "",
+            "command": "",
             "listeners": "next recorder",
         }
         return parameters

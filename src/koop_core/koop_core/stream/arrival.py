@@ -29,6 +29,14 @@ class Arrival(IntEnum):
     """Was stale on arrival; it is as if it had never been heard."""
 
 
+SILENCE, SHORTEST = 20, 0.5  # samples; [s]
+
+
+def timeout_of(dt: float) -> float:
+    """Return the age at which an input with a sampling time is stale [s]."""
+    return max(SILENCE * dt, SHORTEST)
+
+
 WINDOW = 64  # steps that a message may be overtaken by; further back is another run
 
 

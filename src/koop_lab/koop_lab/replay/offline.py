@@ -138,10 +138,10 @@ class OfflineLoop:
         origin = (lifter.source, model.model_id if model is not None else "")
         switched, self._origin = origin != self._origin, origin
         states = np.empty(step.size, np.int8)
-        self._states = listen(step, lifter.state_timeout, lifter.dt, self._states, states)
+        self._states = listen(step, lifter.timeout, lifter.dt, self._states, states)
         heard = (states != Arrival.LATE) & ~unheard
         arrivals = np.empty(np.count_nonzero(heard), np.int8)
-        self._costs = listen(step[heard], esc.cost_timeout, esc.dt, self._costs, arrivals)
+        self._costs = listen(step[heard], esc.timeout, esc.dt, self._costs, arrivals)
         costs = np.full_like(states, Arrival.LATE)
         costs[heard] = arrivals
         r, theta = np.empty(step.size), np.empty(step.size)

@@ -23,7 +23,7 @@ from koop_loop.parameters import LoopParameters
 from koopman_lifter.model import KoopmanModel
 
 Values = dict[str, dict[str, Any]]
-OWN_TOPICS = {"koopman_lifter": {"input_fields": ""}, "relay_esc": {"command_topic": ""}}
+OWN_TOPICS = {"koopman_lifter": {"measured": ""}, "relay_esc": {"command": ""}}
 """A rig with messages of its own: what the lifter made of them is recorded as `state`."""
 
 

@@ -37,12 +37,12 @@ def load(name: str, namespace: str = "") -> ManagedNode[Any]:
 
     Raises
     ------
-    ValueError
+    ConfigError
         If no package offers it.
     """
     offered = components()
     if name not in offered:
-        raise ValueError(f"there is no component {name!r}; there are {', '.join(sorted(offered))}")
+        raise ConfigError(f"there is no component {name!r}; there are {', '.join(sorted(offered))}")
     options = {"namespace": namespace} if namespace else {}
     node: ManagedNode[Any] = offered[name].load()(**options)
     return node

@@ -19,8 +19,9 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer as RosTimer
 
+from koop_core.errors import KoopError
 from koop_node.node import schedule
-from koop_node.node.graph import Listeners, best_effort_only, publishers_of
+from koop_node.node.graph import Listeners, best_effort_only, publishers_of, subscribers_of
 from koop_node.node.schedule import Timer
 from koop_node.node.wire import WireError, codec
 
@@ -144,12 +145,15 @@ class Entities:
     inputs : dict of str to Input
         What :meth:`reader` and :meth:`dated_subscription` have made, by topic as it was given.
     waiting_for : str
-        What :meth:`when_heard` still waits for; empty: nothing.
+        What is still waited for; empty: nothing.
+    fail : callable
+        Ends the node as one that failed.
     """
 
     def __init__(self, node: Node) -> None:
         self.inputs: dict[str, Input] = {}
         self.waiting_for = ""
+        self.fail: Callable[[], object] = bool
         self._node = node
         self._stack = ExitStack()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -281,6 +285,35 @@ class Entities:
             elif waited % 100 == 20:
                 self._node.get_logger().info(self.waiting_for)
             waited += 1
+
+        timer = self.timer(LOOK_PERIOD, look)
+
+    def when_published(self, topic: str, then: Callable[[str], object]) -> None:
+        """Call ``then`` with the message type of a topic once it has a publisher."""
+        self._when_typed(f"a publisher of {topic}", partial(publishers_of, self._node, topic), then)
+
+    def when_subscribed(self, topic: str, then: Callable[[str], object]) -> None:
+        """Call ``then`` with the message type of a topic once a node subscribes to it."""
+        self._when_typed(
+            f"a subscriber of {topic}", partial(subscribers_of, self._node, topic), then
+        )
+
+    def _when_typed(
+        self, what: str, endpoints: Callable[[], list[Any]], then: Callable[[str], object]
+    ) -> None:
+        self.waiting_for = f"waiting for {what}"
+        self._node.get_logger().info(self.waiting_for)
+
+        def look() -> None:
+            if not (found := endpoints()):
+                return
+            timer.cancel()
+            self.waiting_for = ""
+            try:
+                then(found[0].topic_type)
+            except KoopError as error:
+                self._node.get_logger().error(str(error))
+                self.fail()
 
         timer = self.timer(LOOK_PERIOD, look)
 

@@ -82,6 +82,11 @@ def publishers_of(node: Node, topic: str) -> list[Any]:
     return list(node.get_publishers_info_by_topic(topic))
 
 
+def subscribers_of(node: Node, topic: str) -> list[Any]:
+    """Return the subscriptions of a topic by nodes that do not hide as observers."""
+    return [info for info in node.get_subscriptions_info_by_topic(topic) if _visible(info)]
+
+
 def unheard(subscription: Subscription, publishers: Sequence[Any]) -> list[str]:
     """Say of every publisher that a subscription cannot hear, who it is and why."""
     wanted = type_name(subscription.msg_type)

@@ -22,6 +22,7 @@ from rclpy.utilities import remove_ros_args
 
 from koop_core.config.describe import ARGUMENTS, help_text
 from koop_core.config.parameter import NodeConfig
+from koop_core.errors import InputError
 from koop_node.node import schedule
 from koop_node.node.managed import ManagedNode
 from koop_node.process.housekeeping import Housekeeping
@@ -215,11 +216,11 @@ def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:
 
 
 def refuse_other_arguments(args: list[str] | None = None) -> None:
-    """Raise ValueError if there are arguments besides those of ROS, which rclpy would ignore."""
+    """Raise InputError if there are arguments besides those of ROS, which rclpy would ignore."""
     own = remove_ros_args(args)
     own = own[1:] if args is None else own
     if own:
-        raise ValueError(f"unknown argument {' '.join(own)}; {USAGE}")
+        raise InputError(f"unknown argument {' '.join(own)}; {USAGE}")
 
 
 def _one_line(error: Exception) -> str:

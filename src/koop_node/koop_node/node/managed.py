@@ -6,6 +6,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from importlib import import_module
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -14,7 +15,8 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 
 from koop_core.config.fields import check_type
-from koop_core.config.parameter import NodeConfig
+from koop_core.config.parameter import ConfigError, NodeConfig
+from koop_core.errors import KoopError
 from koop_core.stream.monitor import StreamMonitor
 from koop_core.stream.report import ERROR, OK, STALE, WARN, Finding, News, summary
 from koop_node.node import schedule
@@ -34,14 +36,14 @@ def message_type(name: str) -> Any:
 
     Raises
     ------
-    ValueError
+    ConfigError
         If no such message is installed.
     """
     package, _, kind = check_type(name).split("/")
     try:
         return getattr(import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError):
-        raise ValueError(f"message type {name} is not installed") from None
+        raise ConfigError(f"message type {name} is not installed") from None
 
 
 class Run:
@@ -49,7 +51,7 @@ class Run:
 
     A subclass makes everything in its constructor ``(node, entities)``; what it creates through
     the entities is destroyed with it, also if the constructor fails midway. Constructor and
-    :meth:`activate` raise ValueError or OSError with a message for the user if they cannot.
+    :meth:`activate` raise KoopError or OSError with a message for the user if they cannot.
     """
 
     inputs: tuple[StreamMonitor, ...] = ()
@@ -65,7 +67,7 @@ class Run:
         """Release what is not an entity."""
 
     def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
-        """Raise ValueError to refuse changed configurations; ``names`` were set."""
+        """Raise KoopError to refuse changed configurations; ``names`` were set."""
 
     def parameters_changed(self, names: set[str]) -> None:
         """Take changed configurations into use."""
@@ -198,6 +200,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         entities = Entities(self)
+        entities.fail = partial(self.finish, 1)
 
         def activate() -> None:
             assert self.run is not None
@@ -229,7 +232,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         """Make a transition; one that fails midway leaves nothing behind."""
         try:
             action()
-        except (ValueError, OSError) as error:
+        except (KoopError, OSError) as error:
             self.get_logger().error(str(error))
             entities.close()
             return TransitionCallbackReturn.FAILURE

@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 
 from koop_core.config.parameter import ConfigError, Spec, refuse_unknown, spec_of
 from koop_core.config.parameter_file import shared_names
+from koop_core.errors import KoopError
 from koop_node.node.rclpy_internals import parameter_overrides
 
 Config = TypeVar("Config")
@@ -36,7 +37,7 @@ class Parameters:
         of them share is one ROS parameter.
     check : callable
         ``check(changed, names)`` is called with a new value of every configuration, by class, and
-        the names that were set, before it is taken; it raises ValueError to refuse it.
+        the names that were set, before it is taken; it raises KoopError to refuse it.
     changed : callable
         ``changed(names)`` is called after new values were taken.
     args : sequence of str
@@ -109,7 +110,7 @@ class Parameters:
             values = self._values(self._configs) | {p.name: p.value for p in parameters}
             pending = self._build(values)
             self._check(pending, {p.name for p in parameters})
-        except ValueError as error:
+        except KoopError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self._pending = pending
         return SetParametersResult(successful=True)

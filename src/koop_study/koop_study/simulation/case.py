@@ -59,11 +59,8 @@ class Case:
 
 NODES_ONLY = {  # settings of the nodes that a study has no use for, and why
     "lifter.cost": "the study's own setting 'cost' takes its place",
-    "lifter.input_fields": "a study has no topics",
-    "lifter.input_type": "a study has no topics",
-    "esc.command_topic": "a study has no topics",
-    "esc.command_type": "a study has no topics",
-    "esc.command_field": "a study has no topics",
+    "lifter.measured": "a study has no topics",
+    "esc.command": "a study has no topics",
 }
 DRAWN = (  # what `seeded` draws
     "plant.seed", "plant.interference_phase_1", "plant.interference_phase_2", "training.seed",

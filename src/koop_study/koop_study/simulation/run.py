@@ -64,7 +64,7 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None) -> Trace:
     lifter = lifter_of(case, model)
     exposure = expose(
         case.scenario, case.plant, case.steps, case.plant.seed, schedule, case.sensing.indices,
-        (lifter.state_timeout, case.esc.cost_timeout),
+        (lifter.timeout, case.esc.timeout),
     )  # fmt: skip
     t = np.arange(case.steps, dtype=np.float64) * case.plant.dt
     try:

@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 
 from koop_core.config.describe import parameter_file
-from koop_core.config.fields import format_field
 from koop_core.text_table import table
 from koop_tune.result.parameter_text import HEAD, KNOWN
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.findings import Findings
 from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.tuning import Tuning
-
-LEAST_TIMEOUT, TIMEOUT = 0.5, 20.0  # [s]; samples
 
 Parameters = dict[str, tuple[Any, str]]  # value and reason by name
 
@@ -84,12 +81,7 @@ def as_words(tuning: Tuning) -> str:
 
 def list_parameters(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Parameters]:
     """Return the parameters that are not the defaults by node, each with its reason."""
-    timeout = (max(LEAST_TIMEOUT, TIMEOUT * rig.dt),
-               f"{TIMEOUT:g} samples, at least {LEAST_TIMEOUT:g} s")  # fmt: skip
-    return {
-        "koopman_lifter": _lifter(tuning, rig, model) | {"state_timeout": timeout},
-        "relay_esc": _esc(tuning, rig) | {"cost_timeout": timeout},
-    }
+    return {"koopman_lifter": _lifter(tuning, rig, model), "relay_esc": _esc(tuning, rig)}
 
 
 OF_RIG = "as the rig file says"
@@ -151,11 +143,7 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
         1 if above else -1, f"towards {theta_best:.4g}, where the recording is best"
     )  # fmt: skip
     if not rig.takes_answers:
-        parameters |= {
-            "command_topic": (rig.knob.topic, OF_RIG),
-            "command_type": (rig.command_type, OF_RIG),
-            "command_field": (format_field(rig.knob.fields[0]), OF_RIG),
-        }
+        parameters["command"] = (rig.command, OF_RIG)
     return parameters
 
 

@@ -144,7 +144,7 @@ class RigFile:
         """The lifter's parameters that name the measured channels; none where it needs none."""
         if self.speaks_state:
             return {}
-        return {"input_fields": self.measured, "input_type": self.measured_type}
+        return {"measured": self.measured}
 
     @property
     def names(self) -> tuple[str, ...]:
