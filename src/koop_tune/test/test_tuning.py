@@ -117,8 +117,7 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
     assert loop.esc.step_size == pytest.approx(c.speed * 0.02, rel=0.005)
     assert loop.esc.epsilon_initial == -1  # theta_start is below the best theta: up
     assert loop.esc.theta_initial == RIG.theta_start
-    assert loop.esc.cost_timeout == 0.5
-    assert (loop.esc.command_topic, loop.esc.command_field) == ("/b", "z")
+    assert loop.esc.command == "/b:z"
     listed = as_text.list_parameters(tuning, RIG, None)
     assert all(reason for node in listed.values() for _, reason in node.values())
     lines = [line for line in path.read_text().splitlines() if line.lstrip().startswith("# Here:")]

@@ -20,6 +20,7 @@ from koop_bag.player.clock import ClockOutlet
 from koop_bag.player.config import FAST, PlayerConfig, parse_remap
 from koop_bag.player.outlet import Outlet
 from koop_core.config.parameter import ListenersConfig
+from koop_core.errors import InputError
 from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
 from koop_node.node.managed import OK, Entities, ManagedNode, Run
@@ -36,24 +37,21 @@ class PlayerRun(Run):
     def __init__(self, node: PlayerNode, entities: Entities) -> None:
         config = node.parameters[PlayerConfig]
         if not config.bag:
-            raise ValueError("no bag: set the parameter bag")
+            raise InputError("no bag: set the parameter bag")
         self._node = node
         self._config = config
         self._names = {self._full(old): new for old, new in parse_remap(config.remap).items()}
-        try:
-            self._bag = BagReader(config.bag)
-            entities.on_close(self._bag.close)
-            outlets = self._make_outlets(config, entities)
-            self._outlets = {outlet.topic: outlet for outlet in outlets}
-            self._playback = Playback.of_bag(
-                self._bag, [*self._outlets], rate=config.speed, loop=config.loop
-            )
-            if config.position:
-                self._playback.seek(self._log_time(config.position), 0.0)
-        except BagError as error:
-            raise ValueError(str(error)) from error
+        self._bag = BagReader(config.bag)
+        entities.on_close(self._bag.close)
+        outlets = self._make_outlets(config, entities)
+        self._outlets = {outlet.topic: outlet for outlet in outlets}
+        self._playback = Playback.of_bag(
+            self._bag, [*self._outlets], rate=config.speed, loop=config.loop
+        )
+        if config.position:
+            self._playback.seek(self._log_time(config.position), 0.0)
         if self._playback.finished:
-            raise ValueError(f"{config.bag} has no messages to play there")
+            raise InputError(f"{config.bag} has no messages to play there")
         stamped = {
             name
             for name in self._outlets
@@ -80,7 +78,7 @@ class PlayerRun(Run):
 
     def check_parameters(self, configs: dict[type, Any], names: set[str]) -> None:
         if configs[PlayerConfig].position > self._bag.duration:
-            raise ValueError(f"position: the bag is {self._bag.duration:.3f} s long")
+            raise InputError(f"position: the bag is {self._bag.duration:.3f} s long")
 
     def parameters_changed(self, names: set[str]) -> None:
         config, now = self._node.parameters[PlayerConfig], time.monotonic()

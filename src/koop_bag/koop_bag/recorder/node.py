@@ -61,15 +61,12 @@ class RecorderRun(Run):
         entities.timer(POLL_PERIOD, self._poll)
         self._began: float | None = time.monotonic()
         self._looks = entities.timer(EARLY_PERIOD, self._look_around)
-        try:
-            for name, kind in self._awaited.items():
-                if kind:  # before there are publishers: they wait for it with their first message
-                    self._add_topic(name, kind)
-            self._folder = run_folder.make_run_folder(config.output)
-            self._versions = run_folder.write_versions(self._folder)
-            self._writer = BagWriter(self._folder / "bag", config.writer_options())
-        except BagError as error:
-            raise ValueError(str(error)) from error
+        for name, kind in self._awaited.items():
+            if kind:  # before there are publishers: they wait for it with their first message
+                self._add_topic(name, kind)
+        self._folder = run_folder.make_run_folder(config.output)
+        self._versions = run_folder.write_versions(self._folder)
+        self._writer = BagWriter(self._folder / "bag", config.writer_options())
         node.get_logger().info(f"recording to {self._folder}")
 
     def activate(self, entities: Entities) -> None:

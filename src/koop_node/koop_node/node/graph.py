@@ -33,13 +33,10 @@ class Listeners:
     next : str
         Besides them, ``loop``: a node that publishes a message of the loop; ``any``: any node that
         is not hidden; empty: none.
-    count : int
-        How many subscriptions there must be at least.
     """
 
     names: tuple[str, ...] = ()
     next: str = ""
-    count: int = 0
 
     def missing(self, node: Node, publisher: Publisher) -> str:
         """Return in words who does not listen yet; empty if all do."""
@@ -56,7 +53,7 @@ class Listeners:
             missing.append("the next node of the loop")
         if self.next == "any" and not any(_visible(info) for info in others):
             missing.append("the rig")
-        more = max(len(infos), self.count) - publisher.get_subscription_count()
+        more = len(infos) - publisher.get_subscription_count()
         if not missing and more > 0:  # announced, and not connected yet
             missing.append(f"{more} more")
         return ", ".join(missing)
