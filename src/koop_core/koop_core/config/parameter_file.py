@@ -28,7 +28,7 @@ ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
 SIMILAR = 0.7  # of two names, from 0 to 1, from which on one is taken for the other misspelt
 
 
-class Section(NamedTuple):
+class NodeSection(NamedTuple):
     """The parameters of the nodes that one key of the file names."""
 
     key: str
@@ -63,7 +63,7 @@ class ParameterFile:
     """The content of a parameter file."""
 
     path: Path
-    sections: tuple[Section, ...]
+    sections: tuple[NodeSection, ...]
 
     def describes(self, node: str) -> bool:
         """Return whether a section is for a node of this full name, not for any."""
@@ -224,7 +224,7 @@ def _ros_options(args: Sequence[str]) -> Iterator[tuple[str, str]]:
             yield word, following
 
 
-def _sections(path: str, above: str, content: dict[Any, Any]) -> Iterator[Section]:
+def _sections(path: str, above: str, content: dict[Any, Any]) -> Iterator[NodeSection]:
     """Yield the sections; the keys may be nested, one level a namespace."""
     for key, given in content.items():
         name = f"{above}/{str(key).strip('/')}"
@@ -233,7 +233,7 @@ def _sections(path: str, above: str, content: dict[Any, Any]) -> Iterator[Sectio
         if "ros__parameters" not in given:
             yield from _sections(path, name, given)
         elif isinstance(given["ros__parameters"], dict):
-            yield Section(name, dict(_flat("", given["ros__parameters"])))
+            yield NodeSection(name, dict(_flat("", given["ros__parameters"])))
         else:
             raise ConfigError(f"{path}: ros__parameters of '{name}' is not a mapping")
 
