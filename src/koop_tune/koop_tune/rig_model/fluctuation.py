@@ -32,6 +32,7 @@ class FluctuationSettings:
     count: int = parameter(60, "decays that are tried", low=2)
     as_good: float = studied(1.02, "misfit over the least of the shortest that fits", low=1.0)
     least: float = studied(0.4, "share of the variance that lasts: a drift is less", low=0.0)
+    wanders: float = studied(0.1, "share of the power from which noise drives it", low=0.0)
     lags: float = studied(0.5, "lags that are fitted, over the longest rest", low=0.0, high=1.0)
 
     def __post_init__(self) -> None:

@@ -32,7 +32,7 @@ from koop_identify.recording.loaded import Loaded, pieces
 from koop_tune.excitation.static_map import GRID, StaticMap
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwells
-from koop_tune.rig_model.fluctuation import fit_fluctuation
+from koop_tune.rig_model.fluctuation import FLUCTUATION, fit_fluctuation
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams
 from relay_esc import relay
@@ -40,7 +40,6 @@ from relay_esc.relay import RelayParams, RelayState
 
 PLACES = 16  # that are looked at for one where y_out is about the same
 BLOCKS = 200  # that a run is told in
-WANDERS = 0.1  # share of an amplitude's power, from which on it comes and goes by itself
 
 
 class Times(NamedTuple):
@@ -141,7 +140,7 @@ def fit_times(
     middle = float(np.mean(curve))
     usual = 0.02 + float(np.median([v.std() for v in dwells.settled(dwells.amplitude)]))
     process = fit_fluctuation(dwells)
-    if process.share > WANDERS:
+    if process.share > FLUCTUATION.wanders:
         return Times(math.log(process.time), 0.0, 0.0, middle)
     longest = max(s.end - s.begin for s in dwells.rests) * dt
     shortest = 0.05 * dwells.bands.length * dt
