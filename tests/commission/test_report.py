@@ -39,7 +39,9 @@ def excitation(folder, rig):
         mean, error = (tuple(figures.tolist()) for figures in (summary.mean, summary.error))
         settled = summary.skip * bands.length * dt
         visits.append(Visit(level, mean, error, settled, (end - begin) * dt))
-    state = progress.Progress(0, values, bands, visits, [], theta.size * dt, ["part-1"], True)
+    state = progress.ExcitationProgress(
+        0, values, bands, visits, [], theta.size * dt, ["part-1"], True
+    )
     progress.save(state, file, folder)
     rig_file.write(file, folder / "rig.yaml")
     return file

@@ -82,7 +82,9 @@ def tuned(tmp_path):
     rig_file.write(ONE, tmp_path / "rig.yaml")
     bands = Bands(50, (1, 3, 6, 10), DT)
     visits = [Visit(level, (0.0,) * 4, (0.1,) * 4, 0.2, 1.0) for level in [*range(9), *range(9)]]
-    progress.save(progress.Progress(0, VALUES, bands, visits, [], 9.0, [], True), ONE, folder)
+    progress.save(
+        progress.ExcitationProgress(0, VALUES, bands, visits, [], 9.0, [], True), ONE, folder
+    )
     progress.write_json(folder / "commission.json", {"fit": True})
     progress.write_json(folder / "tuned/tune.json", TUNED)
     parameter_file.write(CONSTANTS, folder / "tuned/controller.yaml")

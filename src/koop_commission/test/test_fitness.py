@@ -33,7 +33,7 @@ from koop_commission.fitness.samples import Samples, refuse_dead
 from koop_commission.fitness.settings import CheckSettings
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
-from koop_tune.excitation.channels import Channel, Line
+from koop_tune.excitation.channels import ChannelSummary, Line
 from koop_tune.excitation.features import choose_bands
 from koop_tune.rig.rig_file import RigFile
 
@@ -44,7 +44,7 @@ RIG = RigFile(
     channel_max=(5.0, 6.0),
 )  # fmt: skip
 RHYTHM = Rhythm(2000, 100.0, DT, 0.001, 0, "steps", 0.02)
-CHANNEL = Channel(-1.0, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0)
+CHANNEL = ChannelSummary(-1.0, 1.0, 0.7, 0.0, 0.0, 0.0, 0.0)
 
 
 def unstamped(x, y):

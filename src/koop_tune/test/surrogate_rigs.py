@@ -11,7 +11,7 @@ from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwells, Rest
 from koop_tune.rig_model.surrogate import Surrogate, Times
 from koop_tune.search.findings import CostMaps, Findings
-from koop_tune.search.limits import Limits
+from koop_tune.search.limits import ThetaLimits
 from koop_tune.search.run import Task
 from koop_tune.search.settings import SearchSettings
 
@@ -74,5 +74,5 @@ def make_findings(level, costs=(), error=0.05, wander=0.01, sense=1.0, scale=Sca
     rests = [Rest(i, 100 * i, 100 * (i + 1), 0) for i in range(9)]
     dwells = Dwells(np.linspace(0.0, 1.0, 9), rests, Bands(50, (1, 2), DT), 0, amplitude)
     found = make_map(level, error, sense)
-    limits = Limits(scale.low, scale.high)
+    limits = ThetaLimits(scale.low, scale.high)
     return Findings(scale, dwells, found, 1 / FREQUENCY, "x", list(costs), limits)

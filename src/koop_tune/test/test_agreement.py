@@ -18,8 +18,8 @@ from koop_tune.search.agreement import (
     verdict,
 )
 from koop_tune.search.rounds import (
+    LoopRun,
     Round,
-    Run,
     Verification,
     find_slowdown,
     kept_index,
@@ -123,7 +123,7 @@ def rounds_of(*rounds, excess=1.0):
     measured = run(aim)
     return [
         Round(number, aim.predicted,
-              tuple(Run(-1.0, replace(measured, time_to_converge=time, excess=excess))
+              tuple(LoopRun(-1.0, replace(measured, time_to_converge=time, excess=excess))
                     for time in times), agrees)
         for number, (agrees, *times) in enumerate(rounds, 1)
     ]  # fmt: skip

@@ -13,7 +13,7 @@ from koop_loop import parameters
 from koop_tune.result import as_json, as_text
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.surrogate import Times
-from koop_tune.search.limits import Limits
+from koop_tune.search.limits import ThetaLimits
 from koop_tune.search.prediction import predict
 from koop_tune.search.run import Outcome
 from koop_tune.search.search import Trial, list_anchors, search
@@ -130,7 +130,7 @@ def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, t
                   objective="maximise", command="/theta:theta",
                   command_type="koop_msgs/msg/ControlInput")  # fmt: skip
     task = replace(tuning.task, scale=far.scale, low=0.5, high=50.0, sense=-1.0, rate=0.5)
-    findings = replace(tuning.findings, scale=far.scale, limits=Limits(0.5, 50.0))
+    findings = replace(tuning.findings, scale=far.scale, limits=ThetaLimits(0.5, 50.0))
     wide = replace(tuning, findings=findings, chosen=replace(tuning.chosen, task=task))
     path = tmp_path / "controller.yaml"
     path.write_text(as_text.as_parameters(wide, far, tmp_path / "model.npz"))

@@ -14,7 +14,7 @@ from koop_commission.fitness.reaction import STAGES, Reaction, describe_change
 from koop_commission.fitness.samples import Samples
 from koop_commission.fitness.settings import DEFAULTS, CheckSettings
 from koop_core.errors import InputError
-from koop_tune.excitation.channels import Channel, Line, describe_channel, find_lines
+from koop_tune.excitation.channels import ChannelSummary, Line, describe_channel, find_lines
 from koop_tune.excitation.features import Bands, bridge_gaps, log_amplitudes
 from koop_tune.rig.rig_file import RigFile
 
@@ -88,7 +88,7 @@ def judge_arrivals(
 
 def judge_channel(
     name: str,
-    found: Channel,
+    found: ChannelSummary,
     limits: tuple[float, float] = (-math.inf, math.inf),
     settings: CheckSettings = DEFAULTS,
 ) -> Finding:

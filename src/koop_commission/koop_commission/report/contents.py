@@ -16,7 +16,7 @@ from koop_identify.model.from_bags import load_bags
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation import progress
 from koop_tune.excitation.features import Bands
-from koop_tune.excitation.progress import Progress
+from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.folder import FIGURES, TUNED
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.rounds import Round, Verification, load_verification
@@ -44,7 +44,7 @@ class Contents:
         The folder.
     rig : RigFile
         As it was when the excitation began.
-    excitation : Progress
+    excitation : ExcitationProgress
         How far the excitation has come.
     tuned : dict
         Content of ``tune.json``; empty without it.
@@ -54,7 +54,7 @@ class Contents:
 
     folder: Path
     rig: RigFile
-    excitation: Progress
+    excitation: ExcitationProgress
     tuned: dict[str, Any]
     verification: Verification
 

@@ -19,7 +19,7 @@ from koop_tune.excitation import progress
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig.rig_file import THETA, THETA_TYPE, RigFile
 from koop_tune.search.agreement import Aim, may_yet_agree, measure
-from koop_tune.search.rounds import Run
+from koop_tune.search.rounds import LoopRun
 
 THETA_ASKED = "/koop_verify/theta"  # what the controller asks for; the commander passes it on
 BEFORE = 8  # windows before the loop is closed, and after it at the theta that it reached
@@ -57,7 +57,7 @@ class ClosedLoop:
         state = progress.load(self.rig, self.folder)
         return max([self.aim.time, *(visit.settled for visit in (state.visits if state else ()))])
 
-    def record(self, start: float) -> Run:
+    def record(self, start: float) -> LoopRun:
         """Drive theta to a start, close the loop, and return its figures."""
         count = 1
         while (run := self.folder / f"verify-{self.number}" / f"start-{count}").exists():
@@ -85,7 +85,7 @@ class ClosedLoop:
         }
         return parameters
 
-    def _drive(self, session: Session, start: float, bag: str) -> Run:
+    def _drive(self, session: Session, start: float, bag: str) -> LoopRun:
         """Close the loop at a start, and hold theta where it ended."""
         aim, dt, states = self.aim, self.rig.dt, session.listener
         fields = (parse_field("theta"), parse_field("epsilon"))
@@ -116,7 +116,7 @@ class ClosedLoop:
         session.go(measured.theta)
         session.wait_for_states(rest, "after")
         session.client.change_state(f"/{ESC}", "deactivate", START_TIMEOUT, session.check)
-        return Run(start, measured, bag, seconds, (int(loop.step[0]), int(loop.step[-1])))
+        return LoopRun(start, measured, bag, seconds, (int(loop.step[0]), int(loop.step[-1])))
 
 
 def _has_direction(answers: Listener) -> bool:

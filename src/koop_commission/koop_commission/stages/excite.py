@@ -22,7 +22,7 @@ from koop_commission.theta.limits import compute_return_time
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError, LiveError
 from koop_tune.excitation import progress as progress_file
-from koop_tune.excitation.progress import Progress
+from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.excitation.survey import SURVEY, Survey
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
@@ -66,7 +66,7 @@ def main(args: argparse.Namespace) -> int:
     return 1 if progress.lacks_visits else 0
 
 
-def describe_result(rig: RigFile, progress: Progress) -> str:
+def describe_result(rig: RigFile, progress: ExcitationProgress) -> str:
     """Return in words why an excitation ended, and how much of it is known."""
     reason = (
         "the static map is known well enough" if progress.done
@@ -79,7 +79,7 @@ def describe_result(rig: RigFile, progress: Progress) -> str:
     )
 
 
-def excite(rig: RigFile, folder: Path, watch: Watch, seed: int = 0) -> Progress:
+def excite(rig: RigFile, folder: Path, watch: Watch, seed: int = 0) -> ExcitationProgress:
     """Move theta over its range and record, until the static map is known or the time is over.
 
     Parameters
@@ -132,13 +132,15 @@ class Excitation:
         The rig.
     folder : Path
         Folder of all parts.
-    state : Progress
+    state : ExcitationProgress
         Done so far; it grows.
     session : Session
         With the rig.
     """
 
-    def __init__(self, rig: RigFile, folder: Path, state: Progress, session: Session) -> None:
+    def __init__(
+        self, rig: RigFile, folder: Path, state: ExcitationProgress, session: Session
+    ) -> None:
         self._rig, self._folder, self._state, self._session = rig, folder, state, session
         self._listener = session.listener
         self._survey = Survey(rig, state)

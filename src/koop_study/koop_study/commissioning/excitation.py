@@ -15,7 +15,7 @@ from koop_identify.recording.segmentation import BagReading
 from koop_study.family import oscillator
 from koop_study.family.rig import Rig
 from koop_tune.excitation import progress
-from koop_tune.excitation.progress import Progress
+from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.excitation.survey import SURVEY, Survey
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
 
@@ -33,13 +33,13 @@ class Excitation:
         Control input of each sample.
     x : ndarray, shape (M, n)
         Measured channels.
-    progress : Progress
+    progress : ExcitationProgress
         Finished part of the excitation.
     """
 
     theta: NDArray[np.float64]
     x: NDArray[np.float64]
-    progress: Progress
+    progress: ExcitationProgress
 
     @property
     def loaded(self) -> Loaded:

@@ -33,7 +33,7 @@ from koop_tune.search.agreement import (
     measure,
 )
 from koop_tune.search.findings import NoOptimum
-from koop_tune.search.rounds import Round, Run, find_slowdown, kept_index
+from koop_tune.search.rounds import LoopRun, Round, find_slowdown, kept_index
 from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tuning import Tuning, tune
@@ -132,7 +132,7 @@ def commissioned(
         closed = loops.close(found)
         aim = make_aim(as_json.of_tuning(found, file, None), file)
         runs = tuple(
-            Run(start, measure(aim, loop.x[: BEFORE * aim.bands.length], loop.x, loop.theta))
+            LoopRun(start, measure(aim, loop.x[: BEFORE * aim.bands.length], loop.x, loop.theta))
             for start, loop in zip((file.theta_min, file.theta_max), closed, strict=True)
         )
         agrees = not any(find_disagreements(aim, run.measured) for run in runs)

@@ -36,7 +36,7 @@ class ChannelSettings:
 CHANNELS = ChannelSettings()
 
 
-class Channel(NamedTuple):
+class ChannelSummary(NamedTuple):
     """One measured channel.
 
     Attributes
@@ -75,17 +75,19 @@ class Line(NamedTuple):
     share: float
 
 
-def describe_channel(x: NDArray[np.float64], settings: ChannelSettings = CHANNELS) -> Channel:
+def describe_channel(
+    x: NDArray[np.float64], settings: ChannelSettings = CHANNELS
+) -> ChannelSummary:
     """Look at the samples of one channel, shape (M,)."""
     usable = x[np.isfinite(x)]
     bad = 1.0 - usable.size / max(x.size, 1)
     if not usable.size:
-        return Channel(math.nan, math.nan, math.nan, 1.0, 1.0, 0.0, 0.0)
+        return ChannelSummary(math.nan, math.nan, math.nan, 1.0, 1.0, 0.0, 0.0)
     low, high = float(usable.min()), float(usable.max())
     changes = np.flatnonzero(np.diff(usable) != 0.0)
     rests = np.diff(changes, prepend=-1, append=usable.size - 1)
     quantum = _quantum(usable, settings)
-    return Channel(
+    return ChannelSummary(
         low, high, float(usable.std()), bad, float(rests.max()) / usable.size, quantum,
         _saturated(usable, low, high, quantum, settings),
     )  # fmt: skip

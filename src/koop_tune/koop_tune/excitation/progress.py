@@ -28,7 +28,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass
-class Progress:
+class ExcitationProgress:
     """What an excitation has done, and what it is going to do.
 
     Attributes
@@ -113,10 +113,12 @@ class Progress:
         return sum(count < 2 for count in counts) > 1 or 0 in counts
 
 
-def begin(seed: int, rig: RigFile) -> Progress:
+def begin(seed: int, rig: RigFile) -> ExcitationProgress:
     """Return the progress of an excitation that begins: the values up and down, or down and up."""
     up = rig.theta_start <= 0.5 * (rig.theta_min + rig.theta_max)
-    return Progress(seed, rig.scale.divide(LEVELS), None, [], staircase(up, LEVELS), 0.0, [])
+    return ExcitationProgress(
+        seed, rig.scale.divide(LEVELS), None, [], staircase(up, LEVELS), 0.0, []
+    )
 
 
 def staircase(up_first: bool, count: int) -> list[int]:
@@ -129,7 +131,7 @@ def staircase(up_first: bool, count: int) -> list[int]:
     return [*up, *up[-2::-1]] if up_first else [*up[::-1], *up[1:]]
 
 
-def save(progress: Progress, rig: RigFile, folder: Path) -> None:
+def save(progress: ExcitationProgress, rig: RigFile, folder: Path) -> None:
     """Write the file; as :func:`write_json`."""
     write_json(folder / NAME, {"rig": as_values(rig), **asdict(progress)})
 
@@ -166,7 +168,7 @@ def describe_failure(path: Path, error: OSError) -> str:
     return f"{path}: {error.strerror or error}{room}"
 
 
-def load(rig: RigFile, folder: Path) -> Progress | None:
+def load(rig: RigFile, folder: Path) -> ExcitationProgress | None:
     """Return what was done before; None if nothing was.
 
     Raises
@@ -182,7 +184,7 @@ def load(rig: RigFile, folder: Path) -> Progress | None:
     return state
 
 
-def read(folder: Path) -> tuple[RigFile, Progress]:
+def read(folder: Path) -> tuple[RigFile, ExcitationProgress]:
     """Return the rig, and what was done with it.
 
     Raises
@@ -200,7 +202,7 @@ def read(folder: Path) -> tuple[RigFile, Progress]:
             for visit in values.pop("visits")
         ]
         bands = Bands(bands[0], tuple(bands[1]), bands[2]) if bands else None
-        state = Progress(bands=bands, visits=visits, **values)
+        state = ExcitationProgress(bands=bands, visits=visits, **values)
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None
     return recorded_rig, state

@@ -28,7 +28,7 @@ from koop_tune.excitation.features import (
     log_amplitudes,
     window_length,
 )
-from koop_tune.excitation.progress import Progress
+from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.excitation.visits import Visit, summarise
 from koop_tune.origin import jsbsim, studied
@@ -64,7 +64,7 @@ class SurveySettings:
 SURVEY = SurveySettings()
 
 
-class Heard(NamedTuple):
+class Periods(NamedTuple):
     """Periods of the oscillations before theta moves [s], the strongest and the slowest."""
 
     strongest: float
@@ -78,13 +78,15 @@ class Survey:
     ----------
     rig : RigFile
         The rig.
-    state : Progress
+    state : ExcitationProgress
         What was done; it grows.
     settings : SurveySettings
         Thresholds.
     """
 
-    def __init__(self, rig: RigFile, state: Progress, settings: SurveySettings = SURVEY) -> None:
+    def __init__(
+        self, rig: RigFile, state: ExcitationProgress, settings: SurveySettings = SURVEY
+    ) -> None:
         self._rig = rig
         self._state = state
         self._settings = settings
@@ -102,7 +104,7 @@ class Survey:
         longest = max(s.longest, s.longest_share * self._rig.time)
         return should_listen(x, self._rig.dt, s.shortest, s.listen, longest)
 
-    def look(self, x: NDArray[np.float64]) -> Heard:
+    def look(self, x: NDArray[np.float64]) -> Periods:
         """Choose the windows from what was heard, shape (M, n).
 
         Raises
@@ -119,7 +121,7 @@ class Survey:
         window = max(self._settings.window * strongest, self._settings.slowest * slowest)
         length = min(window_length(window, 1.0, dt), x.shape[0])
         self._state.bands = choose_bands(x, length, dt)
-        return Heard(strongest, slowest)
+        return Periods(strongest, slowest)
 
     # -- where theta goes -----------------------------------------------------------------------
 

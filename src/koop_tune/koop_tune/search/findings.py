@@ -18,7 +18,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwells, find_dwells, find_period
 from koop_tune.rig_model.surrogate import high_pass
-from koop_tune.search.limits import Limits, limit_theta
+from koop_tune.search.limits import ThetaLimits, limit_theta
 from koop_tune.search.settings import TUNING, TuningSettings
 
 
@@ -94,7 +94,7 @@ class Findings:
         The amplitude that theta changes most.
     costs : list of CostMaps
         One of each candidate.
-    limits : Limits
+    limits : ThetaLimits
         Limits of the controller's theta.
     doubt : str
         What is not sure about the optimum, in words; empty if it is.
@@ -106,7 +106,7 @@ class Findings:
     period: float
     feature: str
     costs: list[CostMaps]
-    limits: Limits
+    limits: ThetaLimits
     doubt: str = ""
 
 

@@ -12,7 +12,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.settings import TUNING, TuningSettings
 
 
-class Limits(NamedTuple):
+class ThetaLimits(NamedTuple):
     """Limits of the controller's theta, and why each is narrower than the rig's.
 
     Attributes
@@ -36,7 +36,7 @@ class Limits(NamedTuple):
 
 def limit_theta(
     amplitude: StaticMap, reference: StaticMap, rig: RigFile, settings: TuningSettings = TUNING
-) -> Limits:
+) -> ThetaLimits:
     """Return limits of the controller's theta: where the map is good, and some room.
 
     What is far from any good value was seen once and need not be seen again: a swing that is wide
@@ -81,7 +81,7 @@ def limit_theta(
         name = f"theta_{'max' if end else 'min'}"
         limit = rig.theta_max if end else rig.theta_min
         why[end] = f"{name} {limits[end]:.3g} instead of {limit:g}: {reason}"
-    return Limits(limits[0], limits[1], why[0], why[1])
+    return ThetaLimits(limits[0], limits[1], why[0], why[1])
 
 
 def known_cliff(static_map: StaticMap, side: int, width: float) -> Cliff | None:

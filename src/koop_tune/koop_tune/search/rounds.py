@@ -19,7 +19,7 @@ VERIFIED = "verify.json"
 
 
 @dataclass(frozen=True)
-class Run:
+class LoopRun:
     """One closed loop.
 
     Attributes
@@ -43,7 +43,7 @@ class Run:
     steps: tuple[int, int] = (0, 0)
 
     @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Run:
+    def from_json(cls, values: Mapping[str, Any]) -> LoopRun:
         """Return the run in a JSON object."""
         measured = Measured(**{name: values[name] for name in Measured.__dataclass_fields__})
         first, last = values["closed"]["steps"]
@@ -66,7 +66,7 @@ class Round:
         The first is 1.
     prediction : Prediction
         The tuning's.
-    runs : tuple of Run
+    runs : tuple of LoopRun
         One from each start.
     agrees : bool or None
         Whether no run was worse than predicted; None until all were made.
@@ -76,14 +76,14 @@ class Round:
 
     number: int
     prediction: Prediction
-    runs: tuple[Run, ...] = ()
+    runs: tuple[LoopRun, ...] = ()
     agrees: bool | None = None
     summary: str = ""
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Round:
         """Return the round in a JSON object."""
-        runs = tuple(map(Run.from_json, values["runs"]))
+        runs = tuple(map(LoopRun.from_json, values["runs"]))
         prediction = Prediction.from_json(values["prediction"])
         return cls(int(values["round"]), prediction, runs, values["agrees"], values["says"])
 
