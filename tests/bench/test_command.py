@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from koop_bench.command import BENCHMARKS, run_benchmarks
-from koop_bench.figures import Figure, Settings
+from koop_bench.figures import BenchFigure, BenchSettings
 from koop_core.errors import KoopError
 from koop_lab.cli.main import main
 
 
-def fail(settings: Settings) -> list[Figure]:
+def fail(settings: BenchSettings) -> list[BenchFigure]:
     settings.show("before the end")
     raise KoopError("no more space")
 
@@ -25,8 +25,8 @@ def test_every_benchmark_is_a_module():
 
 
 def test_one_that_fails_loses_no_other(capsys):
-    figure = Figure("speed", "2 steps/s", 0.5, "C")
-    settings = Settings(None, None, Path("python"), print)
+    figure = BenchFigure("speed", "2 steps/s", 0.5, "C")
+    settings = BenchSettings(None, None, Path("python"), print)
     text, kept = run_benchmarks({"bad": fail, "good": lambda settings: [figure]}, settings)
     assert not kept
     assert "| good | speed | 2 steps/s | 0.5 x C |" in text
@@ -36,8 +36,8 @@ def test_one_that_fails_loses_no_other(capsys):
 
 
 def test_a_promise_that_is_not_kept_is_a_failure():
-    settings = Settings(None, None, Path("python"), lambda text: None)
-    late = Figure("missing", "0.3 s", 1.5, "the limit", kept=False)
+    settings = BenchSettings(None, None, Path("python"), lambda text: None)
+    late = BenchFigure("missing", "0.3 s", 1.5, "the limit", kept=False)
     text, kept = run_benchmarks({"record": lambda settings: [late]}, settings)
     assert not kept
     assert "NOT KEPT" in text

@@ -6,14 +6,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_bench.identify import Case, check_python, difference, identify, make_recording
-from koop_core.errors import InputError
+from koop_bench.identify import (
+    IdentificationCase,
+    difference,
+    identify,
+    make_recording,
+)
+from koop_core.errors import KoopError
 
 
 def test_the_recording_is_identified_as_numpy_does_it_whole(tmp_path):
     file = tmp_path / "samples.npy"
     np.save(file, make_recording(300_016))
-    case = Case(4, 2, {})
+    case = IdentificationCase(4, 2, {})
     figures = {
         name: identify(Path(sys.executable), name, file, case, 300_000)
         for name in ("koop", "numpy")
@@ -30,11 +35,11 @@ def test_spectra_are_compared_eigenvalue_by_eigenvalue():
     assert difference(ours, np.array([0.2, 0.9 - 0.1j, 0.9 + 0.13j])) == pytest.approx(0.03)
 
 
-def test_a_python_without_the_others_is_refused(tmp_path):
+def test_a_tool_that_is_not_installed_is_an_error_that_says_so(tmp_path):
+    file = tmp_path / "samples.npy"
+    np.save(file, make_recording(100))
     bare = tmp_path / "python"
-    bare.write_text("#!/bin/sh\nexit 1\n")
+    bare.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
     bare.chmod(0o755)
-    with pytest.raises(InputError, match="lacks PyDMD or pykoop"):
-        check_python(bare)
-    with pytest.raises(InputError, match="No such file"):
-        check_python(tmp_path / "none")
+    with pytest.raises(KoopError, match=r"No module named|is not installed"):
+        identify(bare, "pykoop", file, IdentificationCase(1, 1, {}), 50)

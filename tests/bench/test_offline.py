@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from koop_bench.offline import SOURCE, Loop, compile_c, time_c, time_kernel
+from koop_bench.offline import SOURCE, TimedLoop, compile_c, time_c, time_kernel
 from koop_core.errors import KoopError
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import LifterConfig
@@ -20,7 +20,7 @@ from vdp_plant.config import PlantConfig
 def test_c_and_kernel_agree_over_the_whole_run(cost: str, tmp_path: Path) -> None:
     training = TrainingConfig(trajectories=20, duration=20.0)
     model = None if cost == "raw" else train(PlantConfig(), training)
-    loop = Loop(LifterConfig(cost=cost), model)
+    loop = TimedLoop(LifterConfig(cost=cost), model)
     _, theta = time_kernel(loop, 0)
     _, theta_c = time_c(compile_c(SOURCE, tmp_path), loop, 1)
     # not chaotic, but a flip of the relay may move by a step where sin() rounds differently

@@ -1,4 +1,4 @@
-"""What can go wrong with a bag. Each message says what happened and what to do about it."""
+"""Errors of bags. Each message says what happened and how to mend it."""
 
 from koop_core.errors import KoopError
 

@@ -1,4 +1,4 @@
-"""What ``ros2 run koop_bag recorder`` and ``... player`` start."""
+"""Entry points of ``ros2 run koop_bag recorder`` and ``ros2 run koop_bag player``."""
 
 from koop_node.node.start import start
 

@@ -38,7 +38,7 @@ def main(roles: str, steps: int, raw: bool) -> None:
     end_with_parent()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor: Any = EventsExecutor()
-    links = [Link(role, raw, steps, stop) for role in roles]
+    links = [BareLink(role, raw, steps, stop) for role in roles]
     for link in links:
         executor.add_node(link.node)
     while not all(link.connected() for link in links):
@@ -54,7 +54,7 @@ def main(roles: str, steps: int, raw: bool) -> None:
         print((steps - 1) / (time.perf_counter() - started))
 
 
-class Link:
+class BareLink:
     """A node that answers a message with another one.
 
     Parameters

@@ -11,10 +11,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from koop_bench.figures import Figure, Settings, figure_table, machine
+from koop_bench.figures import BenchFigure, BenchSettings, figure_table, machine
 from koop_core.errors import InputError, KoopError
 
-BENCHMARKS = {  # memory first: of processes whose pages this one does not share yet
+BENCHMARKS = {  # memory first: this process does not share pages with the nodes yet
     "memory": "resident memory of a node, of a loop, of each further loop in a container",
     "loop": "lockstep rate while recording, beside bare rclpy chains of the same messages",
     "realtime": "missed ticks, jitter and latency at 200 Hz, 500 Hz and 1 kHz, idle and busy",
@@ -65,30 +65,30 @@ def main(args: argparse.Namespace) -> int:
         raise InputError("--rounds must be positive")
     head = f"Measured by `koop bench {' '.join(args.names)}`".rstrip() + f" on {machine()}."
     print(head, flush=True)
-    settings = Settings(args.duration, args.rounds, args.python, print_now)
+    settings = BenchSettings(args.duration, args.rounds, args.python, print_now)
     text, kept = run_benchmarks({name: load(name) for name in names}, settings)
     if args.write:
         args.write.write_text(f"# Benchmarks\n\n{head}\n\n{text}\n", encoding="utf-8")
     return 0 if kept else 1
 
 
-def load(name: str) -> Callable[[Settings], list[Figure]]:
+def load(name: str) -> Callable[[BenchSettings], list[BenchFigure]]:
     """Return the function that runs a benchmark; its modules are loaded when it is called."""
 
-    def run(settings: Settings) -> list[Figure]:
-        figures: list[Figure] = import_module(f"{__package__}.{name}").run(settings)
+    def run(settings: BenchSettings) -> list[BenchFigure]:
+        figures: list[BenchFigure] = import_module(f"{__package__}.{name}").run(settings)
         return figures
 
     return run
 
 
 def print_now(text: str) -> None:
-    """Print a line, whatever it is printed to."""
+    """Print a line, also into a pipe at once."""
     print(text, flush=True)
 
 
 def run_benchmarks(
-    benchmarks: Mapping[str, Callable[[Settings], list[Figure]]], settings: Settings
+    benchmarks: Mapping[str, Callable[[BenchSettings], list[BenchFigure]]], settings: BenchSettings
 ) -> tuple[str, bool]:
     """Run benchmarks one after the other; the error of one ends no other.
 
@@ -99,7 +99,7 @@ def run_benchmarks(
     kept : bool
         Whether none failed and every promise was kept.
     """
-    figures: list[tuple[str, Figure]] = []
+    figures: list[tuple[str, BenchFigure]] = []
     parts: list[str] = []
     kept = True
     for name, run in benchmarks.items():

@@ -1,4 +1,4 @@
-"""What a benchmark gives back, and what several of them measure processes with."""
+"""Results and settings of benchmarks, and measurements of processes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ QUIET = 0.5  # load average from which on the figures are bounds
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What the command's options say.
+class BenchSettings:
+    """Settings of a benchmark, from the options of the command.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Settings:
 
 
 @dataclass(frozen=True)
-class Figure:
+class BenchFigure:
     """One result of a benchmark.
 
     Attributes
@@ -59,7 +59,7 @@ class Figure:
     kept: bool = True
 
 
-def figure_table(figures: Sequence[tuple[str, Figure]]) -> str:
+def figure_table(figures: Sequence[tuple[str, BenchFigure]]) -> str:
     """Return the figures, by the benchmark's name, as a Markdown table."""
     rows = [
         f"| {name} | {each.what} | {each.value}{'' if each.kept else ' **NOT KEPT**'} "

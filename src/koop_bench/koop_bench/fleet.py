@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from koop_bench.containers import measure_fleet
-from koop_bench.figures import Figure, Settings
+from koop_bench.figures import BenchFigure, BenchSettings
 from koop_bench.fleet_report import FleetReport
 
 RATE = 200.0  # [Hz]
@@ -14,7 +14,7 @@ MISSED = 1e-3  # share of all ticks that may be missed: a machine has other work
 SIZES = (1, 20, 40, 60, 80, 100)
 
 
-def run(settings: Settings) -> list[Figure]:
+def run(settings: BenchSettings) -> list[BenchFigure]:
     """Run fleets of growing size until one does not keep the pace."""
     duration = settings.duration or DURATION
     settings.show(
@@ -35,15 +35,15 @@ def run(settings: Settings) -> list[Figure]:
             break
         held[loops] = each
     if not held:
-        return [Figure("loops held", "0", 0.0, "one loop", kept=False)]
+        return [BenchFigure("loops held", "0", 0.0, "one loop", kept=False)]
     most, one = max(held), held[min(held)]
     return [
-        Figure("loops held", f"{most}", float(most), "one loop"),
-        Figure(
+        BenchFigure("loops held", f"{most}", float(most), "one loop"),
+        BenchFigure(
             f"processor time of a loop, of {most}", f"{held[most].cpu_per_loop:.2%} of a core",
             held[most].cpu_per_loop / one.cpu_per_loop, "one loop alone",
         ),
-        Figure(
+        BenchFigure(
             f"99 % of state -> theta, {most} loops", f"{held[most].p(0.99) * 1e3:.2f} ms",
             held[most].p(0.99) / one.p(0.99), "one loop alone",
         ),

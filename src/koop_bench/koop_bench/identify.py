@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bench.figures import Figure, Settings
-from koop_core.errors import InputError, KoopError
+from koop_bench.figures import BenchFigure, BenchSettings
+from koop_core.errors import KoopError
 
 OURS = "koop"
 OTHERS = {"numpy": "numpy lstsq", "pykoop": "pykoop", "hankel_dmd": "PyDMD HankelDMD"}
@@ -28,7 +28,7 @@ DT = 0.05  # [s]
 
 
 @dataclass(frozen=True)
-class Case:
+class IdentificationCase:
     """One identification.
 
     Attributes
@@ -51,9 +51,9 @@ class Case:
 
 
 CASES = (
-    Case(1, 3, {}),
-    Case(4, 3, {"numpy": 100_000, "hankel_dmd": 100_000}),
-    Case(16, 3, {"numpy": 10_000, "pykoop": 40_000, "hankel_dmd": 10_000}),
+    IdentificationCase(1, 3, {}),
+    IdentificationCase(4, 3, {"numpy": 100_000, "hankel_dmd": 100_000}),
+    IdentificationCase(16, 3, {"numpy": 10_000, "pykoop": 40_000, "hankel_dmd": 10_000}),
 )
 
 
@@ -66,24 +66,18 @@ class Identification:
     eigenvalues: NDArray[np.complex128]
 
 
-def run(settings: Settings) -> list[Figure]:
+def run(settings: BenchSettings) -> list[BenchFigure]:
     """Identify case by case with every tool that there is."""
-    others = dict(OTHERS)
-    try:
-        check_python(settings.python)
-    except InputError as error:
-        settings.show(f"only beside NumPy: {error}")
-        others = {"numpy": OTHERS["numpy"]}
-    figures: list[Figure] = []
+    figures: list[BenchFigure] = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "samples.npy"
         np.save(file, make_recording(SNAPSHOTS + max(case.delays for case in CASES)))
         for case in CASES:
-            figures += run_case(settings, others, file, case)
+            figures += run_case(settings, file, case)
     return figures
 
 
-def run_case(settings: Settings, others: dict[str, str], file: Path, case: Case) -> list[Figure]:
+def run_case(settings: BenchSettings, file: Path, case: IdentificationCase) -> list[BenchFigure]:
     """Measure and print one case."""
     settings.show(
         f"\n{case.delays} sample{'s' * (case.delays > 1)} of one channel, degree {case.degree}: "
@@ -92,42 +86,31 @@ def run_case(settings: Settings, others: dict[str, str], file: Path, case: Case)
     )
     figures = []
     ours: dict[int, Identification] = {}
-    for tool, label in others.items():
+    for tool, label in OTHERS.items():
         snapshots = min(SNAPSHOTS, case.limits.get(tool, SNAPSHOTS))
         if snapshots not in ours:
             ours[snapshots] = identify(Path(sys.executable), OURS, file, case, snapshots)
             settings.show(columns(OURS, snapshots, ours[snapshots]))
         same = ours[snapshots]
         python = Path(sys.executable) if tool == "numpy" else settings.python
-        other = identify(python, tool, file, case, snapshots)
+        try:
+            other = identify(python, tool, file, case, snapshots)
+        except KoopError as error:
+            settings.show(f"  {label:20}left out: {error}")
+            continue
         settings.show(
             columns(label, snapshots, other)
             + f"{other.time / same.time:8.1f}{other.memory / max(same.memory, 1):8.1f}"
             + f"{difference(same.eigenvalues, other.eigenvalues):21.1e}"
         )
         what = f"{case.observables} observables, {snapshots} snapshots"
-        figures.append(Figure(what, f"{same.time:.3f} s", same.time / other.time, label))
+        figures.append(BenchFigure(what, f"{same.time:.3f} s", same.time / other.time, label))
     return figures
 
 
 def columns(label: str, snapshots: int, result: Identification) -> str:
     """Return the columns that every tool has."""
     return f"  {label:20}{snapshots:10d}{result.time:9.3f} s{result.memory / 1e6:8.1f} MB"
-
-
-def check_python(python: Path) -> None:
-    """Raise InputError unless that Python has what is compared."""
-    command = [str(python), "-c", "import pydmd, pykoop"]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    except OSError as error:
-        raise InputError(f"--python {python}: {error.strerror}") from None
-    if done.returncode:
-        raise InputError(
-            f"{python} lacks PyDMD or pykoop, which only this benchmark needs: make an environment "
-            "(python -m venv DIR && DIR/bin/pip install pydmd pykoop) and name it with --python "
-            "DIR/bin/python"
-        )
 
 
 def make_recording(count: int) -> NDArray[np.float64]:
@@ -137,13 +120,15 @@ def make_recording(count: int) -> NDArray[np.float64]:
     return np.asarray(np.cos(t) + 0.5 * np.cos(2.3 * t) + 0.1 * noise)
 
 
-def identify(python: Path, tool: str, file: Path, case: Case, snapshots: int) -> Identification:
+def identify(
+    python: Path, tool: str, file: Path, case: IdentificationCase, snapshots: int
+) -> Identification:
     """Identify in a process of its own, with one thread.
 
     Raises
     ------
     KoopError
-        If it fails.
+        If it fails, or the tool is not installed there.
     """
     numbers = map(str, (case.delays, case.degree, snapshots))
     done = subprocess.run(
@@ -154,7 +139,7 @@ def identify(python: Path, tool: str, file: Path, case: Case, snapshots: int) ->
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
     )
     if done.returncode:
-        raise KoopError(f"{tool}, {snapshots} snapshots: {done.stderr.strip()[-300:]}")
+        raise KoopError(done.stderr.strip()[-300:])
     result = json.loads(done.stdout)
     eigenvalues = np.array(result["real"]) + 1j * np.array(result["imag"])
     return Identification(result["time"], result["memory"], eigenvalues)

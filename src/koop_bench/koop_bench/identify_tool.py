@@ -105,7 +105,7 @@ def main(tool: str, file: Path, delays: int, degree: int, snapshots: int) -> Non
     try:
         run = globals()[tool](file, delays, degree, snapshots)
     except ModuleNotFoundError as error:
-        sys.exit(f"{error.name} is not installed")
+        sys.exit(f"{error.name} is not installed: pip install pydmd pykoop, or choose --python")
     best, total = np.inf, 0.0
     for number in range(RUNS):
         before, begin = _peak(), time.process_time()
@@ -116,13 +116,13 @@ def main(tool: str, file: Path, delays: int, degree: int, snapshots: int) -> Non
         best, total = min(best, elapsed), total + elapsed
         if total > LONG:
             break
-    said = {
+    result = {
         "time": best,
         "memory": memory,
         "real": np.real(eigenvalues).tolist(),
         "imag": np.imag(eigenvalues).tolist(),
     }
-    print(json.dumps(said))
+    print(json.dumps(result))
 
 
 def _peak() -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_bench.figures import Figure, Settings
+from koop_bench.figures import BenchFigure, BenchSettings
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.process import TiedProcess
 from koop_core.errors import LiveError
@@ -21,7 +21,7 @@ DURATION = 200.0  # [s] simulated
 ROUNDS = 3
 
 
-def run(settings: Settings) -> list[Figure]:
+def run(settings: BenchSettings) -> list[BenchFigure]:
     """Measure bare chain and loop in turn; of the ratios the median counts."""
     steps = round((settings.duration or DURATION) / DT)
     ratios: list[tuple[float, float, float]] = []
@@ -41,9 +41,9 @@ def run(settings: Settings) -> list[Figure]:
         )
     of_bare, in_one, of_raw = (sorted(each)[len(each) // 2] for each in zip(*ratios, strict=True))
     return [
-        Figure("loop in processes", f"{apart:.0f} steps/s", of_bare, "the bare chain"),
-        Figure("loop in one process", f"{composed:.0f} steps/s", in_one, "the bare chain"),
-        Figure("loop in one process", f"{composed:.0f} steps/s", of_raw, "the raw chain"),
+        BenchFigure("loop in processes", f"{apart:.0f} steps/s", of_bare, "the bare chain"),
+        BenchFigure("loop in one process", f"{composed:.0f} steps/s", in_one, "the bare chain"),
+        BenchFigure("loop in one process", f"{composed:.0f} steps/s", of_raw, "the raw chain"),
     ]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from koop_bench.containers import Fleet, FleetMonitor
-from koop_bench.figures import Figure, Settings
+from koop_bench.figures import BenchFigure, BenchSettings
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Monitor
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess
@@ -28,7 +28,7 @@ rclpy.spin(node)
 """
 
 
-class Memory(NamedTuple):
+class ProcessMemory(NamedTuple):
     """Resident memory of processes [B].
 
     Attributes
@@ -43,15 +43,15 @@ class Memory(NamedTuple):
     rss: float
 
 
-def run(settings: Settings) -> list[Figure]:
+def run(settings: BenchSettings) -> list[BenchFigure]:
     """Measure node by node, then loops."""
     bare = bare_node()
-    figures: list[Figure] = []
+    figures: list[BenchFigure] = []
 
-    def add(what: str, memory: Memory) -> None:
+    def add(what: str, memory: ProcessMemory) -> None:
         settings.show(f"{what:34}{memory.pss / 1e6:7.1f} MB PSS {memory.rss / 1e6:7.1f} MB RSS")
         value, ratio = f"{memory.pss / 1e6:.1f} MB", memory.pss / bare.pss
-        figures.append(Figure(what, value, ratio, "a bare rclpy node"))
+        figures.append(BenchFigure(what, value, ratio, "a bare rclpy node"))
 
     add("a bare rclpy node", bare)
     with tempfile.TemporaryDirectory() as name:
@@ -65,25 +65,25 @@ def run(settings: Settings) -> list[Figure]:
         add("loop in one process", composed["container"])
         few, many = (fleet_memory(folder / str(loops), loops) for loops in SIZES)
         more = SIZES[1] - SIZES[0]
-        further = Memory((many.pss - few.pss) / more, (many.rss - few.rss) / more)
+        further = ProcessMemory((many.pss - few.pss) / more, (many.rss - few.rss) / more)
         add("each further loop", further)
     return figures[1:]
 
 
-def process_memory(process: int) -> Memory:
+def process_memory(process: int) -> ProcessMemory:
     """Return the memory of a process, by its id."""
     rows = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()[1:]
     sizes = {row.split(":")[0]: int(row.split()[1]) * 1024 for row in rows}
-    return Memory(float(sizes["Pss"]), float(sizes["Rss"]))
+    return ProcessMemory(float(sizes["Pss"]), float(sizes["Rss"]))
 
 
-def total(memories: Iterable[Memory]) -> Memory:
+def total(memories: Iterable[ProcessMemory]) -> ProcessMemory:
     """Return the memory of several processes together."""
     pss, rss = map(sum, zip(*memories, strict=True))
-    return Memory(pss, rss)
+    return ProcessMemory(pss, rss)
 
 
-def bare_node() -> Memory:
+def bare_node() -> ProcessMemory:
     """Return the memory of a node that does nothing."""
     with subprocess.Popen([sys.executable, "-c", BARE], stdout=subprocess.PIPE) as process:
         try:
@@ -94,7 +94,7 @@ def bare_node() -> Memory:
             process.kill()
 
 
-def node_memory(folder: Path, node: str) -> Memory:
+def node_memory(folder: Path, node: str) -> ProcessMemory:
     """Return the memory of a node that runs alone."""
     words = ["--ros-args", "-p", f"output:={folder / 'alone'}"] if node == "recorder" else []
     with ExitStack() as stack:
@@ -117,7 +117,7 @@ def wait_until_active(monitor: Monitor, process: NodeProcess) -> None:
     monitor.wait_for(active, START_TIMEOUT, f"{process.node} to be active")
 
 
-def loop_memory(folder: Path, composed: bool) -> dict[str, Memory]:
+def loop_memory(folder: Path, composed: bool) -> dict[str, ProcessMemory]:
     """Return the memory of every process of a loop that records itself in real time."""
     parameters = make({"vdp_plant": {"duration": 3600.0, "pace": "realtime"}})
     with LiveLoop(folder, parameters, composed=composed) as loop, Monitor("") as monitor:
@@ -125,7 +125,7 @@ def loop_memory(folder: Path, composed: bool) -> dict[str, Memory]:
         return {name: process_memory(pid) for name, pid in loop.process_ids().items()}
 
 
-def fleet_memory(folder: Path, loops: int) -> Memory:
+def fleet_memory(folder: Path, loops: int) -> ProcessMemory:
     """Return the memory of a container with so many loops, in real time."""
     with (
         Fleet(folder, loops, {"vdp_plant": {"pace": "realtime"}}, containers=1) as fleet,

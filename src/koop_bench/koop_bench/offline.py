@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bench.figures import Figure, Settings
+from koop_bench.figures import BenchFigure, BenchSettings
 from koop_core.errors import KoopError
 from koop_loop import batch
 from koop_loop.kernel import Memory
@@ -38,7 +38,7 @@ EVERY = 1000  # theta of every so many steps is compared with C
 
 
 @dataclass(frozen=True)
-class Loop:
+class TimedLoop:
     """One closed loop to be timed."""
 
     lifter: LifterConfig
@@ -47,19 +47,19 @@ class Loop:
     esc: EscConfig = field(default_factory=EscConfig)
 
 
-def run(settings: Settings) -> list[Figure]:
+def run(settings: BenchSettings) -> list[BenchFigure]:
     """Time the loop with either cost beside C, plain Python and a batch."""
     model = train(PlantConfig(), TrainingConfig())
     rounds = settings.rounds or ROUNDS
     program = None
-    figures: list[Figure] = []
+    figures: list[BenchFigure] = []
     with tempfile.TemporaryDirectory() as folder:
         if shutil.which("cc") is None:
             settings.show("no C compiler 'cc' on the PATH: the comparison with C is left out")
         else:
             program = compile_c(SOURCE, Path(folder))
         for name in ("raw", "lifted"):
-            loop = Loop(LifterConfig(cost=name), None if name == "raw" else model)
+            loop = TimedLoop(LifterConfig(cost=name), None if name == "raw" else model)
             kernel, c, worst = compare(loop, program, rounds)
             python = time_python(name)
             batch_time, equal = time_batch(loop, min(rounds, 3))
@@ -71,24 +71,26 @@ def run(settings: Settings) -> list[Figure]:
             )
             each = f"{batch_time:.4f} s a loop"
             figures += [
-                Figure(
+                BenchFigure(
                     f"speed of the kernel, {name}", f"{kernel:.3f} s", python / kernel, "Python"
                 ),
-                Figure(f"speed of a batch, {name}", each, kernel / batch_time, "the kernel", equal),
+                BenchFigure(
+                    f"speed of a batch, {name}", each, kernel / batch_time, "the kernel", equal
+                ),
             ]
             if program is not None:
                 settings.show(f"  C -O2         {c:8.3f} s   largest difference in theta {worst:g}")
                 same = worst < 1e-9
                 figures += [
-                    Figure(
+                    BenchFigure(
                         f"speed of the kernel, {name}", f"{kernel:.3f} s", c / kernel, "C", same
                     ),
-                    Figure(f"speed of a batch, {name}", each, c / batch_time, "C", same),
+                    BenchFigure(f"speed of a batch, {name}", each, c / batch_time, "C", same),
                 ]
     return figures
 
 
-def compare(loop: Loop, program: Path | None, rounds: int) -> tuple[float, float, float]:
+def compare(loop: TimedLoop, program: Path | None, rounds: int) -> tuple[float, float, float]:
     """Time kernel and C in turn, so that other work of the machine disturbs both.
 
     Returns
@@ -110,7 +112,7 @@ def compare(loop: Loop, program: Path | None, rounds: int) -> tuple[float, float
     return float(best[0]), float(best[1]), worst
 
 
-def time_kernel(loop: Loop, rounds: int) -> tuple[float, NDArray[np.float64]]:
+def time_kernel(loop: TimedLoop, rounds: int) -> tuple[float, NDArray[np.float64]]:
     """Return the best time [s] of the compiled loop, and theta of every 1000th step."""
     parameters = controller(loop.lifter, loop.esc, loop.model)
     work = cost.workspace(parameters.lifting)
@@ -128,7 +130,7 @@ def time_kernel(loop: Loop, rounds: int) -> tuple[float, NDArray[np.float64]]:
     return float(best), buffers[3][::EVERY]
 
 
-def time_batch(loop: Loop, rounds: int) -> tuple[float, bool]:
+def time_batch(loop: TimedLoop, rounds: int) -> tuple[float, bool]:
     """Return the best time [s] a loop of a batch, and whether its bits are the single loop's."""
     plants = [replace(loop.plant, seed=seed) for seed in range(BATCH)]
     best = np.inf
@@ -173,7 +175,7 @@ def compile_c(source: Path, folder: Path) -> Path:
     return program
 
 
-def time_c(program: Path, loop: Loop, rounds: int) -> tuple[float, NDArray[np.float64]]:
+def time_c(program: Path, loop: TimedLoop, rounds: int) -> tuple[float, NDArray[np.float64]]:
     """Return the best time [s] of the C loop, and theta of every 1000th step."""
     lifting = cost.no_lifting() if loop.model is None else loop.model.lifting()
     rows, p = lifting.projector.shape

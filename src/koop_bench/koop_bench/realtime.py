@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from koop_bench.containers import measure_fleet
-from koop_bench.figures import Figure, Settings, processors
+from koop_bench.figures import BenchFigure, BenchSettings, processors
 from koop_bench.fleet_report import FleetReport
 
 DURATION = 60.0  # [s]
@@ -23,35 +23,13 @@ COLUMNS = (
     "   Hz                       missed ticks   ticks behind [ms]       state -> theta [ms]\n"
     f"{'':44}p99  p99.9   most     p50    p99  p99.9   most   CPU"
 )
-COLLECTIONS = """
-import gc, time
-import koopman_lifter.node, relay_esc.node, vdp_plant.node
-from koop_node.process.housekeeping import Housekeeping
-
-def timed():
-    begin = time.perf_counter()
-    gc.collect()
-    return time.perf_counter() - begin
-
-timed()
-before = min(timed() for _ in range(5))
-Housekeeping(0.0)
-made = [[number] for number in range(2000)]  # garbage of a second
-print(before, min(timed() for _ in range(5)))
-"""
 
 
-def run(settings: Settings) -> list[Figure]:
+def run(settings: BenchSettings) -> list[BenchFigure]:
     """Measure every rate: the bare timer, the loop as usual, and with priority; idle and busy."""
     duration = settings.duration or DURATION
-    whole, new = collection_times()
-    settings.show(
-        f"one composed loop, {duration:g} s a round\na collection of garbage: {whole * 1e3:.1f} ms "
-        f"as Python does it, in mid-tick; {new * 1e3:.2f} ms between ticks, of what is new"
-    )
-    figures = [
-        Figure("collection of garbage between ticks", f"{new * 1e3:.2f} ms", new / whole, "gc")
-    ]
+    settings.show(f"one composed loop, {duration:g} s a round")
+    figures = []
     for busy in (False, True):
         settings.show(
             f"\n{'every processor busy' if busy else 'nothing else is started'}\n{COLUMNS}"
@@ -66,7 +44,7 @@ def run(settings: Settings) -> list[Figure]:
                 loop = measure_fleet(1, rate, duration, PRIORITY, containers=1)
                 settings.show(report_line(rate, "priority", loop))
                 figures.append(
-                    Figure(
+                    BenchFigure(
                         f"ticks behind, 99.9 %, {rate:g} Hz, {'busy' if busy else 'idle'}",
                         f"{loop.behind.quantile(0.999) * 1e3:.2f} ms",
                         loop.behind.quantile(0.999) / bare,
@@ -76,19 +54,10 @@ def run(settings: Settings) -> list[Figure]:
     return figures
 
 
-def collection_times() -> tuple[float, float]:
-    """Return the time of a collection of garbage [s]: of everything, and as the nodes do it."""
-    done = subprocess.run(
-        [sys.executable, "-c", COLLECTIONS], check=True, capture_output=True, text=True
-    )
-    whole, new = map(float, done.stdout.split())
-    return whole, new
-
-
 def measure_bare(rate: float, duration: float) -> tuple[float, str]:
     """Run a program that only wakes at every tick; return what 99.9 % are behind [s], and a line.
 
-    Its priority is that of the loop.
+    It has the priority of the loop.
     """
     command = [sys.executable, "-m", f"{__package__}.bare_timer"]
     done = subprocess.run(

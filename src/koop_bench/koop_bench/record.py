@@ -16,7 +16,7 @@ from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
 from koop_bag.recorder.config import LOOP_TOPICS
 from koop_bench.containers import DT, Fleet, FleetMonitor, parameters_at
-from koop_bench.figures import Figure, Settings, processor_time
+from koop_bench.figures import BenchFigure, BenchSettings, processor_time
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Progress
 from koop_bringup.live.process import NodeProcess
@@ -31,7 +31,7 @@ STARTED = 2.0  # [s] of a loop whose processor time does not count
 PATIENCE = 60.0  # [s] for a recorder to start on a busy machine
 
 
-def run(settings: Settings) -> list[Figure]:
+def run(settings: BenchSettings) -> list[BenchFigure]:
     """Record a loop at its rate and at ten times that; then kill recorders."""
     figures = []
     with tempfile.TemporaryDirectory() as name:
@@ -45,10 +45,10 @@ def run(settings: Settings) -> list[Figure]:
     )
     most = float(lacking.max())
     what = "a killed recorder lacks at most"
-    return [*figures, Figure(what, f"{most:.3f} s", most / LIMIT, "the limit", most <= LIMIT)]
+    return [*figures, BenchFigure(what, f"{most:.3f} s", most / LIMIT, "the limit", most <= LIMIT)]
 
 
-def record_loop(folder: Path, rate: float, settings: Settings) -> list[Figure]:
+def record_loop(folder: Path, rate: float, settings: BenchSettings) -> list[BenchFigure]:
     """Record a composed loop at a rate [Hz]; compare the recorder's work with the loop's."""
     seconds = settings.duration or DURATION
     pace = {"pace": "scaled", "time_scale": rate * DT, "duration": (STARTED + seconds) * rate * DT}
@@ -77,16 +77,16 @@ def record_loop(folder: Path, rate: float, settings: Settings) -> list[Figure]:
         f"{missing} missing, {reported} reported as lost; loop {loop:.1%}\nof a core, recorder "
         f"{recorder:.1%}; {stored:.1f} B a message on the disk, {payload:.1f} B before compression"
     )
-    lost = "the messages sent"
-    at = f"{rate:g} Hz"
+    sent_in_all = sent * len(steps)
+    kept = missing == reported and (rate > RATES[0] or missing == 0)
+    share, at = f"{recorder:.1%} of a core", f"{rate:g} Hz"
     return [
-        Figure(
-            f"messages missing, {at}", f"{missing}", missing / (sent * len(steps)), lost,
-            missing == reported and (rate > RATES[0] or missing == 0),
+        BenchFigure(
+            f"messages missing, {at}", f"{missing}", missing / sent_in_all, "those sent", kept
         ),
-        Figure(f"recorder, {at}", f"{recorder:.1%} of a core", recorder / loop, "the loop's own"),
-        Figure(f"bytes of a message, {at}", f"{stored:.1f} B", stored / payload, "its payload"),
-    ]  # fmt: skip
+        BenchFigure(f"recorder, {at}", share, recorder / loop, "the loop's own"),
+        BenchFigure(f"bytes of a message, {at}", f"{stored:.1f} B", stored / payload, "payload"),
+    ]
 
 
 def reported_losses(log: str) -> int:

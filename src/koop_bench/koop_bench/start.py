@@ -17,7 +17,7 @@ from pathlib import Path
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_bench.figures import Figure, Settings
+from koop_bench.figures import BenchFigure, BenchSettings
 from koop_bench.memory import wait_until_active
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Monitor
@@ -27,14 +27,14 @@ from koop_loop.parameters import EXECUTABLES, make
 ROUNDS = 3
 DURATION = 2500.0  # [s] simulated, of the whole demo
 SHORT = 20.0  # [s] simulated
-RECORDED = 400  # steps after which a demo is told to end
+RECORDED = 400  # steps after which a demo is stopped
 DEMO = [sys.executable, "-m", "koop_lab", "demo"]
 
 
-def run(settings: Settings) -> list[Figure]:
+def run(settings: BenchSettings) -> list[BenchFigure]:
     """Time each in turn; of the rounds the median counts."""
     entry = Path(os.environ.get("KOOP_ROOT", ".")) / "koop"
-    figures: list[Figure] = []
+    figures: list[BenchFigure] = []
     baseline = 0.0
 
     def add(what: str, function: Callable[[], float]) -> float:
@@ -43,7 +43,7 @@ def run(settings: Settings) -> list[Figure]:
         each = ", ".join(f"{item:.2f}" for item in times)
         settings.show(f"{what:58}{median:6.2f} s   ({each})")
         ratio = median / (baseline or median)
-        figures.append(Figure(what, f"{median:.2f} s", ratio, "Python importing rclpy"))
+        figures.append(BenchFigure(what, f"{median:.2f} s", ratio, "Python importing rclpy"))
         return median
 
     bare = partial(duration_of, [sys.executable, "-c", "import rclpy"])
@@ -64,7 +64,7 @@ def run(settings: Settings) -> list[Figure]:
         whole, loop = whole_demo(next(fresh), length)
     what = f"koop demo --duration {length:g}"
     settings.show(f"{what}: {whole:.1f} s, {loop:.1f} s of it the loop")
-    return [*figures[1:], Figure(what, f"{whole:.1f} s", whole / loop, "its loop")]
+    return [*figures[1:], BenchFigure(what, f"{whole:.1f} s", whole / loop, "its loop")]
 
 
 def duration_of(command: list[str]) -> float:
@@ -99,7 +99,7 @@ def stop_at_end(folder: Path) -> float:
 
 
 def stop_early(folder: Path) -> float:
-    """Return the time that a demo in real time takes to end when it is told to [s]."""
+    """Return the time that a demo in real time takes to end when it is stopped [s]."""
     command = [*DEMO, "--pace", "realtime", "--duration", "60", "--out", str(folder)]
     with Monitor("") as monitor, open(os.devnull, "w") as nowhere:
         process = subprocess.Popen(command, stdout=nowhere, stderr=nowhere)
@@ -114,7 +114,7 @@ def stop_early(folder: Path) -> float:
 
 
 def whole_demo(folder: Path, duration: float) -> tuple[float, float]:
-    """Return the wall-clock time of a demo, plot and all, and that of its loop alone [s]."""
+    """Return the wall-clock time of a demo, plot and all, and of its loop alone [s]."""
     whole = duration_of([*DEMO, "--duration", str(duration), "--out", str(folder)])
     metrics = json.loads((folder / "metrics.json").read_text())
     return whole, (metrics["steps"] - 1) / metrics["rate_hz"]

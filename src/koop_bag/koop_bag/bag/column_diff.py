@@ -44,7 +44,7 @@ def column_diff(
     a, b : ndarray
         Numbers, or objects such as text.
     tolerance : float
-        Largest difference of two numbers that is none.
+        Largest difference of two numbers that counts as equal.
     bitwise : bool
         Whether numbers that are equal but differ in a bit (0.0 and -0.0) are different.
     """

@@ -23,9 +23,7 @@ LOG_TIME, PUBLISH_TIME, SEQUENCE = "log_time", "publish_time", "sequence"
 recording. A field of a message that has such a name is written with a dot before it."""
 
 BATCH_BYTES = 8 << 20
-"""How much of a bag is held at once [B]: enough that the cost per batch vanishes, whatever the
-bag's size.
-"""
+"""Bytes of a bag that are held at once: enough that the cost per batch vanishes."""
 
 _RECORD = struct.Struct("<BQH")  # opcode, length, and the channel if it is a message
 STORED: dict[str, tuple[int, str]] = {
@@ -112,7 +110,7 @@ class Decoder(Protocol):
 def iter_decoded(
     bag: BagReader, decoders: Mapping[str, Decoder], batch_bytes: int = BATCH_BYTES
 ) -> Iterator[tuple[str, Columns]]:
-    """What the decoders make of their topics, in batches."""
+    """Yield (topic, columns) of each decoder, in batches."""
     pending: list[bytes] = []
     names: dict[int, str] = {}
     size = 0
@@ -171,9 +169,9 @@ def _decode_batch(
             places[channel] += (position, length)
         position += length
     buffer = np.frombuffer(records, np.uint8)
-    for number, found in places.items():
-        if found:
-            where = np.array(found, np.int64)
+    for number, pairs in places.items():
+        if pairs:
+            where = np.array(pairs, np.int64)
             yield names[number], tables[names[number]].decode(buffer, where[::2], where[1::2])
 
 

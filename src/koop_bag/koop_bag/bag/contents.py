@@ -1,4 +1,4 @@
-"""What one file of a bag holds."""
+"""Contents of one file of a bag."""
 
 import struct
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ _CHUNK_TIMES = struct.Struct("<QQ")  # of its first and its last message
 
 @dataclass
 class FileContents:
-    """What one file of a bag holds."""
+    """Contents of one file of a bag."""
 
     file: McapFile
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -26,7 +26,7 @@ class FileContents:
 
 
 def survey(file: McapFile) -> FileContents:
-    """What a file holds: from its summary, or by reading it through where there is none."""
+    """Return a file's contents: from its summary, or by reading it through where there is none."""
     contents = FileContents(file)
     if file.summary_start and _read_summary(contents):
         return contents
@@ -44,7 +44,7 @@ def survey(file: McapFile) -> FileContents:
 
 
 def _read_summary(contents: FileContents) -> bool:
-    """Whether the summary says everything that reading the file through would."""
+    """Return whether the summary holds everything that reading the file through would give."""
     file, counted = contents.file, False
     for place in file.places(file.summary_start):
         if place.opcode == Opcode.STATISTICS:

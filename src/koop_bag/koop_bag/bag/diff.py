@@ -12,7 +12,7 @@ import numpy as np
 from koop_bag.bag.column_diff import column_diff
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.extent import measure
-from koop_bag.bag.reader import BagReader, Topic
+from koop_bag.bag.reader import BagReader, BagTopic
 from koop_bag.bag.topics import is_common
 from koop_bag.cdr.definition import parse_definition
 from koop_bag.cdr.header import has_step
@@ -33,7 +33,7 @@ class FieldDiff:
     first : int
         Step, or number, of the first of them.
     values : tuple
-        What the two bags say there.
+        Values in the two bags there.
     largest : float
         Largest difference: infinite where only one side is a number, NaN for text.
     largest_at : int
@@ -78,7 +78,7 @@ class TopicDiff:
 
     @property
     def identical(self) -> bool:
-        """Whether both bags say the same."""
+        """Whether there is no difference."""
         return not (self.only_a or self.only_b or self.problem or self.fields)
 
 
@@ -97,11 +97,11 @@ def compare(
     a, b : BagReader
         The bags.
     topics : collection of str, optional
-        Default: all but those that every node publishes by itself; they are never twice the same.
+        Default: all but the topics that every node publishes by itself, which always differ.
     ignore : collection of str
         Fields that may differ, such as `header.stamp`.
     tolerance : float
-        Largest difference of two numbers that is none.
+        Largest difference of two numbers that counts as equal.
 
     Notes
     -----
@@ -110,9 +110,9 @@ def compare(
     """
     names = dict.fromkeys(topic.name for bag in (a, b) for topic in bag.topics)
     for name in topics or [name for name in names if not is_common(name)]:
-        found = [next((t for t in bag.topics if t.name == name), None) for bag in (a, b)]
-        if None in found:
-            missing = (a, b)[found.index(None)]
+        both = [next((t for t in bag.topics if t.name == name), None) for bag in (a, b)]
+        if None in both:
+            missing = (a, b)[both.index(None)]
             yield TopicDiff(name, problem=f"{missing.path} has no such topic")
         else:
             try:
@@ -146,16 +146,16 @@ def _compare_topic(
     result.only_a, result.only_b = (np.unique(key).size - common.size for key in (key_a, key_b))
     for item in fields:
         values = columns[0][item][rows_a], columns[1][item][rows_b]
-        found = column_diff(*values, tolerance=tolerance)
-        if found is not None:
+        diff = column_diff(*values, tolerance=tolerance)
+        if diff is not None:
             result.fields.append(
                 FieldDiff(
                     item,
-                    found.count,
-                    int(common[found.first]),
-                    (values[0][found.first], values[1][found.first]),
-                    found.largest,
-                    int(common[found.largest_at]),
+                    diff.count,
+                    int(common[diff.first]),
+                    (values[0][diff.first], values[1][diff.first]),
+                    diff.largest,
+                    int(common[diff.largest_at]),
                 )
             )
     left_out = [item for item in extents[0].left_out if not _matches(item, ignore)]
@@ -175,7 +175,7 @@ def _matches(name: str, patterns: Collection[str]) -> bool:
     return any(name == item or name.startswith((f"{item}.", f"{item}[")) for item in patterns)
 
 
-def _definition(topic: Topic) -> object:
+def _definition(topic: BagTopic) -> object:
     return parse_definition(topic.type_name, topic.definition) if topic.definition else None
 
 

@@ -98,7 +98,7 @@ class _Measured:
     longest: dict[str, int]
 
     def inner(self, key: str | int) -> "_Measured":
-        """Of a field or element."""
+        """Return the measure of a field or element."""
         if isinstance(key, int):
             return _Measured(f"{self.path}[{key}]", self.longest)
         return _Measured(f"{self.path}.{key}" if self.path else key, self.longest)

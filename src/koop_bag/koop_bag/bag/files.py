@@ -49,7 +49,7 @@ def _files_of(path: Path) -> list[Path]:
 
 
 def _key(path: Path) -> tuple[int, str]:
-    """Number of a file within its bag, and its name without what says how it is packed."""
+    """Number of a file within its bag, and its name without the suffixes of compression."""
     match = _NAME.fullmatch(path.name)
     assert match is not None
     return int(match[2] or 0), match[1]

@@ -9,7 +9,7 @@ from typing import Any
 from koop_bag.bag.columns import LOG_TIME, iter_tables, list_fields
 from koop_bag.bag.losses import LossCounter, StepReport, complete_from, early_ends
 from koop_bag.bag.metadata import parse_map
-from koop_bag.bag.reader import BagReader, Topic
+from koop_bag.bag.reader import BagReader, BagTopic
 from koop_bag.cdr.header import has_step
 from koop_bag.cdr.schema import MessageSchema
 
@@ -27,7 +27,7 @@ class TopicInfo:
     rate : float or None
         Messages a second between the first and the last; None for fewer than two.
     steps : StepReport or None
-        What the steps say about losses; None for types without a step.
+        Losses by the steps; None for types without a step.
     """
 
     name: str
@@ -41,7 +41,7 @@ class TopicInfo:
 class BagInfo:
     """One bag; the attributes are those that `koop bag info` prints.
 
-    Rates, losses and models are unknown, not absent, where ``index_only`` is true.
+    Rates, losses and models are unknown, not absent, if ``index_only``.
     """
 
     path: str
@@ -117,7 +117,9 @@ def describe(bag: BagReader, brief: bool = False) -> BagInfo:
     return info
 
 
-def _topic_info(topic: Topic, span: tuple[int, int] | None, steps: StepReport | None) -> TopicInfo:
+def _topic_info(
+    topic: BagTopic, span: tuple[int, int] | None, steps: StepReport | None
+) -> TopicInfo:
     rate = None
     if span is not None and span[1] > span[0]:
         rate = (topic.count - 1) / ((span[1] - span[0]) * 1e-9)

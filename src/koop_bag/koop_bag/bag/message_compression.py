@@ -1,7 +1,7 @@
 """Messages that were compressed one by one (rosbag2's compression mode `message`).
 
-Each is a zstd frame that tells its size. Its first bytes are told from any serialized message: CDR
-begins with a zero byte. So such messages are read whatever has become of the bag's description.
+Each is a zstd frame that states its size. Its first bytes distinguish it from any serialized
+message: CDR begins with a zero byte. So such messages are read without the bag's description.
 """
 
 from collections.abc import Iterator
@@ -16,16 +16,19 @@ from koop_bag.mcap.file_reader import MAX_CHUNK, MESSAGE_HEAD, RECORD_HEAD, inne
 from koop_bag.mcap.zstd_file import ZSTD_MAGIC
 
 FORMAT = "zstd"
-"""The one that rosbag2 brings along."""
+"""The method that rosbag2 contains."""
 
 _BLOCK = 1 << 20  # [B] of records that are handed on together
 
 
-def check_format(said: Description, path: Path) -> None:
-    """Raise a BagError if a bag says that its messages are compressed as nothing here can read."""
-    if said.compression_mode.upper() == "MESSAGE" and said.compression_format != FORMAT:
+def check_format(description: Description, path: Path) -> None:
+    """Raise a BagError if the messages of a bag are compressed by another method."""
+    if (
+        description.compression_mode.upper() == "MESSAGE"
+        and description.compression_format != FORMAT
+    ):
         raise BagError(
-            f"the messages of {path} are compressed as '{said.compression_format}'; "
+            f"the messages of {path} are compressed as '{description.compression_format}'; "
             f"known is {FORMAT}"
         )
 
@@ -66,7 +69,7 @@ class MessageUnpacker:
         try:
             size = zstandard.get_frame_parameters(data).content_size
             if size > MAX_CHUNK:  # unknown is the largest of all
-                raise ValueError("does not tell its size, or a size that no message has")
+                raise ValueError("no size, or one that no message has")
             return self._zstd.decompress(data)
         except (zstandard.ZstdError, ValueError, MemoryError) as error:
             raise BagError(

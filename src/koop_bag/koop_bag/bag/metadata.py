@@ -50,13 +50,13 @@ class OfferedQos:
                 str(value) if not isinstance(value, int) else dict(enumerate(_WORDS[name]))[value]
             )
 
-        given = {name: word(name) for name in _WORDS if name in values}
+        policies = {name: word(name) for name in _WORDS if name in values}
         return cls(
             depth=int(values.get("depth", 0)),
             deadline=span("deadline"),
             lifespan=span("lifespan"),
             liveliness_lease_duration=span("liveliness_lease_duration"),
-            **given,
+            **policies,
         )
 
     def as_map(self) -> dict[str, Any]:
@@ -159,16 +159,16 @@ def bag_map(
 
 @dataclass(frozen=True)
 class Description:
-    """What a bag says of itself besides its topics; empty where it says nothing.
+    """Description of a bag besides its topics; empty where there is none.
 
     Attributes
     ----------
     custom_data : dict of str to str
-        What its recorder wrote about it.
+        Its recorder's own entries.
     ros_distro : str
         Distribution that it was recorded with.
     compression_mode, compression_format : str
-        `FILE`, `MESSAGE` or `NONE`, and the name of the method. Chunks tell theirs themselves.
+        `FILE`, `MESSAGE` or `NONE`, and the name of the method. Chunks state theirs themselves.
     """
 
     custom_data: dict[str, str] = field(default_factory=dict)

@@ -92,8 +92,8 @@ class Timeline:
 class Playback:
     """Decides when each message of a bag is due; iterated, it yields all of them at once.
 
-    The player publishes what :meth:`take` returns. Who has a pace of its own, such as a replay or a
-    page's connection, iterates over :meth:`of_bag`.
+    The player publishes what :meth:`take` returns. A replay or a page's connection, which have a
+    pace of their own, iterate over :meth:`of_bag`.
 
     Parameters
     ----------
@@ -108,8 +108,8 @@ class Playback:
 
     Notes
     -----
-    All times `now` are seconds of one steady clock. A message that is overdue goes out at once, in
-    its order, and none is left out: what was recorded is data, not a tick.
+    All times `now` are seconds of one steady clock. A message that is overdue is taken at once, in
+    its order, and none is left out.
     """
 
     def __init__(

@@ -29,8 +29,8 @@ class RawMessage(NamedTuple):
 
 
 @dataclass
-class Topic:
-    """A recorded topic."""
+class BagTopic:
+    """A topic of a bag."""
 
     name: str
     type_name: str
@@ -51,7 +51,7 @@ class BagReader:
 
     Attributes
     ----------
-    topics : tuple of Topic
+    topics : tuple of BagTopic
         In the order of their first announcement.
     message_count : int
         Messages that can be read.
@@ -71,7 +71,7 @@ class BagReader:
     def __init__(self, path: str | Path) -> None:
         self.path = stored_path(path)
         self.files = find_files(self.path)
-        self._topics: dict[str, Topic] = {}
+        self._topics: dict[str, BagTopic] = {}
         self.message_count = 0
         self.notes: dict[str, dict[str, str]] = {}
         self._contents: list[FileContents] = []
@@ -80,10 +80,10 @@ class BagReader:
                 self._contents.append(survey(opened.enter_context(closing(McapFile(file)))))
                 self._take_in(self._contents[-1])
             try:
-                said = self.description()
+                description = self.description()
             except BagError:
-                said = Description()  # whoever asks for it is told
-            check_format(said, self.path)
+                description = Description()  # description() raises it again
+            check_format(description, self.path)
             self._files = opened.pop_all()
         self.complete = all(item.file.complete for item in self._contents)
         filled = [item for item in self._contents if any(item.counts.values())]
@@ -102,18 +102,18 @@ class BagReader:
         return sum(item.file.stored_size for item in self._contents)
 
     def description(self) -> Description:
-        """What the bag says of itself."""
+        """Return the bag's description."""
         return read_description(self.notes, self.files[0].parent)
 
     def custom_data(self) -> dict[str, str]:
         """The bag's `custom_data`."""
         return self.description().custom_data
 
-    def topic(self, name: str) -> Topic:
-        """One topic, or an error that names those that are there."""
+    def topic(self, name: str) -> BagTopic:
+        """Return a topic, or raise an error that names the topics of the bag."""
         if name not in self._topics:
-            known = ", ".join(self._topics) or "none"
-            raise BagError(f"{self.path} has no topic {name}; it has {known}")
+            topics = ", ".join(self._topics) or "none"
+            raise BagError(f"{self.path} has no topic {name}; it has {topics}")
         return self._topics[name]
 
     def messages(
@@ -195,7 +195,7 @@ class BagReader:
             )
             topic = self._topics.get(channel.topic)
             if topic is None:
-                topic = Topic(
+                topic = BagTopic(
                     channel.topic, type_name, text, channel.message_encoding, dict(channel.metadata)
                 )
                 self._topics[channel.topic] = topic

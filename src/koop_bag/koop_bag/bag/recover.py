@@ -1,4 +1,4 @@
-"""Makes a valid bag of one whose recorder was killed or whose file is damaged."""
+"""Makes a valid bag from a torn or damaged one."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
@@ -19,7 +19,7 @@ from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, Place, inner_place
 
 @dataclass
 class Recovery:
-    """What was saved.
+    """Result of a recovery.
 
     Attributes
     ----------
@@ -54,19 +54,21 @@ def recover(
     if not files:
         raise BagError(f"{source} holds only empty files: there is nothing to recover")
     with ExitStack() as stack:
-        # refused before anything is written
+        # refuse before anything is written
         opened = [stack.enter_context(closing(McapFile(path))) for path in files]
-        said = _description(opened)
-        check_format(said, Path(source))
-        copy = _Copy(stack.enter_context(BagWriter(target, options, said.ros_distro or "jazzy")))
-        copy.writer.custom_data.update(said.custom_data)
+        description = _description(opened)
+        check_format(description, Path(source))
+        copy = _Copy(
+            stack.enter_context(BagWriter(target, options, description.ros_distro or "jazzy"))
+        )
+        copy.writer.custom_data.update(description.custom_data)
         for file in opened:
             copy.take(file)
     return copy.report
 
 
 def _description(files: Sequence[McapFile]) -> Description:
-    """What the bag says of itself: the last of its records that is whole, or `metadata.yaml`."""
+    """Return the bag's description: the last undamaged record of it, or `metadata.yaml`."""
     notes: dict[str, dict[str, str]] = {}
     for file in files:
         for place in file.places():
@@ -82,7 +84,7 @@ def _description(files: Sequence[McapFile]) -> Description:
 
 
 class _Copy:
-    """What is copied of a bag's files into a new bag."""
+    """Copies the files of a bag into a new one."""
 
     def __init__(self, writer: BagWriter) -> None:
         self.writer = writer

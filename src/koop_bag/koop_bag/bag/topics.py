@@ -1,4 +1,4 @@
-"""Topics that every node of a system shares: what they reported, which parameters changed."""
+"""Topics that all nodes share: reports, logs and changes of parameters."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ COMMON_TOPICS = {
 
 
 def is_common(topic: str) -> bool:
-    """Whether every node publishes a topic by itself, so that it says nothing about the loop."""
+    """Whether every node publishes a topic by itself, so that it shows nothing of the loop."""
     return topic in COMMON_TOPICS or topic == "/clock" or topic.endswith("/transition_event")

@@ -62,7 +62,7 @@ class BagWriter:
     Attributes
     ----------
     custom_data : dict of str to str
-        What the bag says of itself. Each file has it as it was when the file was closed;
+        Entries of the bag's description. Each file has those at the time of its closing;
         :meth:`keep` has it written at once.
     topics : list of TopicRecord
         Announced so far.
@@ -125,9 +125,9 @@ class BagWriter:
         if any(topic.name == name for topic in self.topics):
             raise BagError(f"topic {name} is already in the bag")
         topic = TopicRecord(name, schema.name, schema.type_hash, encoding, tuple(qos))
-        known = next((s for s, _ in self._channels if s.name == schema.name), None)
+        schema_record = next((s for s, _ in self._channels if s.name == schema.name), None)
         number = len({s.id for s, _ in self._channels}) + 1
-        entry = known or Schema(
+        entry = schema_record or Schema(
             id=number, data=schema.text.encode(), encoding=schema.encoding, name=schema.name
         )
         channel = Channel(

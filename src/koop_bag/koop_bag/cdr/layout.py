@@ -60,7 +60,7 @@ class _Wanted:
         self.fields: dict[_Key, _Wanted] = {}
 
     def inner(self, key: _Key) -> "_Wanted | None":
-        """What is wanted of a field or element."""
+        """Return the node of a field or element, None if it is not wanted."""
         return self.fields.get(key)
 
     def take(self, kind: MessageType, start: int, count: int) -> bool:
@@ -138,7 +138,7 @@ def walk(root: Struct, message: bytes, visitor: Visitor | None) -> tuple[tuple[i
 
 def _keys(name: str) -> list[_Key]:
     try:
-        path = parse_field(name.removeprefix("."))  # a dot tells it from a stored column
+        path = parse_field(name.removeprefix("."))  # the dot distinguishes it from a stored column
     except ConfigError as error:
         raise BagError(str(error)) from None
     return [key for pair in path for key in pair if key is not None]
@@ -152,8 +152,8 @@ def _check(root: Struct, name: str, shown: str) -> None:
         elif isinstance(key, str) and isinstance(kind, Struct) and key in dict(kind.fields):
             kind = dict(kind.fields)[key]
         else:
-            known = ", ".join(leaf_fields(root)) or "no column"
-            raise BagError(f"{root.name} has no field '{shown}'; it has {known}")
+            columns = ", ".join(leaf_fields(root)) or "no column"
+            raise BagError(f"{root.name} has no field '{shown}'; it has {columns}")
     if isinstance(kind, Struct) and not kind.is_stamp:
         inner = ", ".join(f"{shown}.{item}" for item in leaf_fields(kind))
         raise BagError(f"'{shown}' is a message of its own; choose one of its fields: {inner}")

@@ -1,8 +1,8 @@
 """Message definitions and type hashes, read from the installed packages' share folders.
 
 A bag must explain itself on a machine where the packages are not installed: it carries the text of
-every message definition it needs. The texts and hashes are those that the interface generators
-installed, never built by hand.
+every message definition it needs. The texts and hashes are read as the interface
+generators installed them.
 """
 
 import json
@@ -100,17 +100,17 @@ def load_service(
 
 
 def _with_dependencies(places: Sequence[Path], package: str, name: str, root: str) -> str:
-    """Return a root definition followed by those that it needs."""
+    """Return a root definition followed by its dependencies."""
     parts = [root]
-    seen = {(package, name)}
+    included = {(package, name)}
 
     def append_dependencies(text: str, inside: str) -> None:
         for dependency in sorted(set(_dependencies(text, inside))):
-            if dependency in seen:
+            if dependency in included:
                 continue
-            seen.add(dependency)
-            found = _find(places, dependency[0], f"msg/{dependency[1]}.msg")
-            dependency_text = _text(found)
+            included.add(dependency)
+            path = _find(places, dependency[0], f"msg/{dependency[1]}.msg")
+            dependency_text = _text(path)
             parts.append(f"{SEPARATOR}\nMSG: {'/'.join(dependency)}\n{dependency_text}")
             append_dependencies(dependency_text, dependency[0])
 

@@ -27,7 +27,7 @@ RECORD_HEAD = struct.Struct("<BQ")
 """Opcode, and length of the content that follows."""
 
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""What the content of a message begins with: channel id, sequence, log time, publish time."""
+"""Begin of a message's content: channel id, sequence, log time, publish time."""
 
 _FOOTER_SIZE = RECORD_HEAD.size + 20 + len(MCAP0_MAGIC)
 MAX_CHUNK = 256 << 20
@@ -50,7 +50,7 @@ class McapFile:
     Attributes
     ----------
     size, stored_size : int
-        Bytes of the MCAP file, and those that it takes on the disk.
+        Bytes of the MCAP file, unpacked and on the disk.
     summary_start : int
         Offset of the summary, 0 if there is none.
     complete : bool
@@ -106,7 +106,7 @@ class McapFile:
         return record
 
     def unpack(self, form: struct.Struct, data: bytes, where: int) -> tuple[int, ...]:
-        """What a record begins with; `where` is for the error."""
+        """Return the begin of a record; `where` is for the error."""
         if len(data) < form.size:
             raise BagError(self._damaged(f"the record at byte {where} is cut short"))
         return form.unpack_from(data)
@@ -126,7 +126,7 @@ class McapFile:
             if chunk.compression == "zstd":
                 frame = zstandard.get_frame_parameters(chunk.data).content_size
                 if frame not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-                    raise ValueError("another size than the chunk says")
+                    raise ValueError("another size than the chunk states")
                 data = zstandard.decompress(chunk.data, size)
             elif chunk.compression == "lz4":
                 data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
@@ -137,7 +137,7 @@ class McapFile:
                     f"{self.path} is compressed with '{chunk.compression}'; known are zstd and lz4"
                 )
             if len(data) != size:
-                raise ValueError("another size than the chunk says")
+                raise ValueError("another size than the chunk states")
         except (zstandard.ZstdError, RuntimeError, ValueError, EOFError, MemoryError) as error:
             raise BagError(
                 self._damaged(f"the chunk at byte {place.start} does not decompress")

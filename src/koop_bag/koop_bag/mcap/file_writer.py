@@ -31,7 +31,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 class McapFileWriter:
-    """Appends whole records to a file; whatever it accepted survives the death of the process.
+    """Appends whole records to a file; what it has accepted survives the end of the process.
 
     Each chunk goes out in one unbuffered write, so a killed process loses only the chunk in
     progress. A write that fails halfway is taken back: the file always ends with a complete record.
@@ -160,7 +160,7 @@ class McapFileWriter:
 
 
 def _library() -> str:
-    """Who wrote a file."""
+    """Return the name of the library that writes a file."""
     try:
         return f"koop_bag {version('koop_bag')}"
     except PackageNotFoundError:

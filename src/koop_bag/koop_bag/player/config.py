@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from koop_core.config.parameter import ConfigError, parameter, validate
 
-CLOCKS = ("off", "receive", "stamp")
 FAST, REALTIME = "fast", "realtime"
 
 
@@ -40,11 +39,9 @@ class PlayerConfig:
     position: float = parameter(
         0.0, "time from the bag's begin to play from; set it to seek", unit="s", low=0.0
     )
-    clock: str = parameter(
-        "off",
-        "publish /clock: receive: the time of each message in the bag, and at 200 Hz between them; "
-        "stamp: each new header stamp, which is simulated time if the run had it",
-        choices=CLOCKS,
+    clock: bool = parameter(
+        False,
+        "publish /clock: the time of each message in the bag, and at 200 Hz between them",
         read_only=True,
     )
 

@@ -13,10 +13,8 @@ from std_srvs.srv import SetBool
 from koop_bag.bag.playback import Playback
 from koop_bag.bag.reader import BagReader, RawMessage
 from koop_bag.bag.topics import is_common
-from koop_bag.cdr.header import has_header
-from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
-from koop_bag.player.clock import ClockOutlet
+from koop_bag.player.clock import BagClock
 from koop_bag.player.config import FAST, PlayerConfig, parse_remap
 from koop_bag.player.outlet import Outlet
 from koop_core.config.parameter import ListenersConfig
@@ -51,6 +49,7 @@ class PlayerRun(Run):
         if config.position:
             self._playback.seek(self._log_time(config.position), 0.0)
         if self._playback.finished:
+<<<<<<< HEAD
             raise InputError(f"{config.bag} has no messages to play there")
         stamped = {
             name
@@ -59,6 +58,10 @@ class PlayerRun(Run):
         }
         flows = math.isfinite(config.speed)
         self._clock_outlet = ClockOutlet(entities, config.clock, flows, stamped)
+=======
+            raise ValueError(f"{config.bag} has no messages to play there")
+        self._clock = BagClock(entities) if config.clock else None
+>>>>>>> d693d91 (bag, bench: class names of their own, a clock that is on or off, words of the glossary)
         self._timer: Timer | None = None
         """There from the start of playing to the end of the active state."""
         entities.service(SetBool, "~/pause", self._on_pause)
@@ -88,7 +91,8 @@ class PlayerRun(Run):
         if "loop" in names:
             self._playback.loop = config.loop
         if "position" in names:
-            self._clock_outlet.jump()
+            if self._clock is not None:
+                self._clock.jump()
             try:
                 self._playback.seek(self._log_time(config.position), now)
             except BagError as error:
@@ -133,14 +137,14 @@ class PlayerRun(Run):
 
     def _start_when_heard(self, entities: Entities) -> None:
         """Start once there is a subscriber, and the others have had time to come, too."""
-        seen, since = 0, time.monotonic()
+        before, since = 0, time.monotonic()
 
         def look() -> None:
-            nonlocal seen, since
+            nonlocal before, since
             count = sum(o.publisher.get_subscription_count() for o in self._outlets.values())
             now = time.monotonic()
-            if count != seen:
-                seen, since = count, now
+            if count != before:
+                before, since = count, now
             elif count and now - since >= SETTLED:
                 timer.cancel()
                 self._start(entities)
@@ -175,13 +179,14 @@ class PlayerRun(Run):
             self._end()
             return
         wait = playback.wait(now)
-        if not playback.paused:
-            wait = min(wait, self._clock_outlet.between(playback.position(now)))
+        if self._clock is not None and self._config.pace != FAST and not playback.paused:
+            wait = min(wait, self._clock.tick(playback.position(now)))
         self._wake_in(wait)
 
     def _publish(self, message: RawMessage) -> None:
         outlet = self._outlets[message.topic]
-        self._clock_outlet.before(message)
+        if self._clock is not None:
+            self._clock.publish(message.log_time)
         if self._config.pace == FAST:  # which nothing else slows down
             outlet.publish_acknowledged(message.data)
         else:
@@ -233,5 +238,5 @@ class PlayerNode(ManagedNode[PlayerRun]):
 
 
 def main() -> None:
-    """Run the node until it is told to stop."""
+    """Run the node until it is stopped."""
     sys.exit(run(PlayerNode))

@@ -14,18 +14,18 @@ from rclpy.qos import (
 )
 
 from koop_bag.bag.metadata import OfferedQos, parse_qos
-from koop_bag.bag.reader import Topic
+from koop_bag.bag.reader import BagTopic
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.recorder.topics import message_class
 from koop_node.node.managed import Entities
 
 DEPTH = 1000
-"""Messages that a writer keeps at least. Discovery doesn't tell a recorder the depth that was
-offered, and a player may be faster than what it replaces."""
+"""Messages that a writer keeps at least. Discovery does not give a recorder the depth that was
+offered, and a player may be faster than the node it replaces."""
 
 STUCK = 2.0
-"""A listener that has not acknowledged everything for so long [s] holds nobody up any more."""
+"""Time [s] after which a listener that does not acknowledge is not waited for any more."""
 
 
 class Outlet:
@@ -35,8 +35,8 @@ class Outlet:
     ----------
     entities : Entities
         Owner of the publisher.
-    topic : Topic
-        Topic of the bag.
+    topic : BagTopic
+        BagTopic of the bag.
     name : str
         Name under which it is published.
 
@@ -47,7 +47,7 @@ class Outlet:
         installed, or one that is installed in another version than the recorded one.
     """
 
-    def __init__(self, entities: Entities, topic: Topic, name: str) -> None:
+    def __init__(self, entities: Entities, topic: BagTopic, name: str) -> None:
         if topic.encoding != "cdr":
             raise BagError(f"{topic.name} is encoded as '{topic.encoding}', not as cdr")
         installed = load_schema(topic.type_name).type_hash
@@ -62,7 +62,7 @@ class Outlet:
         profile = qos_profile(recorded_qos(topic))
         self.publisher = entities.publisher(message_class(topic.type_name), name, profile)
         self._patience = profile.depth // 2
-        """Messages after which a player without a clock waits for those who listen."""
+        """Messages after which a player without a clock waits for its subscribers."""
         self._unacknowledged = 0
         self._stuck = False
 
@@ -72,7 +72,7 @@ class Outlet:
         self.count += 1
 
     def publish_acknowledged(self, data: bytes) -> None:
-        """Publish, and now and then wait until those who listen reliably have what was sent."""
+        """Publish, and now and then wait until the reliable subscribers have everything."""
         self.publish(data)
         self._unacknowledged += 1
         if self._unacknowledged >= self._patience and not self._stuck:
@@ -88,15 +88,15 @@ class Outlet:
         return False
 
 
-def recorded_qos(topic: Topic) -> list[OfferedQos]:
+def recorded_qos(topic: BagTopic) -> list[OfferedQos]:
     """Return the QoS that the recorded publishers offered."""
     return parse_qos(topic.metadata.get("offered_qos_profiles", ""))
 
 
 def qos_profile(offered: list[OfferedQos]) -> QoSProfile:
-    """Return one profile that suits everybody who listened to any of the recorded publishers.
+    """Return one profile that suits every subscriber of any of the recorded publishers.
 
-    A publisher that offers more than is asked for still matches, so the strongest of each policy
+    A publisher that offers more than requested still matches, so the strongest of each policy
     is taken; a deadline or lifespan only if all had the same.
     """
     profiles = offered or [OfferedQos()]

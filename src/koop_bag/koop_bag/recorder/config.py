@@ -70,10 +70,10 @@ def wanted_topics(text: str) -> dict[str, str]:
     'sensor_msgs/msg/Imu'
     """
     chosen: dict[str, str] = {}
-    known = LOOP_TOPICS | COMMON_TOPICS
+    types = LOOP_TOPICS | COMMON_TOPICS
     for item in text.replace(",", " ").split():
         name, _, type_name = item.partition(":")
         if not name or (type_name and type_name.count("/") != 2):
             raise ConfigError(f"topics: '{item}' is neither a name nor name:pkg/msg/Type")
-        chosen[name] = type_name or known.get(name, "")
+        chosen[name] = type_name or types.get(name, "")
     return chosen

@@ -27,7 +27,7 @@ from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 POLL_PERIOD = 0.02  # [s] between fetches of waiting messages; receive times do not depend on it
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
 EARLY_PERIOD, EARLY = 0.05, 5.0  # [s] at first, for a run may be over in less; and how long
-QUIET = 0.2  # [s] without a message after which a run that was stopped has said everything
+QUIET = 0.2  # [s] without a message after which a stopped run has published everything
 PATIENCE = 1.0  # [s] and no longer than this
 
 
@@ -102,7 +102,7 @@ class RecorderRun(Run):
         return (WARN, f"{total} messages lost", values) if total else (OK, "recording", values)
 
     def fetch_the_last(self) -> None:
-        """Go on until nothing comes any more: those who were stopped too are still sending."""
+        """Go on until nothing comes any more: other nodes that were stopped still publish."""
         begin = last = time.monotonic()
         count = self.samples()
         while time.monotonic() - begin < PATIENCE and time.monotonic() - last < QUIET:
@@ -139,7 +139,7 @@ class RecorderRun(Run):
                 self._watch(publisher)
         if self._collector.look():
             self._guarded(self._keep_parameters)
-        self._say_from_when_on()
+        self._report_begin()
 
     def _watch(self, publisher: str) -> None:
         """Listen to the lifecycle of a node: while it is inactive, no message of it is lost."""
@@ -217,7 +217,7 @@ class RecorderRun(Run):
         writer.close()
 
     def _report_ends(self) -> None:
-        """Say what no gap shows: that the record of a topic begins late or ends early."""
+        """Log what no gap shows: topics whose record begins late or ends early."""
         counters = self._counters()
         for name, counter in counters.items():
             if counter.first:
@@ -268,8 +268,8 @@ class RecorderRun(Run):
         """The counters of the topics that have come, by topic."""
         return {t.name: t.losses for t in self._topics.values() if t.losses and t.count}
 
-    def _say_from_when_on(self) -> None:
-        """Say from which step on all topics of a loop are recorded: discovery takes its time."""
+    def _report_begin(self) -> None:
+        """Log from which step on all topics of a loop are recorded: discovery takes its time."""
         complete = complete_from({name: c.first for name, c in self._counters().items()})
         for loop, step in complete.items():
             if self._complete_from.get(loop) != step:
@@ -308,7 +308,7 @@ class RecorderNode(ManagedNode[RecorderRun]):
 
     @property
     def subscriptions(self) -> Iterator[Any]:
-        """The subscriptions that the executor serves: not those that are polled."""
+        """The subscriptions that the executor serves, without the polled ones."""
         return (item for item in super().subscriptions if item.callback is not polled)
 
     def close(self) -> None:
@@ -318,5 +318,5 @@ class RecorderNode(ManagedNode[RecorderRun]):
 
 
 def main() -> None:
-    """Run the node until it is told to stop."""
+    """Run the node until it is stopped."""
     sys.exit(run(RecorderNode))

@@ -17,7 +17,7 @@ WAITED_FOR = "listeners"  # a parameter of the nodes, see koop_core.config.param
 class ParameterCollector:
     """Asks every node of a namespace once for all its parameters.
 
-    Left out are those that say how this run was started: `listeners`, and the recorder's `output`.
+    Left out are the parameters of this start: `listeners`, and the recorder's `output`.
     Who hands the file back starts another run: it would wait for nodes that are not there, or
     be told to write where a recording is.
 
@@ -77,7 +77,7 @@ class ParameterCollector:
         return complete
 
     def close(self) -> None:
-        """Give up what is still asked for."""
+        """Give up the open requests."""
         for request in self._asked.values():
             request.close()
         self._asked.clear()

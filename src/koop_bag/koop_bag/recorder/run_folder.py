@@ -62,7 +62,7 @@ def write_parameters(folder: Path, nodes: Mapping[str, Mapping[str, Any]]) -> No
 
 def write_versions(folder: Path) -> dict[str, str]:
     """Write `versions.yaml`: software and machine of this process; return its content."""
-    found = {
+    versions = {
         "python": platform.python_version(),
         "os": platform.platform(),
         "machine": platform.machine(),
@@ -70,11 +70,11 @@ def write_versions(folder: Path) -> dict[str, str]:
     }
     for name in dict.fromkeys((*_DISTRIBUTIONS, *_PACKAGES)):
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    _write(folder / "versions.yaml", dump(found))
-    return found
+    _write(folder / "versions.yaml", dump(versions))
+    return versions
 
 
 def git_revision(where: Path) -> str:

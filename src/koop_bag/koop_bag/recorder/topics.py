@@ -29,7 +29,7 @@ _AT_ONCE = 2000
 """Messages taken from one topic before the next one has its turn."""
 
 
-_NO_LIMIT = 9223372036  # [s] how DDS says 'no limit'
+_NO_LIMIT = 9223372036  # [s] DDS's 'no limit'
 
 
 class RecordedTopic:
@@ -82,12 +82,12 @@ class RecordedTopic:
             if item is None:
                 return
             data, info = item
-            # Not every DDS says when it received a message.
+            # not every DDS gives the time of reception
             received = info["received_timestamp"] or time.time_ns()
             append((received, self, info["source_timestamp"], data))
 
     def skip(self) -> None:
-        """Forget the messages that wait; the steps skipped are no loss."""
+        """Forget the messages that wait; the steps skipped are not lost."""
         skipped: list[Taken] = []
         self.take(skipped)
         if skipped and self.losses is not None:
@@ -180,7 +180,7 @@ def offered_qos(profile: QoSProfile) -> OfferedQos:
     return OfferedQos(
         reliability=word(profile.reliability),
         durability=word(profile.durability),
-        # Discovery tells neither of these two: they are 'unknown' and 0.
+        # discovery has neither of these two: they are 'unknown' and 0
         history=word(profile.history),
         depth=profile.depth,
         liveliness=word(profile.liveliness),

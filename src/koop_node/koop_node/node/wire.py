@@ -62,7 +62,7 @@ class Leaf(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Layout:
+class Packing:
     """Where the fields lie in all messages whose length words are the same."""
 
     packer: struct.Struct
@@ -89,7 +89,7 @@ class Codec:
         self._leaves = leaves
         self._type = Struct(self.name, tuple((leaf.path, leaf.type) for leaf in leaves))
         self._count = sum(leaf.kind != "number" for leaf in leaves)
-        self._layouts: dict[tuple[str, tuple[int, ...]], Layout] = {}
+        self._layouts: dict[tuple[str, tuple[int, ...]], Packing] = {}
         self._last = self._layout("<", (1,) * self._count)
         made = _compiled(message_class, leaves)
         self.new: Callable[[], Any] = made["new"]
@@ -119,12 +119,12 @@ class Codec:
         except UnicodeDecodeError as error:
             raise WireError(f"a {self.name} holds text that is not UTF-8: {error}") from None
 
-    def _layout(self, order: str, lengths: tuple[int, ...]) -> Layout:
+    def _layout(self, order: str, lengths: tuple[int, ...]) -> Packing:
         key = (order, lengths)
         if key not in self._layouts:
             if len(self._layouts) > 100:  # lengths that change for ever must not fill the memory
                 self._layouts.clear()
-            self._layouts[key] = Layout(struct.Struct(self._format(order, lengths)), lengths)
+            self._layouts[key] = Packing(struct.Struct(self._format(order, lengths)), lengths)
         return self._layouts[key]
 
     def _format(self, order: str, lengths: tuple[int, ...]) -> str:
@@ -146,7 +146,7 @@ class Codec:
             put(length * size, f"{length * size}s", size if length else 1)
         return text
 
-    def _find(self, data: bytes) -> Layout:
+    def _find(self, data: bytes) -> Packing:
         """Walk over a message and return its layout."""
         try:
             walk = Walk(data)
@@ -195,7 +195,7 @@ def _compiled(message_class: Any, leaves: list[Leaf]) -> dict[str, Any]:
     """Return functions made for a type of message.
 
     ``new()`` returns an empty one, ``build(values, order)`` the one with the values of a layout,
-    ``lengths(values)`` what its length words say, ``encode(message, layout)`` its bytes.
+    ``lengths(values)`` its length words, ``encode(message, layout)`` its bytes.
     """
     read = {
         leaf.path: {
