@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from koop_bag.player.config import PlayerConfig
-from koop_bag.recorder.config import RecorderConfig
+from koop_bag.recorder.config import RECORDER
 from koop_core.config.describe import parameters_of
 from koop_core.config.parameter import NodeConfig, spec_of
 from koop_core.config.parameter_file import as_yaml
@@ -32,7 +32,7 @@ COMMON = {"every node": (NodeConfig,)}
 LOOP = {
     "koopman_lifter": NODES["koopman_lifter"],
     "relay_esc": NODES["relay_esc"],
-    "recorder": (RecorderConfig,),
+    **RECORDER,
 }
 OTHERS = {
     "vdp_plant": NODES["vdp_plant"],
@@ -97,7 +97,7 @@ def counts() -> dict[str, int]:
     return {
         "commands": len(found) + len(workspace_commands()),
         "options": sum(len(command.options) for command in found.values()),
-        "parameters": sum(len(own_parameters(node)) for node in COMMON | LOOP),
+        "parameters": sum(len(parameters_of(classes)) for classes in LOOP.values()),
     }
 
 
@@ -173,7 +173,7 @@ def command_rows(
 def parameters_page() -> str:
     """Return docs/reference/parameters.md."""
     head = (
-        f"The nodes of a rig's loop have {counts()['parameters']} parameters. Written by "
+        f"Lifter, controller and recorder have {counts()['parameters']} parameters. Written by "
         "`scripts/reference.py`; `./koop params` and `--help` of a node have ranges and every "
         "word. (f): fixed while the node runs."
     )
