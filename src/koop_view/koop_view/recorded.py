@@ -66,24 +66,9 @@ class RecordedSource(ViewSource):
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-<<<<<<< HEAD
     async def _send(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
         """Send channels as long as they are subscribed to, and say when that is done."""
         numbers = {channel.topic: number for number, channel in wanted.items()}
-=======
-    def unsubscribe(self, viewer: Viewer, subscription: int, channel: AdvertisedChannel) -> None:
-        for whose, left, task in self._under_way:
-            if whose is viewer and left.get(channel.topic) == subscription:
-                del left[channel.topic]
-                if not left:
-                    task.cancel()
-
-    def _end(self, done: asyncio.Task[None]) -> None:
-        self._under_way = [item for item in self._under_way if item[2] is not done]
-
-    async def _send(self, viewer: Viewer, left: dict[str, int]) -> None:
-        """Send topics, by the subscriptions that are left of them, and report the end."""
->>>>>>> d693d91 (bag, bench: class names of their own, a clock that is on or off, words of the glossary)
         try:
             with BagReader(self._path) as bag:
                 for count, message in enumerate(Playback.of_bag(bag, list(numbers))):

@@ -49,19 +49,8 @@ class PlayerRun(Run):
         if config.position:
             self._playback.seek(self._log_time(config.position), 0.0)
         if self._playback.finished:
-<<<<<<< HEAD
             raise InputError(f"{config.bag} has no messages to play there")
-        stamped = {
-            name
-            for name in self._outlets
-            if has_header(load_schema(self._bag.topic(name).type_name))
-        }
-        flows = math.isfinite(config.speed)
-        self._clock_outlet = ClockOutlet(entities, config.clock, flows, stamped)
-=======
-            raise ValueError(f"{config.bag} has no messages to play there")
         self._clock = BagClock(entities) if config.clock else None
->>>>>>> d693d91 (bag, bench: class names of their own, a clock that is on or off, words of the glossary)
         self._timer: Timer | None = None
         """There from the start of playing to the end of the active state."""
         entities.service(SetBool, "~/pause", self._on_pause)
