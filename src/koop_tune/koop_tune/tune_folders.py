@@ -88,7 +88,7 @@ def tune_folders(
 
 
 def reading_of(bag: Path, rig: RigFile) -> BagReading:
-    """Return how recordings of a rig are read.
+    """Return the topics and time step with which recordings of a rig are read.
 
     The lifter's and the controller's topics are read where the bag has them, else the rig's own.
 
@@ -105,7 +105,7 @@ def reading_of(bag: Path, rig: RigFile) -> BagReading:
 
 
 def find_bags(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands | None]:
-    """Return the bags of folders, and how the excitation looked at its windows.
+    """Return the bags of folders, and the frequency bands of the excitation.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a tuning saw, chose and expects, in JSON terms: ``tune.json``."""
+"""A tuning as JSON: findings, choice and prediction, for ``tune.json``."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ EVERY = 4  # points of a curve that are kept, one of so many
 
 
 def of_refusal(no: NoOptimum) -> dict[str, Any]:
-    """Return what was seen, and why nothing was chosen."""
+    """Return the findings, and why nothing was chosen."""
     return {"verdict": no.kind, "why": str(no), **of_seen(no.findings)}
 
 
 def of_tuning(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any]:
-    """Return all of it."""
+    """Return the findings, the choice and the prediction."""
     return {
         "verdict": "tuned",
         "cost": tuning.chosen.name,
@@ -49,7 +49,7 @@ def of_tuning(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any
 
 
 def of_seen(findings: Findings, tuning: Tuning | None = None) -> dict[str, Any]:
-    """Return what the recording shows."""
+    """Return the findings."""
     maps = findings.amplitude
     curve = np.exp(maps.curve(maps.mean))[::EVERY]
     grid = np.asarray(np.linspace(0.0, 1.0, GRID)[::EVERY], np.float64)
@@ -72,7 +72,7 @@ def of_seen(findings: Findings, tuning: Tuning | None = None) -> dict[str, Any]:
 
 
 def best_band(maps: StaticMap) -> tuple[float, float]:
-    """Return between which positions the optimum lies in nine of ten maps of other visits.
+    """Return the positions between which nine of ten resampled maps have their optimum.
 
     Between the values of theta nobody was: the optimum is taken once from the curve, which has its
     least at one of them, and once from a parabola through the best one and its neighbours.
@@ -113,7 +113,7 @@ def _points(findings: Findings, maps: StaticMap, power: float, name: str) -> dic
 
 
 def _cost(candidate: CostMaps, findings: Findings, tuning: Tuning | None) -> dict[str, Any]:
-    """Return a cost and its clearest map, of the chosen one that with the chosen omega_h."""
+    """Return a cost and its clearest map; for the chosen cost, the map of its omega_h."""
     name = candidate.cost.name
     scores = {s.name: math.exp(s.score) for s in tuning.searched} if tuning else {}
     values: dict[str, Any] = {

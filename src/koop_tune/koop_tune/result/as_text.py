@@ -58,7 +58,7 @@ def as_table(findings: Findings, tuning: Tuning | None = None) -> str:
 
 
 def as_words(tuning: Tuning) -> str:
-    """Return what was chosen, why, and what it will do."""
+    """Return the choice, its reason and the prediction."""
     c, p = tuning.best.constants, tuning.prediction
     span = "of log theta's range" if tuning.findings.scale.logarithmic else "of theta's range"
     direction = "down" if tuning.task.sense > 0 else "up"

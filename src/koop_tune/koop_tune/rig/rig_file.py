@@ -1,4 +1,4 @@
-"""The rig file: what an engineer knows of a rig and the rig cannot tell."""
+"""The rig file: topics, limits and times that messages of a rig cannot tell."""
 
 from __future__ import annotations
 
@@ -238,5 +238,5 @@ def _full(source: Source) -> Source:
 
 
 def as_values(rig: RigFile) -> dict[str, Any]:
-    """Return the values in JSON terms."""
+    """Return the values as JSON."""
     return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(rig).items()}

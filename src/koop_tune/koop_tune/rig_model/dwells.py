@@ -94,7 +94,7 @@ class Dwells:
     amplitude: list[NDArray[np.float64]]
 
     def settled(self, windows: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-        """Return what is left of windows, rest by rest, once the rig had settled."""
+        """Return the windows after settling, rest by rest."""
         return [w[d.skip :] for d, w in zip(self.rests, windows, strict=True)]
 
     def static_map(self, windows: list[NDArray[np.float64]], sense: float) -> StaticMap:
@@ -196,7 +196,7 @@ def find_dwells(
     candidates = [i + 1 + b for i in guides for b in inside[:1]] + guides
 
     def change(feature: int) -> float:
-        """Return by how much theta changes a feature, less what its errors may feign."""
+        """Return the change of a feature with theta, less what its errors may explain."""
         visits = [(rest.level, float(s.mean[feature]), float(min(s.error[feature], 1e3)))
                   for rest, s in zip(rests, summaries, strict=True)]  # fmt: skip
         static_map = StaticMap.from_visits(u, visits, 1.0)

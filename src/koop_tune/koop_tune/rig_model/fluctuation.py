@@ -1,4 +1,4 @@
-"""How an oscillation that noise drives comes and goes by itself.
+"""Spontaneous fluctuation of a noise-driven oscillation.
 
 The amplitude of such an oscillation is that of a complex Ornstein-Uhlenbeck process: where theta
 rests, the autocovariance of its power p = |z|^2 over the mean is
@@ -43,7 +43,7 @@ FLUCTUATION = FluctuationSettings()
 
 
 class Fluctuation(NamedTuple):
-    """What comes and goes.
+    """Time constant and strength of the fluctuation.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A rig as its excitation showed it, for the closed loop to be tried on; compiled.
+"""A surrogate: a model of the rig from its excitation, compiled, with the loop closed.
 
 The cost's level l and the amplitude's logarithm a follow their static maps, of which tau(theta, up
 or down) is fitted to the recording:
@@ -58,7 +58,7 @@ class Times(NamedTuple):
 
 
 class Surrogate(NamedTuple):
-    """One of the rigs that the recording may be of.
+    """A model of the rig that is compatible with the recording.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A closed loop on a rig, measured and compared with what was predicted of it.
+"""A measured closed loop, compared with its prediction.
 
 The amplitude is that of the channel or band in which theta shows most, in the windows of the
 excitation; converged, distance and excess are those of :mod:`koop_tune.search.run`. The
@@ -75,12 +75,12 @@ class Aim:
 
     @property
     def longest(self) -> float:
-        """How long the runs of the prediction were [s]: its figures are of their second half."""
+        """Duration of the predicted runs [s]; the figures describe their second half."""
         return self.predicted.duration
 
     @property
     def duration(self) -> float:
-        """How long the loop is closed at least to see whether the prediction holds [s]."""
+        """Shortest duration of a closed loop that can confirm the prediction [s]."""
         whole, late = self.longest, self.predicted.converges.high
         return min(max(self.settings.twice * late, self.settings.least * whole), whole)
 
@@ -94,7 +94,7 @@ class Aim:
 
 
 def make_aim(figures: dict[str, Any], rig: RigFile) -> Aim:
-    """Return what a tune.json aims at.
+    """Return the aim in the content of a tune.json.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def read_aim(path: Path, rig: RigFile) -> Aim:
 
 @dataclass(frozen=True)
 class Measured:
-    """What one closed loop came to.
+    """Measured figures of one closed loop.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ def _root_mean_square(logs: NDArray[np.float64]) -> float:
 
 
 def find_disagreements(aim: Aim, run: Measured) -> list[str]:
-    """Return in which figures a run is worse than predicted, in words.
+    """Return the figures that are worse than predicted, in words.
 
     A prediction that allows almost anything is not confirmed by anything.
     """
@@ -218,7 +218,7 @@ def find_disagreements(aim: Aim, run: Measured) -> list[str]:
 
 
 def may_yet_agree(aim: Aim, run: Measured) -> bool:
-    """Return whether a run falls short only in what the same loop, closed for longer, may mend.
+    """Return whether a longer run of the same loop may still agree.
 
     An adaptive law arrives with a large step and takes its time to make it small.
     """
@@ -257,7 +257,7 @@ def _passing(aim: Aim, run: Measured) -> list[str]:
 
 
 def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
-    """Return the three sentences that a verification ends with.
+    """Return the verdict of a verification in three sentences.
 
     Parameters
     ----------
@@ -297,7 +297,7 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
 
 
 def _each(count: int, what: str) -> str:
-    """Return a number of things.
+    """Return a count with its noun.
 
     >>> _each(2, "start")
     '2 starts'

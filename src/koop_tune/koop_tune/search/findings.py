@@ -54,7 +54,7 @@ class CostMaps:
 
     @property
     def usable(self) -> dict[float, StaticMap]:
-        """Those with an optimum inside; in doubt, those that lead to where the amplitude does."""
+        """Maps with an optimum inside; in doubt, also those that share the amplitude's optimum."""
         reference = self.reference
         return {
             omega_h: static_map
@@ -84,7 +84,7 @@ class CostMaps:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the recording shows.
+    """Findings of a recording.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ def analyse(
 def _reference(
     amplitude: StaticMap, candidates: list[CostMaps], dwells: Dwells, settings: TuningSettings
 ) -> StaticMap:
-    """Return the map that shows the oscillation most clearly.
+    """Return the map in which the oscillation is clearest.
 
     An interference is part of the amplitude; of a contrast it is not.
     """
@@ -169,7 +169,7 @@ def _reference(
 def decide(
     findings: Findings, reference: StaticMap, rig: RigFile, settings: TuningSettings
 ) -> Findings:
-    """Return what was seen, with the doubts; raise NoOptimum where there is none to seek."""
+    """Return the findings with their doubts; raise NoOptimum where there is none to seek."""
 
     def refer(doubt: str) -> Findings:
         costs = [replace(candidate, reference=reference) for candidate in findings.costs]
@@ -197,7 +197,7 @@ def decide(
 
 
 def _doubt(static_map: StaticMap) -> str:
-    """Return in words what a map without a clear optimum leaves open."""
+    """Return the doubt that a map without a clear optimum leaves."""
     limit = "min" if static_map.evidence.rising else "max"
     return (
         f"the amplitude changes by {_change(static_map)} %, but whether it gets worse again "

@@ -1,4 +1,4 @@
-"""What a tuned loop will do: figures with their bands, of runs on surrogates."""
+"""Prediction of the tuned loop from runs on surrogates: figures with their bands."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Band:
         return cls(*(math.inf if value is None else float(value) for value in (low, middle, high)))
 
     def as_json(self) -> dict[str, float | None]:
-        """Return it in JSON terms."""
+        """Return it as JSON."""
         return {name: v if math.isfinite(v) else None for name, v in asdict(self).items()}
 
     def as_text(self, unit: float = 1.0) -> str:
@@ -61,7 +61,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the loop will do from either end of theta's range.
+    """Predicted figures of the loop from either end of theta's range.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Prediction:
         return cls(**bands, duration=float(values["duration"]), runs=int(values["runs"]))
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in JSON terms."""
+        """Return it as JSON."""
         bands = {name: getattr(self, name).as_json() for name in BANDS}
         return {"duration": self.duration, "runs": self.runs, **bands}
 
@@ -104,7 +104,7 @@ BANDS = ("converges", "distance", "excess", "reduction")
 def predict(
     task: Task, trial: Trial, findings: Findings, seed: int, count: int
 ) -> tuple[Prediction, list[Outcome]]:
-    """Run what was chosen some times, with fresh random numbers.
+    """Run the chosen constants some times, with fresh random numbers.
 
     What the amplitude of a time as long as half a run differs by itself, and the error of the best
     one, widen the bands.
@@ -126,7 +126,7 @@ def predict(
 
 
 def find_wander(dwells: Dwells, samples: float) -> float:
-    """Return by how much the logarithm of an amplitude over some samples differs by itself."""
+    """Return the spontaneous deviation of the log amplitude over some samples."""
     errors = []
     for values in dwells.settled(dwells.amplitude):
         error = float(mean_level(values[:, None])[1][0])

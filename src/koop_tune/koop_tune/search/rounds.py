@@ -51,7 +51,7 @@ class LoopRun:
         return cls(float(values["start"]), measured, values["bag"], seconds, (first, last))
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in JSON terms."""
+        """Return it as JSON."""
         closed = {"seconds": self.seconds, "steps": list(self.steps)}
         return {"start": self.start, "bag": self.bag, **asdict(self.measured), "closed": closed}
 
@@ -88,7 +88,7 @@ class Round:
         return cls(int(values["round"]), prediction, runs, values["agrees"], values["says"])
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in JSON terms."""
+        """Return it as JSON."""
         return {
             "round": self.number,
             "prediction": self.prediction.as_json(),
@@ -155,7 +155,7 @@ class Verification:
         return cls(rounds, values["damped"], values.get("feature", ""), values["verdict"])
 
     def as_json(self) -> dict[str, Any]:
-        """Return it in JSON terms."""
+        """Return it as JSON."""
         return {**asdict(self), "rounds": [item.as_json() for item in self.rounds]}
 
     @property
@@ -165,7 +165,7 @@ class Verification:
 
 
 def find_slowdown(rounds: Sequence[Round], settings: VerificationSettings = VERIFICATION) -> float:
-    """Return by what factor a rig follows theta more slowly than its recordings show.
+    """Return the factor by which a rig is slower than its recordings show.
 
     The times that the loops of each round that disagreed took to converge over the longest time
     predicted, multiplied.
@@ -183,7 +183,7 @@ def find_slowdown(rounds: Sequence[Round], settings: VerificationSettings = VERI
 
 
 def kept_index(rounds: Sequence[Round]) -> int:
-    """Return which of the finished rounds has the controller that is kept; the first is 0.
+    """Return the index of the finished round whose controller is kept.
 
     The last one's if it damped the rig as predicted, which ends the rounds; else that of the round
     which damped the rig best from its worse start.

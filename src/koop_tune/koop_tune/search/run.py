@@ -19,7 +19,7 @@ from relay_esc.config import EscConfig
 
 @dataclass(frozen=True)
 class Constants:
-    """What is searched, in SI units.
+    """Constants that are searched, in SI units.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one run came to.
+    """Outcome of one run.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ def make_esc(task: Task, c: Constants, theta: float) -> EscConfig:
 
 
 def slow_down(esc: EscConfig, every: int, dt: float) -> EscConfig:
-    """Return a controller that does with one of ``every`` samples what this one does with all.
+    """Return a controller that needs only one of ``every`` samples for the same motion of theta.
 
     Its unit of time is one in which its time step is ``dt``, which a controller may have.
     """

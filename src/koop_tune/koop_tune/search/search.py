@@ -85,7 +85,7 @@ def _usual(task: Task) -> dict[str, float]:
 
 
 def unusual(task: Task, c: Constants) -> float:
-    """Return by how much a score must be better for constants that are not the usual ones."""
+    """Return the penalty of constants that are not the usual ones."""
     usual = _in_units(task, c.law, c.omega_h, _usual(task))
     far = [math.log(getattr(c, name) / getattr(usual, name)) / math.log(3.0) for name in SEARCHED]
     return task.settings.unusual * sum(x * x for x in far)
@@ -93,7 +93,7 @@ def unusual(task: Task, c: Constants) -> float:
 
 @dataclass(frozen=True)
 class Trial:
-    """Constants and how they did.
+    """Constants and the outcomes of their runs.
 
     Attributes
     ----------
@@ -114,12 +114,12 @@ class Trial:
 
     @property
     def score(self) -> float:
-        """The percentile that counts."""
+        """Percentile of the runs' scores."""
         return float(np.percentile([o.score for o in self.outcomes], self.percentile))
 
     @property
     def rank(self) -> float:
-        """What the best has least of."""
+        """Score with the penalty of unusual constants; the least is the best."""
         return self.score + self.unusual
 
 
@@ -175,7 +175,7 @@ def search(
 
 
 def confirm(task: Task, trials: Sequence[Trial], seed: int) -> list[Trial]:
-    """Return the best constants, the best first, as they do sample by sample."""
+    """Return the best constants, run sample by sample; the best first."""
     numbers = range(task.settings.fine_runs)
     confirmed = [
         replace(t, outcomes=[try_out(task, t.constants, n, seed) for n in numbers])

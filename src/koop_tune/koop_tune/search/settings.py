@@ -1,4 +1,4 @@
-"""What decides a tuning: each threshold with its range, meaning and origin."""
+"""Settings of a tuning: each threshold with its range, meaning and origin."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ SEARCH = SearchSettings()
 
 @dataclass(frozen=True)
 class TuningSettings:
-    """Budget of a tuning, and everything that it decides with."""
+    """Budget and thresholds of a tuning."""
 
     seed: int = parameter(0, "seed of all random numbers", low=0)
     effort: float = parameter(1.0, "search budget (1 = default)", low=1e-3, high=1e3)

@@ -1,4 +1,4 @@
-"""Rigs that a recording may be of, for the search to close the loop on."""
+"""Models of the rig that are compatible with a recording, for the search."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def make_task(
     loaded: Loaded, findings: Findings, cost: CostMaps, times: Times, time: float, rig: RigFile,
     settings: TuningSettings,
 ) -> Task:  # fmt: skip
-    """Return the rigs that the recording may be of, for one cost and each corner frequency."""
+    """Return models of the rig for one cost and each corner frequency."""
     y_out = cost.cost.y_out
     assert y_out is not None
     every = max(1, int(time / (settings.blocks * rig.dt)))
@@ -57,7 +57,7 @@ def make_task(
 def cut_pieces(
     values: NDArray[np.float64], dwells: Dwells
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
-    """Return a signal of each rest once the rig had settled, without its mean, by theta.
+    """Return a signal during each rest after settling, without its mean, ordered by theta.
 
     The second array has the first piece of each value of theta.
     """
@@ -84,7 +84,7 @@ def draw_surrogates(
     times: Times,
     settings: TuningSettings,
 ) -> list[Surrogate]:
-    """Return rigs that the recording may be of; the first one is as it was measured."""
+    """Return models of the rig; the first one is as it was measured."""
     rng = np.random.default_rng(settings.seed)
     drawn = []
     for i in range(settings.surrogates):

@@ -189,7 +189,7 @@ def search_cost(
 
 
 def limit_slowdown(tau: float, time: float, settings: TuningSettings) -> float:
-    """Return by how much a rig may count as slower than its rests show.
+    """Return the factor by which a rig may count as slower than its rests show.
 
     What its loops show has a limit: a run of the loop must not take longer than the rig file allows
     for the excitation, times ``settings.longest``.
