@@ -9,13 +9,8 @@ from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.features import choose_bands
 from koop_tune.rig.scale import Scale
-from koop_tune.rig_model.dwells import (
-    DwellSettings,
-    find_dwells,
-    find_period,
-    find_rests,
-    spectra_by_theta,
-)
+from koop_tune.rig_model.dwells import DwellSettings, find_dwells, find_rests
+from koop_tune.rig_model.spectra import find_period, spectra_by_theta
 
 DT = 0.02
 UNIT = Scale(0.0, 1.0)

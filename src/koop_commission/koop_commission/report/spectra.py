@@ -11,7 +11,7 @@ from koop_commission.report.colors import BEST, FAINT, INTERFERENCE, MEASURED
 from koop_commission.report.contents import Contents
 from koop_core.errors import InputError
 from koop_tune.excitation.channels import Line, pick_lines
-from koop_tune.rig_model.dwells import SHORTEST, Spectra, spectra_by_theta
+from koop_tune.rig_model.spectra import SHORTEST, Spectra, spectra_by_theta
 from koop_view.report.document import Cell, Column, Figure, Mark, Panel, Section, Series, Table
 
 FINE = 200  # bins that are kept as they are

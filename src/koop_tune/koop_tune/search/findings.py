@@ -16,7 +16,8 @@ from koop_tune.excitation.features import Bands, choose_bands, window_length
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
-from koop_tune.rig_model.dwells import Dwells, find_dwells, find_period
+from koop_tune.rig_model.dwells import Dwells, find_dwells
+from koop_tune.rig_model.spectra import find_period
 from koop_tune.rig_model.surrogate import high_pass
 from koop_tune.search.limits import ThetaLimits, limit_theta
 from koop_tune.search.settings import TUNING, TuningSettings

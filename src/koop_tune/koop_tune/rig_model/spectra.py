@@ -1,0 +1,107 @@
+"""Spectra where theta was held in a recording, and the period of what theta changes."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+
+from koop_identify.recording.loaded import Loaded
+from koop_tune.rig.scale import Scale
+from koop_tune.rig_model.dwells import DWELLS, DwellSettings, find_rests, leave_out_short
+
+SHORTEST, LONGEST = 16, 4096  # samples of a piece whose spectra are averaged
+
+
+class Spectra(NamedTuple):
+    """Spectra of the channels where theta rested.
+
+    Attributes
+    ----------
+    seconds, dt : float
+        Length of the pieces of Welch's method, and time between two states [s].
+    u : ndarray, shape (N,)
+        Positions of the values of theta, rising.
+    power : ndarray, shape (N, n, F)
+        Mean densities over cycles a sample, from the second bin above 0 on.
+    sure : ndarray of bool, shape (n, F)
+        Where theta changes them, beyond doubt.
+    """
+
+    seconds: float
+    dt: float
+    u: NDArray[np.float64]
+    power: NDArray[np.float64]
+    sure: NDArray[np.bool_]
+
+    @property
+    def frequency(self) -> NDArray[np.float64]:
+        """Frequency of each bin [Hz]."""
+        return np.asarray((2 + np.arange(self.sure.shape[1])) / self.seconds)
+
+    @property
+    def density(self) -> NDArray[np.float64]:
+        """Mean densities [1/Hz]."""
+        return np.asarray(self.power * self.dt)
+
+
+def spectra_by_theta(
+    loaded: Loaded, scale: Scale, dt: float, length: int = SHORTEST, parts: int | None = None,
+    settings: DwellSettings = DWELLS,
+) -> Spectra:  # fmt: skip
+    """Return the spectra at each value of theta.
+
+    Parameters
+    ----------
+    loaded : Loaded
+        The recording.
+    scale : Scale
+        Theta's range.
+    dt : float
+        Time between two states [s].
+    length : int
+        Samples of a window; a rest has some.
+    parts : int, optional
+        Pieces that even the shortest usual rest is cut into: fewer tell frequencies apart better.
+    settings : DwellSettings
+        Which rests count.
+
+    Raises
+    ------
+    koop_core.errors.InputError
+        If theta rested at too few values.
+    """
+    u, rests = find_rests(loaded, scale, length, settings)
+    u, rests = leave_out_short(u, rests, settings.part_of_spectra)
+    size = min(LONGEST, min(rest.end - rest.begin for rest in rests) // (parts or settings.parts))
+    spectra = np.array(
+        [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b, _ in rests]
+    )
+    level = np.array([rest.level for rest in rests])
+    logs = np.log(spectra + 1e-300)
+    means = _means_by(level, logs, u.size)
+    noise = (logs - means[level]).std(axis=0) * math.sqrt(u.size / level.size)
+    sure = means.std(axis=0) - settings.doubt * noise > settings.change
+    return Spectra(size * dt, dt, u, _means_by(level, spectra, u.size), sure)
+
+
+def _means_by(
+    level: NDArray[np.int64], values: NDArray[np.float64], count: int
+) -> NDArray[np.float64]:
+    return np.array([values[level == i].mean(axis=0) for i in range(count)])
+
+
+def find_period(loaded: Loaded, scale: Scale, dt: float) -> float | None:
+    """Return the period [s] of what theta changes most of the spectrum; None if of nothing.
+
+    An interference may be much stronger, and may come and go: it does not go with theta.
+    """
+    spectra = spectra_by_theta(loaded, scale, dt)
+    change = np.where(spectra.sure, np.ptp(spectra.power, axis=0), 0.0)
+    change /= np.maximum(loaded.x.var(axis=1, keepdims=True), 1e-300)
+    if not spectra.sure.any():
+        return None
+    return float(spectra.seconds / (2 + int(np.argmax(change.sum(axis=0)))))
