@@ -139,7 +139,7 @@ def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, t
     assert loop.esc.rate_limit == pytest.approx(0.5 / 50.0)  # of log theta, at its largest
     assert loop.esc.step_size <= 0.5 / 50.0 * 0.02 * 1.001
     assert loop.esc.epsilon_initial == 1  # theta_start is above the best theta: down
-    assert loop.esc.command_topic == ""  # the rig listens to the controller's own topic
+    assert loop.esc.command == ""  # the rig listens to the controller's own topic
     assert loop.lifter.cost == "lifted"
     assert "model: model.npz" in path.read_text()  # beside the file: the folder may be moved
     assert "a factor of 100 apart" in path.read_text()
