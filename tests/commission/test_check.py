@@ -54,7 +54,7 @@ def test_a_mistake_of_the_user_is_a_finding(fast_rig, probe):
     rows, bad = rows_of(RIG, moves=False, listen=long)
     assert bad == ["arrival"]
     assert re.fullmatch(
-        r"/fast is published by (/probe and /fast_rig|/fast_rig and /probe): stop all but the rig .*",
+        r"/fast is published by (/probe and /fast_rig|/fast_rig and /probe): stop all but .*",
         rows["arrival"].text,
     )
     probe.node.destroy_publisher(second)

@@ -15,7 +15,6 @@ from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_commission.command import Commissioning
 from koop_commission.stages.closed_loop import THETA_ASKED
-from koop_commission.stages.session import Watch
 from koop_core.config import parameter_file
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -181,10 +180,10 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
         with pytest.raises(LiveError, match=r"controller.yaml: .*: make room"):
             progress.write_text(tmp_path / "controller.yaml", "dwell: 1.0\n")
         with pytest.raises(LiveError, match=r"rig.yaml: .*: make room"):
-            Commissioning(ONE, file, tmp_path / "new", Watch())
+            Commissioning(ONE, file, tmp_path / "new")
     assert progress.read_json(found) == {"fit": True}
     assert not (tmp_path / "controller.yaml").exists()  # which tune would take for its own
-    whole = Commissioning(ONE, file, tmp_path / "new", Watch())
+    whole = Commissioning(ONE, file, tmp_path / "new")
     assert rig_file.read(tmp_path / "new/rig.yaml") == ONE
 
     def tune(rig, folders, out, settings):

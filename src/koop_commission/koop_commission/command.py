@@ -11,7 +11,6 @@ from typing import Any
 from koop_bringup.live.served import add_serve_option, served
 from koop_commission.stages import check, new_rig_file, verify
 from koop_commission.stages.excite import describe_result, excite
-from koop_commission.stages.session import Watch
 from koop_commission.theta.commander_client import note_of
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -61,8 +60,7 @@ def main(args: argparse.Namespace) -> int:
     resume = f"to resume: ./koop commission {args.rig} --out {folder}"
     try:
         with served(args.serve, folder / "logs") as announce:
-            watch = Watch(note_of(args.rig))
-            code = Commissioning(rig, Path(args.rig), folder, watch, announce).run()
+            code = Commissioning(rig, Path(args.rig), folder, announce).run()
     except LiveError as error:
         raise LiveError(f"{error}; {resume}") from None
     except KeyboardInterrupt:
@@ -82,8 +80,6 @@ class Commissioning:
         The rig and its file.
     folder : Path
         Folder of recordings and results.
-    watch : Watch
-        How the rig is looked after.
     announce : callable
         Receives the name of each stage that begins.
     """
@@ -93,10 +89,10 @@ class Commissioning:
         rig: RigFile,
         file: Path,
         folder: Path,
-        watch: Watch,
         announce: Callable[[str], object] = lambda line: None,
     ) -> None:
-        self._rig, self._folder, self._watch, self._announce = rig, folder, watch, announce
+        self._rig, self._folder, self._announce = rig, folder, announce
+        self._note = note_of(file)
         copy, new = folder / RIG, folder / f"{RIG}.new"
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -121,7 +117,7 @@ class Commissioning:
             if not self._tune(number):
                 return 1
             self._begin(f"verify, round {number}")
-            verification = verify.verify(self._rig, self._folder, self._watch)
+            verification = verify.verify(self._rig, self._folder, self._note)
             print(verify.format_round(verification.rounds[-1]))
         return self._conclude(rounds)
 
@@ -130,7 +126,7 @@ class Commissioning:
         if progress.read_json(self._folder / NAME).get("fit"):
             print("done before")
             return True
-        if bad := check.print_findings(check.check_rig(self._rig, note=self._watch.note)):
+        if bad := check.print_findings(check.check_rig(self._rig, note=self._note)):
             print(f"\nnot fit: {bad} BAD; mend that and run the same command again")
             return False
         progress.write_json(self._folder / NAME, {"fit": True})
@@ -142,7 +138,7 @@ class Commissioning:
         if state is not None and (state.done or state.elapsed >= self._rig.time):
             print("done before")
         else:
-            state = excite(self._rig, self._folder, self._watch)
+            state = excite(self._rig, self._folder, self._note)
             print(describe_result(self._rig, state))
         if state.lacks_visits:
             print(

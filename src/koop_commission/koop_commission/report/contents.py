@@ -16,7 +16,7 @@ from koop_identify.model.from_bags import load_bags
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation import progress
 from koop_tune.excitation.features import Bands
-from koop_tune.excitation.progress import ExcitationProgress
+from koop_tune.excitation.progress import MOST_ERROR, ExcitationProgress
 from koop_tune.folder import FIGURES, TUNED
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.rounds import Round, Verification, load_verification
@@ -117,7 +117,8 @@ class Contents:
         names = state.bands.names(self.rig.names)
         feature, found = state.map_of(range(len(names)))
         theta = [state.values[level] for level in state.reached]
-        return MapPoints(names[feature], theta, np.exp(found.mean).tolist(), found.error.tolist())
+        errors = np.where(found.error < MOST_ERROR, found.error, 0.0).tolist()
+        return MapPoints(names[feature], theta, np.exp(found.mean).tolist(), errors)
 
 
 def read_contents(folder: Path) -> Contents:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,10 @@ from koop_commission.report.contents import Contents, bands_of
 from koop_commission.report.runs import RecordedRun, read_run
 from koop_core.errors import InputError
 from koop_tune.search.prediction import Prediction
+from koop_tune.search.rounds import Round
 from koop_view.report.document import Cell, Column, Figure, Panel, Section, Series, Table
 
 TITLE = "Closed loop, predicted and measured"
-PREDICTED = (Column("figure", "predicted"), Column("value", "median (5 to 95 %)"))
 COMPARED = (
     Column("what", ""),
     Column("start", "from theta"),
@@ -41,7 +42,13 @@ def make_loop(c: Contents) -> Section:
             "Predicted, from both ends of the range: median and 5 to 95 % of the runs. Not "
             f"measured yet: ./koop verify {c.rig_file} {c.folder}"
         )
-        return Section("loop", TITLE, intro, [_tabulate_prediction(c)], figures)
+        return Section(
+            "loop",
+            TITLE,
+            intro,
+            [_compare([Round(1, Prediction.from_json(c.tuned["predicted"]))])],
+            figures,
+        )
     for item in c.verification.rounds:
         tuned = c.tuned_for(item)
         for i, run in enumerate(item.runs):
@@ -59,7 +66,7 @@ def make_loop(c: Contents) -> Section:
         "Predicted (median and 5 to 95 % of the runs from the nearer end of the range) and "
         "measured on the rig, each run from its own start."
     )
-    return Section("loop", TITLE, intro, [_compare(c)], figures)
+    return Section("loop", TITLE, intro, [_compare(c.verification.rounds)], figures)
 
 
 def _draw(
@@ -94,21 +101,10 @@ def _draw(
     return Figure(name, caption, panels, columns=2)
 
 
-def _tabulate_prediction(c: Contents) -> Table:
-    p = Prediction.from_json(c.tuned["predicted"])
-    rows: list[tuple[Cell, ...]] = [
-        ("time to converge [s]", p.converges.as_text()),
-        ("mean distance of theta from the best, of its range", p.distance.as_text()),
-        ("amplitude over the best one", p.excess.as_text()),
-        ("amplitude at the start over the amplitude then", p.reduction.as_text()),
-    ]
-    return Table("predicted", f"{p.runs} runs of {p.duration:.4g} s", PREDICTED, rows)
-
-
-def _compare(c: Contents) -> Table:
+def _compare(rounds: Sequence[Round]) -> Table:
     names = [column.key for column in COMPARED[2:]]
     rows: list[tuple[Cell, ...]] = []
-    for item in c.verification.rounds:
+    for item in rounds:
         p = item.prediction
         bands = {"time_to_converge": p.converges, "distance": p.distance, "excess": p.excess,
                  "reduction": p.reduction}  # fmt: skip
@@ -117,5 +113,5 @@ def _compare(c: Contents) -> Table:
         for run in item.runs:
             values = [getattr(run.measured, name) for name in names]
             rows.append(("measured", run.start, *("never" if v is None else v for v in values)))
-    summaries = [f"round {r.number}: {r.summary}" for r in c.verification.rounds if r.summary]
+    summaries = [f"round {r.number}: {r.summary}" for r in rounds if r.summary]
     return Table("compared", "; ".join(summaries) or "Predicted and measured", COMPARED, rows)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from koop_core.config.fields import check_fields
+from koop_core.config.fields import Source, check_fields
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_node.client.client import Client
@@ -95,15 +95,8 @@ def describe_second_rig(client: Client, rig: RigFile) -> str:
     )
 
 
-def refuse_missing_topics(
-    client: Client,
-    rig: RigFile,
-    patience: float = DISCOVERY,
-    check: Callable[[], object] = lambda: None,
-) -> None:
-    """Refuse a rig file that names what the live graph lacks, after a time [s] of discovery.
-
-    ``check`` is called meanwhile; it may raise LiveError.
+def refuse_missing_topics(client: Client, rig: RigFile) -> None:
+    """Refuse a rig file that names what the live graph lacks.
 
     Raises
     ------
@@ -115,33 +108,31 @@ def refuse_missing_topics(
     """
     from koop_node.node.managed import message_type
 
-    sides = {
-        "measured": (rig.state, rig.measured_type, "publisher"),
-        "command": (rig.knob, rig.command_type, "subscriber"),
-    }
-    for key, (source, kind, _) in sides.items():
+    for key, source, kind in _sides(rig):
         try:
             check_fields(source.fields, message_type(kind)())
-        except ValueError as error:
+        except ConfigError as error:
             raise ConfigError(f"{key}: {error}") from None
 
-    def complete() -> bool:
-        check()
-        publishers, subscribers = (
-            find_nodes(client, source.topic)[end]
-            for end, source in enumerate((rig.state, rig.knob))
+    def is_complete() -> bool:
+        return bool(
+            find_nodes(client, rig.state.topic)[0] and find_nodes(client, rig.knob.topic)[1]
         )
-        return bool(publishers and subscribers)
 
-    topics = find_topics(client, complete, patience)
-    for key, (source, kind, role) in sides.items():
-        offered = [t for t in topics if (t.publishers if role == "publisher" else t.subscribers)]
-        if source.topic not in [topic.name for topic in offered]:
+    topics = find_topics(client, is_complete)
+    for key, source, kind in _sides(rig):
+        role = "publisher" if key == "measured" else "subscriber"
+        offered = [t for t in topics if (t.publishers if key == "measured" else t.subscribers)]
+        found = next((topic for topic in offered if topic.name == source.topic), None)
+        if found is None:
             others = ", ".join(f"{t.name} ({t.type})" for t in offered[:8]) or "none"
             raise LiveError(
                 f"{key}: {source.topic} has no {role}: is the rig running, in this ROS domain? "
                 f"Topics with a {role}: {others}"
             )
-        kinds = dict(client.node.get_topic_names_and_types()).get(source.topic, [kind])
-        if kind not in kinds:
-            raise LiveError(f"{key}: {source.topic} is {kinds[0]}, the rig file says {kind}")
+        if found.type != kind:
+            raise LiveError(f"{key}: {source.topic} is {found.type}, the rig file says {kind}")
+
+
+def _sides(rig: RigFile) -> tuple[tuple[str, Source, str], tuple[str, Source, str]]:
+    return ("measured", rig.state, rig.measured_type), ("command", rig.knob, rig.command_type)

@@ -50,7 +50,6 @@ class Listener:
         self._paths = paths
         self._arrival, self._stamp, self._x = array("d"), array("d"), array("d")
         self._step = array("q")
-        self._newest = math.nan
         self.last: Any = None
         self._client = client
         self._subscription = client.node.create_subscription(
@@ -62,10 +61,11 @@ class Listener:
         """Number of messages received."""
         return len(self._arrival)
 
-    @property
-    def age(self) -> float:
-        """Time since the newest message [s]; NaN before the first."""
-        return time.monotonic() - self._newest
+    def wait(self, seconds: float, most: float = math.inf) -> None:
+        """Receive messages for a time [s], or until some were received."""
+        deadline = time.monotonic() + seconds
+        while self.count < most and time.monotonic() < deadline:
+            self._client.spin(0.05)
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -83,34 +83,22 @@ class Listener:
         )
 
     def _on_message(self, message: Any) -> None:
-        self._newest = time.monotonic()
         self.last = message
         stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
         seconds = stamp.sec + 1e-9 * stamp.nanosec if hasattr(stamp, "nanosec") else 0.0
         step = getattr(message, "step", -1)
-        self._arrival.append(self._newest)
+        self._arrival.append(time.monotonic())
         self._stamp.append(seconds)
         self._step.append(step if isinstance(step, int) else -1)
         self._x.extend(read_field(path, message) for path in self._paths)
 
 
 def listen(
-    client: Client, topic: str, kind: str, paths: tuple[Path, ...], seconds: float
-) -> Samples | None:
-    """Listen to a topic for a time [s]; return the samples, None without a message."""
+    client: Client, topic: str, kind: str, paths: tuple[Path, ...], seconds: float,
+    most: float = math.inf,
+) -> Listener:  # fmt: skip
+    """Listen to a topic for a time [s], or until some messages were received."""
     listener = Listener(client, topic, kind, paths)
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        client.spin(0.05)
+    listener.wait(seconds, most)
     listener.close()
-    return listener.samples() if listener.count else None
-
-
-def receive_one(client: Client, topic: str, kind: str, seconds: float) -> Any:
-    """Return a message of a topic; None if none arrives within a time [s]."""
-    listener = Listener(client, topic, kind, ())
-    deadline = time.monotonic() + seconds
-    while listener.last is None and time.monotonic() < deadline:
-        client.spin(0.05)
-    listener.close()
-    return listener.last
+    return listener

@@ -13,7 +13,7 @@ from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
 from koop_bringup.plan import plan
 from koop_commission.rig.listener import Listener
-from koop_commission.stages.session import Session, Watch, open_session
+from koop_commission.stages.session import Session, open_session
 from koop_core.config.fields import parse_field
 from koop_tune.excitation import progress
 from koop_tune.folder import CONTROLLER, TUNED
@@ -37,19 +37,19 @@ class ClosedLoop:
         The rig.
     aim : Aim
         Prediction of the tuning.
-    watch : Watch
-        How the rig is looked after.
     folder : Path
         Folder of the excitation.
     number : int
         The round; the first is 1.
+    note : Path or None
+        File that notes where theta was left.
     """
 
     rig: RigFile
     aim: Aim
-    watch: Watch
     folder: Path
     number: int
+    note: Path | None
 
     @property
     def settling(self) -> float:
@@ -64,9 +64,7 @@ class ClosedLoop:
             count += 1
         remaps = [f"{ESC}:theta:={THETA_ASKED}"]
         nodes = LiveNodes(run, self._plan_nodes(run, start), rig=True, remaps=remaps)
-        with open_session(
-            "koop_verify", self.rig, self.watch, nodes, follows=THETA_ASKED
-        ) as session:
+        with open_session("koop_verify", self.rig, nodes, self.note, THETA_ASKED) as session:
             return self._drive(session, start, str((run / "bag").relative_to(self.folder)))
 
     def _plan_nodes(self, run: Path, start: float) -> dict[str, dict[str, Any]]:

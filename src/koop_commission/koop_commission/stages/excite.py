@@ -10,13 +10,7 @@ from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveNodes
-from koop_commission.stages.session import (
-    Session,
-    Watch,
-    open_session,
-    refuse_incomplete_state,
-    refuse_small_disk,
-)
+from koop_commission.stages.session import Session, open_session, refuse_small_disk
 from koop_commission.theta.commander_client import note_of
 from koop_commission.theta.limits import compute_return_time
 from koop_core.config.parameter import ConfigError
@@ -54,7 +48,7 @@ def main(args: argparse.Namespace) -> int:
     folder = args.out or default_folder(Path(args.rig).stem)
     resume = f"to resume: ./koop excite {args.rig} --out {folder}"
     try:
-        progress = excite(rig, folder, Watch(note_of(args.rig)))
+        progress = excite(rig, folder, note_of(args.rig))
     except LiveError as error:
         raise LiveError(f"{error}; {resume}") from None
     except KeyboardInterrupt:
@@ -79,7 +73,9 @@ def describe_result(rig: RigFile, progress: ExcitationProgress) -> str:
     )
 
 
-def excite(rig: RigFile, folder: Path, watch: Watch, seed: int = 0) -> ExcitationProgress:
+def excite(
+    rig: RigFile, folder: Path, note: Path | None = None, seed: int = 0
+) -> ExcitationProgress:
     """Move theta over its range and record, until the static map is known or the time is over.
 
     Parameters
@@ -88,8 +84,8 @@ def excite(rig: RigFile, folder: Path, watch: Watch, seed: int = 0) -> Excitatio
         The rig, which runs.
     folder : Path
         Folder of the recordings; an excitation that was begun there is resumed.
-    watch : Watch
-        How the rig is looked after.
+    note : Path, optional
+        File that notes where theta was left.
     seed : int
         Seed of the random order.
 
@@ -101,7 +97,6 @@ def excite(rig: RigFile, folder: Path, watch: Watch, seed: int = 0) -> Excitatio
     koop_core.config.parameter.ConfigError
         If the folder holds the recordings of another rig, or a finished excitation.
     """
-    refuse_incomplete_state(rig)
     state = progress_file.load(rig, folder) or progress_file.begin(seed, rig)
     if state.done:
         raise ConfigError(f"{folder}: the static map is known already: choose another --out")
@@ -110,15 +105,12 @@ def excite(rig: RigFile, folder: Path, watch: Watch, seed: int = 0) -> Excitatio
     while (folder / (part := f"part-{number}")).exists():  # of one killed before it was noted
         number += 1
 
-    def note_part() -> None:
-        state.parts.append(part)
-        progress_file.save(state, rig, folder)
-
     lifter = {"cost": "raw", "dt": rig.dt, "listeners": "recorder", **rig.lifter_input}
     recorder = {"output": str(folder / part)}
     parameters: dict[str, dict[str, Any]] = {"recorder": recorder, "koopman_lifter": lifter}
     nodes = LiveNodes(folder / part, parameters, rig=True)
-    with open_session("koop_excite", rig, watch, nodes, note_part) as session:
+    with open_session("koop_excite", rig, nodes, note) as session:
+        state.parts.append(part)
         Excitation(rig, folder, state, session).run()
     return state
 
@@ -144,7 +136,11 @@ class Excitation:
         self._rig, self._folder, self._state, self._session = rig, folder, state, session
         self._listener = session.listener
         self._survey = Survey(rig, state)
-        self._first, self._before, self._began = self._listener.count, state.elapsed, _now()
+        self._first, self._before, self._began = (
+            self._listener.count,
+            state.elapsed,
+            time.monotonic(),
+        )
         session.show = self._show
 
     @property
@@ -152,11 +148,12 @@ class Excitation:
         """Time of all parts [s], of the rig's own time."""
         if getattr(self._listener.last, "lockstep", False):
             return self._before + (self._listener.count - self._first) * self._rig.dt
-        return self._before + (_now() - self._began) * self._rig.pace
+        return self._before + (time.monotonic() - self._began) * self._rig.pace
 
     def run(self) -> None:
         """Move theta until the map is known or the time is over."""
         state = self._state
+        self._save()
         if state.bands is None:
             self._listen()
         assert state.bands is not None
@@ -221,7 +218,3 @@ class Excitation:
     def _show(self) -> None:
         visits = f"{len(self._state.visits)} visits, {self._survey.visits_left} or more to go"
         self._session.draw("exciting", self._elapsed, self._rig.time, visits)
-
-
-def _now() -> float:
-    return time.monotonic()

@@ -16,7 +16,7 @@ from koop_commission.fitness.arrivals import measure_rhythm
 from koop_commission.fitness.samples import Samples
 from koop_commission.fitness.settings import DEFAULTS
 from koop_commission.rig.graph import DISCOVERY, Topic, find_topics
-from koop_commission.rig.listener import listen, receive_one
+from koop_commission.rig.listener import listen
 from koop_core.config.fields import Path as Field
 from koop_core.config.fields import (
     check_fields,
@@ -106,96 +106,94 @@ class Interview:
 
     def run(self) -> RigFile:
         """Ask for every value of the rig file."""
-        values = self.values
-        self._ask_measured()
-        source = parse_source(values["measured"])
-        samples = listen(self.client, source.topic, values["measured_type"], source.fields, LISTEN)
-        self._ask_number("dt", "time between two messages [s]", _propose_dt(samples))
-        self._ask_command(source.topic)
-        self._ask_number("theta_min", "least theta that may be commanded")
-        self._ask_number("theta_max", "largest theta that may be commanded")
-        self._ask_number("theta_rate", "largest change of theta per second")
-        self._ask_number("theta_start", "theta of the rig before any command")
-        self._ask_number(
-            "theta_safe", "safe theta, to which every command returns", f"{values['theta_start']:g}"
-        )
-        self._ask_limits(list(map(format_field, source.fields)), samples)
-        values["objective"] = ask("minimise or maximise the oscillation", "minimise", _parse_goal)
-        self._ask_number("time", "longest time for moving theta over its range [s]", "1800")
-        return RigFile(**values)
+        samples = self._ask_measured()
+        self._ask_number("dt", _propose_dt(samples))
+        self._ask_command()
+        for name in ("theta_min", "theta_max", "theta_rate", "theta_start"):
+            self._ask_number(name)
+        self._ask_number("theta_safe", f"{self.values['theta_start']:g}")
+        self._ask_limits(samples)
+        objective = SPECS["objective"]
+        question = f"{objective.description} ({objective.constraint})"
+        self.values["objective"] = ask(question, "minimise", _parse_objective)
+        self._ask_number("time", "1800")
+        return RigFile(**self.values)
 
-    def _ask_measured(self) -> None:
+    def _ask_measured(self) -> Samples | None:
+        """Ask for the measured channels; return their samples, if any were received."""
         published = [t for t in self.topics if t.publishers and t.name not in CONTROLLER_TOPICS]
-        head = (
-            "published topics" if published else
-            "no topic is published in this ROS domain: is the rig running?"
-        )  # fmt: skip
+        head = "published topics" if published else "no topic is published: is the rig running?"
         topic, kind = _ask_topic("topic of the measured channels", published, head)
+        numbers: tuple[Field, ...] = ()
         message = None
         if topic in [t.name for t in published]:
-            message = receive_one(self.client, topic, kind, PATIENCE)
-        numbers = tuple(numbers_of(message)) if message is not None else ()
+            message = listen(self.client, topic, kind, (), PATIENCE, most=1).last
         if message is None:
             print(f"no message on {topic} in {PATIENCE:g} s: the fields cannot be shown")
-        elif not numbers:
+        elif not (numbers := tuple(numbers_of(message))):
             raise ConfigError(f"{topic}: {kind} holds no numbers; nothing was written")
+        x = listen(self.client, topic, kind, numbers, LISTEN).samples().x
+        changing = tuple(path for k, path in enumerate(numbers) if np.ptp(x[:, k]) > 0.0)
+        offered, rest = changing or numbers, len(numbers) - len(changing)
+        shown = f"numbers in a message{' that change' * bool(changing)}: {_join(offered)}"
+        shown += f"; {rest} others do not change" * bool(changing and rest)
 
         def parse(text: str) -> str:
             source = parse_source(f"{topic}:{text}")
             if message is not None:
-                _refuse_missing(source.fields, message)
+                check_fields(source.fields, message)
+                for path in source.fields:
+                    if path[-1][1] is not None and math.isnan(read_field(path, message)):
+                        raise ConfigError(f"'{format_field(path)}' is beyond the end of a message")
             return f"{topic}:{_join(source.fields)}"
 
-        samples = listen(self.client, topic, kind, numbers, LISTEN) if numbers else None
-        changing = _find_changing(numbers, samples)
-        offered, rest = changing or numbers, len(numbers) - len(changing)
-        shown = f"numbers in a message{' that change' * bool(changing)}: {_join(offered)}"
-        shown += f"; {rest} others do not change" * bool(changing and rest)
-        self.values["measured"] = ask(
-            "fields of the measured channels, separated by commas",
-            _join(offered[:MOST_CHANNELS]), parse, shown * bool(numbers),
-        )  # fmt: skip
-        self.values["measured_type"] = kind
+        question = "fields of the measured channels, separated by commas"
+        proposal = _join(offered[:MOST_CHANNELS])
+        measured = ask(question, proposal, parse, shown * bool(numbers))
+        self.values |= {"measured": measured, "measured_type": kind}
+        if not numbers:
+            return None
+        listener = listen(self.client, topic, kind, parse_source(measured).fields, LISTEN)
+        return listener.samples() if listener.count else None
 
-    def _ask_command(self, measured: str) -> None:
+    def _ask_command(self) -> None:
         from koop_node.node.managed import message_type
 
+        measured = parse_source(self.values["measured"]).topic
         subscribed = [t for t in self.topics if t.subscribers and t.name != measured]
         subscribed.sort(key=lambda t: (bool(t.publishers), t.name))  # without a publisher first
         head = "topics with a subscriber" if subscribed else "no topic has a subscriber"
-        topic, kind = _ask_topic("topic that takes theta", subscribed, head, commanded=True)
+        topic, kind = _ask_topic("topic that takes theta", subscribed, head)
         message = message_type(kind)()
         names = [format_field(path) for path in numbers_of(message)]
-        proposal = "theta" if "theta" in names else names[0] if names else "data[0]"
 
         def parse(text: str) -> str:
-            path = parse_field(text)
-            check_fields((path,), message)
-            return f"{topic}:{format_field(path)}"
+            check_fields((parse_field(text),), message)
+            return f"{topic}:{text}"
 
-        self.values["command"] = ask("field that takes theta", proposal, parse)
-        self.values["command_type"] = kind
+        proposal = "theta" if "theta" in names else [*names, "data[0]"][0]
+        command = ask("field that takes theta", proposal, parse)
+        self.values |= {"command": command, "command_type": kind}
 
-    def _ask_limits(self, names: Sequence[str], samples: Samples | None) -> None:
-        low = high = "none"
-        seen = "seen: no message"
+    def _ask_limits(self, samples: Samples | None) -> None:
+        channels = parse_source(self.values["measured"]).fields
+        proposals, seen = ["none", "none"], "seen: no message"
         if samples is not None:
             least, most = np.nanmin(samples.x, axis=0), np.nanmax(samples.x, axis=0)
-            ranges = zip(names, least, most, strict=True)
+            ranges = zip(map(format_field, channels), least, most, strict=True)
             seen = "seen: " + ", ".join(f"{n} {a:.4g} to {b:.4g}" for n, a, b in ranges)
             room = MARGIN * np.maximum(most - least, 1e-9)
-            low, high = (" ".join(f"{v:.3g}" for v in x) for x in (least - room, most + room))
-        channels = ", ".join(names)
-        for key, word, proposal in (
-            ("channel_min", "least", low),
-            ("channel_max", "largest", high),
+            proposals = [" ".join(f"{v:.3g}" for v in x) for x in (least - room, most + room)]
+        for name, word, proposal in zip(
+            ("channel_min", "channel_max"), ("least", "largest"), proposals, strict=True
         ):
-            question = f"{word} value of {channels} at which theta returns; none for no limit"
-            parse = partial(_parse_numbers, count=len(names))
-            self.values[key] = ask(question, proposal, parse, seen)
-            seen = ""
+            question = f"{word} value of {_join(channels)}, beyond it theta returns; none: no limit"
+            parse = partial(_parse_numbers, count=len(channels))
+            self.values[name] = ask(question, proposal, parse, seen * (name == "channel_min"))
 
-    def _ask_number(self, name: str, question: str, proposal: str = "") -> None:
+    def _ask_number(self, name: str, proposal: str = "") -> None:
+        unit = f" [{SPECS[name].unit}]" * bool(SPECS[name].unit)
+        question = f"{SPECS[name].description}{unit}"
         self.values[name] = ask(question, proposal, partial(parse_number, name, self.values))
 
 
@@ -222,16 +220,8 @@ def parse_number(name: str, values: dict[str, Any], text: str) -> float:
     return value
 
 
-def _ask_topic(
-    question: str, topics: Sequence[Topic], head: str, commanded: bool = False
-) -> tuple[str, str]:
-    """Ask for a topic by its number or name, and for the type of one that is not there."""
-
-    def describe(number: int, topic: Topic) -> str:
-        others = f"  (commanded by {', '.join(topic.publishers)})"
-        return (
-            f"  {number} {topic.name}  {topic.type}{others * bool(commanded and topic.publishers)}"
-        )
+def _ask_topic(question: str, topics: Sequence[Topic], head: str) -> tuple[str, str]:
+    """Ask for a topic by its number or name, and for the type of one that does not exist."""
 
     def parse(text: str) -> str:
         if not text.isdecimal():
@@ -240,22 +230,13 @@ def _ask_topic(
             raise ConfigError(f"{text}: must be 1 to {len(topics)}, or the name of a topic")
         return topics[int(text) - 1].name
 
-    rows = [describe(number, topic) for number, topic in enumerate(topics, 1)]
+    rows = [
+        f"  {number} {t.name}  {t.type}  (published by {', '.join(t.publishers) or 'none'})"
+        for number, t in enumerate(topics, 1)
+    ]
     name = ask(question, "1" if topics else "", parse, "\n".join(["", head, *rows]))
     kind = next((topic.type for topic in topics if topic.name == name), None)
-    if kind is None:
-        kind = ask(f"message type of {name}, which does not exist now", "", check_type)
-    return name, kind
-
-
-def _find_changing(numbers: tuple[Field, ...], samples: Samples | None) -> tuple[Field, ...]:
-    """Return the fields whose value changes; covariances and the like do not."""
-    if samples is None:
-        return ()
-    columns = [x[np.isfinite(x)] for x in samples.x.T]
-    return tuple(
-        path for path, x in zip(numbers, columns, strict=True) if x.size and np.ptp(x) > 0.0
-    )
+    return name, kind or ask(f"message type of {name}, which does not exist now", "", check_type)
 
 
 def _propose_dt(samples: Samples | None) -> str:
@@ -278,19 +259,10 @@ def _parse_numbers(text: str, count: int) -> tuple[float, ...]:
     return values
 
 
-def _parse_goal(text: str) -> str:
+def _parse_objective(text: str) -> str:
     if text not in SPECS["objective"].choices:
         raise ConfigError(f"{text!r}: must be {SPECS['objective'].constraint}")
     return text
-
-
-def _refuse_missing(paths: Sequence[Field], message: Any) -> None:
-    """Refuse fields that a message which was received does not have."""
-    check_fields(tuple(paths), message)
-    for path in paths:
-        value = read_field(path, message)
-        if not isinstance(value, float) or (path[-1][1] is not None and math.isnan(value)):
-            raise ConfigError(f"'{format_field(path)}' is beyond the end of the message received")
 
 
 def _join(paths: Sequence[Field]) -> str:

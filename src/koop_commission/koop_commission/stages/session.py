@@ -1,4 +1,4 @@
-"""A live rig whose theta a commander moves while nodes beside it listen and record."""
+"""A live rig whose theta a commander moves, and the nodes beside it that listen and record."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from tqdm import tqdm
@@ -16,7 +15,6 @@ from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
 from koop_commission.fitness.samples import refuse_dead
 from koop_commission.rig.graph import (
-    DISCOVERY,
     describe_second_rig,
     find_other_publishers,
     identify_publishers,
@@ -36,38 +34,24 @@ BYTES = 250.0  # of a bag for one state, with its cost and theta
 BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
 
-@dataclass(frozen=True)
-class Watch:
-    """How a session looks after its rig.
-
-    Attributes
-    ----------
-    note : Path or None
-        File that notes where theta was left.
-    check : callable
-        Called once a second; it may raise LiveError.
-    patience : float
-        Time in which the rig must be discovered [s].
-    """
-
-    note: Path | None = None
-    check: Callable[[], object] = lambda: None
-    patience: float = DISCOVERY
-
-
 class Session:
-    """The samples of a rig, and its theta; made by :func:`open_session`.
+    """The samples of a rig, and its theta.
 
-    Attributes
+    Parameters
     ----------
+    rig : RigFile
+        The rig.
     client : Client
         Observer in the ROS domain.
-    nodes : LiveNodes
-        Nodes that run beside.
     listener : Listener
         Receives the states.
+    nodes : LiveNodes, optional
+        Nodes that run beside.
+
+    Attributes
+    ----------
     commander : CommanderClient
-        Moves theta.
+        Moves theta, within :meth:`command_theta`.
     still : int
         Samples after which a channel that does not change is dead; 0: never.
     show : callable
@@ -75,22 +59,53 @@ class Session:
     """
 
     def __init__(
-        self, rig: RigFile, watch: Watch, client: Client, nodes: LiveNodes, listener: Listener
+        self, rig: RigFile, client: Client, listener: Listener, nodes: LiveNodes | None = None
     ) -> None:
-        self.client, self.nodes, self.listener = client, nodes, listener
+        self.client, self.listener = client, listener
         self.commander: CommanderClient
         self.still = 0
         self.show: Callable[[], object] = lambda: None
-        self.bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
-        self._rig, self._watch = rig, watch
+        self._rig, self._nodes = rig, nodes
+        self._bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
         self._checked = self._looked = 0.0
+
+    @contextmanager
+    def command_theta(
+        self, note: Path | None, log: Path, source: str = "", kind: str = "", follows: str = ""
+    ) -> Iterator[CommanderClient]:
+        """Command theta; at the end it returns to theta_safe.
+
+        Parameters
+        ----------
+        note : Path or None
+            File that notes where theta was left.
+        log : Path
+            File for what the commander prints.
+        source, kind, follows : str
+            As in :class:`koop_commission.theta.assignment.Assignment`.
+        """
+        rig = self._rig
+        if others := find_other_publishers(self.client, rig.knob.topic, commanding=False):
+            raise LiveError(f"{rig.knob.topic} is commanded by {', '.join(others)}: stop that")
+        publishers = identify_publishers(self.client, rig.state.topic)
+        theta, remark = find_theta(note, rig, publishers)
+        if remark:
+            print(remark, flush=True)
+        path = str(note.resolve()) if note is not None else ""
+        recorders = int(self._nodes is not None)
+        assignment = Assignment(rig, theta, source, kind, recorders, path, follows)
+        try:
+            with CommanderClient(assignment, log) as self.commander:
+                yield self.commander
+        finally:
+            self._bar.close()
 
     def check_nodes(self) -> None:
         """Raise LiveError if the recorder or another node has ended."""
-        for process in self.nodes.ended():
+        for process in self._nodes.ended() if self._nodes is not None else ():
             *_, last = ["", *process.last_lines(1).splitlines()]
             words = re.sub(r"^(\[[^]]*\] )*(\[[^]]*\]: )?", "", last)
-            if not words and not shutil.disk_usage(self.nodes.folder).free:
+            if not words and not shutil.disk_usage(process.log.parent).free:
                 words = "no space is left on the disk, not even for its log: make room"
             raise LiveError(f"{process.node} has ended: {words or 'see'} ({process.log})")
 
@@ -113,13 +128,6 @@ class Session:
         self.show = lambda: self.draw(phase, (self.listener.count - first) * dt, count * dt)
         self.wait_until(lambda: self.listener.count >= first + count)
 
-    def draw(self, phase: str, elapsed: float, total: float, more: str = "") -> None:
-        """Draw the progress of a phase, in seconds."""
-        self.bar.set_description_str(phase, refresh=False)
-        self.bar.total, self.bar.n = total, min(elapsed, total)
-        words = f"theta {self.commander.theta:+.4g}" + f", {more}" * bool(more)
-        self.bar.set_postfix_str(words, refresh=True)
-
     def go(self, theta: float) -> None:
         """Move theta, and wait for the first state that is answered after its arrival."""
         self.commander.go(theta)
@@ -139,13 +147,19 @@ class Session:
         self._looked = now
         self.check_nodes()
         self.refuse_dead()
-        self._watch.check()
         if text := describe_second_rig(self.client, self._rig):
             raise LiveError(text)
         topic = self._rig.knob.topic
         if others := find_other_publishers(self.client, topic, commanding=True):
             raise LiveError(f"{topic} is also commanded by {', '.join(others)}")
         self.show()
+
+    def draw(self, phase: str, elapsed: float, total: float, more: str = "") -> None:
+        """Draw the progress of a phase, in seconds."""
+        self._bar.set_description_str(phase, refresh=False)
+        self._bar.total, self._bar.n = total, min(elapsed, total)
+        words = f"theta {self.commander.theta:+.4g}" + f", {more}" * bool(more)
+        self._bar.set_postfix_str(words, refresh=True)
 
     def refuse_dead(self) -> None:
         """Raise LiveError if a channel has not changed for ``still`` samples."""
@@ -156,12 +170,7 @@ class Session:
 
 @contextmanager
 def open_session(
-    name: str,
-    rig: RigFile,
-    watch: Watch,
-    nodes: LiveNodes,
-    began: Callable[[], object] = lambda: None,
-    follows: str = "",
+    name: str, rig: RigFile, nodes: LiveNodes, note: Path | None = None, follows: str = ""
 ) -> Iterator[Session]:
     """Start the nodes beside a rig and command its theta; at the end theta returns first.
 
@@ -171,12 +180,10 @@ def open_session(
         Of this node in the ROS domain.
     rig : RigFile
         The rig, which runs.
-    watch : Watch
-        How the rig is looked after.
     nodes : LiveNodes
         Lifter and recorder, and others that run beside.
-    began : callable
-        Called once they are started.
+    note : Path, optional
+        File that notes where theta was left.
     follows : str
         Topic of a controller that may be followed.
 
@@ -187,43 +194,32 @@ def open_session(
     koop_core.config.parameter.ConfigError
         If the rig file names what does not exist.
     """
+    refuse_incomplete_state(rig)
     # the commander ends after the recorder: each recorded state has a theta
     with ExitStack() as last, ExitStack() as stack:
         client = stack.enter_context(Client(name))
-        refuse_missing_topics(client, rig, watch.patience, watch.check)
+        refuse_missing_topics(client, rig)
         if text := describe_second_rig(client, rig):
             raise LiveError(text)
         stack.enter_context(nodes)
-        began()
         channels = ",".join(f"x[{i}]" for i in range(len(rig.names)))
         source = rig.measured if rig.speaks_state else f"{STATE}:{channels}"
         kind = rig.measured_type if rig.speaks_state else STATE_TYPE
-        parsed = parse_source(source)
-        listener = Listener(client, parsed.topic, kind, parsed.fields, reliable=True)
-        session = Session(rig, watch, client, nodes, listener)
+        state = parse_source(source)
+        listener = Listener(client, state.topic, kind, state.fields, reliable=True)
+        session = Session(rig, client, listener, nodes)
         client.wait_for(
             lambda: client.node.count_subscribers(THETA) and client.node.count_publishers(COST),
             START_TIMEOUT, f"lifter and recorder (see {nodes.folder}/logs)", session.check_nodes,
         )  # fmt: skip
-        if others := find_other_publishers(client, rig.knob.topic, commanding=False):
-            raise LiveError(f"{rig.knob.topic} is commanded by {', '.join(others)}: stop that")
-        publishers = identify_publishers(client, rig.state.topic)
-        theta, remark = find_theta(watch.note, rig, publishers)
-        if remark:
-            print(remark, flush=True)
-        note = str(watch.note.resolve()) if watch.note is not None else ""
-        assignment = Assignment(rig, theta, source, kind, 1, note, follows)
+        log = nodes.folder / "logs" / "commander.log"
+        commander = last.enter_context(session.command_theta(note, log, source, kind, follows))
+        stack.callback(commander.return_to_safe)
         try:
-            session.commander = last.enter_context(
-                CommanderClient(assignment, nodes.folder / "logs" / "commander.log")
-            )
-            stack.callback(session.commander.return_to_safe)
             yield session
         except LiveError as error:
             where = f"theta was returned to theta_safe = {rig.theta_safe:g}"
             raise LiveError(f"{error}. {where}") from error
-        finally:
-            session.bar.close()
 
 
 def refuse_incomplete_state(rig: RigFile) -> None:

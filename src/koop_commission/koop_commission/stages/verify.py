@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_commission.stages.closed_loop import BEFORE, ClosedLoop
-from koop_commission.stages.session import Watch, refuse_incomplete_state, refuse_small_disk
+from koop_commission.stages.session import refuse_small_disk
 from koop_commission.theta.commander_client import note_of
 from koop_core.errors import LiveError
 from koop_core.text_table import table
@@ -52,7 +52,7 @@ def main(args: argparse.Namespace) -> int:
     rig = rig_file.read(args.rig)
     resume = f"to resume: ./koop verify {args.rig} {args.folder}"
     try:
-        verification = verify(rig, args.folder, Watch(note_of(args.rig)))
+        verification = verify(rig, args.folder, note_of(args.rig))
     except LiveError as error:
         raise LiveError(f"{error}; {resume}") from None
     except KeyboardInterrupt:
@@ -63,7 +63,7 @@ def main(args: argparse.Namespace) -> int:
     return 0 if verification.rounds[-1].damped_as_predicted else 1
 
 
-def verify(rig: RigFile, folder: Path, watch: Watch) -> Verification:
+def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification:
     """Close the loop from each start, and return the content of verify.json.
 
     Parameters
@@ -72,8 +72,8 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> Verification:
         The rig, which runs.
     folder : Path
         Folder of the excitation, which holds ``tuned``; a round that was begun there is resumed.
-    watch : Watch
-        How the rig is looked after.
+    note : Path, optional
+        File that notes where theta was left.
 
     Raises
     ------
@@ -82,7 +82,6 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> Verification:
     koop_core.config.parameter.ConfigError
         If the folder holds no controller for this rig.
     """
-    refuse_incomplete_state(rig)
     aim = read_aim(folder / TUNED / FIGURES, rig)
     rounds = list(load_verification(folder).rounds)
     if not rounds or rounds[-1].finished or rounds[-1].prediction != aim.predicted:
@@ -90,7 +89,7 @@ def verify(rig: RigFile, folder: Path, watch: Watch) -> Verification:
     current = rounds.pop()
     done = [run.start for run in current.runs]
     left = [theta for theta in (rig.theta_min, rig.theta_max) if theta not in done]
-    loop = ClosedLoop(rig, aim, watch, folder, current.number)
+    loop = ClosedLoop(rig, aim, folder, current.number, note)
     besides = loop.settling + 2 * BEFORE * aim.window + 1.5 * rig.span / rig.theta_rate
     refuse_small_disk(rig, folder, len(left) * (besides + aim.longest))
     least, most = (
