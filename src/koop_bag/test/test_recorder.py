@@ -269,6 +269,7 @@ def test_steps_that_a_node_skips_while_it_is_inactive_are_not_lost(tmp_path, mes
         assert "lost messages: 2 on /state" in recorder.output()
     with BagReader(tmp_path / "run") as reader:
         (topic,) = describe(reader).topics
+        assert reader.inactive_steps("/state") == 480
     assert (topic.steps.lost, topic.steps.inactive) == (2, 480)
 
 

@@ -103,12 +103,10 @@ def describe(bag: BagReader, brief: bool = False) -> BagInfo:
         if name in counters:
             counters[name].add_many(columns["step"])
         models |= dict.fromkeys(columns.get("model_id", ()))
-    inactive = parse_map(info.custom.get("inactive", ""), "record of inactive nodes")
     for topic in bag.topics:
         counter = counters.get(topic.name)
         steps = counter.report() if counter and topic.count else None
-        if steps is not None and isinstance(skipped := inactive.get(topic.name), int):
-            skipped = min(skipped, steps.lost)
+        if steps is not None and (skipped := min(bag.inactive_steps(topic.name), steps.lost)):
             steps = replace(steps, lost=steps.lost - skipped, inactive=skipped)
         info.topics.append(_topic_info(topic, spans.get(topic.name), steps))
     first = {topic.name: topic.steps.first for topic in info.topics if topic.steps is not None}

@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 from koop_bag.bag.contents import FileContents, message_records, survey
 from koop_bag.bag.files import find_files
 from koop_bag.bag.message_compression import MessageUnpacker, check_format
-from koop_bag.bag.metadata import Description, read_description
+from koop_bag.bag.metadata import Description, parse_map, read_description
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, inner_places
 from koop_bag.mcap.stored_file import stored_path
@@ -108,6 +108,18 @@ class BagReader:
     def custom_data(self) -> dict[str, str]:
         """The bag's `custom_data`."""
         return self.description().custom_data
+
+    def inactive_steps(self, topic: str) -> int:
+        """Return the steps of a topic that passed while its publisher or the recorder was inactive.
+
+        They are gaps in the steps, and not lost.
+        """
+        try:
+            steps = parse_map(self.custom_data().get("inactive", ""), "record of inactive nodes")
+        except BagError:
+            return 0
+        count = steps.get(topic)
+        return max(0, count) if isinstance(count, int) else 0
 
     def topic(self, name: str) -> BagTopic:
         """Return a topic, or raise an error that names the topics of the bag."""

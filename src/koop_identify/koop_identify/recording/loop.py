@@ -139,13 +139,14 @@ def read_loop(bag: Path, namespace: str = "/") -> LoopRecord:
                 f"--measured /TOPIC:FIELD,FIELD. It has {others or 'no messages'}"
             )
         columns: dict[str, Columns] = {}
+        inactive = {name: reader.inactive_steps(f"{base}/{name}") for name in FIELDS}
         for name, names in FIELDS.items():
             topic = f"{base}/{name}"
             if topic in present:
                 if name == "theta" and SWING in reader.topic(topic).definition:
                     names = [*names, "swing"]
                 columns[name] = _columns(reader, topic, [*names, "log_time"])
-    return _align(columns)
+    return _align(columns, inactive)
 
 
 def _columns(bag: BagReader, topic: str, names: list[str]) -> Columns:
@@ -163,8 +164,11 @@ def _columns(bag: BagReader, topic: str, names: list[str]) -> Columns:
     return {**columns, "x": x[:, :n]}
 
 
-def _align(columns: dict[str, Columns]) -> LoopRecord:
-    """Look up what the topics hold by the steps of the states."""
+def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
+    """Look up the topics' values by the steps of the states.
+
+    Steps that passed while a node was inactive, by topic, are not lost.
+    """
     messages = {name: Messages(values) for name, values in columns.items()}
     every = messages["state"].heard
     answered = np.ones(every.size, np.bool_)
@@ -193,7 +197,10 @@ def _align(columns: dict[str, Columns]) -> LoopRecord:
         messages.get("theta", Messages(None)).at(rows, "saturated", False).astype(np.bool_),
         answered[number == longest],
         str(next((name for name in models if name), "")),
-        {name: count_losses(topic.step).lost for name, topic in messages.items()},
+        {
+            name: max(0, count_losses(topic.step).lost - inactive[name])
+            for name, topic in messages.items()
+        },
         {name: topic.step.size for name, topic in messages.items()},
         (times - times[0]) * 1e-9,
         _measured_dt(columns["state"]),
