@@ -12,7 +12,7 @@ from koop_bag.bag.reader import BagReader
 from koop_bringup.live.process import executable
 from koop_bringup.plan import plan
 from koop_lab.cli.main import main, parser
-from koop_lab.commands.up import chosen
+from koop_lab.commands.up import read_options
 from koop_loop.parameters import read
 
 TIMEOUT = 60.0  # [s] to start four processes on a busy machine
@@ -129,10 +129,10 @@ def test_the_launch_starts_the_same(rig_file, tmp_path):
     simulated = tmp_path / "simulated.yaml"
     simulated.write_text("/two/vdp_plant: {ros__parameters: {pace: lockstep, duration: 20}}\n")
     for file, namespace in ((rig_file, ""), (simulated, "two")):
-        ours, folder = chosen(
-            parser("up").parse_args(["up", str(file), "--cost", "raw", "--out", str(tmp_path)])
+        ours, folder = read_options(
+            parser("up").parse_args(["up", str(file), "--out", str(tmp_path)])
         )
-        given = {"params": str(file), "record": "true", "cost": "raw", "output": str(tmp_path)}
+        given = {"params": str(file), "record": "true", "output": str(tmp_path)}
         assert plan({**given, "namespace": namespace}) == ours
         assert folder == tmp_path
 
@@ -146,7 +146,7 @@ def test_the_launch_starts_the_same(rig_file, tmp_path):
             "unknown parameter 'dwel': did you mean 'dwell'",
         ),
         ("relay_esc: {ros__parameters: {dwell: long}}", "dwell: expected float, got 'long'"),
-        ("rig: {ros__parameters: {command: nowhere}}", "there is no program 'nowhere'"),
+        ("rig: {ros__parameters: {command: nowhere}}", "no program 'nowhere' found"),
         ("nobody: {ros__parameters: {a: 1}}", "has no parameters for /recorder, "),
         ("koopman_lifter: {ros__parameters: {model: a.npz}}", "a.npz: cannot be read"),
     ],

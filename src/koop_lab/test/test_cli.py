@@ -69,7 +69,7 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
         (["simulate", "--seeds", "2", "--plot", "x.png"], "--out and --plot are of one loop"),
         (["demo", "--duration", "0"], "--duration must cover at least two steps"),
         (["demo", "--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
-        (["demo", "--time-scale", "2"], "--time-scale needs --pace scaled"),
+        (["demo", "--pace", "slow"], "must be realtime, lockstep or a number"),
         (["inspect", __file__], "truncated, damaged or not a model file"),
         (["train", "--degree", "0"], "degree = 0: must be 1 to 8"),
         (["train", "--delays", "8"], "--delays is for training on bags"),

@@ -4,7 +4,7 @@ import pytest
 
 from koop_core.config.parameter import ConfigError
 from koop_lab.cli.main import parser
-from koop_lab.commands.demo import chosen
+from koop_lab.commands.demo import read_options
 
 
 @pytest.fixture
@@ -14,7 +14,9 @@ def choose(tmp_path):
     def choose(text, *options):
         file = tmp_path / "my.yaml"
         file.write_text(text)
-        return chosen(parser("demo").parse_args(["demo", "--params-file", str(file), *options]))
+        return read_options(
+            parser("demo").parse_args(["demo", "--params-file", str(file), *options])
+        )
 
     return choose
 
@@ -39,8 +41,10 @@ def test_an_option_wins_over_the_file(choose):
     parameters, _ = choose(MINE, "--pace", "lockstep", "--duration", "20", "--seed", "6")
     assert (parameters.pace.pace, parameters.pace.duration) == ("lockstep", 20.0)
     assert parameters.plant.seed == 6
-    with pytest.raises(ConfigError, match="--time-scale needs --pace scaled"):
-        choose(MINE, "--pace", "realtime", "--time-scale", "2")
+    parameters, _ = choose(MINE, "--pace", "2.5")
+    assert (parameters.pace.pace, parameters.pace.time_scale) == ("scaled", 2.5)
+    with pytest.raises(ConfigError, match="must be realtime, lockstep or a number"):
+        choose(MINE, "--pace", "slow")
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,6 @@ from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Progress
 from koop_bringup.live.served import add_serve_option, served
-from koop_core.config.parameter import ConfigError
 from koop_core.errors import InputError
 from koop_identify.recording.loop import LoopRecord
 from koop_identify.recording.signals import loop_signals
@@ -28,6 +27,7 @@ from koop_loop.metrics import LOGGING_START, PAPER_DURATION, Metrics
 from koop_loop.parameters import LoopParameters
 from koop_loop.static_map import performance
 from koop_loop.training import STATE_NAMES
+from vdp_plant.config import pace_values
 
 BAR = "{desc:<10} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
@@ -38,11 +38,9 @@ def register(commands: Any) -> None:
     add_loop_options(parser, duration=PAPER_DURATION)
     parser.add_argument(
         "--pace",
-        choices=("lockstep", "realtime", "scaled"),
-        help="lockstep (default): as fast as the machine allows, and deterministic",
-    )
-    parser.add_argument(
-        "--time-scale", type=float, metavar="F", help="with --pace scaled: simulated per real time"
+        metavar="PACE",
+        help="lockstep (default): as fast as the machine allows, and deterministic; realtime; or a "
+        "number: so many times real time",
     )
     parser.add_argument(
         "--processes",
@@ -59,7 +57,7 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 if the loop ran, whether or not it converged."""
-    parameters, recorder = chosen(args)
+    parameters, recorder = read_options(args)
     parameters.load_model()  # one that cannot be used is said before anything is started
     folder = args.out or default_folder("demo")
     nodes = "plant, lifter and controller in one process, and recorder"
@@ -100,22 +98,18 @@ def main(args: argparse.Namespace) -> int:
     return 0
 
 
-def chosen(args: argparse.Namespace) -> tuple[LoopParameters, RecorderConfig]:
+def read_options(args: argparse.Namespace) -> tuple[LoopParameters, RecorderConfig]:
     """Return the parameters that the options and the parameter file describe.
 
     Raises
     ------
     koop_core.config.parameter.ConfigError
-        If one cannot be used, or a time scale is given for a pace that has none.
+        If one cannot be used.
     """
-    values = loop_parameters.changed(
-        given_values(args, {**loop_parameters.NODES, **RECORDER}),
-        ("vdp_plant", "pace", args.pace),
-        ("vdp_plant", "time_scale", args.time_scale),
-    )
-    pace = values["vdp_plant"].setdefault("pace", "lockstep")
-    if args.time_scale is not None and pace != "scaled":
-        raise ConfigError("--time-scale needs --pace scaled")
+    values = given_values(args, {**loop_parameters.NODES, **RECORDER})
+    if args.pace is not None:
+        values["vdp_plant"] |= pace_values(args.pace)
+    values["vdp_plant"].setdefault("pace", "lockstep")
     recorder = loop_parameters.build({"recorder": values.pop("recorder", {})}, RECORDER)
     return finite(values), recorder["recorder"][RecorderConfig]
 

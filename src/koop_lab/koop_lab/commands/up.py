@@ -18,8 +18,7 @@ from koop_lab.recorded.report import run_figures
 from koop_tune.folder import find_controller
 
 STATUS = 10.0  # [s] between two status lines when nothing new is to be said
-# arguments of the launch that are not options here, or another kind of option
-LEFT_OUT = ("params", "record", "output", "composed")
+OPTIONS = ("namespace", "pace", "duration")  # of the arguments of the launch
 
 
 def register(commands: Any) -> None:
@@ -45,16 +44,15 @@ def register(commands: Any) -> None:
         help="all nodes but the recorder share one process: a step takes a third of the time",
     )
     for argument in ARGUMENTS:
-        if argument.name not in LEFT_OUT:
-            option = f"--{argument.name.replace('_', '-')}"
-            parser.add_argument(option, metavar="VALUE", help=argument.meaning)
+        if argument.name in OPTIONS:
+            parser.add_argument(f"--{argument.name}", metavar="VALUE", help=argument.meaning)
     add_serve_option(parser)
     parser.set_defaults(func=main)
 
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 1 if the run went on without its recorder."""
-    planned, folder = chosen(args)
+    planned, folder = read_options(args)
     for note in planned.notes:
         print(f"note: {note}")
     started = ", ".join([node.name for node in planned.nodes] + ["rig"] * bool(planned.program))
@@ -82,21 +80,27 @@ def main(args: argparse.Namespace) -> int:
     return 1 if nodes.lost else 0
 
 
-def chosen(args: argparse.Namespace) -> tuple[Plan, Path]:
+def read_options(args: argparse.Namespace) -> tuple[Plan, Path]:
     """Return what is started, and the folder of the run.
 
     Raises
     ------
-    ValueError
+    KoopError
         If the file or an option cannot be used.
     """
     file, label = find_controller(args.file)
-    given = {name: value for name, value in vars(args).items() if isinstance(value, str)}
-    known = {argument.name for argument in ARGUMENTS}
-    told = {name: value for name, value in given.items() if name in known}
-    told.setdefault("namespace", parameter_file.read(file).namespace_of(ALL_NODES))
-    told["composed"] = str(args.composed)
-    planned = plan({**told, "params": str(file), "record": "true", "output": args.out or ""})
+    namespace = args.namespace or parameter_file.read(file).namespace_of(ALL_NODES)
+    planned = plan(
+        {
+            "params": str(file),
+            "record": "true",
+            "output": args.out or "",
+            "composed": "true" if args.composed else "false",
+            "namespace": namespace,
+            "pace": args.pace or "",
+            "duration": args.duration or "",
+        }
+    )
     recorder = planned.parameters["recorder"]
     folder = Path(recorder.get("output") or default_folder(label)).expanduser()
     recorder["output"] = str(folder)
