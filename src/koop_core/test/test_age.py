@@ -84,32 +84,32 @@ def test_a_link_that_lets_only_a_few_through_at_a_time_does_not_become_normal():
 def test_the_monitor_refuses_what_is_stale_on_arrival_as_if_it_had_never_come():
     monitor = StreamMonitor("state", LIMIT, DT)
     for k in range(100):
-        assert monitor.classify(k, 0.0, k * DT, k * DT) != Arrival.TOO_OLD
-    kinds = [monitor.classify(100 + k, 0.0, 10.0, (100 + k) * DT) for k in range(1900)]
+        assert monitor.hear(k, 0.0, k * DT, k * DT) != Arrival.TOO_OLD
+    kinds = [monitor.hear(100 + k, 0.0, 10.0, (100 + k) * DT) for k in range(1900)]
     assert kinds == [Arrival.TOO_OLD] * 1800 + [Arrival.RESUME] + [Arrival.NEXT] * 99
     assert (monitor.too_old, monitor.missed, monitor.count) == (1800, 1800, 200)
 
 
 def test_a_source_that_waits_and_a_timeout_of_0_know_no_age():
     monitor = StreamMonitor("state", LIMIT, DT)
-    monitor.classify(0, 0.0, 0.0, 0.0)
-    assert monitor.classify(1, 0.0, 100.0) == Arrival.NEXT
+    monitor.hear(0, 0.0, 0.0, 0.0)
+    assert monitor.hear(1, 0.0, 100.0) == Arrival.NEXT
     monitor.timeout = 0.0
-    assert monitor.classify(2, 0.0, 200.0, 0.1) == Arrival.NEXT
+    assert monitor.hear(2, 0.0, 200.0, 0.1) == Arrival.NEXT
 
 
 def test_a_source_that_starts_again_has_another_clock():
     monitor = StreamMonitor("state", LIMIT, DT)
     for k in range(200):
-        monitor.classify(k, 0.0, k * DT, 100.0 + k * DT)
-    assert monitor.classify(0, 0.0, 2.0, 50.0) == Arrival.RESTART
-    assert monitor.classify(1, 0.0, 2.005, 50.005) == Arrival.NEXT
+        monitor.hear(k, 0.0, k * DT, 100.0 + k * DT)
+    assert monitor.hear(0, 0.0, 2.0, 50.0) == Arrival.RESTART
+    assert monitor.hear(1, 0.0, 2.005, 50.005) == Arrival.NEXT
 
 
 def test_messages_that_are_too_old_do_not_end_the_silence():
     monitor = StreamMonitor("state", LIMIT, DT)
-    monitor.classify(0, 0.0, 0.0, 0.0)
-    monitor.classify(1, 0.0, 10.0, DT)
+    monitor.hear(0, 0.0, 0.0, 0.0)
+    monitor.hear(1, 0.0, 10.0, DT)
     assert monitor.stale(10.0)
     assert monitor.values(10.0, 0.0, 1)["state too_old"] == 1
     assert any("1 too old on 'state'" in f.text for f in monitor.findings(10.0, 1))

@@ -14,7 +14,7 @@ DT = 0.005
 
 
 def feed(monitor, steps):
-    return [monitor.classify(k, k * DT, 0.1 * i) for i, k in enumerate(steps)]
+    return [monitor.hear(k, k * DT, 0.1 * i) for i, k in enumerate(steps)]
 
 
 @pytest.fixture
@@ -39,10 +39,8 @@ def test_a_gap_longer_than_the_timeout_follows_on_nothing(monitor):
 
 
 def test_only_the_steps_decide_what_follows(monitor):
-    assert monitor.classify(4, 1000.0, 0.0) == JOIN
-    assert (
-        monitor.classify(5, 0.0, 99.0) == NEXT
-    )  # neither the clock nor the stamp: a replay is alike
+    assert monitor.hear(4, 1000.0, 0.0) == JOIN
+    assert monitor.hear(5, 0.0, 99.0) == NEXT  # neither the clock nor the stamp: a replay is alike
 
 
 def test_a_timeout_of_0_is_off(monitor):
@@ -83,7 +81,7 @@ def test_two_sources_in_turn_never_follow_on_each_other(monitor):
 def test_ages_and_staleness_are_of_the_steady_clock(monitor):
     assert math.isnan(monitor.age(5.0))
     assert monitor.watchdog(5.0) == "waiting"
-    monitor.classify(0, 0.0, 10.0)
+    monitor.hear(0, 0.0, 10.0)
     assert monitor.age(10.5) == pytest.approx(0.5)
     assert not monitor.stale(10.5)
     assert monitor.stale(10.51)
@@ -91,9 +89,9 @@ def test_ages_and_staleness_are_of_the_steady_clock(monitor):
 
 
 def test_latency_is_from_stamp_to_arrival_and_unknown_for_simulated_stamps(monitor):
-    monitor.classify(0, 1_700_000_000.0, 10.0)
+    monitor.hear(0, 1_700_000_000.0, 10.0)
     assert monitor.latency(10.3, 1_700_000_000.302) == pytest.approx(0.002, abs=1e-6)
-    monitor.classify(0, 0.0, 10.0)
+    monitor.hear(0, 0.0, 10.0)
     assert math.isnan(StreamMonitor("state", 0.0, DT).latency(10.0, 1_700_000_000.0))
 
 
@@ -103,13 +101,13 @@ def test_what_was_never_heard_is_not_ok_and_the_log_says_so_only_if_it_lasts(mon
     ]
     unheard = "'/state' is published by /rig as std_msgs/msg/Float64"
     assert list(monitor.findings(1.0, 1, unheard=[unheard])) == [Finding(ERROR, unheard)]
-    monitor.classify(0, 0.0, 1.1)
+    monitor.hear(0, 0.0, 1.1)
     assert list(monitor.findings(1.2, 1)) == []
 
 
 def test_a_source_that_has_nothing_more_to_say_has_ended():
     monitor = StreamMonitor("cost", 0.5, DT, may_end=True)
-    monitor.classify(7, 0.0, 1.0)
+    monitor.hear(7, 0.0, 1.0)
     (found,) = monitor.findings(2.0, 1, can_say_more=False)
     assert found == Finding(OK, "'cost' has ended at step 7")
 
@@ -144,17 +142,17 @@ def test_the_kinds_that_are_processed_come_first():
 def test_a_source_that_left_in_order_has_ended_and_one_that_was_lost_is_stale():
     left, lost = (StreamMonitor("state", 0.5, DT, may_end=True) for _ in range(2))
     for monitor in (left, lost):
-        monitor.classify(20_000, 0.0, 10.0)
+        monitor.hear(20_000, 0.0, 10.0)
         assert list(monitor.findings(10.4, 1)) == []
     assert list(left.findings(11.0, 0)) == [Finding(OK, "'state' has ended at step 20000")]
     # killed: discovery still counts it, for 20 s
     assert [f.level for f in lost.findings(11.0, 1)] == [STALE]
     assert [f.level for f in lost.findings(40.0, 0)] == [STALE]
-    lost.classify(0, 0.0, 50.0)  # came back, and leaves in order
+    lost.hear(0, 0.0, 50.0)  # came back, and leaves in order
     assert next(lost.findings(51.0, 0)).level == OK
 
 
 def test_for_the_actuator_no_silence_is_in_order():
     monitor = StreamMonitor("theta", 0.5, DT)
-    monitor.classify(0, 0.0, 10.0)
+    monitor.hear(0, 0.0, 10.0)
     assert [f.level for f in monitor.findings(11.0, 0)] == [STALE]

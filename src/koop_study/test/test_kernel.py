@@ -149,7 +149,7 @@ def test_what_follows_on_lost_states_is_told_by_the_timeouts_as_in_the_nodes() -
     params = case.lifter.detector_params(), case.esc.params()
     for k in np.flatnonzero(~lost).tolist():
         x = np.array(dynamics.measure(case.plant.params(), k, *trace.ground_truth[k]))
-        arrivals = [int(monitor.classify(k, 0.0, 0.0)) for monitor in (states, costs)]
+        arrivals = [int(monitor.hear(k, 0.0, 0.0)) for monitor in (states, costs)]
         r, _, settling, detector = cost.answer(
             cost.RAW, cost.no_lifting(), params[0], detector, arrivals[0], k, x, work
         )

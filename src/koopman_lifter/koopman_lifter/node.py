@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from array import array
 from collections.abc import Mapping
 from typing import Any
@@ -23,7 +24,6 @@ from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
-from koop_node.node.stamps import classify
 from koop_node.node.wire import codec
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, ModelConfig
@@ -162,7 +162,7 @@ class LifterRun(Run):
             self._on_state(self._foreign.convert(message), written)
 
     def _on_state(self, state: Any, written: float) -> None:
-        arrival = classify(self._input, state, written)
+        arrival = self._input.hear_message(state, time.monotonic(), written)
         if arrival >= Arrival.LATE or self._publisher is None:
             return
         if arrival is not Arrival.REPEAT:  # else asked again: the same answer, no second update

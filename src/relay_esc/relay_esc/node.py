@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,7 +22,6 @@ from koop_node.node.graph import Listeners, listeners_of
 from koop_node.node.main import run
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import NEWEST, RELIABLE
-from koop_node.node.stamps import classify
 from koop_node.node.wire import codec
 from relay_esc import relay
 from relay_esc.config import EscConfig
@@ -115,7 +115,7 @@ class EscRun(Run):
         return (WARN, "holding theta", values) if answer.holding else (OK, "seeking", values)
 
     def _on_cost(self, cost: Any, written: float) -> None:
-        arrival = classify(self._input, cost, written)
+        arrival = self._input.hear_message(cost, time.monotonic(), written)
         if arrival >= Arrival.LATE or self._publisher is None:
             return
         if arrival is not Arrival.REPEAT:  # else asked again: the same answer, no second update

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from koop_core.stream.age import AgeMeter
 from koop_core.stream.arrival import NOTHING, WINDOW, Arrival, classify
@@ -70,7 +71,13 @@ class StreamMonitor:
         """Step of the newest message; None before the first."""
         return self._stream.step if self._stream.step >= 0 else None
 
-    def classify(self, step: int, stamp: float, now: float, written: float = math.nan) -> Arrival:
+    def hear_message(self, message: Any, now: float, written: float) -> Arrival:
+        """Say what a state or a cost is; in lockstep its age does not matter."""
+        stamp = message.header.stamp
+        seconds = stamp.sec + 1e-9 * stamp.nanosec
+        return self.hear(message.step, seconds, now, math.nan if message.lockstep else written)
+
+    def hear(self, step: int, stamp: float, now: float, written: float = math.nan) -> Arrival:
         """Say what a message is.
 
         Parameters

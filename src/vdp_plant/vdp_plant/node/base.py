@@ -187,7 +187,7 @@ class PlantRun(Run):
         if self.theta_ages and 0.0 < self._input.timeout < age:
             self._input.reject_old()
             return False
-        if self._input.classify(step, to_seconds(message.header.stamp), now) == Arrival.LATE:
+        if self._input.hear(step, to_seconds(message.header.stamp), now) == Arrival.LATE:
             return False
         self._round_trip = age
         return True
