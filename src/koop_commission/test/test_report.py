@@ -1,0 +1,283 @@
+"""The report's sentences, stages, tables and figures, of folders whose content is known."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from koop_commission.report.contents import Contents, read_contents
+from koop_commission.report.loop import make_loop
+from koop_commission.report.recordings import describe_bag
+from koop_commission.report.runs import POINTS, thin
+from koop_commission.report.sections import (
+    make_constants,
+    make_costs,
+    make_rig,
+    make_sections,
+    make_static_map,
+)
+from koop_commission.report.spectra import COARSER, FINE, find_peaks, group
+from koop_commission.report.verdict import DONE, MISSING, NO, list_stages, write_sentences
+from koop_commission.report.write import try_report, write_report
+from koop_core.config.parameter import ConfigError
+from koop_tune.excitation import progress
+from koop_tune.excitation.features import Bands
+from koop_tune.excitation.progress import ExcitationProgress
+from koop_tune.excitation.visits import Visit
+from koop_tune.rig.rig_file import RigFile
+from koop_tune.rig_model.spectra import Spectra
+from koop_tune.search.agreement import Measured
+from koop_tune.search.prediction import Prediction
+from koop_tune.search.rounds import LoopRun, Round, Verification
+
+DT = 0.01
+RIG = RigFile(
+    "/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, -1.0, 3.0, 0.5, 2.0, 0.5
+)  # fmt: skip
+THETA = [-1.0, 1.0, 3.0]
+BAND = {
+    "duration": 400.0, "runs": 64,
+    "converges": {"low": 30.0, "middle": 40.0, "high": 60.0},
+    "distance": {"low": 0.01, "middle": 0.02, "high": 0.03},
+    "excess": {"low": 1.0, "middle": 1.02, "high": 1.05},
+    "reduction": {"low": 3.5, "middle": 3.8, "high": 4.0},
+}  # fmt: skip
+CURVE = {"theta": THETA, "amplitude": [4.0, 1.0, 3.0]}
+PATH = {"start": -1.0, "time": [1.0, 2.0],
+        "theta": {"low": [-1.0, 0.8], "middle": [-0.9, 0.9], "high": [-0.8, 1.0]},
+        "amplitude": {"low": [3.0, 1.0], "middle": [3.5, 1.1], "high": [4.0, 1.2]}}  # fmt: skip
+COST = {"name": "raw", "evidence": 1234.0, "score": 1.2, "problem": "",
+        "map": {"theta_best": 0.9, "theta": THETA, "r": [8.0, 0.5, 5.0], "error": [0.1] * 3,
+                "visits": [[8.0], [0.5, 0.6], [5.0]]}}  # fmt: skip
+BLIND = {**COST, "name": "lifted", "problem": "no model", "map": None, "score": None}
+TUNED = {
+    "verdict": "tuned", "feature": "x", "theta_best": 0.9, "theta_best_band": [0.8, 1.1],
+    "windows": {"length": 200, "edges": [1, 3, 5, 9], "dt": DT, "feature": 0},
+    "static_map": {"theta": THETA, "amplitude": [4.0, 1.0, 3.0], "error": [0.1] * 3,
+                   "curve": CURVE, "visits": [[4.0, 4.1], [1.0], [3.0]]},
+    "cost": "raw", "constants": {"law": "adaptive"}, "doubt": "", "why": "as good as any",
+    "costs": [COST, BLIND], "predicted": BAND, "paths": [PATH, {**PATH, "start": 3.0}],
+    "parameters": [{"name": "dwell", "value": 0.25, "unit": "s", "reason": "search",
+                    "node": "relay_esc"}],
+}  # fmt: skip
+FLAT = {**TUNED, "verdict": "flat", "why": "the amplitude varies by 3 % with errors of 4 %"}
+MEASURED = Measured(50.0, 0.02, 4.0, 1.1, 0.01, 1.1, 3.6, 0.9, 0.2)
+
+
+def excitation(visits=(), done=True):
+    bands = Bands(200, (1, 3, 5, 9), DT)
+    return ExcitationProgress(0, THETA, bands, list(visits), [], 60.0, [], done)
+
+
+def visits():
+    return [Visit(level, (math.log(a),) * 4, (0.1,) * 4, 2.0, 8.0)
+            for level, a in enumerate((4.0, 1.0, 3.0)) for _ in range(2)]  # fmt: skip
+
+
+def contents(tuned=None, rounds=(), verdict="", **changes):
+    """Return the contents of a folder that holds no file."""
+    state = changes.pop("excitation", excitation(visits()))
+    verification = Verification(tuple(rounds), False, "x", verdict)
+    return Contents(Path("run"), replace(RIG, **changes), state, tuned or {}, verification)
+
+
+def round_of(number=1, agrees=True, excess=1.1):
+    runs = (LoopRun(-1.0, replace(MEASURED, excess=excess), "verify-1/start-1/bag", 90.0, (0, 9)),)
+    return Round(number, Prediction.from_json(BAND), runs, agrees, "as predicted, or better")
+
+
+def states(c):
+    return {stage.name: stage.state for stage in list_stages(c)}
+
+
+def test_each_stage_has_its_state_and_the_command_that_makes_it():
+    new = contents(excitation=excitation(done=False))
+    assert states(new) == {"Rig": DONE, "Excite": MISSING, "Tune": MISSING, "Verify": MISSING}
+    texts = [stage.text for stage in list_stages(new)]
+    assert texts[0] == "x measured; theta on /b"
+    assert texts[1] == (
+        "0 visits of 0 of 3 dwell points; to resume: ./koop excite RIG.YAML --out run"
+    )
+    assert states(contents(TUNED)) == {"Rig": DONE, "Excite": DONE, "Tune": DONE, "Verify": MISSING}
+    assert states(contents(FLAT))["Tune"] == NO
+    assert states(contents(TUNED, [round_of()]))["Verify"] == DONE
+    assert states(contents(TUNED, [round_of(agrees=False)]))["Verify"] == NO
+    assert states(contents(TUNED, [round_of(), round_of(2, None)]))["Verify"] == MISSING
+
+
+def test_an_excitation_whose_time_is_over_is_done_and_says_so():
+    state = replace(excitation(visits(), done=False), elapsed=2000.0)
+    stage = list(list_stages(contents(excitation=state)))[1]
+    assert (stage.state, stage.text) == (
+        DONE, "6 visits of 3 of 3 dwell points; the 1800 s were over"
+    )  # fmt: skip
+
+
+def test_three_sentences_say_what_is_known_and_what_comes_next():
+    rig, controller, following = write_sentences(contents(excitation=excitation(done=False)))
+    assert rig == "The oscillation over theta from -1 to 3 is not known yet."
+    assert controller == "Cost and constants are not chosen yet."
+    assert following.endswith("to resume: ./koop excite RIG.YAML --out run.")
+    rig, _, following = write_sentences(contents())
+    assert rig.endswith("the amplitude of x is between 1 at 1 and 4 at -1.")
+    assert following == "Next: ./koop tune RIG.YAML run."
+    rig, controller, following = write_sentences(contents({**TUNED, "doubt": "a limit"}))
+    assert rig.endswith("; it is best near 0.9 (0.8 to 1.1).")
+    assert "converge in 40 (30 to 60) s and to stay within a factor of 1.02" in controller
+    assert controller.endswith("In doubt: a limit.")
+    assert "not verified on the rig yet: ./koop verify RIG.YAML run" in following
+
+
+def test_the_largest_amplitude_is_the_best_where_it_is_maximised():
+    rig = write_sentences(contents(objective="maximise"))[0]
+    assert rig.endswith("between 4 at -1 and 1 at 1.")
+
+
+@pytest.mark.parametrize(
+    ("verdict", "hint"), [("flat", "koop check"), ("monotone", "limit"), ("drowned", "longer")]
+)
+def test_a_refusal_gives_its_reason_and_what_to_do(verdict, hint):
+    _, controller, following = write_sentences(contents({**FLAT, "verdict": verdict}))
+    assert controller == f"No controller ({verdict}): {FLAT['why']}."
+    assert hint in following
+
+
+def test_the_verdict_of_a_verification_is_split_into_its_sentences():
+    verdict = "From 2 starts x fell to 1.1. It converged after 50 s. The rig is damped."
+    assert write_sentences(contents(TUNED, [round_of()], verdict)) == [
+        "From 2 starts x fell to 1.1.", "It converged after 50 s.", "The rig is damped.",
+    ]  # fmt: skip
+
+
+def test_sections_follow_how_far_the_commissioning_has_come():
+    names = [[part.name for part in make_sections(c)]
+             for c in (contents(), contents(FLAT), contents(TUNED))]  # fmt: skip
+    assert names[0] == ["rig-section", "map-section", "spectra", "recordings"]
+    assert names[1] == ["rig-section", "map-section", "spectra", "costs", "recordings"]
+    assert names[2][3:] == ["costs", "loop", "constants-section", "recordings"]
+
+
+def test_the_rig_file_is_a_table_with_the_meaning_of_each_key():
+    section = make_rig(contents(pace=4.0))
+    assert section.intro == "No recording yet."
+    (table,) = section.tables
+    assert table.cell("pace", "value") == "4"
+    assert table.cell("dt", "unit") == "s"
+    assert "least theta" in table.cell("theta_min", "meaning")
+
+
+def test_the_static_map_has_visits_fit_errors_and_the_best_theta_with_its_band():
+    section = make_static_map(contents(TUNED))
+    (panel,) = section.figures[0].panels
+    assert [s.name for s in panel.series] == ["each visit"] * 2 + ["fit", "two standard errors"]
+    assert panel.series[1].x == [-1.0]  # the only value that was visited twice
+    bars = panel.series[-1]
+    assert bars.y == pytest.approx(np.array([4.0, 1.0, 3.0]) / math.exp(0.2))
+    assert bars.upper == pytest.approx(np.array([4.0, 1.0, 3.0]) * math.exp(0.2))
+    (mark,) = panel.marks
+    assert (mark.x, mark.low, mark.high) == (0.9, 0.8, 1.1)
+    monotone = make_static_map(contents({**FLAT, "verdict": "monotone", "theta_best": 2.9}))
+    assert monotone.figures[0].panels[0].marks[0].x == 3.0  # the limit
+    assert "Refused (monotone)" in monotone.intro
+    own = make_static_map(contents())  # of the excitation, before it is tuned
+    assert [row[:2] for row in own.tables[0].rows] == [
+        pytest.approx(row) for row in ((-1.0, 4.0), (1.0, 1.0), (3.0, 3.0))
+    ]
+    assert make_static_map(contents(excitation=excitation())).figures == []
+
+
+def test_costs_are_compared_and_the_chosen_one_is_named():
+    section = make_costs(contents(TUNED))
+    (table,), (figure,) = section.tables, section.figures
+    assert table.cell("raw", "evidence") == "1234"
+    assert table.cell("lifted", "problem") == "no model"
+    assert [panel.title for panel in figure.panels] == ["raw (chosen)"]  # the other has no map
+    assert section.intro.endswith("Chosen: raw. As good as any.")
+    assert "None was tried" in make_costs(contents({**FLAT, "costs": []})).intro
+
+
+def test_constants_are_listed_with_their_reasons():
+    (table,) = make_constants(contents(TUNED)).tables
+    assert table.rows == [("dwell", "0.25", "s", "search", "relay_esc")]
+
+
+def test_the_loop_is_predicted_until_it_is_measured():
+    section = make_loop(contents(TUNED))
+    assert [figure.name for figure in section.figures] == ["predicted-0", "predicted-1"]
+    assert "Not measured yet: ./koop verify RIG.YAML run" in section.intro
+    assert section.tables[0].cell("round 1: predicted", "time_to_converge") == "40 (30 to 60)"
+    levels = [s.y[0] for panel in section.figures[0].panels for s in panel.series
+              if s.kind == "level"]  # fmt: skip
+    assert levels == [0.9, 1.0]  # the best theta, the best amplitude
+
+
+def test_a_round_is_compared_with_its_prediction_also_without_its_bag():
+    never = replace(round_of(), runs=(LoopRun(2.5, replace(MEASURED, time_to_converge=None)),))
+    section = make_loop(contents(TUNED, [never]))
+    (table,), (figure,) = section.tables, section.figures
+    assert table.title == "round 1: as predicted, or better"
+    assert table.cell("measured", "time_to_converge") == "never"
+    assert table.cell("measured", "reduction") == "3.6"
+    assert "from theta = 2.5: not drawn" in figure.caption
+
+
+def test_lines_that_theta_does_not_change_are_interference():
+    seconds, bins = 10.0, 400
+    power = np.full((3, 1, bins), 1e-4)
+    power[:, 0, 48] = [9.0, 1.0, 4.0]  # 5 Hz: theta changes it
+    power[:, 0, 198] = 2.0  # 20 Hz: it does not
+    sure = np.zeros((1, bins), bool)
+    sure[0, 48] = True
+    spectra = Spectra(seconds, DT, np.array([0.0, 0.5, 1.0]), power, sure)
+    peaks = find_peaks(spectra, 0)
+    assert [(round(p.line.frequency, 2), p.kind) for p in peaks] == [
+        (5.0, "oscillation"), (20.0, "interference")
+    ]  # fmt: skip
+    # a line of density p over df = 1 / seconds is a sine of power p df
+    assert peaks[0].most == pytest.approx(math.sqrt(2.0 * 9.0 * DT / seconds), rel=0.01)
+    assert peaks[0].least == pytest.approx(math.sqrt(2.0 * 1.0 * DT / seconds), rel=0.01)
+    assert peaks[1].least == pytest.approx(peaks[1].most)
+
+
+def test_a_long_spectrum_is_thinned_by_ratio_and_a_short_one_is_not():
+    assert group(np.arange(1.0, 11.0)).tolist() == list(range(10))
+    frequency = np.arange(1.0, 5001.0)
+    starts = group(frequency)
+    assert starts[:FINE].tolist() == list(range(FINE))
+    assert starts.size < 500
+    ratios = frequency[starts[FINE + 1 :]] / frequency[starts[FINE:-1]]
+    assert ratios.max() <= COARSER + 1.0 / FINE
+
+
+def test_a_thinned_signal_keeps_its_extremes():
+    t = np.arange(100_000.0)
+    values = np.sin(t / 1000.0)
+    values[54_321] = 7.0
+    x, y = thin(t, values)
+    assert x.size == y.size <= 2 * POINTS
+    assert (y.max(), y.min()) == (7.0, pytest.approx(-1.0, abs=1e-4))
+    assert (np.diff(x) > 0.0).all()
+    assert thin(t[:10], values[:10])[1].tolist() == values[:10].tolist()
+
+
+def test_a_recording_that_cannot_be_read_is_a_row_that_says_so(tmp_path):
+    *cells, closed = describe_bag(tmp_path / "bag", DT)
+    assert set(cells) == {None}
+    assert closed.startswith("cannot be read")
+
+
+def test_a_folder_is_read_and_written_as_a_page(tmp_path):
+    with pytest.raises(ConfigError, match=r"has no excite.json: name a folder of 'koop excite'"):
+        read_contents(tmp_path)
+    assert try_report(tmp_path).startswith("no report: ")
+    progress.save(excitation(visits()), RIG, tmp_path)
+    (tmp_path / "tuned").mkdir()
+    (tmp_path / "tuned/tune.json").write_text(json.dumps(TUNED))
+    read = read_contents(tmp_path)
+    assert (read.rig, read.tuned["cost"], read.verification.rounds) == (RIG, "raw", ())
+    page = write_report(tmp_path).read_text()
+    assert page.count("<section>") == 7
+    assert "no recording yet" in page
