@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from koop_bench.figures import BenchFigure, BenchSettings
 from koop_core.errors import KoopError
 from koop_loop import batch
-from koop_loop.kernel import Memory
+from koop_loop.kernel import LoopMemory
 from koop_loop.loop import controller, initial_state, run_kernel, simulate
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter import cost
@@ -122,7 +122,7 @@ def time_kernel(loop: TimedLoop, rounds: int) -> tuple[float, NDArray[np.float64
     for number in range(rounds + 1):
         begin = time.process_time()
         run_kernel(
-            loop.plant.params(), parameters, Memory(cost.initial(), loop.esc.initial()), work,
+            loop.plant.params(), parameters, LoopMemory(cost.initial(), loop.esc.initial()), work,
             x, y, *buffers, None,
         )  # fmt: skip
         if number:  # the first run compiles and touches the memory

@@ -65,6 +65,7 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
         ),
         (["simulate", "--duration", "-1"], "duration = -1: must be 0 to 1e+09 s"),
         (["simulate", "--duration", "0"], "--duration must cover at least two steps"),
+        (["simulate", "--duration", "1", "--plot", "x.xyz"], "'xyz' is not a format: choose png"),
         (["simulate", "--seeds", "0"], "--seeds 0: must be at least 1"),
         (["simulate", "--seeds", "2", "--plot", "x.png"], "--out and --plot are of one loop"),
         (["demo", "--duration", "0"], "--duration must cover at least two steps"),

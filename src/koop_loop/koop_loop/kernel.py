@@ -46,7 +46,7 @@ class Controller(NamedTuple):
     relay: RelayParams
 
 
-class Memory(NamedTuple):
+class LoopMemory(NamedTuple):
     """What lifter and controller remember between two messages."""
 
     detector: DetectorState
@@ -78,7 +78,7 @@ def control(
     source, lifting, detector_params, relay_params
         What a :class:`Controller` holds.
     detector, relay_state
-        What a :class:`Memory` holds, after the previous state.
+        What a :class:`LoopMemory` holds, after the previous state.
     state_arrival, cost_arrival : int
         What the state is to the lifter and its cost to the controller: an
         :class:`koop_core.stream.arrival.Arrival` up to JOIN.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from koop_core.errors import InputError, KoopError
 from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import NOTHING, Arrival
-from koop_loop.kernel import Controller, Memory, classify, control
+from koop_loop.kernel import Controller, LoopMemory, classify, control
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
@@ -107,7 +107,7 @@ class Exposure(NamedTuple):
 def run_kernel(
     plant: PlantParams,
     controller: Controller,
-    memory: Memory,
+    memory: LoopMemory,
     work: Workspace,
     x: float,
     y: float,
@@ -215,7 +215,7 @@ def simulate(
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If the lifted cost has no model, or the model or the step sizes do not fit together.
     LoopDiverged
         If the plant's state stops being finite.
@@ -228,7 +228,7 @@ def simulate(
     done = run_kernel(
         plant.params(),
         parameters,
-        Memory(cost.initial(), esc.initial()),
+        LoopMemory(cost.initial(), esc.initial()),
         cost.workspace(parameters.lifting),
         x,
         y,

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.errors import InputError
+
 PAPER_DURATION = 2500.0  # [s] length of the paper's runs
 LOGGING_START = 100.0  # [s] the paper logs from here on, to leave out the initial transient
 TOLERANCE = 0.1  # |theta - theta*| that counts as reached; the paper gives no value
@@ -85,11 +87,11 @@ def evaluate(
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If the arrays differ in length or hold fewer than two samples.
     """
     if not t.size == theta.size == r.size or t.size < 2:
-        raise ValueError("t, theta and r must have the same length of at least 2")
+        raise InputError("t, theta and r must have the same length of at least 2")
     if t[-1] <= start:
         start = float(t[0])
     logged = slice(int(np.searchsorted(t, start)), None)

@@ -123,7 +123,7 @@ def rig_metrics(
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If there is nothing to judge, or a window is longer than half of it.
     """
     if start is not None:

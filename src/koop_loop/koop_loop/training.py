@@ -123,7 +123,7 @@ def train(
 
     Raises
     ------
-    ValueError
+    koop_core.errors.InputError
         If the surviving trajectories cannot determine the model.
     """
     moments = TrajectoryMoments(delays) if contrast else None

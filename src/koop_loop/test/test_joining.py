@@ -8,7 +8,7 @@ import pytest
 
 from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
-from koop_loop.kernel import Memory, control
+from koop_loop.kernel import LoopMemory, control
 from koop_loop.loop import controller
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig, shipped_model
@@ -76,7 +76,7 @@ def turned_for_nothing(who, joins):
         ).params()
         at = round(np.random.default_rng([seed, 9]).uniform(20.0, 50.0) / 0.005)
         theta = np.empty(at + SILENT + wait + WATCHED)
-        memory = Memory(cost.initial(), esc.initial())
+        memory = LoopMemory(cost.initial(), esc.initial())
         work = cost.workspace(p.lifting)
         run(plant, p, memory, work, *dynamics.initial_state(seed), who, at, joins, theta)
         if not (theta[at - 1] < theta[at - 20] and theta[at] > -1.0):

@@ -31,7 +31,6 @@ from koopman_lifter.model import KoopmanModel
 
 QUARTILE = 0.25  # share of the windows that counts as strongly, and as weakly, oscillating
 TRANSIENT = 0.2  # share of a trajectory that is left out of its moments
-FEWEST = 8  # windows of a recording
 BINS = 6  # of theta, at most
 IN_A_BIN = 4  # windows, at least: two to propose, two to judge
 RIDGE = 1e-9  # of the variance, for directions in which neighbouring samples never differ

@@ -30,7 +30,7 @@ from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load_fitting, load_for
 
 
-class Loaded:
+class LoadedModel:
     """A model as the kernel takes it; without one, what the raw cost takes in its place."""
 
     def __init__(self, model: KoopmanModel | None) -> None:
@@ -186,7 +186,7 @@ class LifterRun(Run):
             self._report_unusable(state.x)
 
     def _use(self, model: KoopmanModel | None) -> None:
-        self._loaded = Loaded(model)
+        self._loaded = LoadedModel(model)
         self._n = self._loaded.n or self._seen
         found = "no model: the raw cost needs none"
         if model is not None:

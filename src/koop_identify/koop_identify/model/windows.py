@@ -3,48 +3,81 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import parameter, validate
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded, pieces
-from koopman_lifter.contrast import FEWEST
 from koopman_lifter.delays import Delays, dominant_period
 
-PERIODS = 10.0  # of the oscillation, that a window for the contrast is long at most
-LEAST = 1.5  # periods that it is long at least
-SKIP = 2.0  # periods that the rig needs after a jump of theta
-SHARE = 0.3  # of the time until the next jump, at most
-JUMP = 0.05  # share of theta's range by which theta moves in a jump
-WITHOUT_THETA = 20  # windows that a recording without theta is cut into
-QUIET = 0.1  # share of theta's range by which theta may move within a window
-SHORTER = 0.95  # than a settled piece, so that a slightly shorter one counts, too
+JUDGED = "set by judgement; the study's contrast models were learned with it"
 
 
-def period_of(loaded: Loaded, dt: float) -> float:
+@dataclass(frozen=True)
+class WindowSettings:
+    """How a recording is cut into windows in which theta rests."""
+
+    longest: float = parameter(10.0, "periods in a window for the contrast, at most", low=1.0)
+    shortest: float = parameter(
+        1.5, "periods in a window for the contrast, at least", low=1.0, origin=JUDGED
+    )
+    fewest: int = parameter(
+        8, "windows for the contrast", low=2, origin="two quarters of two windows, strong and weak"
+    )
+    skip: float = parameter(
+        2.0, "periods that the rig needs after a jump of theta", low=0.0, origin=JUDGED
+    )
+    skip_share: float = parameter(
+        0.3, "of the time until the next jump, skipped at most", low=0.0, high=1.0, origin=JUDGED
+    )
+    jump: float = parameter(
+        0.05, "share of theta's range by which theta moves in a jump", low=0.0, high=1.0,
+        origin=JUDGED,
+    )  # fmt: skip
+    quiet: float = parameter(
+        0.1, "share of theta's range by which theta may move within a window", low=0.0, high=1.0,
+        origin=JUDGED,
+    )  # fmt: skip
+    shorter: float = parameter(
+        0.95, "length of a window over half of the settled pieces' length", low=0.1, high=1.0,
+        origin="a piece that is slightly shorter counts, too",
+    )  # fmt: skip
+    without_theta: int = parameter(20, "windows of a recording without theta", low=2)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+DEFAULTS = WindowSettings()
+
+
+def period_of(loaded: Loaded, dt: float, settings: WindowSettings = DEFAULTS) -> float:
     """Return the period of the oscillation that comes and goes [s]; jumps of theta do not count."""
-    cut, skip, rest = loaded.begins, 0, usual_rest(loaded.theta, dt)
+    cut, skip, rest = loaded.begins, 0, usual_rest(loaded.theta, dt, settings)
     if loaded.theta is not None and np.isfinite(rest):
-        cut, skip = cut | jumps(loaded.theta), round(SHARE * rest / dt)
+        cut = cut | jumps(loaded.theta, settings)
+        skip = round(settings.skip_share * rest / dt)
     return dominant_period([loaded.x[:, p.start + skip : p.stop] for p in pieces(cut)], dt)
 
 
-def jumps(theta: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return where theta changes by more than a twentieth of its range."""
+def jumps(theta: NDArray[np.float64], settings: WindowSettings) -> NDArray[np.bool_]:
+    """Return where theta changes by more than the settings' share of its range."""
     finite = theta[np.isfinite(theta)]
     if not finite.size:
         return np.zeros(theta.size, np.bool_)
     moved = np.abs(np.diff(theta, prepend=theta[:1]))
     # NaN, where theta is not known, compares false
-    return np.asarray(moved > JUMP * np.ptp(finite))
+    return np.asarray(moved > settings.jump * np.ptp(finite))
 
 
-def usual_rest(theta: NDArray[np.float64] | None, dt: float) -> float:
+def usual_rest(theta: NDArray[np.float64] | None, dt: float, settings: WindowSettings) -> float:
     """Return how long theta usually rests [s]; infinite where it does not jump."""
     if theta is None:
         return np.inf
-    places = np.flatnonzero(jumps(theta))
+    places = np.flatnonzero(jumps(theta, settings))
     return float(np.median(np.diff(places))) * dt if places.size > 1 else np.inf
 
 
@@ -54,6 +87,7 @@ def settled_windows(
     dt: float,
     skip: float,
     longest: float = math.inf,
+    settings: WindowSettings = DEFAULTS,
 ) -> tuple[NDArray[np.int64], int]:
     """Cut a recording into windows of equal length in which theta rests, or nearly so.
 
@@ -73,6 +107,8 @@ def settled_windows(
         Time that the rig and the detector need after a jump [s].
     longest : float
         Longest window [s]; a window shorter than the slowest oscillation says little.
+    settings : WindowSettings
+        What counts as a jump and as rest.
 
     Returns
     -------
@@ -92,19 +128,19 @@ def settled_windows(
         span = float(np.nanmax(theta) - np.nanmin(theta))
         moved[1:] = np.nan_to_num(np.abs(np.diff(theta)))
         cut[1:] |= finite[1:] != finite[:-1]
-        cut |= moved > QUIET * span
+        cut |= moved > settings.quiet * span
     bounds = np.append(np.flatnonzero(cut), size)
     usable = np.maximum(np.diff(bounds) - round(skip / dt), 0)
     if not usable.any():
         return nothing
     ordered = np.sort(usable)[::-1]
     half = ordered[np.searchsorted(np.cumsum(ordered), 0.5 * ordered.sum())]
-    limits = [longest / dt, SHORTER * half]
+    limits = [longest / dt, settings.shorter * half]
     speed = float(moved[~cut].mean()) if (~cut).any() else 0.0
     if speed > 0.0:
-        limits.append(QUIET * span / speed)
+        limits.append(settings.quiet * span / speed)
     if span == 0.0:
-        limits.append(ordered.sum() / WITHOUT_THETA)
+        limits.append(ordered.sum() / settings.without_theta)
     length = int(min(limits))
     if length < 3:
         return nothing
@@ -117,7 +153,7 @@ def settled_windows(
     if span > 0.0:
         assert theta is not None
         # NaN, where theta is not known, compares false
-        rests = np.ptp(cut_windows(theta, starts, length), axis=1) <= 2.0 * QUIET * span
+        rests = np.ptp(cut_windows(theta, starts, length), axis=1) <= 2.0 * settings.quiet * span
         starts = starts[rests]
     return starts, length
 
@@ -130,7 +166,11 @@ def cut_windows(
 
 
 def training_windows(
-    loaded: Loaded, delays: Delays, dt: float, period: float
+    loaded: Loaded,
+    delays: Delays,
+    dt: float,
+    period: float,
+    settings: WindowSettings = DEFAULTS,
 ) -> tuple[NDArray[np.int64], int]:
     """Cut the training part of a recording into windows for the contrast, as long as data allow.
 
@@ -144,6 +184,8 @@ def training_windows(
         Time between two states [s].
     period : float
         Period of the oscillation [s], see :func:`period_of`.
+    settings : WindowSettings
+        Lengths and numbers.
 
     Returns
     -------
@@ -157,16 +199,17 @@ def training_windows(
     koop_core.errors.InputError
         If there are too few windows; the message says why and what to do.
     """
-    skip = min(SKIP * period, SHARE * usual_rest(loaded.theta, dt))
-    starts, length = settled_windows(loaded.theta, loaded.begins, dt, skip, PERIODS * period)
+    theta, begins = loaded.theta, loaded.begins
+    skip = min(settings.skip * period, settings.skip_share * usual_rest(theta, dt, settings))
+    starts, length = settled_windows(theta, begins, dt, skip, settings.longest * period, settings)
     starts = starts[~loaded.held_out[starts]] if starts.size else starts
-    if starts.size < FEWEST or length * dt < LEAST * period or length <= 2 * delays.depth:
-        parts, states = int(loaded.begins.sum()), loaded.begins.size
+    shortest, fewest = settings.shortest * period, settings.fewest
+    if starts.size < fewest or length * dt < shortest or length <= 2 * delays.depth:
         raise InputError(
             f"the contrast compares windows of strong and weak oscillation: {starts.size} windows "
-            f"of {length * dt:.3g} s were found in {states} states ({parts} pieces without a gap, "
-            f"the oscillation's period is about {period:.3g} s), {FEWEST} of more than "
-            f"{max(LEAST * period, 2 * delays.depth * dt):.3g} s are needed: record longer, while "
-            "theta moves over its range and rests for some periods at each value"
+            f"of {length * dt:.3g} s were found in {begins.size} states ({int(begins.sum())} "
+            f"pieces without a gap, the oscillation's period is about {period:.3g} s), {fewest} of "
+            f"more than {max(shortest, 2 * delays.depth * dt):.3g} s are needed: record longer, "
+            "while theta moves over its range and rests for some periods at each value"
         )
     return starts, length

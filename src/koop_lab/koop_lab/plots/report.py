@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 
 from koop_identify.recording.loaded import pieces
 from koop_identify.recording.signals import Signals
-from koop_lab.plots.signals import Named, draw_signals, envelope
+from koop_lab.plots.signals import Named, draw_signals, envelope, save
 from koopman_lifter.model import KoopmanModel
 
 FLOOR = -60.0  # [dB] below the largest value, where the colours of the spectrogram end
@@ -71,8 +71,7 @@ def plot_report(
     _draw_spectrogram(picture, t, run.x[:, 0], run.dt, run.names[0])
     _draw_eigenvalues(figure.add_subplot(grid[:3, 4:]), model)
     _draw_spectrum(figure.add_subplot(grid[3:, 4:]), run, model)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, path)
 
 
 def _draw_swing(axis: Axes, t: NDArray[np.float64], swing: NDArray[np.float64]) -> None:

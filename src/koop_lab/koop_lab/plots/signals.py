@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 matplotlib.use("Agg")  # a file is written: no display is needed or looked for
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from koop_core.errors import InputError
 from koop_loop.thinning import extremes
 
 POINTS = 4000  # columns of the drawing; more cannot be seen
@@ -52,6 +54,21 @@ def plot_signals(
     after = t >= begin if t[-1] > begin else t >= t[0]
     draw_signals(axes, t, channels, costs, thetas, theta_star, after)
     axes[2].set_xlabel("time [s]")
+    save(figure, path)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure and close it.
+
+    Raises
+    ------
+    koop_core.errors.InputError
+        If the ending of the file is not a format.
+    """
+    formats = figure.canvas.get_supported_filetypes()
+    ending = path.suffix.lstrip(".").lower()
+    if ending and ending not in formats:
+        raise InputError(f"{path}: '{ending}' is not a format: choose png, svg or pdf")
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

@@ -29,7 +29,7 @@ WHOLE = 0.99  # of the recorded time: figures that cover less say so
 
 
 @dataclass(frozen=True)
-class RunRecord:
+class RecordedRun:
     """A recorded run and what the bag says about how it was made.
 
     Attributes
@@ -67,7 +67,7 @@ def read(
     namespace: str = "/",
     model: Path | None = None,
     dt: float | None = None,
-) -> RunRecord:
+) -> RecordedRun:
     """Read a run, or a bag of any messages.
 
     Parameters
@@ -93,7 +93,7 @@ def read(
     given = load(model) if model is not None else None
     if reading is not None:
         signals = read_signals(path, reading, given.dt if given else None)
-        return RunRecord(path, signals, None, None, False, given)
+        return RecordedRun(path, signals, None, None, False, given)
     with BagReader(path) as bag:
         values = recorded_values(bag, path, namespace, NODES)
     recorded = {
@@ -110,11 +110,11 @@ def read(
             used = Models(path, named).load(model_id)
         except InputError:
             used = None
-    return RunRecord(path, signals, loop, parameters, "vdp_plant" in recorded, used)
+    return RecordedRun(path, signals, loop, parameters, "vdp_plant" in recorded, used)
 
 
 def metrics_of(
-    run: RunRecord, theta_star: float | None, start: float, tolerance: float
+    run: RecordedRun, theta_star: float | None, start: float, tolerance: float
 ) -> Metrics | None:
     """Return the paper's metrics; None if theta* is not known, or no theta was recorded."""
     signals, parameters = run.signals, run.parameters
@@ -147,7 +147,7 @@ def rig_metrics_of(
     return metrics, signals.names + true
 
 
-def coverage(run: RunRecord) -> dict[str, Any]:
+def coverage(run: RecordedRun) -> dict[str, Any]:
     """Return how much of the recorded time the figures cover, in JSON terms."""
     signals = run.signals
     return {
@@ -158,7 +158,7 @@ def coverage(run: RunRecord) -> dict[str, Any]:
     }
 
 
-def describe_coverage(run: RunRecord) -> str:
+def describe_coverage(run: RecordedRun) -> str:
     """Return in words how much of the recorded time the figures cover, and why not all of it."""
     covers, signals = coverage(run), run.signals
     lines = [
@@ -240,7 +240,7 @@ def plot_main(args: argparse.Namespace) -> int:
     return 0
 
 
-def costs_of(run: RunRecord, model: Path | None = None) -> dict[str, NDArray[np.float64]]:
+def costs_of(run: RecordedRun, model: Path | None = None) -> dict[str, NDArray[np.float64]]:
     """Return the costs of a run by name: as computed, and as recorded.
 
     One is computed where a model is given or none was recorded; without a model it is raw.

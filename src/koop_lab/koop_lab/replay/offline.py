@@ -9,7 +9,7 @@ from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import NOTHING, Arrival
 from koop_lab.replay.plan import ReplayPlan
 from koop_lab.replay.recording import Recording
-from koop_loop.kernel import Controller, Memory, control, listen
+from koop_loop.kernel import Controller, LoopMemory, control, listen
 from koop_loop.loop import controller
 from koop_loop.parameters import LoopParameters
 from koopman_lifter import cost
@@ -20,7 +20,7 @@ from koopman_lifter.cost import Workspace
 @njit()
 def replay_kernel(
     p: Controller,
-    memory: Memory,
+    memory: LoopMemory,
     work: Workspace,
     switched: bool,
     step: NDArray[np.int64],
@@ -30,14 +30,14 @@ def replay_kernel(
     hold: NDArray[np.bool_],
     r: NDArray[np.float64],
     theta: NDArray[np.float64],
-) -> Memory:
+) -> LoopMemory:
     """Answer M states one after the other, as the two nodes do.
 
     Parameters
     ----------
     p : Controller
         Parameters.
-    memory : Memory
+    memory : LoopMemory
         After the previous message.
     work : Workspace
         Of this run.
@@ -57,7 +57,7 @@ def replay_kernel(
 
     Returns
     -------
-    Memory
+    LoopMemory
         After the last message.
     """
     source, lifting, detector_params, relay_params = p
@@ -82,7 +82,7 @@ def replay_kernel(
         )  # fmt: skip
         theta[k] = relay.output
         switched = False
-    return Memory(detector, relay)
+    return LoopMemory(detector, relay)
 
 
 class OfflineLoop:
@@ -95,7 +95,7 @@ class OfflineLoop:
     """
 
     def __init__(self, parameters: LoopParameters) -> None:
-        self._memory = Memory(cost.initial(), parameters.esc.initial())
+        self._memory = LoopMemory(cost.initial(), parameters.esc.initial())
         self._work: Workspace | None = None
         self._states = self._costs = NOTHING
         self._origin: tuple[int, str] | None = None
