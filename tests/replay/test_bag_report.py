@@ -17,9 +17,7 @@ from koop_lab.cli.main import parser
 from koop_lab.commands.simulate import run as simulate
 from koop_lab.plots.report import plot_report
 from koop_lab.recorded.report import costs_of, read
-from koop_loop import parameters
 from koop_loop.metrics import PAPER
-from koop_loop.parameters import make
 from koopman_lifter.config import shipped_model
 
 LOOP = {
@@ -46,7 +44,8 @@ def test_the_metrics_are_those_of_the_recorded_theta(capsys):
     assert result["iae_theta"] == pytest.approx(0.005 * error.sum(), rel=1e-9)
     assert result["ise_theta"] == pytest.approx(0.005 * (error**2).sum(), rel=1e-9)
     assert result["t_theta"] == pytest.approx(0.005 * np.argmax(error < 0.1))
-    loop = make(parameters.read(RUN / "parameters.yaml"))
+    values = read(RUN).parameters.as_ros()  # those that this version has
+    loop = make(with_model_beside(RUN / "parameters.yaml", values))
     offline, metrics = simulate(replace(loop, pace=replace(loop.pace, duration=theta.size * 0.005)))
     assert np.array_equal(offline.theta, theta)
     assert result["e_r_ss"] == metrics.e_r_ss  # what koop simulate prints of the same run
