@@ -18,6 +18,7 @@ from koop_lab.commands.simulate import run as simulate
 from koop_lab.plots.report import plot_report
 from koop_lab.recorded.report import costs_of, read
 from koop_loop.metrics import PAPER
+from koop_loop.parameters import make, with_model_beside
 from koopman_lifter.config import shipped_model
 
 LOOP = {
