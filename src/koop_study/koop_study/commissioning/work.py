@@ -24,7 +24,6 @@ from koop_study.family.loop import (
 )
 from koop_study.family.rig import Rig, draw
 from koop_study.family.scaled import PAPER_CONSTANTS, ScaledConstants, scaled_to, unscaled
-from koop_tune.excitation.static_map import StaticMap
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
@@ -75,35 +74,21 @@ def commission_plant(
         The rig, its verdict, and the runs of each controller from either end.
     """
     rig = draw(family_of(family), seed)
-    file, own = file_of(rig, rate, excitation), rig.time
+    file = file_of(rig, rate, excitation)
     recorded = excite(rig, file, seed + EARLIER)
-    row: Row = {
-        **_described(rig),
-        "excited": recorded.progress.elapsed / own,
-        "known": recorded.progress.done,
-        "stays": len(recorded.progress.visits),
-        "samples": int(recorded.theta.size),
-    }
+    row: Row = {**_described(rig), "excited": recorded.progress.elapsed / rig.time}
     after = rig.later(recorded.progress.elapsed)  # while theta was moved the optimum moved too
-    loops = _Loops(after, seed, round(duration * own / rig.params.dt))
+    loops = _Loops(after, seed, round(duration * rig.time / rig.params.dt))
     found: Tuning | None = None
-    seen: StaticMap | None
     try:
         found = commissioned(rig, file, recorded, loops, seed, effort, row)
         row |= {"verdict": "tuned", "why": found.why, "doubt": found.findings.doubt,
                 "cost": found.chosen.name, "constants": asdict(found.best.constants),
-                "time_ratio": found.time / own, "predicted": found.prediction.excess.high,
-                }  # fmt: skip
-        seen = found.findings.amplitude
+                "predicted": found.prediction.excess.high}  # fmt: skip
     except NoOptimum as no:
         row |= {"verdict": no.kind, "why": str(no)}
-        seen = no.findings.amplitude
     except ValueError as error:
         row |= {"verdict": "error", "why": str(error)}
-        seen = None
-    if seen is not None:
-        row |= {"gain": seen.evidence.gain, "map": seen.mean.tolist(),
-                "errors": seen.error.tolist(), "u_best": seen.best()}  # fmt: skip
     if rig.has_optimum:
         model = None if found is None else found.chosen.maps.cost.model
         noises = loops.noises
@@ -181,18 +166,12 @@ def _described(rig: Rig) -> Row:
         "seed": rig.seed,
         "shape": rig.map,
         "noise_driven": p.kind == oscillator.NOISE_DRIVEN,
-        "frequency": rig.frequency,
         "channels": rig.channels,
         "logarithmic": p.log_scale,
         "maximised": p.sense < 0.0,
-        "optimum": p.best,
         "slowest": rig.slowest * rig.frequency,
         "noise": float(p.noise.mean()) / rms,
         "interference": tone / rms,
-        "depths": [
-            float(oscillator.level(p, u, 0.0) / p.level) ** (1.0 if p.sense > 0.0 else -1.0)
-            for u in (0.0, 1.0)
-        ],
     }
 
 
