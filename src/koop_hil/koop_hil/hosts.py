@@ -14,6 +14,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from koop_bringup.live.process import OWN_GROUP, TiedProcess
 from koop_core.errors import KoopError, LiveError
 
 HOSTS = {"koop0": "198.18.0.1/30", "koop1": "198.18.0.2/30"}  # kept free for tests (RFC 2544)
@@ -64,6 +65,24 @@ def environment() -> dict[str, str]:
     own = {name: value for name, value in os.environ.items() if name != "ROS_LOCALHOST_ONLY"}
     # a rig's own default is the loopback; an empty text is that of Cyclone DDS, all of the network
     return {**own, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "CYCLONEDDS_URI": ""}
+
+
+def call_isolated(command: list[str]) -> int:
+    """Run a command on a host of its own; return its exit code.
+
+    Raises
+    ------
+    HostsError
+        If no such host can be made here.
+    """
+    # Ctrl-C reaches it once, from here
+    process = TiedProcess([*entrance(), *command], environment(), **OWN_GROUP)
+    try:
+        return process.wait()
+    except BaseException:
+        process.terminate()
+        process.wait()
+        raise
 
 
 class Namespace:

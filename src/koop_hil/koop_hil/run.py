@@ -17,9 +17,8 @@ from tqdm import tqdm
 from koop_bag.errors import BagError
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
-from koop_hil import isolated_host
 from koop_hil import scenario as scenarios
-from koop_hil.hosts import HostsError
+from koop_hil.hosts import HostsError, call_isolated
 from koop_hil.scenario import Scenario
 from koop_hil.supervisor import Supervisor
 from koop_hil.verdict import Verdict, judge
@@ -73,7 +72,7 @@ def _run_isolated(scenario: Scenario, folder: Path) -> Verdict:
     scenarios.write(scenario, file)
     empty = Verdict(scenario.name, scenario.setting.description, [])
     try:
-        code = isolated_host.call([sys.executable, "-m", __name__, str(file), str(folder)])
+        code = call_isolated([sys.executable, "-m", __name__, str(file), str(folder)])
     except HostsError as error:
         empty.skipped = str(error)
         return empty

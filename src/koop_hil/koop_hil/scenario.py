@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cache
 from pathlib import Path
-from runpy import run_path
 from typing import Any
 
 import numpy as np
@@ -26,6 +24,7 @@ ACTIONS = ("inject", "kill", "pause", "second_controller", "handover", "set", "c
 SECOND = "second_controller"  # a node of this name stands by where an event is about it
 NO_LIMIT = 1e9
 FMU = "fmu"
+RIGS = ("galloping", "other", "paper", "jsbsim", FMU)  # of koop_hil/rigs; FMU wants a file
 
 
 @dataclass(frozen=True)
@@ -185,12 +184,6 @@ class Scenario:
         return any(event.action in (SECOND, "handover") for event in self.events)
 
 
-@cache
-def rigs() -> tuple[str, ...]:
-    """Return the names of the rigs that come with the package; FMU wants a file."""
-    return (*sorted(run_path(str(installed("rigs") / "physics.py"))["RIGS"]), "jsbsim", FMU)
-
-
 def shipped() -> list[Path]:
     """Return the scenario files that come with the package."""
     return sorted(installed("scenarios").glob("*.yaml"))
@@ -252,7 +245,7 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
         if level not in ("WARN", "ERROR", "STALE"):
             raise ConfigError(f"levels: {node} must be WARN, ERROR or STALE")
     setting = Setting(**given)
-    if setting.plant not in (known := ["vdp_plant", *rigs()]):
+    if setting.plant not in (known := ("vdp_plant", *RIGS)):
         raise ConfigError(f"plant = '{setting.plant}': must be one of {', '.join(known)}")
     if setting.rig_options and setting.plant == "vdp_plant":
         raise ConfigError("rig_options: only of a rig: vdp_plant has parameters")

@@ -4,6 +4,7 @@ import argparse
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from koop_hil.command import main, register
 from koop_hil.faults import Channel
 from koop_hil.processes import Processes
 from koop_hil.scenario import (
+    RIGS,
     find,
     parse,
     read,
@@ -152,6 +154,15 @@ def test_a_rig_of_standard_messages_says_what_it_does_and_takes_by_the_parameter
 def test_an_event_names_a_file_without_its_folder():
     event = parse("name", {"events": [{"set": {"lifter": {"model": "a.npz"}}}]}, Path("/x")).events
     assert str(event[0]) == "set lifter: model = a.npz"
+
+
+def test_the_rigs_that_a_scenario_may_name_are_those_of_the_program():
+    done = subprocess.run(
+        [sys.executable, installed("rigs") / "rig.py", "--help"],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    for name in RIGS:
+        assert re.search(rf"^    {name}\b", done.stdout, re.MULTILINE)
 
 
 def test_a_scenario_file_cannot_make_objects(tmp_path):

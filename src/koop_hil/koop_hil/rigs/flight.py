@@ -47,7 +47,6 @@ def register(rigs: Any, common: argparse.ArgumentParser) -> None:
         help="an aircraft in turbulence (JSBSim's c172x); publishes sensor_msgs/Imu on /imu, takes "
         "std_msgs/Float64 on /gain",
     )  # fmt: skip
-    parser.add_argument("--throttle", type=float, default=THROTTLE, help="0 to 1")
     parser.add_argument(
         "--turbulence", type=float, default=SEVERITY, help="severity, 0 (still air) to 7"
     )
@@ -157,14 +156,13 @@ def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
         If JSBSim is not installed, a property is not known, or the aircraft is lost.
     """
     start = START if args.theta_initial is None else args.theta_initial
-    flight = Flight(args.throttle, args.turbulence, args.seed, start, args.log)
+    flight = Flight(THROTTLE, args.turbulence, args.seed, start, args.log)
     for item in args.at:
         flight.check(item.name)
     from wire import Imu, Wire, imu
 
     wire = Wire(args.state or "imu", args.theta or "gain", Imu, imu, False, args.truth)
-    knob = Knob(start, LOW, HIGH, args.delay or 0.0, args.rate or 0.0)
-    stand = begin(Stand(args, wire, STEP, knob))
+    stand = begin(Stand(args, wire, STEP, Knob(start, LOW, HIGH)))
     schedule = Schedule(args.at)
     while True:
         for item in schedule.due(stand.t):

@@ -183,7 +183,7 @@ def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
         start = float(model.knob.start or 0.0)
     said = joint_state(names)
     wire = Wire(args.state or "fmu", args.theta or "theta", JointState, said, False, args.truth)
-    knob = Knob(start, args.theta_min, args.theta_max, args.delay or 0.0, args.rate or 0.0)
+    knob = Knob(start, args.theta_min, args.theta_max)
     stand = begin(Stand(args, wire, args.dt, knob))
 
     def exchange(time: float, x: list[float]) -> float | None:

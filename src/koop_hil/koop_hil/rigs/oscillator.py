@@ -44,7 +44,8 @@ def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
     rig = RIGS[args.rig]
     state, theta = args.state or "state", args.theta or "theta"
     wire = Wire(state, theta, MeasuredState, measured_state, numbered=True)
-    stand = begin(Stand(args, wire, DT, knob_of(args)))
+    start = START if args.theta_initial is None else args.theta_initial
+    stand = begin(Stand(args, wire, DT, Knob(start, -STROKE, STROKE, DELAY, RATE)))
     x = rig.start
     while True:
         t = stand.t
@@ -54,10 +55,3 @@ def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
         x = advance(rig, t, DT, x, theta)
         if not math.isfinite(x[0] + x[1]):
             raise ValueError(f"{args.rig} broke at t = {t:g} s")
-
-
-def knob_of(args: argparse.Namespace) -> Knob:
-    """Return the actuator."""
-    start = START if args.theta_initial is None else args.theta_initial
-    delay = DELAY if args.delay is None else args.delay
-    return Knob(start, -STROKE, STROKE, delay, RATE if args.rate is None else args.rate)

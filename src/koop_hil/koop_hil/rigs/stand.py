@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 INSTALL = "pip install --no-deps -r requirements/plants.txt"  # plants of others
 SHORTEST = 0.02  # [s] between two looks for listeners
+DRIFT = 200e-6  # of the rig's clock [s/s]
+OLDEST = 0.5  # age of the state behind a command, beyond which it is ignored [s of real time]
 
 
 class Knob(NamedTuple):
@@ -29,8 +31,8 @@ class Knob(NamedTuple):
     start: float
     low: float
     high: float
-    delay: float
-    rate: float
+    delay: float = 0.0
+    rate: float = 0.0
 
 
 class Actuator:
@@ -73,8 +75,8 @@ class Stand:
         self._command, self._answered = knob.start, -1
         self.steps = 0
         self._most = round(args.duration / dt) if args.duration else math.inf
-        self._period = dt / args.scale * (1.0 + args.drift)
-        self._oldest = args.theta_timeout * args.scale / dt  # [steps]
+        self._period = dt / args.scale * (1.0 + DRIFT)
+        self._oldest = OLDEST * args.scale / dt  # [steps]
         self._stop: list[object] = []
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: self._stop.append(True))
@@ -178,13 +180,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--state", default="", help="topic of the measurements")
     parser.add_argument("--theta", default="", help="topic of the command")
     parser.add_argument("--theta-initial", type=float)
-    parser.add_argument("--drift", type=float, default=200e-6, help="of the rig's clock [s/s]")
     parser.add_argument("--jitter", type=float, default=0.1, help="of every period [periods]")
-    parser.add_argument("--delay", type=float, help="of the actuator [s]")
-    parser.add_argument("--rate", type=float, help="of the actuator [1/s]; 0: no limit")
-    parser.add_argument(
-        "--theta-timeout", type=float, default=0.5, help="age of the state behind a command [s]"
-    )
     parser.add_argument("--readers", type=int, default=1, help="of the measurements to wait for")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
