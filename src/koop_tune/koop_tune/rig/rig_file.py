@@ -58,25 +58,21 @@ class RigFile:
     theta_min: float = parameter(0.0, "least theta that may be commanded")
     theta_max: float = parameter(0.0, "largest theta that may be commanded")
     theta_rate: float = parameter(
-        0.0, "largest change of theta per second, also on the way back", unit="1/s", low=1e-12
+        0.0, "largest change of theta per second, also while it returns", unit="1/s", low=1e-12
     )
-    theta_start: float = parameter(0.0, "theta that the rig has before anybody commands it")
-    theta_safe: float = parameter(
-        0.0,
-        "theta that is taken when anything ends: done, Ctrl-C, a limit crossed, a rig that falls "
-        "silent, a process that was killed",
-    )
+    theta_start: float = parameter(0.0, "theta of the rig before any command")
+    theta_safe: float = parameter(0.0, "theta to which every command returns, however it ends")
     channel_min: tuple[float, ...] = parameter(
-        (), "least value of each channel, below which theta goes back to theta_safe; []: any"
+        (), "least value of each channel, below which theta returns to theta_safe; []: any"
     )
     channel_max: tuple[float, ...] = parameter(
-        (), "largest value of each channel, above which theta goes back to theta_safe; []: any"
+        (), "largest value of each channel, above which theta returns to theta_safe; []: any"
     )
     objective: str = parameter(
         "minimise", "what is wanted of the oscillation", choices=("minimise", "maximise")
     )
     time: float = parameter(
-        1800.0, "longest time that moving theta over its range may take", unit="s", low=1.0
+        1800.0, "longest time for moving theta over its range", unit="s", low=1.0
     )
     pace: float = parameter(
         1.0,
