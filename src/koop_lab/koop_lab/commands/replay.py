@@ -158,11 +158,11 @@ def report(recording: Recording, plan: ReplayPlan, results: list[Comparison]) ->
             f"the recording begins in mid-run (the first cost is {recording.r[0]:.6g}, not 0): "
             "what the filters held before it is not in the bag"
         )
-    return lines + late(recording, plan) + restarted(recording, plan)
+    return lines + describe_late_start(recording, plan) + describe_restarts(recording, plan)
 
 
-def late(recording: Recording, plan: ReplayPlan) -> list[str]:
-    """Say that theta begins late, which may be why it differs."""
+def describe_late_start(recording: Recording, plan: ReplayPlan) -> list[str]:
+    """Return a line if theta begins late, which may be why it differs."""
     first = first_theta(recording.has_r, recording.has_theta)
     if first is None or plan.unheard[:first].any():
         return []
@@ -173,8 +173,8 @@ def late(recording: Recording, plan: ReplayPlan) -> list[str]:
     ]
 
 
-def restarted(recording: Recording, plan: ReplayPlan) -> list[str]:
-    """Say where recorded answers show that a node was restarted, which a replay does not.
+def describe_restarts(recording: Recording, plan: ReplayPlan) -> list[str]:
+    """Return where recorded answers show a restart of a node, which a replay does not repeat.
 
     A lifter that is started in mid-run says that it has to settle. Theta moves by a relay step at
     the most, unless it is set back.
