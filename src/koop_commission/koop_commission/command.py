@@ -11,6 +11,7 @@ from typing import Any
 from koop_bringup.live.served import add_serve_option, served
 from koop_commission.stages import check, new_rig_file, verify
 from koop_commission.stages.excite import describe_result, excite
+from koop_commission.stages.session import resumable
 from koop_commission.theta.commander_client import note_of
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -57,15 +58,11 @@ def main(args: argparse.Namespace) -> int:
         return 0
     rig = rig_file.read(args.rig)
     folder = args.out or RECORDINGS / Path(args.rig).stem
-    resume = f"to resume: ./koop commission {args.rig} --out {folder}"
-    try:
-        with served(args.serve, folder / "logs") as announce:
-            code = Commissioning(rig, Path(args.rig), folder, announce).run()
-    except LiveError as error:
-        raise LiveError(f"{error}; {resume}") from None
-    except KeyboardInterrupt:
-        print(f"\ninterrupted: theta is at {rig.theta_safe:g} or was not moved; {resume}")
-        return 130
+    with (
+        resumable(rig, f"./koop commission {args.rig} --out {folder}"),
+        served(args.serve, folder / "logs") as announce,
+    ):
+        code = Commissioning(rig, Path(args.rig), folder, announce).run()
     if (folder / progress.NAME).exists():
         print(try_report(folder))
     return code

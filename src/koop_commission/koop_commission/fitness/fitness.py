@@ -28,7 +28,7 @@ COUNTED = {
 
 
 class Finding(NamedTuple):
-    """A line of the check: ``ok``, ``note`` or ``BAD``, what it is about, and what was found."""
+    """A line of the check: ``ok``, ``note`` or ``BAD``, what it is about, and what was summary."""
 
     level: str
     name: str
@@ -88,34 +88,35 @@ def judge_arrivals(
 
 def judge_channel(
     name: str,
-    found: ChannelSummary,
+    summary: ChannelSummary,
     limits: tuple[float, float] = (-math.inf, math.inf),
     settings: CheckSettings = DEFAULTS,
 ) -> Finding:
     """Judge the values of one channel; ``limits`` are those of the rig file."""
     low, high = limits
-    if found.bad == 1.0:
+    span = f"{name} {summary.low:.4g} to {summary.high:.4g}"
+    if summary.bad == 1.0:
         return Finding(BAD, "channel", f"{name} is never a number: dead sensor, or another field")
-    if found.dead:
-        return Finding(BAD, "channel", f"{name} is always {found.low:g}: dead sensor")
-    if found.low < low or found.high > high:
-        limit = low if found.low < low else high
-        text = f"{found.low:.4g} to {found.high:.4g}, beyond its limit {limit:g} before theta moves"
-        return Finding(BAD, "channel", f"{name} {text}")
-    rests = f"rests at one value for {100 * found.held:.0f} % of the time"
-    if found.held > settings.stuck:
+    if summary.dead:
+        return Finding(BAD, "channel", f"{name} is always {summary.low:g}: dead sensor")
+    if summary.low < low or summary.high > high:
+        limit = low if summary.low < low else high
+        text = f"{span}, beyond its limit {limit:g} before theta moves"
+        return Finding(BAD, "channel", text)
+    rests = f"rests at one value for {100 * summary.held:.0f} % of the time"
+    if summary.held > settings.stuck:
         return Finding(BAD, "channel", f"{name} {rests}: stuck")
-    text = f"{name} {found.low:.4g} to {found.high:.4g}, standard deviation {found.deviation:.3g}"
-    if found.quantum:
-        text += f", resolution {found.quantum:.3g}"
+    text = f"{span}, standard deviation {summary.deviation:.3g}"
+    if summary.quantum:
+        text += f", resolution {summary.quantum:.3g}"
     notes = []
-    if found.bad:
-        notes.append(f"{100 * found.bad:.2g} % are not numbers")
-    if found.held > settings.stuck / 5.0:
+    if summary.bad:
+        notes.append(f"{100 * summary.bad:.2g} % are not numbers")
+    if summary.held > settings.stuck / 5.0:
         notes.append(rests)
-    if found.saturated:
-        notes.append(f"saturated for {100 * found.saturated:.2g} % of the time")
-    if found.quantum > settings.coarse * found.deviation:
+    if summary.saturated:
+        notes.append(f"saturated for {100 * summary.saturated:.2g} % of the time")
+    if summary.quantum > settings.coarse * summary.deviation:
         notes.append("coarse: the resolution is a good part of the deviation")
     return Finding(NOTE if notes else OK, "channel", "; ".join([text, *notes]))
 

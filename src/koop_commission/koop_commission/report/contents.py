@@ -115,10 +115,10 @@ class Contents:
         if not state.visits or state.bands is None:
             return None
         names = state.bands.names(self.rig.names)
-        feature, found = state.map_of(range(len(names)))
+        feature, points = state.map_of(range(len(names)))
         theta = [state.values[level] for level in state.reached]
-        errors = np.where(found.error < MOST_ERROR, found.error, 0.0).tolist()
-        return MapPoints(names[feature], theta, np.exp(found.mean).tolist(), errors)
+        errors = np.where(points.error < MOST_ERROR, points.error, 0.0).tolist()
+        return MapPoints(names[feature], theta, np.exp(points.mean).tolist(), errors)
 
 
 def read_contents(folder: Path) -> Contents:

@@ -38,7 +38,7 @@ class Peak:
     Attributes
     ----------
     line : Line
-        Of the spectrum averaged over theta, or of the quietest one.
+        Peak of the spectrum averaged over theta, or of the quietest one.
     moved : bool
         Whether theta changes it; a line that it does not change is interference.
     least, most : float
@@ -112,7 +112,7 @@ def find_peaks(spectra: Spectra, channel: int) -> list[Peak]:
     """
     frequency = spectra.frequency
     power = spectra.density[:, channel] * HANN / spectra.seconds  # of a sine
-    found: list[Peak] = []
+    lines: list[Peak] = []
     taken: list[int] = []
     for spectrum in (power.mean(axis=0), power[int(np.argmin(power.sum(axis=1)))]):
         # pick_lines() leaves out the first bin
@@ -124,8 +124,8 @@ def find_peaks(spectra: Spectra, channel: int) -> list[Peak]:
             about = slice(max(at - NEAR, 0), at + NEAR + 1)
             amplitude = np.sqrt(2.0 * power[:, about].sum(axis=1) / HANN)
             moved = bool(spectra.sure[channel, about].any())
-            found.append(Peak(line, moved, float(amplitude.min()), float(amplitude.max())))
-    return sorted(found, key=lambda peak: -peak.most)
+            lines.append(Peak(line, moved, float(amplitude.min()), float(amplitude.max())))
+    return sorted(lines, key=lambda peak: -peak.most)
 
 
 def group(frequency: NDArray[np.float64]) -> NDArray[np.int64]:

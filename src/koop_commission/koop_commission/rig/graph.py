@@ -123,15 +123,15 @@ def refuse_missing_topics(client: Client, rig: RigFile) -> None:
     for key, source, kind in _sides(rig):
         role = "publisher" if key == "measured" else "subscriber"
         offered = [t for t in topics if (t.publishers if key == "measured" else t.subscribers)]
-        found = next((topic for topic in offered if topic.name == source.topic), None)
-        if found is None:
+        topic = next((t for t in offered if t.name == source.topic), None)
+        if topic is None:
             others = ", ".join(f"{t.name} ({t.type})" for t in offered[:8]) or "none"
             raise LiveError(
                 f"{key}: {source.topic} has no {role}: is the rig running, in this ROS domain? "
                 f"Topics with a {role}: {others}"
             )
-        if found.type != kind:
-            raise LiveError(f"{key}: {source.topic} is {found.type}, the rig file says {kind}")
+        if topic.type != kind:
+            raise LiveError(f"{key}: {source.topic} is {topic.type}, the rig file says {kind}")
 
 
 def _sides(rig: RigFile) -> tuple[tuple[str, Source, str], tuple[str, Source, str]]:

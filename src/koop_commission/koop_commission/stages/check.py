@@ -137,27 +137,31 @@ def check_rig(
             yield Finding(BAD, "theta", f"{error}: theta returns to {rig.theta_safe:g}")
 
 
-def _listen(listener: Listener, rig: RigFile, own: CheckSettings) -> Samples:
+def _listen(listener: Listener, rig: RigFile, settings: CheckSettings) -> Samples:
     """Listen for some periods of the strongest oscillation."""
-    end = time.monotonic() + own.longest
-    listener.wait(own.listen)
+    end = time.monotonic() + settings.longest
+    listener.wait(settings.listen)
     while (samples := listener.samples()).x.size and time.monotonic() < end:
-        if not should_listen(samples.x, rig.dt, own.listen, own.periods, own.longest * rig.pace):
+        if not should_listen(
+            samples.x, rig.dt, settings.listen, settings.periods, settings.longest * rig.pace
+        ):
             break
-        listener.wait(0.2 * own.listen)
+        listener.wait(0.2 * settings.listen)
     return samples
 
 
 def _move_theta(
-    rig: RigFile, session: Session, period: float, rng: random.Random, own: CheckSettings
+    rig: RigFile, session: Session, period: float, rng: random.Random, settings: CheckSettings
 ) -> Finding:
     """Test with blocks of growing length until the rig reacts or the time is over."""
     theta = session.commander.theta
-    other = rig.scale.step_away(theta, own.step)
+    other = rig.scale.step_away(theta, settings.step)
     finding = None
     for factor, stages in SERIES:
-        observe = max(64, math.ceil(factor * own.observe * period / rig.dt))
-        settle = math.ceil(max(factor * own.settle * period, own.late * rig.pace) / rig.dt)
+        observe = max(64, math.ceil(factor * settings.observe * period / rig.dt))
+        settle = math.ceil(
+            max(factor * settings.settle * period, settings.late * rig.pace) / rig.dt
+        )
         seconds = abs(other - theta) / rig.theta_rate + (settle + observe) * rig.dt
         counts = [count for count, _ in stages]
         if finding is not None and sum(counts) * seconds > rig.time:

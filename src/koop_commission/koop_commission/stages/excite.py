@@ -10,7 +10,7 @@ from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveNodes
-from koop_commission.stages.session import Session, open_session, refuse_small_disk
+from koop_commission.stages.session import Session, open_session, refuse_small_disk, resumable
 from koop_commission.theta.commander_client import note_of
 from koop_commission.theta.limits import compute_return_time
 from koop_core.config.parameter import ConfigError
@@ -46,14 +46,8 @@ def main(args: argparse.Namespace) -> int:
 
     rig = rig_file.read(args.rig)
     folder = args.out or default_folder(Path(args.rig).stem)
-    resume = f"to resume: ./koop excite {args.rig} --out {folder}"
-    try:
+    with resumable(rig, f"./koop excite {args.rig} --out {folder}"):
         progress = excite(rig, folder, note_of(args.rig))
-    except LiveError as error:
-        raise LiveError(f"{error}; {resume}") from None
-    except KeyboardInterrupt:
-        print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; {resume}")
-        return 130
     print("\n" + describe_result(rig, progress))
     print(try_report(folder))
     print(f"next: ./koop tune {args.rig} {folder}")

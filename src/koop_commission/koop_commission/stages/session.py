@@ -177,7 +177,7 @@ def open_session(
     Parameters
     ----------
     name : str
-        Of this node in the ROS domain.
+        Name of this node in the ROS domain.
     rig : RigFile
         The rig, which runs.
     nodes : LiveNodes
@@ -220,6 +220,18 @@ def open_session(
         except LiveError as error:
             where = f"theta was returned to theta_safe = {rig.theta_safe:g}"
             raise LiveError(f"{error}. {where}") from error
+
+
+@contextmanager
+def resumable(rig: RigFile, command: str) -> Iterator[None]:
+    """Say, if a command is interrupted or fails on the rig, how it is resumed."""
+    try:
+        yield
+    except LiveError as error:
+        raise LiveError(f"{error}; to resume: {command}") from None
+    except KeyboardInterrupt:
+        print(f"\ntheta is back at {rig.theta_safe:g}, or was not moved; to resume: {command}")
+        raise
 
 
 def refuse_incomplete_state(rig: RigFile) -> None:

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from koop_commission.stages.closed_loop import BEFORE, ClosedLoop
-from koop_commission.stages.session import refuse_small_disk
+from koop_commission.stages.session import refuse_small_disk, resumable
 from koop_commission.theta.commander_client import note_of
-from koop_core.errors import LiveError
 from koop_core.text_table import table
 from koop_tune.folder import FIGURES, TUNED
 from koop_tune.rig import rig_file
@@ -50,14 +49,8 @@ def main(args: argparse.Namespace) -> int:
     from koop_commission.report import try_report  # slow to import
 
     rig = rig_file.read(args.rig)
-    resume = f"to resume: ./koop verify {args.rig} {args.folder}"
-    try:
+    with resumable(rig, f"./koop verify {args.rig} {args.folder}"):
         verification = verify(rig, args.folder, note_of(args.rig))
-    except LiveError as error:
-        raise LiveError(f"{error}; {resume}") from None
-    except KeyboardInterrupt:
-        print(f"\ninterrupted: theta is back at {rig.theta_safe:g}; {resume}")
-        return 130
     print("\n" + format_round(verification.rounds[-1]) + "\n\n" + verification.verdict)
     print(try_report(args.folder))
     return 0 if verification.rounds[-1].damped_as_predicted else 1

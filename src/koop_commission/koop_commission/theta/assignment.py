@@ -1,4 +1,4 @@
-"""What a commander of theta is told when it starts; passed as JSON. Pure: no ROS."""
+"""First line to a commander of theta: the rig, and how it is commanded. Pure: no ROS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits of theta, whoever commands it: range, rate, and when it returns to theta_safe. Pure."""
+"""Limits of theta: range, rate, and when it returns to theta_safe. Pure: no ROS."""
 
 from __future__ import annotations
 

@@ -1,0 +1,57 @@
+"""Answers of a rig file's questions: taken, asked again, or refused from a pipe."""
+
+import io
+
+import pytest
+
+from koop_commission.stages.new_rig_file import ask, parse_number
+from koop_core.config.parameter import ConfigError
+
+
+def answer(monkeypatch, text, terminal=False):
+    stdin = io.StringIO(text)
+    stdin.isatty = lambda: terminal
+    monkeypatch.setattr("sys.stdin", stdin)
+
+
+def test_an_empty_line_takes_the_proposal(monkeypatch, capsys):
+    answer(monkeypatch, "\n")
+    assert ask("time", "1800", float, "for all") == 1800.0
+    assert capsys.readouterr().out == "for all\ntime [1800]: 1800\n"
+
+
+def test_a_wrong_answer_is_asked_again_at_a_terminal_and_refused_from_a_pipe(monkeypatch, capsys):
+    def parse(text):
+        return parse_number("dt", {}, text)
+
+    answer(monkeypatch, "abc\n0.5\n", terminal=True)
+    assert ask("dt", "", parse) == 0.5
+    assert "'abc' is not a number" in capsys.readouterr().out
+    answer(monkeypatch, "abc\n0.5\n")
+    with pytest.raises(ConfigError, match="dt: 'abc' is not a number; nothing was written"):
+        ask("dt", "", parse)
+
+
+def test_no_more_answers_are_an_error_that_names_the_question(monkeypatch):
+    answer(monkeypatch, "")
+    with pytest.raises(ConfigError, match="no more answers at 'dt': nothing was written"):
+        ask("dt", "1", float)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "error"),
+    [
+        ("theta_min", "-1.5", None),
+        ("dt", "0", r"0: must be 1e-06 to 1 s"),
+        ("theta_max", "-2", r"-2: must be above theta_min = -1"),
+        ("theta_start", "9", r"9: must lie within \[-1, 3\]"),
+        ("theta_safe", "nan", "nan: must be finite"),
+    ],
+)
+def test_a_number_fits_its_range_and_the_values_before(name, text, error):
+    values = {"theta_min": -1.0, "theta_max": 3.0} if name != "theta_min" else {}
+    if error is None:
+        assert parse_number(name, values, text) == float(text)
+        return
+    with pytest.raises(ConfigError, match=error):
+        parse_number(name, values, text)
