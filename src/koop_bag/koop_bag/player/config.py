@@ -37,7 +37,10 @@ class PlayerConfig:
     )
     loop: bool = parameter(False, "begin again after the end")
     position: float = parameter(
-        0.0, "time from the bag's begin to play from; set it to seek", unit="s", low=0.0
+        0.0,
+        "time of the bag, from its begin, at which the playback starts; a change is a seek",
+        unit="s",
+        low=0.0,
     )
     clock: bool = parameter(
         False,

@@ -15,8 +15,10 @@ from typing import Any
 from koop_bag.bag.metadata import dump
 from koop_bag.errors import BagWriteError
 
-_DISTRIBUTIONS = ("numpy", "numba", "scipy", "mcap", "rclpy", "koop_msgs", "koop_node", "koop_bag")
-_PACKAGES = ("koop_msgs", "koop_node", "koop_bag", "vdp_plant", "koopman_lifter", "relay_esc")
+_DISTRIBUTIONS = (
+    "numpy", "numba", "scipy", "mcap", "rclpy", "koop_msgs", "koop_core", "koop_node", "koop_bag",
+    "vdp_plant", "koopman_lifter", "relay_esc",
+)  # fmt: skip
 
 
 def default_folder(label: str) -> Path:
@@ -68,7 +70,7 @@ def write_versions(folder: Path) -> dict[str, str]:
         "machine": platform.machine(),
         "git_revision": git_revision(Path(__file__).resolve().parent),
     }
-    for name in dict.fromkeys((*_DISTRIBUTIONS, *_PACKAGES)):
+    for name in _DISTRIBUTIONS:
         try:
             versions[name] = version(name)
         except PackageNotFoundError:
