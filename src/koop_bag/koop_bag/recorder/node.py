@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
-from lifecycle_msgs.msg import TransitionEvent
 from rcl_interfaces.msg import ParameterEvent
-from rclpy.qos import QoSProfile, qos_profile_parameter_events
+from rclpy.qos import qos_profile_parameter_events
 
 from koop_bag.bag.losses import LossCounter, complete_from, early_ends
 from koop_bag.bag.metadata import OfferedQos, dump
@@ -20,7 +19,7 @@ from koop_bag.errors import BagError, BagWriteError
 from koop_bag.recorder import run_folder
 from koop_bag.recorder.config import LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.recorder.parameters import ParameterCollector
-from koop_bag.recorder.topics import RecordedTopic, fetch, polled
+from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, polled
 from koop_node.node.main import run
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 
@@ -38,8 +37,7 @@ class RecorderRun(Run):
         config = node.parameters[RecorderConfig]
         self._node = node
         self._config = config
-        self._entities = entities
-        self._watched: set[str] = set()
+        self._watched: dict[str, WatchedNode] = {}
         self._topics: dict[str, RecordedTopic] = {}
         self._problem = ""
         self._recording = self._paused = False
@@ -114,9 +112,10 @@ class RecorderRun(Run):
     def _release(self) -> None:
         """Release what is not an entity of the run, as far as it was made."""
         self._collector.close()
-        for topic in self._topics.values():
-            self._node.destroy_subscription(topic.subscription)
-        self._topics = {}
+        topics, nodes = self._topics.values(), self._watched.values()
+        for subscription in [s.subscription for s in topics] + [s.subscription for s in nodes]:
+            self._node.destroy_subscription(subscription)
+        self._topics, self._watched = {}, {}
 
     # -- topics -------------------------------------------------------------------------------
 
@@ -135,24 +134,11 @@ class RecorderRun(Run):
                 self._try_topic(name, types[0])
         for topic in self._topics.values():
             topic.match()
-            for publisher in topic.publishers - self._watched:
-                self._watch(publisher)
+            for name in topic.publishers - self._watched.keys():
+                self._watched[name] = WatchedNode(self._node, name)
         if self._collector.look():
             self._guarded(self._keep_parameters)
         self._report_begin()
-
-    def _watch(self, publisher: str) -> None:
-        """Listen to the lifecycle of a node: while it is inactive, no message of it is lost."""
-        self._watched.add(publisher)
-
-        def on_transition(event: TransitionEvent) -> None:
-            self._poll()  # what was published before
-            for topic in self._topics.values():
-                if topic.losses is not None and publisher in topic.publishers:
-                    topic.losses.interrupt()
-
-        events = f"{publisher}/transition_event"
-        self._entities.subscription(TransitionEvent, events, on_transition, QoSProfile(depth=10))
 
     def _try_topic(self, name: str, type_name: str) -> None:
         try:
@@ -183,10 +169,12 @@ class RecorderRun(Run):
         else:
             for topic in self._topics.values():
                 topic.skip()
+            for node in self._watched.values():
+                node.take([])
 
     def _write_waiting(self) -> None:
         assert self._writer is not None
-        self._writer.write_many(fetch(self._topics.values()))
+        self._writer.write_many(fetch(self._topics.values(), self._watched.values()))
         self._writer.flush_due(time.time_ns())
 
     def _finish_bag(self) -> None:

@@ -8,11 +8,12 @@ The time of reception comes from DDS and does not depend on when a message is fe
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from importlib import import_module
 from operator import itemgetter
 from typing import Any
 
+from lifecycle_msgs.msg import TransitionEvent
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -75,16 +76,7 @@ class RecordedTopic:
 
     def take(self, taken: list[Taken]) -> None:
         """Append the messages that wait."""
-        take, kind = self.subscription.handle.take_message, self._type
-        append = taken.append
-        for _ in range(_AT_ONCE):
-            item = take(kind, True)
-            if item is None:
-                return
-            data, info = item
-            # not every DDS gives the time of reception
-            received = info["received_timestamp"] or time.time_ns()
-            append((received, self, info["source_timestamp"], data))
+        _take(self, self._type, taken)
 
     def skip(self) -> None:
         """Forget the messages that wait; the steps skipped are not lost."""
@@ -136,18 +128,56 @@ class RecordedTopic:
         )
 
 
-Taken = tuple[int, RecordedTopic, int, bytes]
-"""Receive time [ns], topic, send time [ns], serialized message."""
+class WatchedNode:
+    """Lifecycle transitions of a node that publishes recorded topics.
+
+    While it is inactive, no message of it is lost.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self.name = name
+        self.subscription: Any = node.create_subscription(
+            TransitionEvent, f"{name}/transition_event", polled, QoSProfile(depth=100), raw=True
+        )
+
+    def take(self, taken: list[Taken]) -> None:
+        """Append the transitions that wait."""
+        _take(self, TransitionEvent, taken)
 
 
-def fetch(topics: Iterable[RecordedTopic]) -> list[Row]:
-    """Take what waits on all topics, in the order of reception, and count it."""
+Taken = tuple[int, RecordedTopic | WatchedNode, int, bytes]
+"""Receive time [ns], topic or node, send time [ns], serialized message."""
+
+
+def _take(source: RecordedTopic | WatchedNode, kind: Any, taken: list[Taken]) -> None:
+    take, append = source.subscription.handle.take_message, taken.append
+    for _ in range(_AT_ONCE):
+        item = take(kind, True)
+        if item is None:
+            return
+        data, info = item
+        # not every DDS gives the time of reception
+        received = info["received_timestamp"] or time.time_ns()
+        append((received, source, info["source_timestamp"], data))
+
+
+def fetch(topics: Collection[RecordedTopic], nodes: Iterable[WatchedNode] = ()) -> list[Row]:
+    """Take the waiting messages of all topics, in the order of reception, and count them.
+
+    A transition of a node interrupts the count of the topics that it publishes.
+    """
     taken: list[Taken] = []
-    for topic in topics:
-        topic.take(taken)
+    sources: list[RecordedTopic | WatchedNode] = [*topics, *nodes]
+    for source in sources:
+        source.take(taken)
     taken.sort(key=itemgetter(0))
     rows: list[Row] = []
     for received, topic, sent, data in taken:
+        if isinstance(topic, WatchedNode):
+            for each in topics:
+                if each.losses is not None and topic.name in each.publishers:
+                    each.losses.interrupt()
+            continue
         topic.count += 1
         if topic.losses is not None:
             topic.losses.add(step_of(data))
