@@ -32,6 +32,16 @@ def test_lost_steps_are_counted_and_the_next_one_still_follows(monitor):
     assert monitor.missed == 3
 
 
+@pytest.mark.parametrize("first", [20, 2000])
+def test_steps_that_pass_while_nobody_listens_are_not_missed(monitor, first):
+    feed(monitor, [0, 1])
+    monitor.pause()
+    feed(monitor, [first, first + 1, first + 4])
+    assert monitor.missed == 2
+    texts = [finding.text for finding in monitor.findings(0.3, 1)]
+    assert texts == ["2 missed on 'state'"]
+
+
 def test_a_gap_longer_than_the_timeout_follows_on_nothing(monitor):
     at_the_limit, beyond = 100, 201  # 0.5 s and 0.505 s
     assert feed(monitor, [0, at_the_limit, beyond]) == [RESTART, NEXT, RESUME]

@@ -117,6 +117,7 @@ class LifterRun(Run):
         entities.when_heard(needed, listen)
 
     def deactivate(self) -> None:
+        self._input.pause()
         self._publisher = None
         if self._foreign is not None:
             self._foreign.publisher = None

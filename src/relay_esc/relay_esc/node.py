@@ -82,6 +82,7 @@ class EscRun(Run):
         return self._command
 
     def deactivate(self) -> None:
+        self._input.pause()
         self._publisher = self._command = None
 
     def parameters_changed(self, names: set[str]) -> None:

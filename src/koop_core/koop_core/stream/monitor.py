@@ -65,6 +65,7 @@ class StreamMonitor:
         self._meter = AgeMeter()
         self._silent = False
         """Whether silence was found while there was a source."""
+        self._paused = False
 
     @property
     def step(self) -> int | None:
@@ -108,11 +109,16 @@ class StreamMonitor:
         else:
             self.count += 1
             if arrival is Arrival.NEXT or arrival is Arrival.RESUME:
-                self.missed += step - last - 1
+                self.missed += 0 if self._paused else step - last - 1
                 self.silences += arrival is Arrival.RESUME
             else:
                 self.restarts += last >= 0
+            self._paused = False
         return arrival
+
+    def pause(self) -> None:
+        """Stop listening, as an inactive node does: steps until the next message are not missed."""
+        self._paused = True
 
     def watch_from(self, now: float) -> None:
         """Let the age count from ``now`` although nothing was heard yet."""
