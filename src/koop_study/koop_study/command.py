@@ -27,8 +27,8 @@ def register(commands: Any) -> None:
         "(default recordings/study, with --quick recordings/study-quick)",
     )  # fmt: skip
     parser.add_argument(
-        "--processes", type=int, default=os.cpu_count() or 1, metavar="N",
-        help="processes at work (default: one a core)",
+        "--processes", type=int, default=len(os.sched_getaffinity(0)), metavar="N",
+        help="processes at work (default: one for each processor that this one may use)",
     )  # fmt: skip
     parser.add_argument(
         "--scheduler", default="", metavar="ADDRESS",

@@ -14,8 +14,7 @@ from koop_study.experiments.kinds import read
 from koop_study.family.loop import close, noise_of
 from koop_study.family.rig import draw
 from koop_study.family.scaled import PAPER_CONSTANTS, ScaledConstants, scaled_to
-from koop_study.laws.plants import LawPlant
-from koop_study.laws.run import law_runs, paper_row
+from koop_study.laws.run import LawPlant, law_runs, paper_row
 from koop_study.simulation.case import Case
 from koop_study.simulation.run import Trace
 from koop_study.simulation.scenario import displacement

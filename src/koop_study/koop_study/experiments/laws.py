@@ -18,7 +18,7 @@ from koop_study.experiments.spec import Seeds, parse
 from koop_study.experiments.stats import cumulative, finite, quantile
 from koop_study.family.config import FamilyConfig
 from koop_study.family.scaled import ScaledConstants
-from koop_study.laws.plants import LawPlant
+from koop_study.laws.run import LawPlant
 from koop_study.simulation.case import Case, override
 from koop_study.workers.units import Unit
 from koop_view.report.document import Column, Figure, Panel, Section, Table

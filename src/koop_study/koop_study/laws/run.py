@@ -6,31 +6,82 @@ import itertools
 import json
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import ConfigError
 from koop_core.kernels import njit
 from koop_loop.metrics import CONVERGED, TAIL
 from koop_study.family import oscillator
+from koop_study.family.config import FamilyConfig, family_of
 from koop_study.family.learning import learned_contrast
 from koop_study.family.loop import GOOD, RunNoise, close, noise_of
 from koop_study.family.oscillator import RigParams
 from koop_study.family.rig import Rig, draw
-from koop_study.family.scaled import ScaledConstants, scaled_to
-from koop_study.laws.plants import LawPlant
+from koop_study.family.scaled import PAPER_OMEGA, PAPER_TIME, ScaledConstants, scaled_to
 from koop_study.simulation import run as paper
-from koop_study.simulation.case import Case
+from koop_study.simulation.case import Case, override
 from koop_study.simulation.scenario import displacement
 from koop_study.simulation.work import case_of
 from koopman_lifter.model import KoopmanModel
 
 JUMP = 0.1  # change of theta* from one step to the next that is not a drift
 WINDOW = 0.02  # of a run, over which the way to the optimum is averaged
+COSTS_OF_RIGS = ("raw", "contrast")
 LawRow = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class LawPlant:
+    """A plant with a cost, as an experiment file declares it.
+
+    Attributes
+    ----------
+    name : str
+        Of its table.
+    family : bool
+        Whether each seed draws a rig; otherwise the paper's plant.
+    cost : str
+        On the family ``raw`` or ``contrast``, of a recording of the rig; on the paper's plant any.
+    duration : float
+        Of a run: seconds on the paper's plant, on the family multiples of the rig's time.
+    settings : dict
+        Of the paper's plant, as in the other experiments, or of the family.
+    """
+
+    name: str
+    family: bool
+    cost: str
+    duration: float
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.family and self.cost not in COSTS_OF_RIGS:
+            raise ConfigError(f"cost = {self.cost!r}: on the family raw or contrast")
+        if not 0.0 < self.duration <= 1e6:
+            raise ConfigError(f"duration = {self.duration:g}: must be above 0 and at most 1e6")
+
+    def rigs(self) -> FamilyConfig:
+        """Return the family."""
+        return family_of(self.settings)
+
+    def paper_settings(self, constants: ScaledConstants | None = None) -> dict[str, Any]:
+        """Return the settings of the paper's loop with some constants."""
+        settings: dict[str, Any] = {"cost": self.cost, "duration": self.duration, **self.settings}
+        if constants is None:
+            return settings
+        esc = override(Case(), settings).esc
+        lifter = constants.lifter(PAPER_OMEGA, PAPER_TIME)
+        command = constants.esc(PAPER_TIME, esc.theta_max - esc.theta_min, esc.dt)
+        return {
+            **settings,
+            **{f"lifter.{name}": value for name, value in lifter.items()},
+            **{f"esc.{name}": value for name, value in command.items()},
+        }
 
 
 def rows(plant: LawPlant, constants: ScaledConstants, seeds: list[int]) -> Iterator[LawRow]:
