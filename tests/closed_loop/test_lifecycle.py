@@ -39,9 +39,9 @@ def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, pr
     probe.node.create_subscription(Float64, "/other/theta", lambda message: None, 10)
     start("vdp_plant")
     start("koopman_lifter")
-    start("relay_esc", step_size=0.0, theta_initial=1.0, command="/rig/theta:theta")
+    start("relay_esc", step_size=0.0, theta_initial=1.0, command="/rig/theta:data")
     start("relay_esc", "-r", "__node:=second", autostart="false", step_size=0.0, theta_initial=2.0,
-          command="/other/theta:theta")  # fmt: skip
+          command="/other/theta:data")  # fmt: skip
     assert change(probe, "second", CONFIGURE)
     publishers = set()
 
