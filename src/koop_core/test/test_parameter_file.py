@@ -5,7 +5,7 @@ from collections import namedtuple
 import pytest
 
 from koop_core.config.parameter import ConfigError
-from koop_core.config.parameter_file import read, write
+from koop_core.config.parameter_file import read, refuse_unused_sections, write
 
 KEYS = (
     "/**", "**", "/*", "/**/node", "**/node", "/*/node", "/node", "node", "/a/node", "a/node",
@@ -124,3 +124,16 @@ def test_written_values_are_read_in_any_namespace(tmp_path):
     values = {"gain": 1e-7, "name": "on", "list": [1.0, 2.0], "flag": True, "text": "1e3"}
     write({"node": values}, file)
     assert read(file).values("/some/where/node", set()) == values
+
+
+def test_a_section_that_was_meant_for_a_node_and_is_not_its_own_is_refused(tmp_path):
+    file = tmp_path / "params.yaml"
+    words = ["--ros-args", "--params-file", str(file)]
+    file.write_text(section("/**/koopmn_lifter", "cost: raw") + section("/**/relay_esc", "a: 1"))
+    refuse_unused_sections(words, ["/relay_esc"])
+    with pytest.raises(ConfigError, match=r"did you mean '/\*\*/koopman_lifter'\?"):
+        refuse_unused_sections(words, ["/koopman_lifter"])
+    file.write_text(section("/relay_esc", "a: 1") + section("/relay_esc_b", "a: 2"))
+    refuse_unused_sections(words, ["/relay_esc"])
+    with pytest.raises(ConfigError, match="'/relay_esc' is not /rig1/relay_esc, which this node"):
+        refuse_unused_sections(words, ["/rig1/relay_esc"])

@@ -177,6 +177,37 @@ def read(path: str | Path) -> ParameterFile:
     return ParameterFile(Path(path), tuple(_sections(str(path), "", content)))
 
 
+def refuse_unused_sections(args: Sequence[str], nodes: Collection[str]) -> None:
+    """Refuse a file with a section that is nearly a node's, or is its in another namespace.
+
+    ROS ignores such a section without a word.
+
+    Parameters
+    ----------
+    args : sequence of str
+        Command line, as for :func:`shared_names`.
+    nodes : collection of str
+        Full names of the nodes that it starts.
+
+    Raises
+    ------
+    ConfigError
+        If a file has no section for one of them, but one that must have been meant for it.
+    """
+    files = [read(value) for option, value in _ros_options(args) if option == "--params-file"]
+    for file in files:
+        for node in nodes:
+            name = node.rpartition("/")[2]
+            if file.describes(node):
+                continue
+            if keys := [section.key for section in file.sections if section.node == name]:
+                raise ConfigError(
+                    f"{file.path}: '{keys[0]}' is not {node}, which this node is: write '{node}', "
+                    f"or '/**/{name}' for every namespace"
+                )
+            file._refuse_misspelt({name})
+
+
 def write(values: Mapping[str, Mapping[str, Any]], path: str | Path) -> None:
     """Write values by node, of any namespace, as a parameter file."""
     content = {f"/**/{node}": {"ros__parameters": dict(given)} for node, given in values.items()}

@@ -22,6 +22,7 @@ from rclpy.utilities import remove_ros_args
 
 from koop_core.config.describe import ARGUMENTS, help_text
 from koop_core.config.parameter import NodeConfig
+from koop_core.config.parameter_file import refuse_unused_sections
 from koop_core.errors import InputError
 from koop_node.node import schedule
 from koop_node.node.managed import ManagedNode
@@ -114,6 +115,8 @@ def run_nodes(
         try:
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             nodes = make()
+            names = [node.get_fully_qualified_name() for node in nodes]
+            refuse_unused_sections(sys.argv if args is None else args, names)
             priority = max((node.parameters[NodeConfig].priority for node in nodes), default=0)
         except Exception as error:  # whatever the start-up raises, the user gets one line
             print(f"error: {_one_line(error)}", file=sys.stderr)
