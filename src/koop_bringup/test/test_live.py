@@ -25,6 +25,14 @@ while True:
     signal.pause()
 """
 
+FOREIGN = """
+import signal, sys
+signal.signal(signal.SIGINT, lambda *_: sys.exit(0))
+print("started", flush=True)
+while True:
+    signal.pause()
+"""
+
 
 def test_ctrl_c_that_comes_again_does_not_keep_a_node_from_being_stopped(tmp_path):
     log = tmp_path / "node.log"
@@ -106,3 +114,11 @@ def test_a_process_that_nobody_tied_does_not_look_at_its_stdin():
         stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert "told" not in done.stdout
+
+
+def test_a_program_that_knows_nothing_of_ours_ends_on_sigint(tmp_path):
+    log = tmp_path / "rig.log"
+    rig = NodeProcess("rig", [FOREIGN], log, [sys.executable, "-c"])
+    while "started" not in log.read_text():
+        assert rig.poll() is None
+    assert rig.stop() == 0

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import weakref
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +80,7 @@ class TiedProcess(subprocess.Popen[bytes]):
         weakref.finalize(self, os.close, writer)
         try:
             env = {**(os.environ if environment is None else environment), **TIED}
-            with deferred_signals():
-                super().__init__(command, stdin=reader, env=env, **options)
+            super().__init__(command, stdin=reader, env=env, **options)
         finally:
             os.close(reader)
 
@@ -117,7 +116,9 @@ class NodeProcess:
         self.node = node
         self.log = log
         words = [*before, *(command or [executable(node)]), *arguments]
-        with open(log, "ab") as output:
+        # a program of others would never take the signals that wait
+        waiting = deferred_signals() if command is None else nullcontext()
+        with open(log, "ab") as output, waiting:
             self.process = TiedProcess(
                 words, environment, stdout=output, stderr=subprocess.STDOUT, **OWN_GROUP
             )
