@@ -76,6 +76,14 @@ def test_what_a_user_can_mend_is_one_line_and_a_fault_of_ours_is_a_traceback(pac
     assert "please report it" in error
 
 
+def test_what_is_no_option_is_named_in_one_line(capsys):
+    assert main(["simulate", "--plott", "run.png"]) == 2
+    error = "koop simulate: error: unknown argument '--plott': did you mean '--plot'?\n"
+    assert capsys.readouterr().err == error
+    assert main(["bag", "info", "nowhere", "--zzz"]) == 2
+    assert "koop bag info: error: unknown argument '--zzz': see koop bag" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("word", "message"),
     [("dem", "no command 'dem': did you mean 'demo'?"), ("--foo", "no option '--foo': see koop")],

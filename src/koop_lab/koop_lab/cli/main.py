@@ -61,6 +61,16 @@ def parser(*names: str) -> argparse.ArgumentParser:
     return result
 
 
+def option_names(parser: argparse.ArgumentParser) -> list[str]:
+    """Return the options of a parser and of its commands."""
+    names = []
+    for action in parser._actions:
+        names += action.option_strings
+        if isinstance(action, argparse._SubParsersAction):
+            names += [name for sub in action.choices.values() for name in option_names(sub)]
+    return names
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run a command and return its exit code.
 
@@ -82,7 +92,15 @@ def main(argv: list[str] | None = None) -> int:
         kind = "option" if words[0].startswith("-") else "command"
         print(f"koop: error: no {kind} '{words[0]}': {hint}", file=sys.stderr)
         return 2
-    args = parser(words[0]).parse_args(words)
+    commands_parser = parser(words[0])
+    args, unknown = commands_parser.parse_known_args(words)
+    if unknown:
+        command = " ".join(filter(None, (args.command, getattr(args, "action", ""))))
+        options = option_names(commands_parser)
+        near = difflib.get_close_matches(unknown[0].partition("=")[0], options, 1)
+        hint = f"did you mean '{near[0]}'?" if near else f"see koop {command} --help"
+        print(f"koop {command}: error: unknown argument '{unknown[0]}': {hint}", file=sys.stderr)
+        return 2
     if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:  # see koop_lab.__main__
         signal.signal(signal.SIGINT, signal.default_int_handler)
     # a closed terminal or a supervisor's stop must end the nodes that were started, as Ctrl-C does

@@ -184,11 +184,13 @@ def write_results(
         "notes": notes,
     }
     (folder / "metrics.json").write_text(json.dumps(result, indent=1) + "\n")
-    states = run.ground_truth if run.ground_truth.shape[1] else run.measured
+    known = bool(run.ground_truth.shape[1])
+    states = run.ground_truth if known else run.measured
+    names = [f"true {name}" if known else name for name in STATE_NAMES]
     plot_signals(
         folder / "plot.png",
         t,
-        dict(zip(STATE_NAMES, states.T, strict=True)),
+        dict(zip(names, states.T, strict=True)),
         {"cost r": run.r},
         {"theta": run.theta},
         f"Over DDS, {parameters.lifter.cost} cost, seed {parameters.plant.seed}, "

@@ -87,7 +87,7 @@ def main(args: argparse.Namespace) -> int:
         plot_signals(
             args.plot,
             result.t,
-            dict(zip(STATE_NAMES, result.ground_truth.T, strict=True)),
+            {f"true {name}": x for name, x in zip(STATE_NAMES, result.ground_truth.T, strict=True)},
             {"cost r": result.r},
             {"theta": result.theta},
             f"Offline, {parameters.lifter.cost} cost, seed {parameters.plant.seed}",

@@ -88,7 +88,7 @@ def draw_signals(
     """
     state, cost, theta = axes
     for axis, label, curves in (
-        (state, "measured state", channels),
+        (state, "state", channels),
         (theta, "control input θ", thetas),
     ):
         for name, values in curves.items():
