@@ -15,6 +15,7 @@ import re
 import signal
 import sys
 import traceback
+from collections.abc import Iterable
 from importlib.metadata import EntryPoint, entry_points
 from importlib.resources import files
 from types import FrameType
@@ -61,9 +62,15 @@ def parser(*names: str) -> argparse.ArgumentParser:
     return result
 
 
+def hint_for(name: str, known: Iterable[str], command: str) -> str:
+    """Say which known name must have been meant, or which command's help lists them."""
+    near = difflib.get_close_matches(name, known, 1)
+    return f"did you mean '{near[0]}'?" if near else f"see {command} --help"
+
+
 def option_names(parser: argparse.ArgumentParser) -> list[str]:
     """Return the options of a parser and of its commands."""
-    names = []
+    names: list[str] = []
     for action in parser._actions:
         names += action.option_strings
         if isinstance(action, argparse._SubParsersAction):
@@ -87,19 +94,16 @@ def main(argv: list[str] | None = None) -> int:
         )
         return 0
     if words[0] not in (commands := registered()):
-        near = difflib.get_close_matches(words[0], commands, 1)
-        hint = f"did you mean '{near[0]}'?" if near else "see koop --help"
+        hint = hint_for(words[0], commands, "koop")
         kind = "option" if words[0].startswith("-") else "command"
         print(f"koop: error: no {kind} '{words[0]}': {hint}", file=sys.stderr)
         return 2
     commands_parser = parser(words[0])
     args, unknown = commands_parser.parse_known_args(words)
+    command = " ".join(filter(None, ("koop", args.command, getattr(args, "action", ""))))
     if unknown:
-        command = " ".join(filter(None, (args.command, getattr(args, "action", ""))))
-        options = option_names(commands_parser)
-        near = difflib.get_close_matches(unknown[0].partition("=")[0], options, 1)
-        hint = f"did you mean '{near[0]}'?" if near else f"see koop {command} --help"
-        print(f"koop {command}: error: unknown argument '{unknown[0]}': {hint}", file=sys.stderr)
+        hint = hint_for(unknown[0].partition("=")[0], option_names(commands_parser), command)
+        print(f"{command}: error: unknown argument '{unknown[0]}': {hint}", file=sys.stderr)
         return 2
     if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:  # see koop_lab.__main__
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -114,8 +118,7 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - until the process ends
         return 0
     except (KoopError, OSError, MemoryError) as error:  # the user's input, or the machine's limits
-        command = " ".join(filter(None, (args.command, getattr(args, "action", ""))))
-        print(f"koop {command}: error: {error or 'out of memory'}", file=sys.stderr)
+        print(f"{command}: error: {error or 'out of memory'}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
