@@ -21,12 +21,11 @@ setup(
         "koop_tune",
         "vdp_plant",
         "numpy",
-        "PyYAML",
         "tqdm",
     ],
     extras_require={
         "rigs": ["cyclonedds"],
-        "plants": ["jsbsim", "fmpy"],
+        "plants": ["jsbsim"],
         "test": ["pytest"],
     },
     zip_safe=False,

@@ -39,7 +39,6 @@ OPTIONAL = {
     "cyclonedds": "rigs",
     "dask": "workers",
     "distributed": "workers",
-    "fmpy": "plants",
     "fsspec": "store",
     "jsbsim": "plants",
     "pyarrow": "export",

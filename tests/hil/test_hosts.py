@@ -13,10 +13,9 @@ import pytest
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_hil import hosts
+from koop_hil import hosts, installed
 from koop_hil.command import main
 from koop_hil.hosts import HostsError, entrance
-from koop_hil.processes import rig_script
 from koop_hil.run import run
 from koop_hil.scenario import find, read
 
@@ -68,7 +67,8 @@ def processes_with(mark):
 @pytest.mark.ros
 def test_a_rig_ends_when_its_stdin_is_closed():
     rig = subprocess.Popen(
-        [sys.executable, rig_script(), "paper", "--until-eof"], stdin=subprocess.PIPE
+        [sys.executable, installed("rigs") / "rig.py", "paper", "--until-eof"],
+        stdin=subprocess.PIPE,
     )
     rig.communicate()
     assert rig.returncode == 0

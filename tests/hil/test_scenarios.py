@@ -15,10 +15,9 @@ import pytest
 from koop_msgs.msg import MeasuredState
 
 from koop_core.errors import LiveError
-from koop_hil import report
+from koop_hil import report, supervisor
 from koop_hil.run import run, run_here
 from koop_hil.scenario import find, parse, read, shipped
-from koop_hil.supervisor import Supervisor
 
 NAMES = [path.stem for path in shipped()]
 FIGURES = ("tail_error", "max_error", "time_out_of_tolerance", "unrecorded")
@@ -94,4 +93,4 @@ def test_a_publisher_that_comes_later_fails_the_scenario(tmp_path, probe):
             shown.append(probe.node.create_publisher(MeasuredState, "state", 10))
 
     with pytest.raises(LiveError, match="2 publishers on 'state', 1 of this run"):
-        Supervisor(paper_rig(tmp_path, duration=3000.0), tmp_path, come).run()
+        supervisor.run(paper_rig(tmp_path, duration=3000.0), tmp_path, come)

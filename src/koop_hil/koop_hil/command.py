@@ -27,7 +27,6 @@ def register(commands: Any) -> None:
     )
     parser.add_argument("--all", action="store_true", help="every scenario of the workspace")
     parser.add_argument("--list", action="store_true", help="only name the scenarios")
-    parser.add_argument("--repeat", type=int, default=1, metavar="N", help="times in a row")
     parser.add_argument(
         "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
         help="a parameter in every scenario, such as relay_esc.law=adaptive; repeatable",
@@ -38,14 +37,11 @@ def register(commands: Any) -> None:
         "of 'koop tune' or 'koop commission'",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: recordings/TIME-hil")
-    parser.add_argument("--table", type=Path, metavar="FILE", help="also write a Markdown table")
     parser.set_defaults(func=main)
 
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 if every scenario passed, 1 if one failed."""
-    if args.repeat < 1:
-        raise ConfigError("--repeat: at least 1")
     known = shipped()
     if args.list:
         for path in known:
@@ -64,17 +60,13 @@ def main(args: argparse.Namespace) -> int:
         scenarios = [with_parameter(item, node, parameter, value) for item in scenarios]
     out = args.out or default_folder("hil")
     verdicts = []
-    for number in range(args.repeat):
-        for scenario in scenarios:
-            name = scenario.name if args.repeat == 1 else f"{scenario.name}-{number + 1}"
-            verdicts.append(run(scenario, out / name))
-            print(report.line(verdicts[-1]), flush=True)
-            if scenario.setting.duration >= SOAK:
-                print(report.growth(verdicts[-1]), flush=True)
-            for failure in verdicts[-1].failures:
-                print(f"    {failure}", flush=True)
-    if args.table:
-        args.table.write_text(report.table(verdicts[-len(scenarios) :]))
+    for scenario in scenarios:
+        verdicts.append(run(scenario, out / scenario.name))
+        print(report.line(verdicts[-1]), flush=True)
+        if scenario.setting.duration >= SOAK:
+            print(report.growth(verdicts[-1]), flush=True)
+        for failure in verdicts[-1].failures:
+            print(f"    {failure}", flush=True)
     failed = sum(bool(verdict.failures) for verdict in verdicts)
     skipped = sum(bool(verdict.skipped) for verdict in verdicts)
     passed = f"{len(verdicts) - failed - skipped} passed, {failed} failed, {skipped} skipped"

@@ -1,18 +1,12 @@
-"""Verdicts in words: a line, a table."""
+"""Verdicts in words."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from koop_hil.verdict import Verdict
 
 WHOLE = 0.95  # of the duration: a busy machine lets simulated time fall behind
-HEAD = (
-    "| scenario | what happens | mean \\|θ − θ*\\| at the end | out of tolerance "
-    "| max \\|θ − θ*\\| | oldest acting answer | recording | reported | verdict |\n"
-    "|---|---|---|---|---|---|---|---|---|"
-)
 
 
 def line(verdict: Verdict) -> str:
@@ -49,27 +43,3 @@ def growth(verdict: Verdict) -> str:
     reported = math.isfinite(first) and math.isfinite(last)
     times = f"{first:.2f} ms, at the end {last:.2f} ms" if reported else "not reported by this rig"
     return f"    memory [MB/h]: {slopes}; state to theta: {times}"
-
-
-def table(verdicts: Sequence[Verdict]) -> str:
-    """Return the verdicts as a Markdown table."""
-    rows = [HEAD]
-    for v in verdicts:
-        levels = ", ".join(
-            f"{node}: {'/'.join(level for level in levels if level != 'OK')}"
-            for node, levels in v.levels.items()
-            if set(levels) - {"OK"}
-        )
-        happens = "; ".join(v.events) or v.description
-        recording = f"{v.unrecorded} missing" if v.unrecorded else "whole"
-        failures = " ".join("; ".join(v.failures).split())
-        verdict = "; ".join(["passed" if v.passed else f"**failed**: {failures}", *remarks(v)])
-        if v.skipped:
-            rows.append(f"| {v.name} | {happens} | | | | | | | skipped: {v.skipped} |")
-            continue
-        rows.append(
-            f"| {v.name} | {happens} | {v.tail_error:.2f} | {v.time_out_of_tolerance:.1f} s | "
-            f"{v.max_error:.2f} | {v.answer_age:.2f} s | {recording} | {levels or 'OK'} | "
-            f"{verdict} |"
-        )
-    return "\n".join(rows) + "\n"

@@ -1,13 +1,15 @@
 """Runs one scenario and judges it.
 
-As a program it runs the scenario of a file in a folder: what the process of an isolated host does.
+As a program it runs the scenario that a folder holds: what the process of an isolated host does.
 """
 
 from __future__ import annotations
 
 import json
+import pickle
 import signal
 import sys
+from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
@@ -17,14 +19,13 @@ from tqdm import tqdm
 from koop_bag.errors import BagError
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
-from koop_hil import scenario as scenarios
+from koop_hil import supervisor
 from koop_hil.hosts import HostsError, call_isolated
 from koop_hil.scenario import Scenario
-from koop_hil.supervisor import Supervisor
 from koop_hil.verdict import Verdict, judge
 from koop_node.process.lifeline import end_with_parent
 
-VERDICT = "verdict.json"
+VERDICT, SCENARIO = "verdict.json", "scenario.pickle"
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
 BAR = "{desc:<24} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
@@ -60,7 +61,7 @@ def run_here(scenario: Scenario, folder: Path) -> Verdict:
                 bar.n = min(t, duration)
                 bar.set_postfix_str(text)
 
-            record = Supervisor(scenario, folder, show).run()
+            record = supervisor.run(scenario, folder, show)
         return judge(scenario, record, folder / "bag")
     except (LiveError, BagError) as error:  # one bad scenario doesn't end the others
         return Verdict(scenario.name, scenario.setting.description, [], failures=[str(error)])
@@ -68,38 +69,43 @@ def run_here(scenario: Scenario, folder: Path) -> Verdict:
 
 def _run_isolated(scenario: Scenario, folder: Path) -> Verdict:
     """Run and judge a scenario with two hosts; it is skipped where they cannot be made."""
-    file = folder / f"{scenario.name}.yaml"
-    scenarios.write(scenario, file)
+    (folder / SCENARIO).write_bytes(pickle.dumps(scenario))
     empty = Verdict(scenario.name, scenario.setting.description, [])
     try:
-        code = call_isolated([sys.executable, "-m", __name__, str(file), str(folder)])
+        code = call_isolated([sys.executable, "-m", __name__, str(folder)])
     except HostsError as error:
         empty.skipped = str(error)
         return empty
     if code != 0:
         empty.failures = [f"the process of the first host ended with exit code {code}"]
         return empty
-    return Verdict.from_dict(json.loads((folder / VERDICT).read_text()))
+    content = json.loads((folder / VERDICT).read_text())
+    del content["passed"]
+    return Verdict(**content)
 
 
 def _write(verdict: Verdict, folder: Path) -> None:
-    (folder / VERDICT).write_text(json.dumps(verdict.as_dict(), indent=1) + "\n")
+    (folder / VERDICT).write_text(
+        json.dumps({**asdict(verdict), "passed": verdict.passed}, indent=1) + "\n"
+    )
 
 
-def main(file: Path, folder: Path) -> int:
-    """Run the scenario of a file; returns the exit code."""
+def main(folder: Path) -> int:
+    """Run the scenario of a folder; returns the exit code."""
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, on_signal)
     end_with_parent()
+    scenario: Scenario = pickle.loads((folder / SCENARIO).read_bytes())
+    (folder / SCENARIO).unlink()
     try:
-        _write(run_here(scenarios.read(file), folder), folder)
+        _write(run_here(scenario, folder), folder)
     except KeyboardInterrupt:
         return 130
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2])))
+    sys.exit(main(Path(sys.argv[1])))

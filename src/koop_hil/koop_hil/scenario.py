@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-import shlex
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError, mapping, parameter, refuse_unknown, validate
 from koop_core.config.yaml_file import read_yaml
-from koop_hil import faults, installed
+from koop_hil import installed
+from koop_hil.actions import ACTIONS, NODES, SECOND, number
 from koop_identify.recording.recorded_parameters import CONTROLLER
 from koop_loop import parameters
 from vdp_plant.config import PlantConfig
 
-NODES = ("plant", *CONTROLLER)
-ACTIONS = ("inject", "kill", "pause", "second_controller", "handover", "set", "cut")
-SECOND = "second_controller"  # a node of this name stands by where an event is about it
 NO_LIMIT = 1e9
-FMU = "fmu"
-RIGS = ("galloping", "other", "paper", "jsbsim", FMU)  # of koop_hil/rigs; FMU wants a file
+RIGS = ("galloping", "other", "paper", "jsbsim")  # of koop_hil/rigs
 
 
 @dataclass(frozen=True)
@@ -36,9 +31,7 @@ class Event:
     at, lasts : float
         Begin and length [s] of simulated time.
     action : str
-        ``inject`` a fault into ``state`` or ``theta``; ``kill`` a node and start it again;
-        ``pause`` a process; activate a ``second_controller`` besides the first; ``handover`` to it;
-        ``set`` parameters; ``cut`` the link between the hosts.
+        A key of :data:`koop_hil.actions.ACTIONS`.
     what : object
         ``{topic: fault}``, a node, the second controller's theta, ``second_controller``,
         ``{node: {parameter: value}}`` or ``link``.
@@ -106,8 +99,7 @@ class Setting:
     plant: str = parameter("vdp_plant", "vdp_plant, or the name of a rig (koop_hil/rigs)")
     rig_options: str = parameter(
         "",
-        "further options of the rig's program, such as --at 60:throttle=1; of fmu the file first, "
-        "relative to the scenario",
+        "further options of the rig's program, such as --at 60:throttle=1",
     )
     theta_star: float = parameter(-3.0, "optimal theta, at the end", low=-1e3, high=1e3)
     pace: str = parameter(
@@ -229,11 +221,6 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     given = {key: value for key, value in top.items() if key in setting_names}
     if given.get("model"):
         given["model"] = str((folder / str(given["model"])).resolve())
-    if given.get("plant") == FMU:
-        words = shlex.split(str(given.get("rig_options", "")))
-        if not words or words[0].startswith("-"):
-            raise ConfigError("rig_options: of fmu, a file first: MODEL.fmu --input NAME ...")
-        given["rig_options"] = shlex.join([str((folder / words[0]).resolve()), *words[1:]])
     limits = mapping(top.get("limits", {}), "limits")
     refuse_unknown(limits, [item.name for item in fields(Limits)], "key", "limits")
     parameters = mapping(top.get("parameters", {}), "parameters")
@@ -294,50 +281,15 @@ def with_controller(scenario: Scenario, file: Path) -> Scenario:
     return replace(scenario, parameters={**scenario.parameters, **given})
 
 
-def write(scenario: Scenario, path: Path) -> None:
-    """Write a scenario file; what is read from it is the same scenario."""
-    content = {
-        **asdict(scenario.setting),
-        "parameters": scenario.parameters,
-        "events": [{"at": e.at, "for": e.lasts, e.action: e.what} for e in scenario.events],
-        "limits": asdict(scenario.limits),
-        "levels": scenario.levels,
-    }
-    path.write_text(yaml.safe_dump(content, sort_keys=False))
-
-
 def _event(item: Any, folder: Path) -> Event:
     given = mapping(item, "an event")
     refuse_unknown(given, ("at", "for", *ACTIONS), "key", "an event")
     actions = [key for key in given if key in ACTIONS]
     if len(actions) != 1:
         raise ConfigError(f"an event has one of {', '.join(ACTIONS)}: {given}")
-    at, lasts = (_number(given.get(key, 0.0), key) for key in ("at", "for"))
-    action, what = actions[0], given[actions[0]]
-    if action == "inject":
-        for topic, text in mapping(what, "inject").items():
-            if topic not in ("state", "theta"):
-                raise ConfigError(f"inject: into state or theta, not '{topic}'")
-            if not isinstance(text, str):
-                raise ConfigError(f"inject: {topic}: {text!r} is not text: quote 'off' in YAML")
-            faults.parse(text)
-    elif action in ("kill", "pause"):
-        if what not in NODES:
-            raise ConfigError(f"{action}: one of {', '.join(NODES)}, not {what!r}")
-    elif action == "cut":
-        if what != "link":
-            raise ConfigError(f"cut: link, not {what!r}")
-    elif action == SECOND:
-        what = _number(what, action)
-    elif action == "handover":
-        if what != SECOND:
-            raise ConfigError(f"handover: {SECOND}, not {what!r}")
-    else:
-        what = {node: mapping(v, "set") for node, v in mapping(what, "set").items()}
-        for values in what.values():
-            if "model" in values:
-                values["model"] = str((folder / str(values["model"])).resolve())
-    return Event(at, lasts, action, what)
+    at, lasts = (number(given.get(key, 0.0), key) for key in ("at", "for"))
+    what = ACTIONS[actions[0]].check(given[actions[0]], folder)
+    return Event(at, lasts, actions[0], what)
 
 
 def _in_words(value: Any) -> str:
@@ -349,10 +301,3 @@ def _in_words(value: Any) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{name} = {Path(str(given)).name}" for name, given in value.items())
     return str(value)
-
-
-def _number(value: Any, name: str) -> float:
-    known = isinstance(value, int | float) and not isinstance(value, bool)
-    if not known or not -1e15 < value < 1e15:
-        raise ConfigError(f"{name}: {value!r} is not a number")
-    return float(value)

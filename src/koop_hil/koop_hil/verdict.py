@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from koop_bag.bag.columns import Columns, read_tables
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
+from koop_hil.actions import FIRST, SECOND
 from koop_hil.answers import active_times, age_acting, age_sent, answered_twice, authors
-from koop_hil.scenario import NO_LIMIT, SECOND, Scenario
+from koop_hil.scenario import NO_LIMIT, Scenario
 from koop_hil.supervisor import RunRecord
 from koop_loop.metrics import TAIL
 
-CONTROLLERS = ("relay_esc", SECOND)
+CONTROLLERS = (FIRST, SECOND)
 FIELDS = {
     "state": ["step", "publish_time"],
     "cost": ["step"],
@@ -97,19 +97,6 @@ class Verdict:
         """True if the scenario ran and all limits held."""
         return not self.failures and not self.skipped
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the verdict in JSON terms."""
-        return {**asdict(self), "passed": self.passed}
-
-    @classmethod
-    def from_dict(cls, content: dict[str, Any]) -> Verdict:
-        """Return the verdict that :meth:`as_dict` gave, also after it was written as JSON."""
-        names = {item.name for item in fields(cls)}
-        verdict = cls(**{key: value for key, value in content.items() if key in names})
-        first, last = verdict.round_trip
-        verdict.round_trip = (first, last)
-        return verdict
-
 
 def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     """Compare a run with the scenario's limits."""
@@ -133,7 +120,11 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
         if name not in recorded:
             verdict.failures.append(f"nothing was recorded on '{name}'")
             return verdict
-    verdict.unrecorded = _unrecorded(recorded)
+    steps = {name: np.unique(recorded[name]["step"]) for name in ("state", "cost", "theta")}
+    verdict.unrecorded += sum(
+        np.setdiff1d(steps[answer], steps[question]).size
+        for question, answer in (("state", "cost"), ("cost", "theta"))
+    )
     verdict.answered_twice = answered_twice(recorded["cost"], recorded["theta"])
     if scenario.second_controller:
         _look_for_authors(scenario, recorded, verdict)
@@ -206,13 +197,8 @@ def _read(bag: Path, verdict: Verdict) -> dict[str, Columns]:
             for topic, name in topics.items()
             if verdict.messages.get(topic) or name == "ground_truth"
         }
-        return {topics[topic]: columns for topic, columns in read_tables(reader, wanted).items()}
-
-
-def _unrecorded(recorded: dict[str, Columns]) -> int:
-    """Return how many messages must have been there but were not recorded."""
-    steps = {name: np.unique(recorded[name]["step"]) for name in ("state", "cost", "theta")}
-    return count_losses(recorded["ground_truth"]["step"]).lost + sum(
-        np.setdiff1d(steps[answer], steps[question]).size
-        for question, answer in (("state", "cost"), ("cost", "theta"))
-    )
+        recorded = {topics[name]: table for name, table in read_tables(reader, wanted).items()}
+        jumped = count_losses(recorded["ground_truth"]["step"]).lost
+        # steps that passed while the plant or the recorder was inactive are not lost
+        verdict.unrecorded = max(0, jumped - reader.inactive_steps("/ground_truth"))
+    return recorded

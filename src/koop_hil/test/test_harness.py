@@ -1,7 +1,6 @@
 """The pure parts of the harness: scenario files, faults, reports."""
 
 import argparse
-import json
 import math
 import os
 import re
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 from koop_core.config.parameter import ConfigError
-from koop_hil import faults, installed, report
+from koop_hil import faults, installed
 from koop_hil.command import main, register
 from koop_hil.faults import Channel
 from koop_hil.processes import Processes
@@ -22,12 +21,9 @@ from koop_hil.scenario import (
     find,
     parse,
     read,
-    shipped,
     with_controller,
     with_parameter,
-    write,
 )
-from koop_hil.verdict import Verdict
 
 
 def through(fault, messages, dt=0.005, seed=1):
@@ -117,14 +113,6 @@ def test_a_scenario_that_means_nothing_is_refused(content, message):
         parse("name", content, Path("."))
 
 
-@pytest.mark.parametrize("path", shipped(), ids=lambda path: path.stem)
-def test_a_written_scenario_is_read_as_the_same(path, tmp_path):
-    scenario = read(path)
-    copy = tmp_path / path.name
-    write(scenario, copy)
-    assert read(copy) == scenario
-
-
 def test_the_link_is_cut_for_a_time():
     content = {"remote": "plant", "events": [{"at": 20, "for": 8, "cut": "link"}]}
     scenario = parse("name", content, Path("."))
@@ -170,26 +158,6 @@ def test_a_scenario_file_cannot_make_objects(tmp_path):
     file.write_text("description: !!python/object/apply:os.system ['true']\n")
     with pytest.raises(ConfigError, match=r"bad\.yaml: cannot be read as YAML"):
         read(file)
-
-
-def test_verdicts_are_written_as_a_table():
-    good = Verdict("a", "fine", [], 0.1, 0.0, 0.5)
-    failures = ["tail_error = 0.9 < & >", "plant:\nover"]
-    bad = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, failures=failures)
-    not_here = Verdict("c", "", [], skipped="needs <root>")
-    rows = report.table([good, bad, not_here]).splitlines()
-    assert rows[2].startswith("| a | fine | 0.10 | 0.0 s | 0.50 | nan s | whole | OK | passed |")
-    assert rows[3].endswith("**failed**: tail_error = 0.9 < & >; plant: over |")
-    assert rows[4] == "| c |  | | | | | | | skipped: needs <root> |"
-
-
-def test_a_verdict_comes_back_from_json():
-    verdict = Verdict("b", "", ["kill plant"], 0.9, 9.0, 4.0, round_trip=(1.0, 2.0))
-    verdict.levels, verdict.failures = {"plant": ["OK"]}, ["tail_error = 0.9"]
-    written = json.dumps(verdict.as_dict())
-    again = Verdict.from_dict(json.loads(written))
-    assert json.dumps(again.as_dict()) == written
-    assert again.round_trip == verdict.round_trip
 
 
 def test_a_rig_without_its_middleware_says_how_to_get_it(tmp_path):

@@ -1,4 +1,8 @@
-"""The oscillators of :mod:`physics` as rigs."""
+"""Oscillators as rigs; shares no code with the workspace's packages.
+
+Every one is of second order with one knob theta, whose limit cycle is smallest at a theta* that
+only the rig knows. Plain Python on purpose: nothing here is the code under test.
+"""
 
 from __future__ import annotations
 
@@ -6,52 +10,153 @@ import argparse
 import math
 import random
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
-from physics import RIGS, Rig, advance
-from stand import Knob, Stand
+from stand import Knob, parse_rig
 
 DT = 0.005  # [s]
 START, STROKE = 2.0, 5.0  # of theta
 DELAY, RATE = 0.02, 1.0  # of the actuator [s], [1/s]
+State = tuple[float, float]
+Derivative = Callable[[float, float, float, float], State]
 
 
-def register(rigs: Any, common: argparse.ArgumentParser) -> None:
-    """Add them to the command line."""
-    for name, rig in sorted(RIGS.items()):
-        words = rig.derivative.__qualname__.split(".")[0].replace("_", " ")
-        parser = rigs.add_parser(name, parents=[common], help=f"{words}, on our own types")
-        parser.set_defaults(run=run)
+@dataclass(frozen=True)
+class Physics:
+    """Physics and sensors of a rig.
 
-
-def measure(rig: Rig, t: float, state: tuple[float, float], rng: random.Random) -> list[float]:
-    """Return what the sensors say."""
-    added = rig.disturbance(t)
-    noisy = (value + added + rng.gauss(0.0, rig.noise) for value in state)
-    return [round(value / rig.resolution) * rig.resolution for value in noisy]
-
-
-def run(args: argparse.Namespace, begin: Callable[[Stand], Stand]) -> None:
-    """Run one.
-
-    Raises
-    ------
-    ValueError
-        If it diverges.
+    Attributes
+    ----------
+    derivative : callable
+        ``derivative(t, x, y, theta)`` returns (dx/dt, dy/dt).
+    start : tuple of float
+        Initial [x, y].
+    disturbance : callable
+        ``disturbance(t)`` is added to both sensors, as the paper's interference is.
+    noise : float
+        Standard deviation of each sensor's noise.
+    resolution : float
+        Quantisation step of the sensors.
     """
-    from wire import MeasuredState, Wire, measured_state
 
-    rig = RIGS[args.rig]
-    state, theta = args.state or "state", args.theta or "theta"
-    wire = Wire(state, theta, MeasuredState, measured_state, numbered=True)
-    start = START if args.theta_initial is None else args.theta_initial
-    stand = begin(Stand(args, wire, DT, Knob(start, -STROKE, STROKE, DELAY, RATE)))
-    x = rig.start
-    while True:
-        t = stand.t
-        theta = stand.exchange(measure(rig, t, x, stand.rng), x)
-        if theta is None:
-            return
-        x = advance(rig, t, DT, x, theta)
-        if not math.isfinite(x[0] + x[1]):
-            raise ValueError(f"{args.rig} broke at t = {t:g} s")
+    derivative: Derivative
+    start: State
+    disturbance: Callable[[float], float]
+    noise: float
+    resolution: float
+
+
+def van_der_pol(
+    mu: float, offset: float, theta_star: float, force: float, omega: float
+) -> Derivative:
+    """Return the forced Van der Pol oscillator of the paper (section 3), with its drift."""
+
+    def derivative(t: float, x: float, y: float, theta: float) -> State:
+        epsilon = 1.0 + math.sin(0.005 * t)
+        size = 1.0 + (theta - theta_star) ** 2
+        damping = epsilon * ((x - offset) ** 2 - size)
+        return y, -damping * y - mu * mu * (x - offset) + force * math.sin(omega * t)
+
+    return derivative
+
+
+def two_tones(a1: float, w1: float, a2: float, w2: float) -> Callable[[float], float]:
+    """Return a sum of two sines."""
+    return lambda t: a1 * math.sin(w1 * t) + a2 * math.sin(w2 * t)
+
+
+def galloping(theta_star: float) -> Derivative:
+    """Return a square prism that gallops in the wind, with a tunable damper.
+
+    Parkinson and Smith, "The square prism as an aeroelastic non-linear oscillator", Quarterly
+    Journal of Mechanics and Applied Mathematics 17 (1964) 225-239, in the time tau = omega t:
+
+        Y'' + Y = n A [(U - U0) Y' - B/(A U) Y'^3 + C/(A U^3) Y'^5 - D/(A U^5) Y'^7]
+
+    with U0 = 2 beta / (n A) the wind speed at which galloping begins. A, B, C and D are theirs,
+    from the measured side force. The mass parameter n is that of a light model. The damper works
+    best when it is tuned, at theta*: beta, and so U0, falls off to both sides as a resonance does.
+    The state is [Y, Y'] in tenths of the prism's width.
+    """
+    a, b, c, d = 2.69, 168.0, 6270.0, 59900.0
+    n, wind, omega = 0.05, 2.0, 6.0
+    k1, k3 = n * a, n * b / wind
+    k5, k7 = n * c / wind**3, n * d / wind**5
+
+    def derivative(t: float, x: float, y: float, theta: float) -> State:
+        onset = 1.75 / (1.0 + ((theta - theta_star) / 3.0) ** 2)
+        v = 0.1 * y
+        v2 = v * v
+        force = v * (k1 * (wind - onset) - v2 * (k3 - v2 * (k5 - v2 * k7)))
+        return omega * y, omega * (10.0 * force - x)
+
+    return derivative
+
+
+RIGS = {
+    "paper": Physics(
+        van_der_pol(1.0, 6.0, -3.0, 2.2, 4.5),
+        (1.0, -2.0),
+        two_tones(10.5, 3.2, 11.1, 7.8),
+        noise=0.02,
+        resolution=0.01,
+    ),
+    "other": Physics(
+        van_der_pol(1.3, 4.0, 1.5, 1.5, 5.2),
+        (0.5, 1.0),
+        two_tones(6.0, 2.6, 8.0, 9.1),
+        noise=0.05,
+        resolution=0.02,
+    ),
+    "galloping": Physics(
+        galloping(0.8), (0.5, 0.0), two_tones(0.5, 2.0, 0.5, 15.0), noise=0.02, resolution=0.01
+    ),
+}
+
+
+def advance(physics: Physics, t: float, dt: float, state: State, theta: float) -> State:
+    """Integrate one step [s] with the classical Runge-Kutta method."""
+    x, y = state
+    f = physics.derivative
+    ax, ay = f(t, x, y, theta)
+    bx, by = f(t + dt / 2, x + dt / 2 * ax, y + dt / 2 * ay, theta)
+    cx, cy = f(t + dt / 2, x + dt / 2 * bx, y + dt / 2 * by, theta)
+    dx, dy = f(t + dt, x + dt * cx, y + dt * cy, theta)
+    return x + dt / 6 * (ax + 2 * bx + 2 * cx + dx), y + dt / 6 * (ay + 2 * by + 2 * cy + dy)
+
+
+class Oscillator:
+    """One of :data:`RIGS` with its sensors, noisy and quantised."""
+
+    dt, message, topics = DT, "MeasuredState", ("state", "theta")
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._name, self._physics = args.rig, RIGS[args.rig]
+        self._x = self._physics.start
+        start = START if args.theta_initial is None else args.theta_initial
+        self.knob = Knob(start, -STROKE, STROKE, DELAY, RATE)
+
+    def measure(self, t: float, rng: random.Random) -> tuple[list[float], State]:
+        """Return what the sensors say at a time [s], and the true state."""
+        physics = self._physics
+        added = physics.disturbance(t)
+        noisy = (value + added + rng.gauss(0.0, physics.noise) for value in self._x)
+        return [round(value / physics.resolution) * physics.resolution for value in noisy], self._x
+
+    def advance(self, t: float, theta: float) -> None:
+        """Go on by one sample."""
+        self._x = advance(self._physics, t, DT, self._x, theta)
+        if not math.isfinite(self._x[0] + self._x[1]):
+            raise ValueError(f"{self._name} broke at t = {t:g} s")
+
+    def set(self, name: str, value: float) -> None:
+        """Refuse it: an oscillator has nothing to set."""
+        raise ValueError(f"--at: {self._name} has no {name!r}")
+
+
+def register(rigs: Any) -> None:
+    """Add them to the command line."""
+    for name, physics in sorted(RIGS.items()):
+        words = physics.derivative.__qualname__.split(".")[0].replace("_", " ")
+        parse_rig(rigs, name, f"{words}, on our own types", Oscillator)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import random
 import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-INSTALL = "pip install --no-deps -r requirements/plants.txt"  # plants of others
 SHORTEST = 0.02  # [s] between two looks for listeners
 DRIFT = 200e-6  # of the rig's clock [s/s]
 OLDEST = 0.5  # age of the state behind a command, beyond which it is ignored [s of real time]
@@ -35,6 +36,36 @@ class Knob(NamedTuple):
     rate: float = 0.0
 
 
+class Rig(Protocol):
+    """What a rig's module makes of the command line; the stand does the rest.
+
+    Attributes
+    ----------
+    dt : float
+        Time between two samples [s].
+    knob : Knob
+        What moves theta.
+    message : str
+        Type of the measurements, a key of ``wire.MESSAGES``.
+    topics : tuple of str
+        Of measurements and command, unless the command line names others.
+    """
+
+    dt: float
+    knob: Knob
+    message: str
+    topics: tuple[str, str]
+
+    def measure(self, t: float, rng: random.Random) -> tuple[Sequence[float], Sequence[float]]:
+        """Return what the sensors say at a time [s], and the true state."""
+
+    def advance(self, t: float, theta: float) -> None:
+        """Go on by one sample; raise ValueError if the rig breaks."""
+
+    def set(self, name: str, value: float) -> None:
+        """Set what ``--at`` names."""
+
+
 class Actuator:
     """Follows the command late, no faster than it can, within its stroke."""
 
@@ -53,75 +84,52 @@ class Actuator:
         return self.theta
 
 
-class Stand:
-    """Runs a rig at its own pace, with its own clock.
+def run(rig: Rig, args: argparse.Namespace) -> None:
+    """Run a rig at its own pace, with its own clock, until its time is over or it is stopped.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        Of :func:`options`.
-    wire : Wire
-        Its topics.
-    dt : float
-        Time between two samples [s].
-    knob : Knob
-        What moves theta.
+    Raises
+    ------
+    ValueError
+        If the rig breaks.
     """
+    from wire import Wire  # Cyclone DDS: a wrong argument is reported without it
 
-    def __init__(self, args: argparse.Namespace, wire: Any, dt: float, knob: Knob) -> None:
-        self._args, self._wire, self._dt = args, wire, dt
-        self.rng = random.Random(args.seed)
-        self._actuator = Actuator(knob, dt)
-        self._command, self._answered = knob.start, -1
-        self.steps = 0
-        self._most = round(args.duration / dt) if args.duration else math.inf
-        self._period = dt / args.scale * (1.0 + DRIFT)
-        self._oldest = OLDEST * args.scale / dt  # [steps]
-        self._stop: list[object] = []
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: self._stop.append(True))
-
-    def stop(self) -> None:
-        """End it at the next sample; from any thread."""
-        self._stop.append(True)
-
-    def wait(self) -> None:
-        """Wait for the readers of the measurements."""
-        while self._wire.readers < self._args.readers and not self._stop:
-            time.sleep(SHORTEST)
-        print("connected", flush=True)
-        self._started, self._wall = time.monotonic(), time.time()
-
-    @property
-    def t(self) -> float:
-        """Time of the next sample [s]."""
-        return self.steps * self._dt
-
-    def exchange(self, x: Sequence[float], truth: Sequence[float]) -> float | None:
-        """Publish a sample when its time has come; return theta until the next, None at the end."""
-        if self.steps >= self._most or self._stop:
-            time.sleep(0.2)  # a reliable writer's last samples are still on their way
-            took = time.monotonic() - self._started
-            print(f"{self.steps} steps in {took:.2f} s", flush=True)
-            return None
-        k = self.steps
-        due = self._started + (k + self._args.jitter * self.rng.random()) * self._period
-        now = time.monotonic()
-        if now < due:
-            time.sleep(due - now)
-        elif now > due + 1.0:  # was stopped or starved: time goes on from here
-            self._started += now - due
+    wire = Wire(args.state or rig.topics[0], args.theta or rig.topics[1], rig.message, args.truth)
+    stop: list[object] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.append(True))
+    if args.until_eof:  # a read returns when the parent has ended: nothing is ever written
+        threading.Thread(target=lambda: stop.append(os.read(0, 1)), daemon=True).start()
+    while wire.readers < args.readers and not stop:
+        time.sleep(SHORTEST)
+    print("connected", flush=True)
+    begin, wall = time.monotonic(), time.time()
+    period = rig.dt / args.scale * (1.0 + DRIFT)
+    steps = round(args.duration / rig.dt) if args.duration else math.inf
+    rng, actuator, changes = random.Random(args.seed), Actuator(rig.knob, rig.dt), sorted(args.at)
+    command, answered, k = rig.knob.start, -1, 0
+    while k < steps and not stop:
+        t = k * rig.dt
+        x, truth = rig.measure(t, rng)
+        due = begin + (k + args.jitter * rng.random()) * period
+        late = time.monotonic() - due
+        if late < 0.0:
+            time.sleep(-late)
+        elif late > 1.0:  # was stopped or starved: time goes on from here
+            begin += late
         # the rig's own clock: its start is real time, its seconds are a little too long
-        stamp = round((self._wall + self.t) * 1e9)
-        actuator = self._actuator
-        self._wire.say(stamp, k, x, truth, actuator.theta, actuator.step)
-        for theta, step in self._wire.heard():
+        wire.say(round((wall + t) * 1e9), k, x, truth, actuator.theta, actuator.step)
+        for wanted, step in wire.heard():
             if step is None:
-                self._command = theta
-            elif 0 <= k - step <= self._oldest:  # not what was kept while a link was cut
-                self._command, self._answered = theta, step
-        self.steps += 1
-        return actuator.move(self._command, self._answered)
+                command = wanted
+            elif 0 <= k - step <= OLDEST * args.scale / rig.dt:  # not kept while a link was cut
+                command, answered = wanted, step
+        while changes and changes[0].time <= t:
+            rig.set(*changes.pop(0)[1:])
+        k += 1
+        rig.advance(t, actuator.move(command, answered))
+    time.sleep(0.2)  # a reliable writer's last samples are still on their way
+    print(f"{k} steps in {time.monotonic() - begin:.2f} s", flush=True)
 
 
 class Change(NamedTuple):
@@ -133,41 +141,20 @@ class Change(NamedTuple):
 
 
 def change(text: str) -> Change:
-    """Return the change that ``T:NAME=VALUE`` names, or ``NAME=VALUE`` for the start.
+    """Return the change that ``T:NAME=VALUE`` names.
 
     >>> change("60:throttle=0.9")
     Change(time=60.0, name='throttle', value=0.9)
     """
-    when, colon, what = text.partition(":")
-    name, equals, value = (what if colon else text).partition("=")
+    when, _, what = text.partition(":")
+    name, _, value = what.partition("=")
     try:
-        found = Change(float(when) if colon else 0.0, name.strip(), float(value))
+        wanted = Change(float(when), name, float(value))
     except ValueError:
-        found = Change(math.nan, "", 0.0)
-    if not (name and equals and math.isfinite(found.value) and found.time >= 0.0):
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: write TIME:NAME=VALUE, such as 60:throttle=0.9"
-        )
-    return found
-
-
-class Schedule:
-    """Changes in the order of their times.
-
-    Parameters
-    ----------
-    changes : sequence of Change
-        In any order.
-    """
-
-    def __init__(self, changes: Sequence[Change]) -> None:
-        self._left = sorted(changes, key=lambda change: change.time)
-
-    def due(self, t: float) -> list[Change]:
-        """Return, once each, the changes that are due by a time [s]."""
-        count = sum(change.time <= t for change in self._left)
-        now, self._left = self._left[:count], self._left[count:]
-        return now
+        wanted = Change(math.nan, "", math.nan)
+    if not (name and wanted.time >= 0.0 and math.isfinite(wanted.value)):
+        raise argparse.ArgumentTypeError(f"{text!r}: write T:NAME=VALUE, such as 60:throttle=0.9")
+    return wanted
 
 
 def options() -> argparse.ArgumentParser:
@@ -187,4 +174,15 @@ def options() -> argparse.ArgumentParser:
         "--truth", action="store_true", help="also publish koop_msgs/PlantTruth on /ground_truth"
     )
     parser.add_argument("--until-eof", action="store_true", help="end when stdin is closed")
+    parser.add_argument(
+        "--at", action="append", type=change, default=[], metavar="T:NAME=VALUE",
+        help="at this time [s] set what the rig has of that name; repeatable",
+    )  # fmt: skip
+    return parser
+
+
+def parse_rig(rigs: Any, name: str, text: str, make: Any) -> argparse.ArgumentParser:
+    """Add a rig to the command line, which ``make`` makes of the arguments; return its parser."""
+    parser: argparse.ArgumentParser = rigs.add_parser(name, parents=[options()], help=text)
+    parser.set_defaults(make=make)
     return parser

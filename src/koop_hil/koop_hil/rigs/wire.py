@@ -109,15 +109,6 @@ class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
     linear_acceleration_covariance: array[float64, 9]
 
 
-@dataclass
-class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64]
-    effort: sequence[float64]
-
-
 def measured_state(header: Header, step: int, x: Sequence[float]) -> MeasuredState:
     """Return a sample in the loop's own type."""
     return MeasuredState(header, step, False, list(x))
@@ -130,9 +121,14 @@ def imu(header: Header, step: int, x: Sequence[float]) -> Imu:
     return Imu(header, level, UNKNOWN, rates, [0.0] * 9, accelerations, [0.0] * 9)
 
 
-def joint_state(names: Sequence[str]) -> Callable[[Header, int, Sequence[float]], JointState]:
-    """Return what makes messages of values that have names."""
-    return lambda header, step, x: JointState(header, list(names), list(x), [], [])
+MESSAGES: dict[str, tuple[type, Callable[[Header, int, Sequence[float]], Any], type]] = {
+    "MeasuredState": (MeasuredState, measured_state, ControlInput),
+    "Imu": (Imu, imu, Float64),
+}
+"""Type of the measurements, what makes one of header, step and values, and the command's type.
+
+A ControlInput names the step that it answers, a Float64 does not.
+"""
 
 
 class Wire:
@@ -142,20 +138,14 @@ class Wire:
     ----------
     state, theta : str
         Topic of the measurements, and of the command.
-    kind : type
-        Of the measurements.
-    made : callable
-        Makes a message of header, step and values.
-    numbered : bool
-        Whether the command is a ControlInput, which names the step it answers; else a Float64.
+    message : str
+        Of the measurements, a key of :data:`MESSAGES`.
     truth : bool
         Whether the true state of each sample is published, too.
     """
 
-    def __init__(
-        self, state: str, theta: str, kind: type, made: Callable[..., Any], numbered: bool,
-        truth: bool = True,
-    ) -> None:  # fmt: skip
+    def __init__(self, state: str, theta: str, message: str, truth: bool) -> None:
+        kind, self._made, command = MESSAGES[message]
         participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
         reliable = Policy.Reliability.Reliable(duration(seconds=1))
         kept = Qos(reliable, Policy.History.KeepLast(1000))
@@ -165,9 +155,7 @@ class Wire:
         if truth:
             topic = Topic(participant, "rt/ground_truth", PlantTruth)
             self._truths = DataWriter(participant, topic, kept)
-        command = Topic(participant, "rt/" + theta, ControlInput if numbered else Float64)
-        self._commands = DataReader(participant, command, newest)
-        self._made = made
+        self._commands = DataReader(participant, Topic(participant, "rt/" + theta, command), newest)
 
     @property
     def readers(self) -> int:
