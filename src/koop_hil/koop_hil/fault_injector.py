@@ -77,8 +77,7 @@ class FaultInjectorRun(Run):
         config = self._node.parameters[FaultInjectorConfig]
         for name, text in (("state", config.state_fault), ("theta", config.theta_fault)):
             self._channels[name].fault = parse(text)
-        delayed = any(channel.fault.name == "delayed" for channel in self._channels.values())
-        if delayed:
+        if any(channel.fault.name == "delayed" for channel in self._channels.values()):
             self._timer.restart()
 
     def samples(self) -> int:
@@ -92,24 +91,19 @@ class FaultInjectorRun(Run):
         self._pass_on("theta", message, [message.theta])
 
     def _pass_on(self, name: str, message: Any, values: list[float]) -> None:
-        channel, now = self._channels[name], time.monotonic() * self._scale
-        channel.push(now, message, values)
-        for passed, changed in channel.pop(now):
-            self._send(name, passed, changed)
-
-    def _send(self, name: str, message: Any, values: list[float]) -> None:
-        if name == "state":
-            message.x = array("d", values)
-        elif values:
-            message.theta = values[0]
-        if self._outlets:
-            self._outlets[name].publish(message)
+        self._channels[name].push(time.monotonic() * self._scale, message, values)
+        self._flush()
 
     def _flush(self) -> None:
         now = time.monotonic() * self._scale
         for name, channel in self._channels.items():
             for message, values in channel.pop(now):
-                self._send(name, message, values)
+                if name == "state":
+                    message.x = array("d", values)
+                elif values:
+                    message.theta = values[0]
+                if self._outlets:
+                    self._outlets[name].publish(message)
 
 
 class FaultInjectorNode(ManagedNode[FaultInjectorRun]):

@@ -13,6 +13,7 @@ import shutil
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
 from koop_bringup.live.process import OWN_GROUP, TiedProcess
 from koop_core.errors import KoopError, LiveError
@@ -60,13 +61,6 @@ def entrance() -> list[str]:
     raise HostsError(f"two hosts on one machine need network namespaces: {said}")
 
 
-def environment() -> dict[str, str]:
-    """Return the environment in which nodes find those of other hosts."""
-    own = {name: value for name, value in os.environ.items() if name != "ROS_LOCALHOST_ONLY"}
-    # a rig's own default is the loopback; an empty text is that of Cyclone DDS, all of the network
-    return {**own, "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "CYCLONEDDS_URI": ""}
-
-
 def call_isolated(command: list[str]) -> int:
     """Run a command on a host of its own; return its exit code.
 
@@ -75,8 +69,13 @@ def call_isolated(command: list[str]) -> int:
     HostsError
         If no such host can be made here.
     """
+    environment = {
+        name: value for name, value in os.environ.items() if name != "ROS_LOCALHOST_ONLY"
+    }
+    # a rig's own default is the loopback; an empty text is that of Cyclone DDS, all of the network
+    environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "CYCLONEDDS_URI": ""}
     # Ctrl-C reaches it once, from here
-    process = TiedProcess([*entrance(), *command], environment(), **OWN_GROUP)
+    process = TiedProcess([*entrance(), *command], environment, **OWN_GROUP)
     try:
         return process.wait()
     except BaseException:
@@ -85,56 +84,45 @@ def call_isolated(command: list[str]) -> int:
         raise
 
 
-class Namespace:
-    """A network and shared memory that no other process shares; a context manager."""
+@contextmanager
+def namespace() -> Iterator[tuple[int, list[str]]]:
+    """Make a network and shared memory that no other process shares.
 
-    def __enter__(self) -> Namespace:
-        # 'cat' holds it while nothing else runs there, and ends when this process does
-        self._keeper = subprocess.Popen(
-            [*OWN, SETUP, "sh", "sh", "-c", "echo ready; exec cat"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            start_new_session=True,
-        )
-        assert self._keeper.stdout is not None
-        if not self._keeper.stdout.readline():
-            self.__exit__()
-            raise LiveError("no further network namespace can be made")
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._keeper.kill()
-        self._keeper.communicate()
-
-    @property
-    def pid(self) -> int:
-        """A process in it."""
-        return self._keeper.pid
-
-    @property
-    def words(self) -> list[str]:
-        """Command prefix that runs a command there."""
-        enter = ["nsenter", f"--target={self.pid}", "--net", "--mount"]
-        return [*enter, "env", f"--chdir={os.getcwd()}"]
-
-
-class OtherHost:
-    """The host at the other end of the link.
-
-    Parameters
-    ----------
-    switch, host : Namespace
-        What is between the hosts, and the other host itself.
+    Yields
+    ------
+    pid : int
+        A process in it.
+    words : list of str
+        Command prefix that runs a command there.
     """
+    # 'cat' holds it while nothing else runs there, and ends when this process does
+    keeper = subprocess.Popen(
+        [*OWN, SETUP, "sh", "sh", "-c", "echo ready; exec cat"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    try:
+        assert keeper.stdout is not None
+        if not keeper.stdout.readline():
+            raise LiveError("no further network namespace can be made")
+        enter = ["nsenter", f"--target={keeper.pid}", "--net", "--mount"]
+        yield keeper.pid, [*enter, "env", f"--chdir={os.getcwd()}"]
+    finally:
+        keeper.kill()
+        keeper.communicate()
 
-    def __init__(self, switch: Namespace, host: Namespace) -> None:
-        self._switch = switch
-        self.words = host.words  # before a command that is to run there
+
+class OtherHost(NamedTuple):
+    """The host at the other end of the link: command prefixes of it, and of the switch between."""
+
+    words: list[str]
+    switch: list[str]
 
     def link(self, up: bool) -> None:
         """Put both cables into the switch, or pull them out."""
         for device in HOSTS:
-            _run(self._switch.words, f"ip link set {device} {'up' if up else 'down'}")
+            _run(self.switch, f"ip link set {device} {'up' if up else 'down'}")
 
 
 @contextmanager
@@ -146,13 +134,13 @@ def other_host() -> Iterator[OtherHost]:
     koop_core.errors.LiveError
         If the system refuses.
     """
-    with Namespace() as switch, Namespace() as host:
-        _run(switch.words, SWITCH)
-        for words, (device, address) in zip(([], host.words), HOSTS.items(), strict=True):
-            cable = f"ip link add {device} type veth peer name {device} netns {switch.pid}"
+    with namespace() as (pid, switch), namespace() as (_, host):
+        _run(switch, SWITCH)
+        for words, (device, address) in zip(([], host), HOSTS.items(), strict=True):
+            cable = f"ip link add {device} type veth peer name {device} netns {pid}"
             _run(words, f"{cable}; ip address add {address} dev {device}; ip link set {device} up")
-            _run(switch.words, f"ip link set {device} master switch up")
-        yield OtherHost(switch, host)
+            _run(switch, f"ip link set {device} master switch up")
+        yield OtherHost(host, switch)
 
 
 def _run(words: list[str], script: str) -> None:

@@ -6,7 +6,7 @@ import heapq
 import itertools
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +17,7 @@ from koop_core.errors import LiveError
 from koop_hil.actions import ACTIONS, SECOND, TICK, Loop
 from koop_hil.hosts import other_host
 from koop_hil.processes import Processes
-from koop_hil.scenario import Event, Scenario, Setting
+from koop_hil.scenario import Scenario, Setting
 from koop_node.client.alone import alone
 from vdp_plant.config import PlantConfig
 
@@ -30,8 +30,8 @@ class RunRecord:
     ----------
     begin, end : int
         System time of the first and last moment [ns].
-    happened : list of (int, Event)
-        When events began [ns].
+    first : int
+        When the first event began [ns], or the run if there is none.
     levels : dict
         Levels that every node reported after the first event, or in the whole run without events.
     failures : list of str
@@ -45,7 +45,7 @@ class RunRecord:
 
     begin: int = 0
     end: int = 0
-    happened: list[tuple[int, Event]] = field(default_factory=list)
+    first: int = 0
     levels: dict[str, set[str]] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
     memory: list[tuple[float, dict[str, float]]] = field(default_factory=list)
@@ -65,7 +65,7 @@ def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]
         if scenario.setting.remote:  # before the monitor: DDS looks for devices once
             other = stack.enter_context(other_host())
         else:  # with two hosts no other process is on the network
-            stack.enter_context(alone(topics=scenario.publishers))
+            stack.enter_context(alone(topics=dict.fromkeys(scenario.topics, 1)))
         monitor = stack.enter_context(Monitor())
         processes = stack.enter_context(Processes(folder, scenario, other))
         monitor.wait_for(
@@ -74,17 +74,22 @@ def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]
             f"a state (see {processes.logs})",
             processes.refuse_dead,
         )
-        refuse_others(monitor, scenario.publishers)
+        refuse_others(monitor, scenario.topics)
         if scenario.second_controller:
             monitor.change_state(SECOND, "configure", START_TIMEOUT)
-        record = _play(scenario, Loop(monitor, processes), progress)
+        record = _play(scenario, monitor, processes, progress)
     record.failures += [text for text in processes.failures if text not in record.failures]
     return record
 
 
-def _play(scenario: Scenario, loop: Loop, progress: Callable[[float, str], None]) -> RunRecord:
+def _play(
+    scenario: Scenario,
+    monitor: Monitor,
+    processes: Processes,
+    progress: Callable[[float, str], None],
+) -> RunRecord:
     setting, record = scenario.setting, RunRecord()
-    monitor, processes = loop
+    loop = Loop(monitor, processes)
     started = time.monotonic()
     record.begin = time.time_ns()
     order = itertools.count()
@@ -102,7 +107,7 @@ def _play(scenario: Scenario, loop: Loop, progress: Callable[[float, str], None]
             if over:
                 action.end(loop, event.what)
                 continue
-            record.happened.append((time.time_ns(), event))
+            record.first = record.first or time.time_ns()
             action.begin(loop, event.what)
             if event.lasts > 0.0 or event.action == "kill":
                 heapq.heappush(todo, (t + event.lasts, next(order), event, True))
@@ -119,8 +124,9 @@ def _play(scenario: Scenario, loop: Loop, progress: Callable[[float, str], None]
             record.round_trip.append((looked - started, float(reported)))
             progress(t, f"theta {monitor.theta:+.2f}")
             if not changing:
-                refuse_others(monitor, scenario.publishers)
+                refuse_others(monitor, scenario.topics)
     record.end = time.time_ns()
+    record.first = record.first or record.begin
     if not record.failures:
         record.failures += [
             f"'{event}' did not happen: the run was over" for *_, event, over in todo if not over
@@ -135,12 +141,12 @@ def _simulated(setting: Setting, monitor: Monitor, elapsed: float) -> float:
     return elapsed * setting.time_scale
 
 
-def refuse_others(monitor: Monitor, publishers: Mapping[str, int]) -> None:
-    """Raise LiveError if topics have more publishers than the run's own."""
-    for topic, expected in publishers.items():
-        if (count := monitor.count_publishers(topic)) > expected:
+def refuse_others(monitor: Monitor, topics: Sequence[str]) -> None:
+    """Raise LiveError if a topic has a publisher besides the run's own."""
+    for topic in topics:
+        if (count := monitor.count_publishers(topic)) > 1:
             domain = os.environ.get("ROS_DOMAIN_ID", "0")
             raise LiveError(
-                f"{count} publishers on '{topic}', {expected} of this run: another loop runs on "
-                f"this ROS domain; set ROS_DOMAIN_ID (now {domain}) to a free one"
+                f"{count} publishers on '{topic}', 1 of this run: another loop runs on this ROS "
+                f"domain; set ROS_DOMAIN_ID (now {domain}) to a free one"
             )

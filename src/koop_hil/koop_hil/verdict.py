@@ -151,8 +151,7 @@ def _judge_theta(
         return
     error = np.abs(scenario.off(theta))
     verdict.tail_error = float(error[-max(1, round(TAIL * error.size)) :].mean())
-    first = min((begin for begin, _ in record.happened), default=record.begin)
-    after = stamps >= first
+    after = stamps >= record.first
     out = after & (error > scenario.limits.error_limit)
     verdict.time_out_of_tolerance = float(out.sum() * scenario.dt)
     verdict.max_error = float(error[after].max(initial=0.0))
