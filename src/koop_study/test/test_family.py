@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from koop_core.config.parameter import ConfigError
 from koop_study.experiments.spec import parse
 from koop_study.family import oscillator
 from koop_study.family.config import MAPS, WITH_OPTIMUM, FamilyConfig
+from koop_study.family.loop import close_from_end, noise_of
 from koop_study.family.rig import GRID, Rig, draw
+from koop_study.family.scaled import PAPER_CONSTANTS, scaled_to
 
 STILL = {"drift": (0.0, 0.0)}
 ALL = FamilyConfig(maps=dict.fromkeys(MAPS, 1.0))
@@ -23,7 +26,7 @@ def of(maps: str, seed: int = 0, **settings: object) -> Rig:
 
 
 def rms(rig: Rig, theta: float, seed: int, periods: float) -> float:
-    """Brute force: |z| at a resting theta, after it has settled."""
+    """Brute force: amplitude at a resting theta, after it has settled."""
     steps = round(periods / rig.frequency / rig.params.dt)
     settling = round(25.0 * rig.slowest / rig.params.dt)
     _, amplitude = rig.record(np.full(settling + steps, theta), seed)
@@ -84,15 +87,18 @@ def test_position_and_theta_are_each_others_inverse(log_scaled: float) -> None:
 
 @pytest.mark.parametrize("noise_driven", [0.0, 1.0])
 @pytest.mark.parametrize("maximised", [0.0, 1.0])
-def test_the_true_amplitude_is_that_of_a_long_run(noise_driven: float, maximised: float) -> None:
+@pytest.mark.parametrize("name", ["asymmetric", "narrow", "two-valleys", "two-modes"])
+def test_the_true_amplitude_is_that_of_a_long_run(
+    name: str, noise_driven: float, maximised: float
+) -> None:
     settings = {"noise_driven": noise_driven, "maximised": maximised, "amplitude_time": (2.0, 4.0)}
-    rig = of("asymmetric", 1, **settings)
+    rig = of(name, 1, **settings)
     for u in (0.1, 0.5, 0.9):
         theta = oscillator.theta_at(rig.params, u)
         # noise-driven: |z|^2 is exponential with a memory of tau / 2 <= 2 periods; the mean over
-        # 20 000 periods has a standard deviation of 1.4 %, its root half of that
-        tolerance = 0.02 if noise_driven else 1e-6
-        assert rms(rig, theta, 4, 20_000.0 if noise_driven else 100.0) == pytest.approx(
+        # 5000 periods has a standard deviation of 2.8 %, its root half of that
+        tolerance = 0.04 if noise_driven else 1e-6
+        assert rms(rig, theta, 4, 5000.0 if noise_driven else 100.0) == pytest.approx(
             rig.amplitude(theta), rel=tolerance
         )
 
@@ -106,12 +112,12 @@ def test_the_best_theta_is_the_best_of_many(name: str, maximised: float) -> None
         thetas = [oscillator.theta_at(rig.params, u) for u in np.linspace(0.0, 1.0, 41)]
         found = [rms(rig, theta, seed, 3.0) for theta in thetas]
         best, amplitude = rig.best()
-        pick = max if maximised else min
+        pick = max if rig.objective == "maximise" else min
         # a limit cycle has settled to 1e-6 after 25 time constants, from any level
         assert amplitude == pytest.approx(pick([*found, rms(rig, best, seed, 3.0)]), rel=1e-3)
         assert rig.has_optimum == (name in WITH_OPTIMUM or name == "drowned") - (name == "drowned")
         if rig.has_optimum:
-            worst = (min if maximised else max)(found)
+            worst = (max if pick is min else min)(found)
             assert max(worst / amplitude, amplitude / worst) > 1.5
             u = oscillator.position(rig.params, rig.theta_initial)
             assert abs(u - oscillator.position(rig.params, best)) >= 0.249
@@ -122,7 +128,7 @@ def test_the_amplitude_goes_up_and_down_with_the_time_constant() -> None:
     p, (best, low) = rig.params, rig.best()
     steps = round(rig.relaxation(best) / p.dt)
     # 0.1 % beside the level, the deviation falls to 1/e within tau
-    state = oscillator.RigState(1.001 * low, 0.0)
+    state = oscillator.RigState(1.001 * low, 0.0, 0.0, 0.0, oscillator.position(p, best))
     x, amplitude = np.empty((steps + 1, rig.channels)), np.empty(steps + 1)
     noise = np.zeros((steps + 1, 2 + rig.channels))
     oscillator.run(p, state, 0, np.full(steps + 1, best), noise, x, amplitude)
@@ -195,6 +201,153 @@ def test_the_best_fixed_theta_of_a_jumping_optimum_is_the_best_of_many_runs() ->
     assert run(theta) == pytest.approx(amplitude, rel=0.05)
     thetas = [oscillator.theta_at(rig.params, u) for u in np.linspace(0.0, 1.0, 21)]
     assert run(theta) <= 1.02 * min(run(other) for other in thetas)
+
+
+def at(rig: Rig, u: float) -> float:
+    """Return the amplitude at a position over that at the best theta."""
+    return rig.amplitude(oscillator.theta_at(rig.params, u)) / rig.best()[1]
+
+
+MIDDLE = {"optimum": (0.5, 0.5), "maximised": 0.0}
+
+
+def test_a_narrow_valley_has_its_width_its_depth_and_visible_skirts() -> None:
+    rig = of("narrow", width=(0.04, 0.04), skirts=(0.1, 0.1), depth=(10.0, 10.0), **MIDDLE)
+    for side in (-1.0, 1.0):
+        # x = 1 at half the width, 100 at the skirts: (1 + x) / (1 + x / 100)
+        assert at(rig, 0.5 + side * 0.02) == pytest.approx(math.sqrt(2.0 / 1.01))
+        assert at(rig, 0.5 + side * 0.1) == pytest.approx(math.sqrt(101.0 / 2.0))
+        assert at(rig, 0.5 + side * 0.5) == pytest.approx(10.0, rel=0.01)
+    for seed in range(40):  # between dwell points an eighth of the range apart something shows
+        rig = of("narrow", seed, depth=(5.0, 100.0), maximised=0.0)
+        u = oscillator.position(rig.params, rig.best()[0])
+        far = u + (0.4 if u < 0.5 else -0.4)
+        near = u + (0.0625 if u < 0.5 else -0.0625)
+        assert at(rig, far) / at(rig, near) > 1.15
+
+
+def test_of_two_valleys_the_narrow_one_is_the_deeper() -> None:
+    settings = {"width": (0.05, 0.1), "depth": (15.0, 40.0), "maximised": 0.0}
+    for seed in range(40):
+        rig = of("two-valleys", seed, **settings)
+        p = rig.params
+        levels = oscillator.levels(p, GRID, 0.0) / p.level
+        valleys = 1 + np.flatnonzero((levels[1:-1] < levels[:-2]) & (levels[1:-1] <= levels[2:]))
+        assert sorted(GRID[valleys]) == pytest.approx(sorted([p.best, p.best + p.apart]), abs=1e-3)
+        assert at(rig, p.best + p.apart) == pytest.approx(p.shallower)
+        assert p.shallower >= 2.0
+        wide = [np.ptp(GRID[levels <= math.sqrt(2.0) * bottom]) for bottom in (1.0, p.shallower)]
+        assert 0.05 * 0.97 <= wide[0] <= 0.1 * 1.01 < wide[1]
+        ridge = levels[min(valleys) : max(valleys)].max()
+        assert ridge > 1.3 * p.shallower
+
+
+def test_two_modes_trade_off_and_their_sum_is_least_in_between() -> None:
+    settings = {"depth": (4.0, 4.0), "noise_driven": 0.0, "clean": 1.0, "quiet": 1.0, **MIDDLE}
+    rig = of("two-modes", 3, harmonic=(0.0, 0.0), amplitude_time=(2.0, 2.0), **settings)
+    p = rig.params
+    # by hand: slopes ln(4 sqrt 2) / 0.5, so L^2 = (32 + 1 / 32) / 2 at both ends, but for what
+    # noise keeps alive of both modes
+    assert at(rig, 0.0) == pytest.approx(math.sqrt(0.9982 * (16.0 + 1.0 / 64.0) + 0.0018))
+    assert at(rig, 1.0) == pytest.approx(at(rig, 0.0))
+    first, second = oscillator.two_modes(p, 0.5, 0.0)
+    assert first == pytest.approx(second) == pytest.approx(p.level / math.sqrt(2.0))
+    assert 2.0 <= p.second <= 4.0
+    for u, ratio in ((0.0, 1.0), (1.0, p.second)):
+        x, _ = rig.record(np.full(20_000, oscillator.theta_at(p, u)), 1)
+        lines = np.abs(np.fft.rfft(x[4000:, 0] * np.hanning(16_000)))
+        lines[:10] = 0.0
+        strongest = np.fft.rfftfreq(16_000, p.dt)[np.argmax(lines)]
+        assert strongest == pytest.approx(ratio * rig.frequency, rel=0.02)
+
+
+def test_both_modes_run_at_their_own_levels() -> None:
+    for noise_driven, tolerance in ((0.0, 1e-6), (1.0, 0.06)):  # 1000 periods; tau / 2 is 1
+        rig = of("two-modes", 2, noise_driven=noise_driven, amplitude_time=(2.0, 2.0))
+        p, u = rig.params, 0.3
+        state, squares = rig.initial(1), np.zeros(2)
+        steps = round(1000.0 / rig.frequency / p.dt)
+        for k, noise in enumerate(rig.noise(steps, 1)):
+            state = oscillator.step(p, state, k, oscillator.theta_at(p, u), *noise[:2])
+            if k >= steps // 10:
+                squares += state.re**2 + state.im**2, state.other_re**2 + state.other_im**2
+        levels = np.sqrt(squares / (steps - steps // 10))
+        assert levels == pytest.approx(oscillator.two_modes(p, u, 0.0), rel=tolerance)
+
+
+@pytest.mark.parametrize("log_scaled", [0.0, 1.0])
+def test_theta_acts_with_a_play(log_scaled: float) -> None:
+    settings = {"noise_driven": 0.0, "amplitude_time": (2.0, 2.0), "log_scaled": log_scaled}
+    rig = of("symmetric", 7, play=(0.04, 0.04), **settings)
+    p = rig.params
+    state, path = replace(rig, theta_initial=p.theta_min).initial(0), []
+    for u in (0.0, 0.01, 0.5, 0.49, 0.47, 0.3, 0.34, 0.35):
+        state = oscillator.step(p, state, 0, oscillator.theta_at(p, u), 0.0, 0.0)
+        path.append(state.u)
+    assert path == pytest.approx([0.0, 0.0, 0.48, 0.48, 0.48, 0.32, 0.32, 0.33])
+    steps = round(200.0 / rig.frequency / p.dt)
+    for start, acting in ((0.1, 0.48), (0.9, 0.52)):  # rests at 0.5, come to from below, above
+        u = np.r_[np.linspace(start, 0.5, steps), np.full(steps, 0.5)]
+        begun = replace(rig, theta_initial=oscillator.theta_at(p, start))
+        _, amplitude = begun.record(np.array([oscillator.theta_at(p, v) for v in u]), 1)
+        expected = rig.amplitude(oscillator.theta_at(p, acting))
+        assert amplitude[-steps // 2 :].mean() == pytest.approx(expected, rel=1e-6)
+    theta, best = rig.best()  # reached from below and from above, commanded beyond it
+    assert best == p.level == rig.amplitude(theta)
+
+
+def test_an_oscillation_grows_slowly_near_the_optimum_and_fast_elsewhere() -> None:
+    settings = {"noise_driven": 0.0, "maximised": 0.0, "amplitude_time": (30.0, 100.0),
+                "quicker": (15.0, 15.0), "growth": (1.0, 1.0), "depth": (10.0, 10.0)}  # fmt: skip
+    for seed in range(10):
+        rig = of("symmetric", seed, **settings)
+        p, (best, low) = rig.params, rig.best()
+        slow = rig.relaxation(best)
+        assert 30.0 * 0.999 <= slow * rig.frequency <= 100.0 * 1.001
+        assert rig.slowest == pytest.approx(slow, rel=1e-4)
+        ends = max(rig.amplitude(p.theta_min), rig.amplitude(p.theta_max))
+        assert ends == pytest.approx(10.0 * low)  # tau as 1 / L, at least 2 periods
+        fast = min(rig.relaxation(p.theta_min), rig.relaxation(p.theta_max))
+        assert fast == pytest.approx(max(slow / 10.0, 2.0 / rig.frequency))
+        # far below its level |z| grows e-fold in 2 tau
+        steps = round(2.0 * slow / p.dt)
+        state = oscillator.RigState(1e-4 * low, 0.0, 0.0, 0.0, oscillator.position(p, best))
+        for k in range(steps):
+            state = oscillator.step(p, state, k, best, 0.0, 0.0)
+        grown = math.sqrt(oscillator.energy(state)) / (1e-4 * low)
+        assert grown == pytest.approx(math.exp(steps * p.dt / (2.0 * slow)), rel=1e-3)
+
+
+def test_an_interference_may_be_slower_and_stronger_than_the_oscillation() -> None:
+    slow = (0.05, 0.3)
+    for seed in range(10):
+        settings = {"lower_tones": slow, "upper_tones": slow, "interference": (3.0, 10.0)}
+        rig = of("symmetric", seed, clean=0.0, common=1.0, **settings)
+        p = rig.params
+        ratio = p.tone / (2.0 * math.pi * rig.frequency)
+        assert np.all((ratio >= 0.05) & (ratio <= 0.3))
+        rms = math.sqrt(0.5 * (p.tone_amplitude[:, 0] ** 2).sum())
+        assert 3.0 <= rms / (p.middle * math.sqrt(0.5)) <= 10.0 * 1.001
+
+
+@pytest.mark.parametrize(
+    ("name", "play"),
+    [("narrow", 0.0), ("two-valleys", 0.0), ("two-modes", 0.0), ("symmetric", 0.05)],
+)
+def test_the_loop_runs_on_every_rig_with_the_truth_of_its_best_theta(
+    name: str, play: float
+) -> None:
+    settings = {"noise_driven": 0.0, "amplitude_time": (2.0, 3.0), "clean": 1.0, "maximised": 0.0}
+    rig = of(name, 4, play=(play, play), log_scaled=0.0, **settings)
+    noise = noise_of(rig, round(60.0 * rig.time / rig.params.dt), 1)
+    assert noise.best == pytest.approx(rig.best()[1], rel=1e-6)
+    done = close_from_end(rig, scaled_to(rig, PAPER_CONSTANTS, None), 0, noise, 1)
+    amplitude = rig.record(done.theta, 1)[1]
+    half = amplitude.size // 2
+    again = math.sqrt(float((amplitude[half:] ** 2).mean())) / noise.best
+    # only the first phase is another one: the controller's theta gives the same amplitude
+    assert done.ratio == pytest.approx(again, rel=0.01)
+    assert done.ratio > 0.99
 
 
 def test_a_drowned_rig_shows_nothing_of_its_oscillation() -> None:

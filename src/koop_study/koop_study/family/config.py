@@ -8,19 +8,24 @@ from typing import Any
 from koop_core.config.parameter import ConfigError
 
 Range = tuple[float, ...]
-WITH_OPTIMUM = ("symmetric", "asymmetric", "one-sided", "flat-bottomed")
+BOWLS = ("symmetric", "asymmetric", "one-sided", "flat-bottomed")
+WITH_OPTIMUM = (*BOWLS, "narrow", "two-valleys", "two-modes")
 WITHOUT_OPTIMUM = ("monotone", "flat", "drowned")
 MAPS = (*WITH_OPTIMUM, *WITHOUT_OPTIMUM)
 
 LOGARITHMIC = (
     "frequency", "theta_scale", "depth", "amplitude_time", "amplitude", "noise", "interference",
+    "width", "skirts", "shallower", "quicker",
 )  # fmt: skip
 LIMITS = {  # what the ranges may be at most
     "channels": (1, 8), "frequency": (1e-3, 1e3), "theta_scale": (1e-6, 1e6),
     "optimum": (0.05, 0.95), "depth": (1.01, 1e3), "flat": (0.0, 0.4), "power": (0.5, 4.0),
     "amplitude_time": (1.0, 1e4), "amplitude": (1e-6, 1e6), "noise": (1e-6, 1e3),
     "interference": (1e-3, 1e3), "drift": (0.0, 10.0), "jump": (0.0, 0.8),
-    "jump_every": (1.0, 1e6), "harmonic": (0.0, 1.0), "jitter": (0.0, 1.0),
+    "jump_every": (1.0, 1e6), "harmonic": (0.0, 1.0), "jitter": (0.0, 1.0), "width": (1e-3, 0.5),
+    "skirts": (0.01, 1.0), "shallower": (1.5, 100.0), "apart": (0.2, 0.5), "second": (1.5, 5.0),
+    "play": (0.0, 0.2), "quicker": (1.0, 1e3), "growth": (0.0, 3.0), "lower_tones": (1e-3, 8.0),
+    "upper_tones": (1e-3, 8.0),
 }  # fmt: skip
 
 
@@ -41,14 +46,32 @@ class FamilyConfig:
     flat : Range
         Half the width of the bottom, of the maps that have one.
     power : Range
-        p of the map.
+        p of the map; a narrow one has its own.
+    width : Range
+        Of a narrow valley: where L is at most sqrt(2) L*; log-uniform.
+    skirts : Range
+        Of a narrow valley: half the width where L^2 is half of that far away; log-uniform. p, 0.5
+        to 2, follows from width, skirts and depth.
+    shallower, apart : Range
+        Of two valleys: level at the bottom of the wide one over L*, log-uniform; their distance.
+    second : Range
+        Of two modes: frequency of the second over that of the first.
+    play : Range
+        Backlash of theta, in u.
     amplitude_time : Range
-        tau in periods, log-uniform, wherever theta is.
+        tau at the optimum in periods, log-uniform, and its limits wherever theta is.
+    quicker : Range
+        How many times less than the lower limit tau may be elsewhere; log-uniform.
+    growth : Range
+        g of a limit cycle, whose tau goes as (L / L*)^-g.
     amplitude : Range
         L* in the unit of the channels, log-uniform.
     noise, interference : Range
         Rms of measurement noise and of interference over that of the oscillation at its middle
         level; log-uniform, of the rigs that have any.
+    lower_tones, upper_tones : Range
+        Frequency of an interference over that of the oscillation: of each in either with the same
+        probability.
     drift : Range
         Motion of u* in an hour, or in a hundred slowest tau where these are longer: no law follows
         an optimum that leaves faster than the amplitude answers.
@@ -62,9 +85,8 @@ class FamilyConfig:
         Shares: of noise-driven oscillators, of log-scaled theta, of maps to be maximised, of rigs
         without measurement noise, without interference, with one that reaches all channels alike.
     maps : dict of str to float
-        Weights: ``symmetric``, ``asymmetric``, ``one-sided``, ``flat-bottomed`` have an optimum;
-        ``monotone``, ``flat`` and ``drowned`` have none that can be found. As given, those with
-        an optimum, alike.
+        Weights: :data:`WITH_OPTIMUM` have an optimum; ``monotone``, ``flat`` and ``drowned`` have
+        none that can be found. By default those with one wide valley, alike.
     """
 
     frequency: Range = (0.05, 50.0)
@@ -73,10 +95,20 @@ class FamilyConfig:
     depth: Range = (2.0, 20.0)
     flat: Range = (0.03, 0.1)
     power: Range = (1.0, 1.5)
+    width: Range = (0.01, 0.05)
+    skirts: Range = (0.05, 0.15)
+    shallower: Range = (2.0, 4.0)
+    apart: Range = (0.35, 0.5)
+    second: Range = (2.0, 4.0)
+    play: Range = (0.0, 0.0)
     amplitude_time: Range = (2.0, 200.0)
+    quicker: Range = (1.0, 1.0)
+    growth: Range = (0.0, 1.0)
     amplitude: Range = (1e-3, 1e3)
     noise: Range = (0.01, 0.3)
     interference: Range = (0.1, 10.0)
+    lower_tones: Range = (0.1, 0.6)
+    upper_tones: Range = (1.6, 4.0)
     drift: Range = (0.0, 0.1)
     jump: Range = (0.0, 0.0)
     jump_every: Range = (60.0, 60.0)
@@ -89,7 +121,7 @@ class FamilyConfig:
     quiet: float = 0.25
     clean: float = 0.25
     common: float = 0.5
-    maps: dict[str, float] = field(default_factory=lambda: dict.fromkeys(WITH_OPTIMUM, 1.0))
+    maps: dict[str, float] = field(default_factory=lambda: dict.fromkeys(BOWLS, 1.0))
 
     def __post_init__(self) -> None:
         for item in fields(self):

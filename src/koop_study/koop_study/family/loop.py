@@ -175,8 +175,8 @@ def _close(
         r, _, settling, seen = cost.answer(source, lifting, detector, seen, arrival, k + 1, x, work)
         command, _, _ = relay.answer(limits, command, arrival, False, settling, r, False)
         theta[k] = command.output
-        power[i] += (state.re * state.re + state.im * state.im) * share
+        power[i] += oscillator.energy(state) * share
         if k % EVERY == 0:
-            settled = oscillator.level(p, oscillator.position(p, command.output), k * p.dt)
+            settled = oscillator.level(p, oscillator.acting(p, state, command.output), k * p.dt)
             excess[i] += p.sense * math.log(settled / p.level) * share * EVERY
         state = oscillator.step(p, state, k, command.output, noise[k, 0], noise[k, 1])

@@ -14,9 +14,19 @@ one), u* that of the optimum and e the distance from u* beyond a flat bottom,
     L = L* sqrt(1 + (e / w)^2p)   to be minimised,      L = L* / sqrt(1 + (e / w)^2p)   maximised,
 
 with a width w for each side; as the paper's plant, a^2 = 1 + (theta - theta*)^2, is for p = 1.
-A rig without an optimum has L exponential in u, or constant.
+A rig without an optimum has L exponential in u, or constant. Further maps:
 
-A channel is  m_1 Re z + m_2 Im z + m_3 Re z^2 / L_mid + offset + interference + white noise.
+    narrow         with x = (e / w)^2p, 1 + x becomes (1 + x) / (1 + x / D^2): L ends at D L*, and
+                   the skirts are a tuned absorber's (for p = 1 the gain of a notch filter)
+    two valleys    the lesser of L and s L* sqrt(1 + (|u - u* - d| / w')^2p), s > 1
+    two modes      a second oscillation at another frequency: L_1 falls and L_2 rises exponentially
+                   with u; L^2 = L_1^2 + L_2^2 is least at u*, see :func:`two_modes`
+
+Between theta and what acts on the rig there may be a play b: u follows theta's position only where
+that is further than b / 2 away (backlash).
+
+A channel is  m_1 Re z + m_2 Im z + m_3 Re z^2 / L_mid + offset + interference + white noise, and
+m_4 Re z' + m_5 Im z' of a second oscillation z'.
 """
 
 from __future__ import annotations
@@ -34,6 +44,9 @@ NOISE_DRIVEN = 1
 BOWL = 0
 MONOTONE = 1
 FLAT = 2
+TWO_VALLEYS = 3
+TWO_MODES = 4
+ALIVE = 0.03  # of L*, that is left of either of two modes
 MARGIN = 0.05  # of the range, that a moving optimum keeps from its ends
 
 
@@ -53,22 +66,30 @@ class RigParams(NamedTuple):
     log_scale : bool
         Whether u is the position of log theta.
     shape : int
-        BOWL, MONOTONE or FLAT.
+        BOWL, MONOTONE, FLAT, TWO_VALLEYS or TWO_MODES.
     sense : float
         +1 if L* is the smallest level, -1 if it is the largest.
     best, level : float
         u* at t = 0 and L*; of a monotone map, L at u = 1/2.
     width_below, width_above, flat, power : float
         w on the two sides of u*, half the width of the bottom, p; a monotone map has the slope of
-        log L in ``width_above``.
+        log L in ``width_above``, two modes those of -log L_1 and log L_2 in both.
+    saturation : float
+        D, largest gain of a narrow map; infinite of others.
+    apart, other_width, shallower : float
+        d, w' and s of a second valley.
+    play : float
+        b, backlash of theta, in u.
     drift, jump, jump_every : float
         Motion of u*: rate [1/s], turning at MARGIN; jump to and fro, and the time between two [s].
     tau, exponent, tau_low, tau_high : float
         tau(theta) = tau (L / L*)^exponent within its limits [s].
     middle : float
         L_mid, geometric mean of the smallest and the largest level at t = 0.
-    mix : ndarray, shape (n, 3)
-        m_1, m_2, m_3 of each of n channels.
+    mix : ndarray, shape (n, 5)
+        m_1 to m_5 of each of n channels.
+    second : float
+        Frequency of the second oscillation over that of the first.
     offset, noise : ndarray, shape (n,)
         Offset and standard deviation of the white noise of each channel.
     tone : ndarray, shape (m,)
@@ -92,6 +113,11 @@ class RigParams(NamedTuple):
     width_above: float
     flat: float
     power: float
+    saturation: float
+    apart: float
+    other_width: float
+    shallower: float
+    play: float
     drift: float
     jump: float
     jump_every: float
@@ -100,6 +126,7 @@ class RigParams(NamedTuple):
     tau_low: float
     tau_high: float
     middle: float
+    second: float
     mix: NDArray[np.float64]
     offset: NDArray[np.float64]
     noise: NDArray[np.float64]
@@ -109,10 +136,13 @@ class RigParams(NamedTuple):
 
 
 class RigState(NamedTuple):
-    """The complex amplitude z = re + i im."""
+    """z = re + i im, z' = other_re + i other_im, and the position of the theta that acts."""
 
     re: float
     im: float
+    other_re: float
+    other_im: float
+    u: float
 
 
 @njit()
@@ -147,16 +177,42 @@ def best_position(p: RigParams, t: float) -> float:
 
 
 @njit()
+def two_modes(p: RigParams, u: float, t: float) -> tuple[float, float]:
+    """Return L_1 and L_2 of a rig with two modes.
+
+    With slopes a, b and c = ALIVE they are, with e = u - u*,
+
+        (L_1 / L*)^2 = c^2 + (1 - 2 c^2) b / (a + b) exp(-2 a e)
+        (L_2 / L*)^2 = c^2 + (1 - 2 c^2) a / (a + b) exp(2 b e)
+
+    so that the derivative of their sum is 0 at u*, and the sum 1.
+    """
+    a, b, e = p.width_below, p.width_above, u - best_position(p, t)
+    floor = ALIVE * ALIVE
+    share = (1.0 - 2.0 * floor) / (a + b)
+    return (
+        p.level * math.sqrt(floor + share * b * math.exp(-2.0 * a * e)),
+        p.level * math.sqrt(floor + share * a * math.exp(2.0 * b * e)),
+    )
+
+
+@njit()
 def level(p: RigParams, u: float, t: float) -> float:
-    """Return L, the root mean square of \\|z\\| that position u leads to at a time [s]."""
+    """Return L, the amplitude (root mean square) that position u leads to at a time [s]."""
     if p.shape == FLAT:
         return p.level
     if p.shape == MONOTONE:
         return p.level * math.exp(p.width_above * (u - 0.5))
+    if p.shape == TWO_MODES:
+        first, second = two_modes(p, u, t)
+        return math.sqrt(first * first + second * second)
     beyond = u - best_position(p, t)
     width = p.width_above if beyond > 0.0 else p.width_below
-    beyond = max(abs(beyond) - p.flat, 0.0) / width
-    gain = math.sqrt(1.0 + beyond ** (2.0 * p.power))
+    rise = (max(abs(beyond) - p.flat, 0.0) / width) ** (2.0 * p.power)
+    gain = math.sqrt((1.0 + rise) / (1.0 + rise / p.saturation**2))
+    if p.shape == TWO_VALLEYS:
+        rise = (abs(beyond - p.apart) / p.other_width) ** (2.0 * p.power)
+        gain = min(gain, p.shallower * math.sqrt(1.0 + rise))
     return p.level * gain if p.sense > 0.0 else p.level / gain
 
 
@@ -176,6 +232,38 @@ def relaxation(p: RigParams, settled: float) -> float:
 
 
 @njit()
+def acting(p: RigParams, state: RigState, theta: float) -> float:
+    """Return the position of the theta that acts under a commanded one."""
+    u = position(p, theta)
+    return min(max(state.u, u - 0.5 * p.play), u + 0.5 * p.play)
+
+
+@njit()
+def energy(state: RigState) -> float:
+    """Return the square of the amplitude, \\|z\\|^2 + \\|z'\\|^2."""
+    first = state.re * state.re + state.im * state.im
+    return first + state.other_re * state.other_re + state.other_im * state.other_im
+
+
+@njit()
+def _advance(
+    p: RigParams, settled: float, fade: float, turn: float, re: float, im: float,
+    noise_1: float, noise_2: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Advance one oscillation that settles at a level and turns by an angle."""
+    if p.kind == NOISE_DRIVEN:
+        c, s = fade * math.cos(turn), fade * math.sin(turn)
+        kick = settled * math.sqrt(0.5 * (1.0 - fade * fade))
+        return c * re - s * im + kick * noise_1, s * re + c * im + kick * noise_2
+    square = max(re * re + im * im, 1e-12 * settled * settled)
+    after = settled * settled / (1.0 + (settled * settled / square - 1.0) * fade)
+    gain = math.sqrt(after / square)
+    angle = turn + p.jitter * noise_1
+    c, s = gain * math.cos(angle), gain * math.sin(angle)
+    return c * re - s * im, s * re + c * im
+
+
+@njit()
 def step(
     p: RigParams, state: RigState, k: int, theta: float, noise_1: float, noise_2: float
 ) -> RigState:
@@ -192,23 +280,21 @@ def step(
     theta : float
         Control input, clipped to the rig's range.
     noise_1, noise_2 : float
-        Two standard normal numbers.
+        Two standard normal numbers; swapped they drive the second oscillation, which leaves the two
+        uncorrelated.
     """
-    settled = level(p, position(p, theta), k * p.dt)
+    u = acting(p, state, theta)
+    settled = level(p, u, k * p.dt)
     fade = math.exp(-p.dt / relaxation(p, settled))
-    if p.kind == NOISE_DRIVEN:
-        c, s = fade * math.cos(p.turn), fade * math.sin(p.turn)
-        kick = settled * math.sqrt(0.5 * (1.0 - fade * fade))
-        return RigState(
-            c * state.re - s * state.im + kick * noise_1,
-            s * state.re + c * state.im + kick * noise_2,
-        )
-    square = max(state.re * state.re + state.im * state.im, 1e-12 * settled * settled)
-    after = settled * settled / (1.0 + (settled * settled / square - 1.0) * fade)
-    gain = math.sqrt(after / square)
-    angle = p.turn + p.jitter * noise_1
-    c, s = gain * math.cos(angle), gain * math.sin(angle)
-    return RigState(c * state.re - s * state.im, s * state.re + c * state.im)
+    if p.shape != TWO_MODES:
+        re, im = _advance(p, settled, fade, p.turn, state.re, state.im, noise_1, noise_2)
+        return RigState(re, im, 0.0, 0.0, u)
+    first, second = two_modes(p, u, k * p.dt)
+    re, im = _advance(p, first, fade, p.turn, state.re, state.im, noise_1, noise_2)
+    other_re, other_im = _advance(
+        p, second, fade, p.second * p.turn, state.other_re, state.other_im, noise_2, noise_1
+    )
+    return RigState(re, im, other_re, other_im, u)
 
 
 @njit()
@@ -224,9 +310,10 @@ def measure(
     ``noise``, shape (n,), are standard normal numbers.
     """
     t = k * p.dt
-    second = (state.re * state.re - state.im * state.im) / p.middle
+    harmonic = (state.re * state.re - state.im * state.im) / p.middle
     for i in range(x.shape[0]):
-        value = p.mix[i, 0] * state.re + p.mix[i, 1] * state.im + p.mix[i, 2] * second
+        value = p.mix[i, 0] * state.re + p.mix[i, 1] * state.im + p.mix[i, 2] * harmonic
+        value += p.mix[i, 3] * state.other_re + p.mix[i, 4] * state.other_im
         for j in range(p.tone.shape[0]):
             value += p.tone_amplitude[j, i] * math.sin(p.tone[j] * t + p.tone_phase[j, i])
         x[i] = value + p.offset[i] + p.noise[i] * noise[i]
@@ -253,10 +340,10 @@ def run(
     x : ndarray, shape (M, n)
         Receives the channels.
     amplitude : ndarray, shape (M,)
-        Receives \\|z\\|.
+        Receives the root of :func:`energy`.
     """
     for k in range(theta.shape[0]):
         measure(p, state, first + k, noise[k, 2:], x[k])
-        amplitude[k] = math.sqrt(state.re * state.re + state.im * state.im)
+        amplitude[k] = math.sqrt(energy(state))
         state = step(p, state, first + k, theta[k], noise[k, 0], noise[k, 1])
     return state

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,6 @@ from koop_study.family.oscillator import RigParams, RigState
 SAMPLES = (20, 50)  # of a period
 DROWNING = 100.0  # measurement noise of a drowned rig over its oscillation, both rms
 SLIGHT = (1.1, 1.3)  # depth of the other side of a one-sided map
-TONES = ((0.1, 0.6), (1.6, 4.0))  # frequencies of the interference over the oscillation's
 LONGEST_LAG = 0.3  # of an interference's period, between channels
 HOUR, SLOW = 3600.0, 100.0  # [s]; of a rig that needs longer, so many of its slowest tau
 FAR = 0.25  # least distance of the start from the optimum, in u
@@ -24,7 +24,8 @@ QUANTITIES = (  # each has random numbers of its own: a changed range changes no
     "noise_driven", "frequency", "samples", "log_scaled", "theta_scale", "theta_offset", "map",
     "maximised", "optimum", "depth", "side", "flat", "power", "amplitude_time", "exponent",
     "amplitude", "channels", "mix", "harmonic", "jitter", "offset", "quiet", "noise", "clean",
-    "interference", "common", "tones", "drift", "jump", "jump_every", "start",
+    "interference", "common", "tones", "drift", "jump", "jump_every", "start", "width", "skirts",
+    "shallower", "apart", "second", "second_mix", "play", "quicker",
 )  # fmt: skip
 
 
@@ -68,7 +69,7 @@ class Rig:
         return self.map in WITH_OPTIMUM
 
     def amplitude(self, theta: float, t: float = 0.0) -> float:
-        """Return the true amplitude, the root mean square of \\|z\\|, at a resting theta."""
+        """Return the true amplitude at a resting theta; with a play, at the one that acts."""
         p = self.params
         return float(oscillator.level(p, oscillator.position(p, theta), t))
 
@@ -135,13 +136,19 @@ class Rig:
     def initial(self, seed: int) -> RigState:
         """Return a state that has settled at ``theta_initial``, of a random phase."""
         rng = np.random.default_rng([seed, 2])
-        size = self.amplitude(self.theta_initial)
-        if self.params.kind == oscillator.NOISE_DRIVEN:
-            re, im = rng.normal(0.0, size * math.sqrt(0.5), 2)
-        else:
+        p, u = self.params, float(oscillator.position(self.params, self.theta_initial))
+
+        def settled(size: float) -> tuple[float, float]:
+            if p.kind == oscillator.NOISE_DRIVEN:
+                re, im = rng.normal(0.0, size * math.sqrt(0.5), 2)
+                return float(re), float(im)
             phase = rng.uniform(0.0, 2.0 * math.pi)
-            re, im = size * math.cos(phase), size * math.sin(phase)
-        return RigState(float(re), float(im))
+            return size * math.cos(phase), size * math.sin(phase)
+
+        if p.shape != oscillator.TWO_MODES:
+            return RigState(*settled(float(oscillator.level(p, u, 0.0))), 0.0, 0.0, u)
+        first, second = oscillator.two_modes(p, u, 0.0)
+        return RigState(*settled(first), *settled(second), u)
 
     def noise(self, steps: int, seed: int) -> NDArray[np.float64]:
         """Return the standard normal numbers of a run, shape (steps, 2 + channels)."""
@@ -164,7 +171,7 @@ class Rig:
         x : ndarray, shape (M, n)
             Measured channels.
         amplitude : ndarray, shape (M,)
-            True \\|z\\|.
+            True one, see :func:`oscillator.energy`.
         """
         x = np.empty((theta.size, self.channels))
         amplitude = np.empty(theta.size)
@@ -211,15 +218,16 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
     names = sorted(config.maps)
     weights = np.array([config.maps[name] for name in names])
     chosen = names[int(d["map"].choice(len(names), p=weights / weights.sum()))]
-    noise_driven, maximised = d.happens("noise_driven"), d.happens("maximised")
+    noise_driven = d.happens("noise_driven")
+    maximised = d.happens("maximised") and chosen != "two-modes"  # whose sum has no inner maximum
     frequency = d.of("frequency")
     samples = int(d["samples"].integers(SAMPLES[0], SAMPLES[1], endpoint=True))
     theta_min, theta_max, log_scale = _range(d)
     best = d.of("optimum")
-    shape, below, above, flat, power = _map(d, chosen, best)
     size = d.of("amplitude")
     tau = d.of("amplitude_time") / frequency
     low, high = (time / frequency for time in config.amplitude_time)
+    growth = config.growth
     far = d.of("jump")
     jump = far if best < 0.5 else -far  # towards the farther end, and not beyond
     jump = min(max(best + jump, oscillator.MARGIN), 1.0 - oscillator.MARGIN) - best
@@ -231,14 +239,11 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
         theta_min=theta_min,
         theta_max=theta_max,
         log_scale=log_scale,
-        shape=shape,
         sense=-1.0 if maximised else 1.0,
         best=best,
         level=size,
-        width_below=below,
-        width_above=above,
-        flat=flat,
-        power=power,
+        **_map(d, chosen, best),
+        play=d.of("play"),
         drift=0.0,
         jump=jump,
         jump_every=1.0,
@@ -246,11 +251,12 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
         # a weak noise-driven oscillation is one of strong damping, which settles fast; a weak
         # limit cycle one whose growth is slow
         exponent=float(d["exponent"].uniform(0.0, 2.0) if noise_driven
-                       else d["exponent"].uniform(-1.0, 0.0)),
-        tau_low=low,
+                       else d["exponent"].uniform(-growth[1], -growth[0])),
+        tau_low=low / d.of("quicker"),
         tau_high=high,
         middle=size,
-        mix=np.zeros((1, 3)),
+        second=d.of("second"),
+        mix=np.zeros((1, 5)),
         offset=np.zeros(1),
         noise=np.zeros(1),
         tone=np.zeros(0),
@@ -279,21 +285,35 @@ def _range(d: _Draws) -> tuple[float, float, bool]:
     return middle - 0.5 * scale, middle + 0.5 * scale, False
 
 
-def _map(d: _Draws, name: str, best: float) -> tuple[int, float, float, float, float]:
-    """Return shape, width below and above the optimum, half the flat bottom, and p."""
-    depth, power, flat = d.of("depth"), d.of("power"), d.of("flat")
-    if name == "monotone":
-        return oscillator.MONOTONE, 1.0, d.sign("side") * math.log(depth), 0.0, power
-    if name == "flat":
-        return oscillator.FLAT, 1.0, 1.0, 0.0, power
-    flat = flat if name == "flat-bottomed" else 0.0
+def _map(d: _Draws, name: str, best: float) -> dict[str, Any]:
+    """Return what the parameters say of the map of a name."""
+    depth, power = d.of("depth"), d.of("power")
+    flat = d.of("flat") if name == "flat-bottomed" else 0.0
 
     def width(way: float, depth: float) -> float:
         """Return w for a gain of ``depth`` at a distance of ``way``."""
         return float(max(way - flat, 0.01) / (depth**2 - 1.0) ** (0.5 / power))
 
+    shape, saturation, apart, other_width, shallower = oscillator.BOWL, math.inf, 0.0, 1.0, 1.0
     below, above = width(best, depth), width(1.0 - best, depth)
-    if name == "one-sided":
+    if name == "monotone":
+        shape, above = oscillator.MONOTONE, d.sign("side") * math.log(depth)
+    elif name == "flat":
+        shape = oscillator.FLAT
+    elif name == "narrow":
+        saturation, below = depth, 0.5 * d.of("width")
+        above = below
+        power = min(max(math.log(depth) / math.log(d.of("skirts") / below), 0.5), 2.0)
+    elif name == "two-valleys":
+        shape, shallower, below = oscillator.TWO_VALLEYS, d.of("shallower"), 0.5 * d.of("width")
+        above = below
+        apart = d.of("apart") * (1.0 if best < 0.5 else -1.0)
+        other_width = width(max(best + apart, 1.0 - best - apart), max(depth / shallower, 1.5))
+    elif name == "two-modes":  # about as deep on both sides
+        shape = oscillator.TWO_MODES
+        below = math.log(depth / math.sqrt(best)) / best
+        above = math.log(depth / math.sqrt(1.0 - best)) / (1.0 - best)
+    elif name == "one-sided":
         slight = float(d["side"].uniform(*SLIGHT))
         if d["side"].random() < 0.5:
             below = width(best, slight)
@@ -301,17 +321,22 @@ def _map(d: _Draws, name: str, best: float) -> tuple[int, float, float, float, f
             above = width(1.0 - best, slight)
     elif name != "asymmetric":  # an asymmetric one is as deep on both sides, however near its end
         below = above = width(max(best, 1.0 - best), depth)
-    return oscillator.BOWL, below, above, flat, power
+    return {
+        "shape": shape, "width_below": below, "width_above": above, "flat": flat, "power": power,
+        "saturation": saturation, "apart": apart, "other_width": other_width,
+        "shallower": shallower,
+    }  # fmt: skip
 
 
 def _sensors(d: _Draws, p: RigParams, name: str) -> RigParams:
     """Add channels, their noise and the interference."""
     low, high = d.config.channels
     n = int(d["channels"].integers(round(low), round(high), endpoint=True))
-    mix = np.empty((n, 3))
-    angle = d["mix"].uniform(0.0, 2.0 * math.pi, n)
-    gain = np.exp(d["mix"].uniform(math.log(0.5), math.log(2.0), n))
-    mix[:, 0], mix[:, 1] = gain * np.cos(angle), gain * np.sin(angle)
+    mix = np.empty((n, 5))
+    for i, name_of in ((0, "mix"), (3, "second_mix")):
+        angle = d[name_of].uniform(0.0, 2.0 * math.pi, n)
+        gain = np.exp(d[name_of].uniform(math.log(0.5), math.log(2.0), n))
+        mix[:, i], mix[:, i + 1] = gain * np.cos(angle), gain * np.sin(angle)
     mix[:, 2] = [d.of("harmonic") for _ in range(n)]
     rms = p.middle * math.sqrt(0.5)  # of Re z at the middle level
     noise = 0.0 if d.happens("quiet") else d.of("noise")
@@ -319,7 +344,8 @@ def _sensors(d: _Draws, p: RigParams, name: str) -> RigParams:
     ratio = 0.0 if d.happens("clean") else d.of("interference")
     count = int(d["tones"].integers(1, 2, endpoint=True)) if ratio > 0.0 else 0
     omega = 2.0 * math.pi / (p.dt * (2.0 * math.pi / p.turn))
-    band = [TONES[i] for i in d["tones"].integers(0, 2, count)]
+    bands = (d.config.lower_tones, d.config.upper_tones)
+    band = [bands[i] for i in d["tones"].integers(0, 2, count)]
     tone = omega * np.exp([d["tones"].uniform(math.log(a), math.log(b)) for a, b in band])
     # rms of the sum of all tones is the ratio's
     amplitude = np.full((count, n), ratio * rms * math.sqrt(2.0 / max(count, 1)))
