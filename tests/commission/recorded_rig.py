@@ -46,8 +46,7 @@ def excited(rig, seed=0, stay=8.0, windows=8):
 def loaded_of(theta, x):
     """Return the recording as it is loaded from a bag."""
     begins = np.arange(theta.size) == 0
-    nowhere = np.zeros(theta.size, bool)
-    return Loaded(np.ascontiguousarray(x.T), begins, nowhere, theta, np.arange(theta.size) * 1.0)
+    return Loaded(np.ascontiguousarray(x.T), begins, theta, np.arange(theta.size) * 1.0)
 
 
 ANSWER = np.dtype(  # what is wanted of a koop_msgs/ControlInput

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from koop_bench.figures import BenchFigure, BenchSettings
 from koop_core.errors import KoopError
-from koop_loop import batch
 from koop_loop.kernel import LoopMemory
 from koop_loop.loop import controller, initial_state, run_kernel, simulate
 from koop_loop.training import TrainingConfig, train
@@ -31,7 +30,6 @@ from vdp_plant.config import PlantConfig
 
 STEPS = 500_000  # 2500 s
 PYTHON_STEPS = 20_000  # plain Python is some hundred times slower; time a step does not depend on k
-BATCH = 32  # loops side by side
 ROUNDS = 15  # timed runs, the best one counts
 SOURCE = Path(__file__).with_name("closed_loop.c")
 EVERY = 1000  # theta of every so many steps is compared with C
@@ -48,7 +46,7 @@ class TimedLoop:
 
 
 def run(settings: BenchSettings) -> list[BenchFigure]:
-    """Time the loop with either cost beside C, plain Python and a batch."""
+    """Time the loop with either cost beside C and plain Python."""
     model = train(PlantConfig(), TrainingConfig())
     rounds = settings.rounds or ROUNDS
     program = None
@@ -62,31 +60,16 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
             loop = TimedLoop(LifterConfig(cost=name), None if name == "raw" else model)
             kernel, c, worst = compare(loop, program, rounds)
             python = time_python(name)
-            batch_time, equal = time_batch(loop, min(rounds, 3))
             settings.show(
                 f"{name}: 2500 s closed loop, {STEPS} steps, best of {rounds}\n"
                 f"  kernel        {kernel:8.3f} s   {STEPS / kernel / 1e6:.2f} million steps/s\n"
-                f"  plain Python  {python:8.1f} s\n"
-                f"  batch of {BATCH}   {batch_time:8.4f} s a loop"
+                f"  plain Python  {python:8.1f} s"
             )
-            each = f"{batch_time:.4f} s a loop"
-            figures += [
-                BenchFigure(
-                    f"speed of the kernel, {name}", f"{kernel:.3f} s", python / kernel, "Python"
-                ),
-                BenchFigure(
-                    f"speed of a batch, {name}", each, kernel / batch_time, "the kernel", equal
-                ),
-            ]
+            title, took = f"speed of the kernel, {name}", f"{kernel:.3f} s"
+            figures.append(BenchFigure(title, took, python / kernel, "Python"))
             if program is not None:
                 settings.show(f"  C -O2         {c:8.3f} s   largest difference in theta {worst:g}")
-                same = worst < 1e-9
-                figures += [
-                    BenchFigure(
-                        f"speed of the kernel, {name}", f"{kernel:.3f} s", c / kernel, "C", same
-                    ),
-                    BenchFigure(f"speed of a batch, {name}", each, c / batch_time, "C", same),
-                ]
+                figures.append(BenchFigure(title, took, c / kernel, "C", worst < 1e-9))
     return figures
 
 
@@ -128,19 +111,6 @@ def time_kernel(loop: TimedLoop, rounds: int) -> tuple[float, NDArray[np.float64
         if number:  # the first run compiles and touches the memory
             best = min(best, time.process_time() - begin)
     return float(best), buffers[3][::EVERY]
-
-
-def time_batch(loop: TimedLoop, rounds: int) -> tuple[float, bool]:
-    """Return the best time [s] a loop of a batch, and whether its bits are the single loop's."""
-    plants = [replace(loop.plant, seed=seed) for seed in range(BATCH)]
-    best = np.inf
-    for number in range(rounds + 1):
-        begin = time.process_time()
-        result = batch.simulate_batch(plants, loop.lifter, loop.esc, loop.model, STEPS)
-        if number:  # the first run compiles
-            best = min(best, (time.process_time() - begin) / BATCH)
-    last = simulate(plants[-1], loop.lifter, loop.esc, loop.model, STEPS)
-    return float(best), bool((result.theta[-1] == last.theta).all())
 
 
 def time_python(name: str) -> float:

@@ -14,9 +14,8 @@ from koop_loop.parameters import make
 from koop_loop.training import train
 from koop_study.simulation import maps
 from koop_study.simulation.case import Case, model_of, override, seeded
-from koop_study.simulation.run import TOGETHER, is_plain, measure, run, run_seeds
+from koop_study.simulation.run import measure, run
 from koop_study.simulation.scenario import ScenarioConfig, expose, interference
-from koop_study.simulation.work import case_of
 from koopman_lifter import cost
 from relay_esc import relay
 from vdp_plant import dynamics
@@ -34,51 +33,6 @@ def test_without_scenario_it_is_the_nodes_loop_to_the_last_bit(cost: str) -> Non
     assert trace.theta.tobytes() == expected.theta.tobytes()
     assert trace.r.tobytes() == expected.r.tobytes()
     assert trace.ground_truth.tobytes() == expected.ground_truth.tobytes()
-
-
-SEEDS_OF = {  # settings, and whether their seeds run side by side
-    "raw": ({"cost": "raw"}, True),
-    "lifted": ({"cost": "lifted"}, True),
-    "contrast": ({"cost": "contrast", "training.degree": 1}, True),
-    "limits": ({"cost": "raw", "lifter.y_out_max": 26.0, "plant.theta_max": 2.2}, True),
-    "adaptive law": ({"cost": "contrast", "esc.law": "adaptive", "esc.dwell": 1.0}, True),
-    "noise": ({"cost": "contrast", "scenario.noise": 0.3}, True),
-    "lag": ({"cost": "lifted", "scenario.interference_lag_y": 0.3}, True),
-    "moving optimum": ({"cost": "raw", "scenario.optimum_swing": 1.0,
-                        "scenario.optimum_jump": 0.5, "scenario.jump_every": 5.0}, True),
-    "lost": ({"cost": "raw", "scenario.lost": 0.2, "scenario.noise": 0.3}, False),
-    "one channel": ({"cost": "raw", "sensing.channels": "y"}, False),
-    "delays": ({"cost": "contrast", "training.degree": 1, "sensing.delays": 4,
-                "sensing.spacing": 0.1}, False),
-    "euler": ({"cost": "raw", "plant.integrator": "euler"}, False),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", SEEDS_OF)
-def test_seeds_side_by_side_are_one_after_the_other_to_the_last_bit(name: str) -> None:
-    settings, plain = SEEDS_OF[name]
-    settings = {**SHORT, "duration": 20.0, "training.duration": 2.0, **settings}
-    cases = [case_of(settings, seed) for seed in range(TOGETHER + 2)]
-    assert is_plain(cases[0]) == plain
-    if name == "lifted":
-        models = (model_of(case) for case in cases)
-        assert len({model.projector.shape for model in models if model is not None}) > 1
-    traces = list(run_seeds(cases))
-    assert len({trace.r.tobytes() for trace in traces}) == len(cases)
-    for case, trace in zip(cases, traces, strict=True):
-        alone = run(case)
-        assert trace.r.tobytes() == alone.r.tobytes()
-        assert trace.theta.tobytes() == alone.theta.tobytes()
-        assert trace.t.tobytes() == alone.t.tobytes()
-
-
-def test_a_seed_that_diverges_does_so_beside_the_others() -> None:
-    away = override(Case(), {"cost": "raw", "duration": 20.0, "plant.initial_state": [1e3, 1e3]})
-    cases = [case_of({"cost": "raw", "duration": 20.0}, 1), away]
-    fine, diverged = run_seeds(cases)
-    assert not fine.diverged
-    assert diverged.diverged
-    assert run(away).diverged
 
 
 LIMITS = {  # each of them acts within a minute; y_out_max in 2 % of the states

@@ -20,7 +20,7 @@ def recording(theta, x=None, begins=(0,)):
     x = np.zeros((theta.size, 1)) if x is None else np.asarray(x)
     starts = np.isin(np.arange(theta.size), begins)
     return Loaded(
-        np.ascontiguousarray(x.T), starts, np.zeros(theta.size, bool), theta,
+        np.ascontiguousarray(x.T), starts, theta,
         np.arange(theta.size) * DT,
     )  # fmt: skip
 

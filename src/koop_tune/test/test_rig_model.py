@@ -61,7 +61,7 @@ def test_the_autocovariance_of_pieces_is_the_mean_of_their_products():
 def test_the_high_pass_filter_is_that_of_the_nodes_detector():
     omega_h, t = 4.0, np.arange(4000) * DT
     y = 3.0 + np.random.default_rng(0).normal(size=t.size)
-    loaded = Loaded(y[None], np.isin(np.arange(t.size), (0, 2000)), 0 * t > 0, None, t)
+    loaded = Loaded(y[None], np.isin(np.arange(t.size), (0, 2000)), None, t)
     found = high_pass(y, loaded, omega_h, DT)
     # the low-pass filter of such a detector has no memory: its cost is the square of y_hp
     detector = cost.detector_params(omega_h, 1e4, DT)
@@ -75,7 +75,7 @@ def test_the_high_pass_filter_is_that_of_the_nodes_detector():
 def test_unusable_samples_do_not_spread_through_the_high_pass_filter():
     y = np.full(1000, 2.0)
     y[[0, 1, 500]] = math.nan
-    loaded = Loaded(y[None], np.arange(1000) == 0, 0 * y > 0, None, y)
+    loaded = Loaded(y[None], np.arange(1000) == 0, None, y)
     assert high_pass(y, loaded, 4.0, DT) == pytest.approx(np.zeros(1000))
 
 
@@ -110,7 +110,7 @@ def test_the_time_constant_is_found_in_how_the_windows_follow_theta():
     amplitude = [windows[k * per : (k + 1) * per] for k in range(len(order))]
     dwells = Dwells(values, rests, Bands(window, (1, 2), DT), 0, amplitude)
     begins = np.arange(theta.size) == 0
-    loaded = Loaded(a[None], begins, 0 * begins, theta, np.arange(theta.size) * DT)
+    loaded = Loaded(a[None], begins, theta, np.arange(theta.size) * DT)
     y = 2.0 * (values - 0.4) ** 2
     found = StaticMap(values, y, np.full(9, 0.01), 1.0, [np.full(2, v) for v in y])
     times = fit_times(loaded, dwells, found, scale, DT)

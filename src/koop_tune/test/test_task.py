@@ -71,7 +71,7 @@ def test_a_task_holds_every_usable_corner_frequency_sample_by_sample_and_in_bloc
     theta = np.repeat(np.linspace(0.0, 1.0, 9), length * per)
     noise = np.random.default_rng(0).normal(size=theta.size)
     y = 2.0 + lfilter([1.0], [1.0, -0.5], noise)
-    loaded = Loaded(y[None], np.arange(y.size) == 0, np.zeros(y.size, bool), theta, y)
+    loaded = Loaded(y[None], np.arange(y.size) == 0, theta, y)
     rests = [Rest(i, i * length * per, (i + 1) * length * per, 2) for i in range(9)]
     dwells = Dwells(np.linspace(0.0, 1.0, 9), rests, Bands(length, (1, 2), DT), 0,
                     [np.zeros(per)] * 9)  # fmt: skip

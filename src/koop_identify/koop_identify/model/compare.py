@@ -34,7 +34,7 @@ class Cost(NamedTuple):
     training : BagTraining or None
         With which its model is learned; None where the cost needs none.
     model : KoopmanModel or None
-        Learned from the training part.
+        Learned from the recording.
     y_out : ndarray, shape (M,), or None
         Energies; None if the cost cannot be made.
     problem : str
@@ -51,7 +51,7 @@ class Cost(NamedTuple):
 def costs(
     loaded: Loaded, training: BagTraining, period: float, most: int | None = None
 ) -> Iterator[Cost]:
-    """Yield every candidate, learned from the training part of a recording.
+    """Yield every candidate, learned from a recording.
 
     ``period`` is the oscillation's [s]; modes are learned from ``most`` samples, spread over
     the recording, or from all.
@@ -91,15 +91,14 @@ def _judge(
 
 
 def _learn(loaded: Loaded, training: BagTraining, delays: Delays, most: int | None) -> KoopmanModel:
-    """Return the model of the training part, or of ``most`` of its samples."""
+    """Return the model of the recording, or of ``most`` of its samples."""
     gram = Gram.empty(Monomials(delays.n, training.degree_for(delays)))
     share = 1.0 if most is None else min(1.0, most / loaded.x.shape[1])
     length = BLOCK if share == 1.0 else PART
     for piece in pieces(loaded.begins):
-        if not loaded.held_out[piece.start]:
-            for begin in range(piece.start, piece.stop, round(length / share)):
-                # embedded, it is as many times as large as there are delays
-                end = min(begin + length + delays.depth, piece.stop)
-                gram.add_trajectory(delays.embed(loaded.x[:, begin:end]))
+        for begin in range(piece.start, piece.stop, round(length / share)):
+            # embedded, it is as many times as large as there are delays
+            end = min(begin + length + delays.depth, piece.stop)
+            gram.add_trajectory(delays.embed(loaded.x[:, begin:end]))
     names = training.names or state_names(training.reading.measured, delays.channels)
     return build_from(gram, training, names, {}, delays)

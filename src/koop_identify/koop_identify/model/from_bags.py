@@ -23,7 +23,6 @@ from koopman_lifter.delays import Delays, embedded_degree, spacing_for
 from koopman_lifter.edmd import Gram, RankDeficient
 from koopman_lifter.model import KoopmanModel, build
 from koopman_lifter.observables import Monomials
-from koopman_lifter.prediction import HORIZONS, Forecast
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,7 @@ class BagTraining:
 
 
 def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanModel:
-    """Learn a model; one pass over the bags for it, one more for its error on held-out data.
+    """Learn a model in one pass over the bags.
 
     Raises
     ------
@@ -81,97 +80,49 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
     koop_core.errors.InputError
         If the bags do not fit together or cannot determine the model.
     """
-    sums = _Sums(training)
+    measured = training.reading.measured
+    gram: Gram | None = None
+    delays = Delays(1)
+    bags: list[dict[str, Any]] = []
+    recordings: list[Loaded] = []
     for path in paths:
         with BagReader(path) as bag:
-            sums.add(bag, path)
-    model = sums.model()
-    if not training.reading.held_out:
+            segmentation, n = find_segmentation(bag, path, training.reading)
+            if gram is None:  # what the first bag says holds for all of them
+                training = replace(training, reading=replace(training.reading, dt=segmentation.dt))
+                delays = _find_delays(bag, training, segmentation, n)
+                gram = Gram.empty(Monomials(delays.n, training.degree_for(delays)))
+            if n != delays.channels:
+                raise InputError(
+                    f"{path}: {n} numbers in {measured}, other bags have {delays.channels}"
+                )
+            before = gram.pairs
+            segmenter = Segmenter(segmentation)
+            for states in join_parts(_segments(bag, measured, segmenter), delays.depth):
+                gram.add_trajectory(delays.embed(states))
+            if training.contrast:
+                recordings.append(load_with_command(bag, training.reading, segmentation))
+        origin = {"name": path.name, "sha256": sha256(path), "pairs": gram.pairs - before}
+        bags.append({**origin, **segmenter.described()})
+    assert gram is not None
+    dt = training.reading.known_dt
+    dropped = sum(bag["not_finite"] for bag in bags)
+    if not gram.pairs and dropped:
+        raise InputError(f"no pair of states: {dropped} samples of {measured} are not finite")
+    provenance: dict[str, Any] = {
+        "source": "bags",
+        "measured": str(measured),
+        "degree": gram.observables.degree,
+        "bags": bags,
+    }
+    if delays.count > 1:
+        provenance |= {"delays": delays.count, "spacing": delays.every * dt}
+    names = training.names or state_names(measured, delays.channels)
+    model = build_from(gram, training, names, provenance, delays)
+    if not training.contrast:
         return model
-    forecast = Forecast(model)
-    overlap = max(HORIZONS) + model.delays.depth - 1
-    for path, segmentation in zip(paths, sums.segmentations, strict=True):
-        with BagReader(path) as bag:
-            for segment, known in _joined_segments(bag, training, segmentation, overlap):
-                if segment.held_out:
-                    forecast.add(segment.states, known)
-    return replace(model, provenance={**model.provenance, "forecast": forecast.result()})
-
-
-class _Sums:
-    """What one pass over the bags collects.
-
-    Parameters
-    ----------
-    training : BagTraining
-        What to learn; the first bag says which dt it has, unless that is given.
-
-    Attributes
-    ----------
-    segmentations : list of Segmentation
-        Of each bag.
-    """
-
-    def __init__(self, training: BagTraining) -> None:
-        self.segmentations: list[Segmentation] = []
-        self._training = training
-        self._gram: Gram | None = None
-        self._delays = Delays(1)
-        self._bags: list[dict[str, Any]] = []
-        self._loaded: list[Loaded] = []
-
-    def add(self, bag: BagReader, path: Path) -> None:
-        """Add the pairs of a bag."""
-        training = self._training
-        measured = training.reading.measured
-        segmentation, n = find_segmentation(bag, path, training.reading)
-        if self._gram is None:
-            # of all bags
-            training = replace(training, reading=replace(training.reading, dt=segmentation.dt))
-            self._training = training
-            self._delays = _find_delays(bag, training, segmentation, n)
-            observables = Monomials(self._delays.n, training.degree_for(self._delays))
-            self._gram = Gram.empty(observables)
-        if n != self._delays.channels:
-            raise InputError(
-                f"{path}: {n} numbers in {measured}, other bags have {self._delays.channels}"
-            )
-        before = self._gram.pairs
-        segmenter = Segmenter(segmentation, bag.topic(measured.topic).count)
-        for segment, _ in join_parts(_segments(bag, measured, segmenter), self._delays.depth):
-            if not segment.held_out:
-                self._gram.add_trajectory(self._delays.embed(segment.states))
-        if training.contrast:
-            self._loaded.append(load_with_command(bag, training.reading, segmentation))
-        self.segmentations.append(segmentation)
-        origin = {"name": path.name, "sha256": sha256(path), "pairs": self._gram.pairs - before}
-        self._bags.append({**origin, **segmenter.described()})
-
-    def model(self) -> KoopmanModel:
-        """Return the model."""
-        training, gram = self._training, self._gram
-        assert gram is not None
-        reading, dt = training.reading, training.reading.known_dt
-        dropped = sum(bag["not_finite"] for bag in self._bags)
-        if not gram.pairs and dropped:
-            raise InputError(
-                f"no pair of states: {dropped} samples of {reading.measured} are not finite"
-            )
-        provenance: dict[str, Any] = {
-            "source": "bags",
-            "measured": str(reading.measured),
-            "held_out": reading.held_out,
-            "degree": gram.observables.degree,
-            "bags": self._bags,
-        }
-        if self._delays.count > 1:
-            provenance |= {"delays": self._delays.count, "spacing": self._delays.every * dt}
-        names = training.names or state_names(reading.measured, self._delays.channels)
-        model = build_from(gram, training, names, provenance, self._delays)
-        if not training.contrast:
-            return model
-        loaded = Loaded.joined(self._loaded)
-        return learn_contrast(model, loaded, training.period or period_of(loaded, dt))
+    loaded = Loaded.joined(recordings)
+    return learn_contrast(model, loaded, training.period or period_of(loaded, dt))
 
 
 def load_bags(paths: Sequence[Path], reading: BagReading) -> tuple[Loaded, BagReading]:
@@ -258,33 +209,17 @@ def _find_delays(
     return Delays.spaced(n, training.delays, spacing, dt)
 
 
-def join_parts(segments: Iterator[Segment], overlap: int) -> Iterator[tuple[Segment, int]]:
-    """Repeat the end of a part of a segment at the beginning of the next part.
+def join_parts(segments: Iterator[Segment], overlap: int) -> Iterator[NDArray[np.float64]]:
+    """Yield the states of segments; a later part begins with up to `overlap` states more.
 
-    Yields
-    ------
-    segment : Segment
-        With up to `overlap` states more.
-    known : int
-        How many of its states were in the part before.
+    They are the end of the part before.
     """
     tail: NDArray[np.float64] | None = None
-    for part in segments:
-        known = 0
-        states = part.states
-        if not part.begins and tail is not None:
-            known = tail.shape[1]
+    for states, begins in segments:
+        if not begins and tail is not None:
             states = np.hstack((tail, states))
         tail = states[:, -overlap:].copy()
-        yield part._replace(states=states), known
-
-
-def _joined_segments(
-    bag: BagReader, training: BagTraining, segmentation: Segmentation, overlap: int
-) -> Iterator[tuple[Segment, int]]:
-    measured = training.reading.measured
-    segmenter = Segmenter(segmentation, bag.topic(measured.topic).count)
-    yield from join_parts(_segments(bag, measured, segmenter), overlap)
+        yield states
 
 
 def _segments(bag: BagReader, measured: Source, segmenter: Segmenter) -> Iterator[Segment]:

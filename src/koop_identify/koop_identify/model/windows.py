@@ -172,7 +172,7 @@ def training_windows(
     period: float,
     settings: WindowSettings = DEFAULTS,
 ) -> tuple[NDArray[np.int64], int]:
-    """Cut the training part of a recording into windows for the contrast, as long as data allow.
+    """Cut a recording into windows for the contrast, as long as data allow.
 
     Parameters
     ----------
@@ -202,7 +202,6 @@ def training_windows(
     theta, begins = loaded.theta, loaded.begins
     skip = min(settings.skip * period, settings.skip_share * usual_rest(theta, dt, settings))
     starts, length = settled_windows(theta, begins, dt, skip, settings.longest * period, settings)
-    starts = starts[~loaded.held_out[starts]] if starts.size else starts
     shortest, fewest = settings.shortest * period, settings.fewest
     if starts.size < fewest or length * dt < shortest or length <= 2 * delays.depth:
         raise InputError(

@@ -33,8 +33,6 @@ class Loaded:
         Measured channels.
     begins : ndarray of bool, shape (M,)
         Whether a state follows on none.
-    held_out : ndarray of bool, shape (M,)
-        Whether training leaves it out.
     theta : ndarray, shape (M,), or None
         Control input that was last received before each state, NaN before the first and where
         one that usually comes often has stayed away; None if the recording holds none.
@@ -44,7 +42,6 @@ class Loaded:
 
     x: NDArray[np.float64]
     begins: NDArray[np.bool_]
-    held_out: NDArray[np.bool_]
     theta: NDArray[np.float64] | None
     time: NDArray[np.float64]
 
@@ -55,7 +52,6 @@ class Loaded:
         return cls(
             np.hstack([part.x for part in parts]),
             np.concatenate([part.begins for part in parts]),
-            np.concatenate([part.held_out for part in parts]),
             np.concatenate(thetas) if len(thetas) == len(parts) else None,
             np.concatenate([part.time for part in parts]),
         )
@@ -90,26 +86,25 @@ def load_states(
     koop_core.errors.InputError
         If ``command`` is more than one number, or no state is left.
     """
-    segmenter = Segmenter(segmentation, bag.topic(measured.topic).count)
+    segmenter = Segmenter(segmentation)
     theta = None if command is None else _theta_at(bag, measured, command)
-    parts, begins, held_out, n = [], [], [], 0
+    parts, begins, n = [], [], 0
     origin: int | None = None
     for batch in segmentation.timed(batches(bag, measured)):
         origin, n = int(batch.time[0]) if origin is None else origin, batch.x.shape[1]
         # time and number of a sample go the way of its state
-        time, number = (batch.time - origin) * 1e-9, batch.index + np.arange(batch.time.size)
+        time = (batch.time - origin) * 1e-9
+        number = segmenter.samples + np.arange(time.size)
         for segment in segmenter.split(replace(batch, x=np.column_stack((batch.x, time, number)))):
             size = segment.states.shape[1]
             parts.append(segment.states)
             begins.append(np.arange(size) < segment.begins)
-            held_out.append(np.full(size, segment.held_out))
     if not parts:
         raise InputError(f"no usable samples of {measured}")
     rows_of = np.hstack(parts)
     return Loaded(
         np.ascontiguousarray(rows_of[:n]),
         np.concatenate(begins),
-        np.concatenate(held_out),
         None if theta is None else theta[np.floor(rows_of[n + 1] + ROUNDED).astype(np.int64)],
         rows_of[n],
     )

@@ -43,8 +43,6 @@ class Batch:
 
     Attributes
     ----------
-    index : int
-        Position of the first one among the topic's messages.
     time : ndarray of int64, shape (M,)
         Stamp, or time of reception where there is none [ns].
     step : ndarray of int64, shape (M,), or None
@@ -55,7 +53,6 @@ class Batch:
         Whether the time is the stamp.
     """
 
-    index: int
     time: NDArray[np.int64]
     step: NDArray[np.int64] | None
     x: NDArray[np.float64]
@@ -75,19 +72,18 @@ def batches(bag: BagReader, source: Source, by_stamp: bool = True) -> Iterator[B
     """
     names = set(list_fields(bag, source.topic))
     fields = [*dict.fromkeys((*source.names, *(names & {STAMP, STEP}), LOG_TIME))]
-    index, stamped = 0, by_stamp and STAMP in names
+    first, stamped = True, by_stamp and STAMP in names
     for columns in iter_columns(bag, source.topic, fields):
-        if not index:
+        if first:
             stamped = stamped and bool(columns[STAMP][0])  # a source that never stamps writes zeros
+            first = False
         x = np.column_stack([columns[name] for name in source.names]).astype(np.float64, copy=False)
         yield Batch(
-            index,
             columns[STAMP if stamped else LOG_TIME].astype(np.int64),
             columns[STEP].astype(np.int64) if STEP in names else None,
             x,
             stamped,
         )
-        index += x.shape[0]
 
 
 def state_names(source: Source, n: int) -> tuple[str, ...]:

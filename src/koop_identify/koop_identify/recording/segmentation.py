@@ -34,19 +34,14 @@ class BagReading:
     gap : float or None
         Longest pause that is bridged [s]; None: three times the usual period, at least three dt.
         Without stamps, the time in which no sample was taken, however late those before came.
-    held_out : float
-        Share of the data that is not learned from, 0 to 0.5.
     """
 
     measured: Source
     command: Source | None = None
     dt: float | None = None
     gap: float | None = None
-    held_out: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.held_out <= 0.5:
-            raise InputError(f"held-out share {self.held_out:g}: must be 0 to 0.5")
         for name, value in (("dt", self.dt), ("gap", self.gap)):
             if value is not None and not 0.0 < value < 1e6:
                 raise InputError(f"{name} = {value:g} s: must be positive")
@@ -83,7 +78,7 @@ def find_segmentation(bag: BagReader, path: Path, reading: BagReading) -> tuple[
     counted = way == "linear" and not first.stamped
     usual = counted_spacing(period, dt) if counted else period
     gap = reading.gap or GAPS * max(usual, dt)
-    segmentation = Segmentation(way, dt, gap, reading.held_out, period if counted else 0.0)
+    segmentation = Segmentation(way, dt, gap, period if counted else 0.0)
     return segmentation, first.x.shape[1]
 
 

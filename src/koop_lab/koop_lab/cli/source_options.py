@@ -34,9 +34,7 @@ def add_reading_options(parser: Any) -> None:
     )  # fmt: skip
 
 
-def reading_of(
-    args: argparse.Namespace, default: str = "", held_out: float = 0.0
-) -> BagReading | None:
+def reading_of(args: argparse.Namespace, default: str = "") -> BagReading | None:
     """Return what the options of :func:`add_reading_options` say; None: the loop's own topics.
 
     Parameters
@@ -45,8 +43,6 @@ def reading_of(
         The options.
     default : str
         What is measured where ``--measured`` is not given.
-    held_out : float
-        Share of the data that is not learned from.
 
     Raises
     ------
@@ -62,4 +58,4 @@ def reading_of(
                 raise InputError(f"--{name} needs --measured: which fields are the state")
         return None
     command = recorded_source(args.commanded) if args.commanded else None
-    return BagReading(recorded_source(measured), command, args.dt, args.gap, held_out)
+    return BagReading(recorded_source(measured), command, args.dt, args.gap)

@@ -1,4 +1,4 @@
-"""What the commands print as tables: modes, forecasts, metrics."""
+"""What the commands print as tables: modes, metrics."""
 
 from __future__ import annotations
 
@@ -26,20 +26,6 @@ def mode_table(model: KoopmanModel) -> str:
             ]
         )
     return table(["eigenvalue", "|lambda|", "energy E_j", "residual", "selected"], rows)
-
-
-def forecast_table(model: KoopmanModel) -> str:
-    """Return the prediction errors of a model on held-out data as shares of the deviation."""
-    header = ["steps ahead", "time [s]", *model.state_names]
-    rows = []
-    for item in model.provenance["forecast"]:
-        pairs = zip(item["error"], item["no_change"], strict=True)
-        cells = [f"{error:.4f} ({unchanged:.4f})" for error, unchanged in pairs]
-        rows.append([str(item["steps"]), f"{item['steps'] * model.dt:g}", *cells])
-    return (
-        "error on the held-out data over the state's standard deviation "
-        "(in brackets: predicting no change)\n" + table(header, rows)
-    )
 
 
 def metrics_table(metrics: Metrics, cost: str, ours: bool = True) -> str:

@@ -15,7 +15,6 @@ from koop_core.config.parameter import ConfigError
 from koop_core.text_table import table
 from koop_lab.cli.loop_options import add_loop_options, given_values, loop_parameters
 from koop_lab.cli.tables import metrics_table
-from koop_loop.batch import GROUP, simulate_batch
 from koop_loop.loop import LoopResult, simulate
 from koop_loop.metrics import LOGGING_START, PAPER_DURATION, Metrics, evaluate
 from koop_loop.parameters import LoopParameters
@@ -31,7 +30,7 @@ def register(commands: Any) -> None:
     add_loop_options(parser, duration=PAPER_DURATION)
     parser.add_argument(
         "--seeds", type=int, default=1, metavar="N",
-        help="N loops, of the plant's seed and the following ones, side by side on one core",
+        help="N loops, of the plant's seed and the following ones, one after the other",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, metavar="FILE.npz", help="write the signals")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the run (png, svg, pdf)")
@@ -61,11 +60,10 @@ def run_seeds(parameters: LoopParameters, count: int) -> list[Metrics]:
     model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
     steps = round(parameters.pace.duration / plant.dt)
     metrics = []
-    for first in range(0, count, GROUP):
-        plants = [replace(plant, seed=plant.seed + i) for i in range(first, count)[:GROUP]]
-        result = simulate_batch(plants, parameters.lifter, parameters.esc, model, steps)
-        for r, theta in zip(result.r, result.theta, strict=True):
-            metrics.append(evaluate(result.t, theta, r, plant.theta_star))
+    for i in range(count):
+        one = replace(plant, seed=plant.seed + i)
+        result = simulate(one, parameters.lifter, parameters.esc, model, steps)
+        metrics.append(evaluate(result.t, result.theta, result.r, plant.theta_star))
     return metrics
 
 

@@ -10,7 +10,7 @@ from koop_bag.mcap.stored_file import stored_path
 from koop_core.errors import InputError
 from koop_identify.model.from_bags import BagTraining, train_from_bags
 from koop_lab.cli.source_options import add_reading_options, reading_of
-from koop_lab.cli.tables import forecast_table, mode_table
+from koop_lab.cli.tables import mode_table
 from koop_loop import parameters
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import shipped_model
@@ -19,7 +19,6 @@ from vdp_plant.config import PlantConfig
 
 SIMULATION = ("params_file", "trajectories", "duration", "seed")
 BAGS = ("measured", "commanded", "dt", "gap", "delays")
-HELD_OUT = 0.2  # share of the data that is only tested on
 LOOP_STATE = "/state:x"
 
 
@@ -76,7 +75,7 @@ def train_main(args: argparse.Namespace) -> int:
                 f"--{option} is for training {'without a bag' if args.bags else 'on bags'}"
             )
     if args.bags:
-        reading = reading_of(args, LOOP_STATE, HELD_OUT)
+        reading = reading_of(args, LOOP_STATE)
         assert reading is not None
         training = BagTraining(
             reading,
@@ -131,8 +130,6 @@ def describe(model: KoopmanModel) -> str:
         lines.append("residuals are not known: the file is of version 1, 'koop train' has them")
     else:
         lines.append("residual: relative error of the mode over one step, 0 for a mode of the rig")
-    if model.provenance.get("forecast"):
-        lines += ["", forecast_table(model)]
     return "\n".join(lines)
 
 

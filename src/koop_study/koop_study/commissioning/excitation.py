@@ -46,10 +46,9 @@ class Excitation:
         """The recording as it is loaded from a bag."""
         size = self.theta.size
         begins = np.arange(size) == 0
-        nowhere = np.zeros(size, np.bool_)
         assert self.progress.bands is not None
         time = np.asarray(np.arange(size) * self.progress.bands.dt, np.float64)
-        return Loaded(np.ascontiguousarray(self.x.T), begins, nowhere, self.theta, time)
+        return Loaded(np.ascontiguousarray(self.x.T), begins, self.theta, time)
 
 
 def file_of(rig: Rig, rate: float, time: float) -> RigFile:

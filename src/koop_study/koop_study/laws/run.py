@@ -102,9 +102,9 @@ def rows(plant: LawPlant, constants: ScaledConstants, seeds: list[int]) -> Itera
         for seed in seeds:
             yield _rig_row(plant, constants, seed)
         return
-    cases = [case_of(plant.paper_settings(constants), seed) for seed in seeds]
-    for case, trace in zip(cases, paper.run_seeds(cases), strict=True):
-        yield paper_row(case, trace)
+    for seed in seeds:
+        case = case_of(plant.paper_settings(constants), seed)
+        yield paper_row(case, paper.run(case))
 
 
 def paper_row(case: Case, trace: paper.Trace) -> LawRow:

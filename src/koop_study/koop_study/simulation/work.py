@@ -13,7 +13,7 @@ from koop_loop.thinning import extremes
 from koop_study.simulation import maps
 from koop_study.simulation.case import DRAWN, Case, override, seeded
 from koop_study.simulation.learning import learn
-from koop_study.simulation.run import measure, run, run_seeds
+from koop_study.simulation.run import measure, run
 from koop_study.simulation.scenario import ScenarioConfig
 from koopman_lifter.edmd import edmd
 from koopman_lifter.modes import decompose, select
@@ -54,8 +54,7 @@ def runs(settings: dict[str, Any], seeds: list[int], with_r_star: bool = False) 
     """Run closed loops and return the metrics of each seed."""
     cases = [case_of(settings, seed) for seed in seeds]
     return [
-        measure(case, trace, maps.optimal_cost(case) if with_r_star else None)
-        for case, trace in zip(cases, run_seeds(cases), strict=True)
+        measure(case, run(case), maps.optimal_cost(case) if with_r_star else None) for case in cases
     ]
 
 
