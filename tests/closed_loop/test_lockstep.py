@@ -31,7 +31,7 @@ pytestmark = pytest.mark.ros
 CHANGED = {
     "koopman_lifter": {"cost": "raw"},
     "relay_esc": {"dwell": 1.0, "objective": "maximise"},
-    "vdp_plant": {"integrator": "euler", "initial_state": [5.0, 1.0]},
+    "vdp_plant": {"mu": 1.2, "initial_state": [5.0, 1.0]},
 }
 
 

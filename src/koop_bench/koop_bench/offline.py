@@ -153,7 +153,7 @@ def time_c(program: Path, loop: TimedLoop, rounds: int) -> tuple[float, NDArray[
     relay = loop.esc.params()
     numbers = [
         STEPS, rounds, EVERY, *initial_state(loop.plant), loop.esc.theta_initial,
-        *plant[: plant._fields.index("integrator")],
+        *plant[: plant._fields.index("theta_min")],
         detector.alpha_hp, detector.alpha_lp, *relay[: relay._fields.index("largest_change")],
         loop.lifter.source, p, rows, *lifting.parent, *lifting.factor, *lifting.projector.ravel(),
     ]  # fmt: skip

@@ -199,8 +199,8 @@ def test_with_theta_star_the_paper_s_metrics_stand_beside(joints, capsys):
     ("given", "message"),
     [
         ([], "no states of a loop on /state. For other messages name the fields: --measured"),
-        (["--measured", "/joint:position[0]"], "no messages on /joint; it has /command (std"),
-        (["--measured", JOINTS, "--dt", "0.01", "--command", "/knob:data"], "no messages on /knob"),
+        (["--measured", "/joint:position[0]"], "has no topic /joint; it has "),
+        (["--measured", JOINTS, "--dt", "0.01", "--command", "/knob:data"], "has no topic /knob"),
         (["--command", "/command:data"], "--command needs --measured"),
         (["--measured", JOINTS, "--dt", "0.01", "--command", "/joint_states:position"],
          "name one of them"),

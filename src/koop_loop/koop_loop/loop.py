@@ -239,10 +239,7 @@ def simulate(
         exposure,
     )
     if done < steps:
-        raise LoopDiverged(
-            f"the plant diverged at t = {done * plant.dt:g} s: "
-            "use the rk4 integrator or a smaller dt"
-        )
+        raise LoopDiverged(f"the plant diverged at t = {done * plant.dt:g} s: use a smaller dt")
     return LoopResult(plant.dt, measured, ground_truth, r, theta)
 
 

@@ -6,7 +6,6 @@ is the amplitude before and after, and whether theta has come to rest.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,7 +99,6 @@ def rig_metrics(
     x: NDArray[np.float64],
     theta: NDArray[np.float64] | None,
     limited: NDArray[np.bool_] | None = None,
-    window: float | None = None,
     start: float | None = None,
 ) -> RigMetrics:
     """Judge a run.
@@ -108,127 +106,99 @@ def rig_metrics(
     Parameters
     ----------
     t : ndarray, shape (M,)
-        Time of every state [s], increasing; a pause in it ends a window.
+        Time [s], evenly spaced but for gaps.
     x : ndarray, shape (M, n)
-        Measured states.
+        Measured channels; a window with a value that is not finite is left out.
     theta : ndarray, shape (M,), or None
         Control input; NaN where it is not known.
     limited : ndarray of bool, shape (M,), or None
         Whether theta is at a limit.
-    window : float, optional
-        Length of a window [s]; default five periods of the strongest oscillation, at least 4 %
-        and at most 20 % of the run.
     start : float, optional
         Time before which the run is left out [s].
 
     Raises
     ------
     koop_core.errors.InputError
-        If there is nothing to judge, or a window is longer than half of it.
+        If there is nothing to judge.
     """
     if start is not None:
         kept = t >= start
         t, x = t[kept], x[kept]
         theta = None if theta is None else theta[kept]
         limited = None if limited is None else limited[kept]
-    if t.size < 16:
+    if t.size < 2 * SHORTEST:
         raise InputError(
             f"{t.size} states" + ("" if start is None else f" from {start:g} s on") + " are too few"
         )
     dt = float(np.median(np.diff(t)))
-    span = float(t[-1] - t[0]) + dt
-    if window is None:
-        window = _usual_window(x, dt, span)
-    window = max(window, SHORTEST * dt)
-    if window > 0.5 * span:
-        raise InputError(f"--window {window:g} s: the run has {span:g} s, choose less than half")
-    before_to = _first_move(t, theta)
-    if before_to is None or before_to - t[0] < window:
-        before_to = float(t[0]) + window
-    after_from = float(t[-1]) + dt - max(TAIL * span, window)
+    begin, end = float(t[0]), float(t[-1]) + dt
+    length = round(max(_window(x, dt, end - begin), SHORTEST * dt) / dt)
+    window = length * dt
+    after_from = end - max(TAIL * (end - begin), window)
+    known = np.zeros(t.size, np.bool_) if theta is None else np.isfinite(theta)
+    before_to = begin + window
+    mean = swing = settled = None
+    if theta is not None and known.any():
+        first = int(np.argmax(known))
+        moves = np.flatnonzero(np.diff(theta[first:]) != 0.0)
+        if moves.size:
+            before_to = max(before_to, float(t[first + moves[0] + 1]))
+        final = theta[known & (t >= after_from)]
+        if final.size:  # else theta was lost before the end
+            mean, swing = float(final.mean()), float(np.ptp(final))
+            settled = _settled_at(t[known], theta[known], after_from)
     before_to = min(before_to, after_from)
-    figures: dict[str, float | None] = dict.fromkeys(
-        ("theta_mean", "theta_swing", "settled_at", "at_limit")
-    )
-    if theta is not None and np.isfinite(theta).any():
-        finite = np.isfinite(theta)
-        figures = _theta_figures(t[finite], theta[finite], after_from)
-        if limited is not None:
-            figures["at_limit"] = float(limited[finite].mean())
-    length = round(window / dt)
     return RigMetrics(
-        length * dt,
-        float(t[0]),
+        window,
+        begin,
         before_to,
         after_from,
-        float(t[-1]) + dt,
-        _amplitudes(t, x, dt, length, float(t[0]), before_to),
-        _amplitudes(t, x, dt, length, after_from, float(t[-1]) + dt),
-        **figures,
+        end,
+        _amplitudes(t, x, dt, length, begin, before_to),
+        _amplitudes(t, x, dt, length, after_from, end),
+        mean,
+        swing,
+        settled,
+        None if limited is None or not known.any() else float(limited[known].mean()),
     )
 
 
-def _usual_window(x: NDArray[np.float64], dt: float, span: float) -> float:
+def _window(x: NDArray[np.float64], dt: float, span: float) -> float:
+    """Return five periods of the strongest oscillation, at least 4 % and at most 20 % of a run."""
     x = x[:, np.isfinite(x).any(axis=0)]
-    usable = x[np.isfinite(x).all(axis=1)]
     try:
-        periods = PERIODS * dominant_period([usable.T], dt)
-    except ValueError:  # nothing moves
+        periods = PERIODS * dominant_period([x[np.isfinite(x).all(axis=1)].T], dt)
+    except InputError:  # nothing moves
         periods = 0.0
     return min(max(periods, LEAST * span), MOST * span)
-
-
-def _first_move(t: NDArray[np.float64], theta: NDArray[np.float64] | None) -> float | None:
-    """Return when theta first moves, or is first there; None if it never is or does."""
-    if theta is None or not np.isfinite(theta).any():
-        return None
-    first = int(np.flatnonzero(np.isfinite(theta))[0])
-    moves = np.flatnonzero(np.diff(theta[first:]) != 0.0)
-    return float(t[first + moves[0] + 1]) if moves.size else None
 
 
 def _amplitudes(
     t: NDArray[np.float64], x: NDArray[np.float64], dt: float, length: int, begin: float, end: float
 ) -> tuple[float, ...]:
-    half = 0.5 * dt
-    rows = np.flatnonzero((t > begin - half) & (t < end - half))
-    gap = np.diff(t[rows]) > 1.5 * dt
-    usable = []
-    parts = np.split(rows, np.flatnonzero(gap) + 1)
+    rows = np.flatnonzero((t > begin - 0.5 * dt) & (t < end - 0.5 * dt))
+    parts = np.split(rows, np.flatnonzero(np.diff(t[rows]) > 1.5 * dt) + 1)
     length = min(length, max(part.size for part in parts))  # where no piece is that long
     if length < SHORTEST:
         return (float("nan"),) * x.shape[1]
-    for part in parts:
-        whole = part[: part.size // length * length].reshape(-1, length)
-        usable += [x[window].T for window in whole]
-    amplitudes = np.array([amplitude(window) for window in usable]).reshape(-1, x.shape[1])
-    return tuple(_root_mean_square(column[np.isfinite(column)]) for column in amplitudes.T)
+    windows = [part[: part.size // length * length].reshape(-1, length) for part in parts]
+    squares = amplitude(x[np.concatenate(windows)].transpose(0, 2, 1)) ** 2
+    finite = [column[np.isfinite(column)] for column in squares.T]
+    return tuple(float(np.sqrt(c.mean())) if c.size else float("nan") for c in finite)
 
 
-def _root_mean_square(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt((values**2).mean())) if values.size else float("nan")
-
-
-def _theta_figures(
+def _settled_at(
     t: NDArray[np.float64], theta: NDArray[np.float64], after_from: float
-) -> dict[str, float | None]:
-    end = theta[t >= after_from]
-    if not end.size:  # theta was lost before the end
-        return dict.fromkeys(("theta_mean", "theta_swing", "settled_at", "at_limit"))
-    low, high = float(end.min()), float(end.max())
+) -> float | None:
+    """Return when theta last came into its final swing [s]; None if it has not settled."""
+    final = theta[t >= after_from]
+    low, high = float(final.min()), float(final.max())
+    if np.ptp(final[final.size // 2 :]) < 0.5 * (high - low):  # it did not oscillate
+        return None
     margin = WIDENED * (high - low) + 1e-9 * max(abs(low), abs(high))
     outside = np.flatnonzero((theta < low - margin) | (theta > high + margin))
     settled = float(t[outside[-1] + 1]) if outside.size else float(t[0])
-    latest = after_from - REST * (float(t[-1]) - after_from)
-    second = end[end.size // 2 :]
-    if np.ptp(second) < 0.5 * (high - low):  # it did not oscillate
-        settled = math.inf
-    return {
-        "theta_mean": float(end.mean()),
-        "theta_swing": high - low,
-        "settled_at": settled if settled <= latest else None,
-        "at_limit": None,
-    }
+    return settled if settled <= after_from - REST * (float(t[-1]) - after_from) else None
 
 
 def _number(value: float) -> float | None:

@@ -130,7 +130,7 @@ def train(
     gram, dropped = simulated_gram(plant, config, delays, moments)
     provenance: dict[str, Any] = {
         "source": "simulation",
-        "integrator": plant.integrator,
+        "integrator": "rk4",
         "dropped": dropped,
         **{name: getattr(config, name) for name in config.__dataclass_fields__},
         **({"variant": "contrast"} if contrast else {}),

@@ -213,8 +213,7 @@ def test_second_channel_gets_gain_and_lag() -> None:
 def test_a_run_that_diverges_counts_as_the_worst() -> None:
     case = override(
         Case(),
-        {"duration": 50.0, "cost": "raw", "plant.integrator": "euler", "plant.theta_initial": 5.0,
-         "esc.theta_initial": 5.0, "plant.epsilon0": 20.0},
+        {"duration": 50.0, "cost": "raw", "plant.initial_state": [1e3, 1e3]},
     )  # fmt: skip
     trace = run(case)
     assert trace.diverged

@@ -74,9 +74,7 @@ def with_contrast(
             "a state, or a combination of states, never moves: it has no contrast"
         ) from None
     direction = direction / np.abs(direction).sum()
-    # without delays as many rows as of N modes: the format's version 1 knows no other number
-    size = int(model.kept.sum()) if model.delays.count == 1 else 1
-    rows = np.zeros((size, model.observables.p))
+    rows = np.zeros((1, model.observables.p))
     rows[0, 1 : n + 1] = direction
     # the centre of the oscillation; a strong one is too slow for its mean to tell
     rows[0, 0] = -direction @ means[weak].mean(axis=0)

@@ -3,9 +3,6 @@
 A model is a NumPy ``.npz`` archive (zip of ``.npy`` arrays, no pickle) plus one JSON text in the
 entry ``meta``. The SHA-256 over the arrays and that text identifies the model: a damaged file is
 refused, and ``model_id`` in every recorded cost names the model that made it.
-
-Format version 2 adds delays, a projector with a row count of its own, and the modes' residuals.
-A model without them is written as version 1, which is read as ever.
 """
 
 from __future__ import annotations
@@ -31,7 +28,7 @@ from koopman_lifter.modes import decompose, projector, select
 from koopman_lifter.observables import Monomials
 
 FORMAT = "koopman-model"
-VERSIONS = (1, 2)
+VERSION = 1
 MAX_DEPTH = 1_000_000  # samples that a delay line can hold
 MAX_BYTES = 64 * 2**20  # p = 1000 observables need 40 MB; anything larger is not a model
 
@@ -42,8 +39,9 @@ _ARRAYS = {  # entry: (dtype, shape in terms of p observables, N kept modes and 
     "kept": (np.bool_, ("p",)),
     "V_dom": (np.complex128, ("p", "N")),
     "projector": (np.float64, ("R", "p")),
+    "residuals": (np.float64, ("p",)),
 }
-_RESIDUALS = (np.float64, ("p",))  # not in a file of version 1
+_OPTIONAL = "residuals"
 
 
 class ModelError(InputError):
@@ -80,7 +78,7 @@ class KoopmanModel:
     provenance : dict
         Where the training data came from, in JSON terms.
     residuals : ndarray, shape (p,), or None
-        Residual of every mode on the training data; None in a file of version 1.
+        Residual of every mode on the training data; None where it is not known.
     """
 
     observables: Monomials
@@ -100,21 +98,16 @@ class KoopmanModel:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The part of the model that is arrays."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
-        return arrays if self.residuals is None else {**arrays, "residuals": self.residuals}
+        return {name: array for name, array in arrays.items() if array is not None}
 
     @property
     def meta(self) -> dict[str, Any]:
         """The part of the model that is not arrays."""
         delays = {"count": self.delays.count, "every": self.delays.every}
-        later = (
-            self.delays.count > 1
-            or self.projector.shape[0] != self.kept.sum()
-            or self.arrays.keys() > _ARRAYS.keys()
-        )
         return {
             "format": FORMAT,
-            "version": 2 if later else 1,
-            **({"delays": delays} if later else {}),
+            "version": VERSION,
+            **({"delays": delays} if self.delays.count > 1 else {}),
             "observables": {
                 "kind": "monomials",
                 "n": self.observables.n,
@@ -316,26 +309,23 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
         raise ModelError("its meta entry is not JSON text") from None
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise ModelError("is not a Koopman model file")
-    if meta.get("version") not in VERSIONS:
-        known = " and ".join(map(str, VERSIONS))
-        raise ModelError(
-            f"has format version {_short(meta.get('version'))}, this program reads {known}"
-        )
-    for name in _ARRAYS:
-        if name not in entries:
-            raise ModelError(f"has no entry '{name}'")
+    if meta.get("version") != VERSION:
+        found = _short(meta.get("version"))
+        raise ModelError(f"has format version {found}, this program reads {VERSION}")
+    stored = {name for name in _ARRAYS if name != _OPTIONAL or name in entries}
+    if missing := stored - entries.keys():
+        raise ModelError(f"has no entry '{min(missing)}'")
     observables, delays, dt, state_names, provenance = _described(meta)
     modes = int(entries["kept"].sum()) if entries["kept"].dtype == np.bool_ else observables.p
     sizes = {"p": observables.p, "N": modes, "R": modes}
-    if meta["version"] > 1 and entries["projector"].shape[:1] == (1,):
+    if entries["projector"].shape[:1] == (1,):
         sizes["R"] = 1
     if sizes["N"] == 0:
         raise ModelError("keeps no mode")
-    stored = dict(_ARRAYS)
-    if meta["version"] > 1 and "residuals" in entries:
-        stored["residuals"] = _RESIDUALS
-    for name, (dtype, axes) in stored.items():
-        array, shape = entries[name], tuple(sizes[axis] for axis in axes)
+    arrays = {name: entries[name] for name in _ARRAYS if name in stored}
+    for name, array in arrays.items():
+        dtype, axes = _ARRAYS[name]
+        shape = tuple(sizes[axis] for axis in axes)
         if array.dtype != dtype or array.shape != shape:
             raise ModelError(
                 f"'{name}' is {array.dtype}{list(array.shape)}, "
@@ -343,10 +333,10 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
             )
         if not np.isfinite(array).all():
             raise ModelError(f"'{name}' holds values that are not finite")
-    arrays = {name: np.ascontiguousarray(entries[name]) for name in stored}
     if _digest(arrays, text) != _text(entries, "sha256"):
         raise ModelError("content and hash disagree: the file was damaged or edited")
-    return KoopmanModel(observables, delays, dt, state_names, provenance=provenance, **arrays)
+    contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    return KoopmanModel(observables, delays, dt, state_names, provenance=provenance, **contiguous)
 
 
 def _described(
@@ -359,7 +349,7 @@ def _described(
         n, degree, dt = int(described["n"]), int(described["degree"]), float(meta["dt"])
         state_names = tuple(str(name) for name in meta["state_names"])
         provenance = dict(meta["provenance"])
-        past = meta["delays"] if meta["version"] > 1 else {"count": 1, "every": 1}
+        past = meta.get("delays", {"count": 1, "every": 1})
         count, every = int(past["count"]), int(past["every"])
     except (KeyError, TypeError, ValueError, OverflowError):
         raise ModelError("its meta entry is incomplete") from None

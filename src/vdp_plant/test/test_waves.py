@@ -1,7 +1,6 @@
 """The plant from tables is the plant, to the last bit."""
 
 import numpy as np
-import pytest
 
 from vdp_plant import dynamics
 from vdp_plant.config import PlantConfig
@@ -10,12 +9,11 @@ from vdp_plant.waves import LONGEST, advance, interference_of, measure, waves_of
 TABLE, STEPS = 300, 400  # those after the table evaluate their own sines
 
 
-@pytest.mark.parametrize("integrator", ["rk4", "euler"])
-def test_a_run_from_tables_is_the_run_to_the_last_bit(integrator):
-    p = PlantConfig(integrator=integrator, theta_rate=0.5, theta_max=2.2).params()
+def test_a_run_from_tables_is_the_run_to_the_last_bit():
+    p = PlantConfig(theta_rate=0.5, theta_max=2.2).params()
     waves = waves_of(p, TABLE)
     assert waves.interference.size == TABLE
-    assert len(waves.drive) == (TABLE if integrator == "rk4" else 0)
+    assert len(waves.drive) == TABLE
     theirs = ours = (1.0, 2.0, 1.5)
     for k in range(STEPS):
         assert measure(p, waves, k, *ours[:2]) == dynamics.measure(p, k, *theirs[:2])

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from koop_core.config.parameter import ConfigError, parameter, validate
-from vdp_plant.dynamics import EULER, RK4, PlantParams
+from vdp_plant.dynamics import PlantParams
 
-INTEGRATORS = {"rk4": RK4, "euler": EULER}
 RESENDS = 3  # times that lockstep sends a state again before it gives up
 
 
@@ -68,9 +67,6 @@ class PlantConfig:
     dt: float = parameter(
         0.005, "integration and control step", unit="s", low=1e-6, high=1.0, read_only=True
     )
-    integrator: str = parameter(
-        "rk4", "one step of the plant", choices=tuple(INTEGRATORS), read_only=True
-    )
     theta_initial: float = parameter(
         2.0, "theta before the controller's first answer", low=-100.0, high=100.0, read_only=True
     )
@@ -118,7 +114,6 @@ class PlantConfig:
             self.interference_frequency_2,
             self.interference_phase_2,
             self.dt,
-            INTEGRATORS[self.integrator],
             self.theta_min,
             self.theta_max,
             self.theta_rate if self.theta_rate > 0.0 else math.inf,

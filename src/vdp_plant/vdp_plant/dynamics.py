@@ -21,9 +21,6 @@ from numpy.typing import NDArray
 
 from koop_core.kernels import njit
 
-RK4 = 0
-EULER = 1
-
 
 class PlantParams(NamedTuple):
     """Scalars of the kernels; units and defaults as in ``vdp_plant.config.PlantConfig``."""
@@ -43,7 +40,6 @@ class PlantParams(NamedTuple):
     interference_frequency_2: float
     interference_phase_2: float
     dt: float
-    integrator: int
     theta_min: float
     theta_max: float
     theta_rate: float
@@ -73,14 +69,12 @@ def acceleration(
 
 @njit()
 def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[float, float]:
-    """Integrate the true state over one step, theta held: x(t_{k+1}) = Phi(x(t_k), theta).
-
-    The integrator alone, without the actuator; see :func:`advance`.
+    """Integrate the true state over one step, theta held, without the actuator.
 
     Parameters
     ----------
     p : PlantParams
-        Plant parameters; ``p.integrator`` is ``RK4`` (classical) or ``EULER`` (explicit).
+        Plant parameters.
     k : int
         Step index; t_k = k dt.
     x, y : float
@@ -97,8 +91,6 @@ def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[floa
     t = k * h
     eps0 = damping(p, t)
     force0 = forcing(p, t)
-    if p.integrator == EULER:
-        return x + h * y, y + h * acceleration(p, eps0, force0, x, y, theta)
     half = 0.5 * h
     eps1 = damping(p, t + half)
     force1 = forcing(p, t + half)

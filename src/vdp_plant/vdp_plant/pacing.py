@@ -73,22 +73,3 @@ class SentStates:
         if self._last - step < KEPT:
             return now - self._sent[step % KEPT]
         return (self._last - step) * self._period
-
-
-def silent_node(step: int, cost_seen: int | None, listeners: int) -> str:
-    """Say which node of the loop does not answer in lockstep.
-
-    Parameters
-    ----------
-    step : int
-        The step without a theta.
-    cost_seen : int or None
-        Step of the last cost since the state was sent again.
-    listeners : int
-        Subscribers of ``state``.
-    """
-    if cost_seen == step:
-        return "the lifter answers, the controller (relay_esc) is silent on 'theta'"
-    if listeners == 0:
-        return "no subscriber on 'state': the lifter (koopman_lifter) has stopped"
-    return "the lifter (koopman_lifter) is silent on 'cost'"

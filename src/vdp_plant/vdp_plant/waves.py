@@ -1,4 +1,4 @@
-"""What of the plant depends on time alone, evaluated once for all loops of a batch.
+"""What of the plant depends on time alone, evaluated once for all loops of a study.
 
 Damping, forcing and interference are eight sines a step, half of the time of a loop. A step from
 these tables has the bits of :mod:`vdp_plant.dynamics`: the same functions fill them.
@@ -34,35 +34,29 @@ class Waves(NamedTuple):
 
 
 @njit()
-def fill_drive(p: PlantParams, first: int, drive: NDArray[np.float64]) -> None:
-    """Fill ``drive``, shape (M, 6), from step ``first`` on."""
+def _fill(p: PlantParams, drive: NDArray[np.float64], interference: NDArray[np.float64]) -> None:
     h = p.dt
     half = 0.5 * h
-    for i in range(drive.shape[0]):
-        t = (first + i) * h
-        drive[i, 0], drive[i, 1] = dynamics.damping(p, t), dynamics.forcing(p, t)
-        drive[i, 2], drive[i, 3] = dynamics.damping(p, t + half), dynamics.forcing(p, t + half)
-        drive[i, 4], drive[i, 5] = dynamics.damping(p, t + h), dynamics.forcing(p, t + h)
-
-
-@njit()
-def fill_interference(p: PlantParams, first: int, interference: NDArray[np.float64]) -> None:
-    """Fill ``interference``, shape (M,), from step ``first`` on."""
-    for i in range(interference.shape[0]):
-        interference[i] = dynamics.interference(p, first + i)
+    for k in range(drive.shape[0]):
+        t = k * h
+        drive[k, 0], drive[k, 1] = dynamics.damping(p, t), dynamics.forcing(p, t)
+        drive[k, 2], drive[k, 3] = dynamics.damping(p, t + half), dynamics.forcing(p, t + half)
+        drive[k, 4], drive[k, 5] = dynamics.damping(p, t + h), dynamics.forcing(p, t + h)
+    for k in range(interference.shape[0]):
+        interference[k] = dynamics.interference(p, k)
 
 
 def drive_of(p: PlantParams, steps: int) -> NDArray[np.float64]:
-    """Return the drive of a run; of no step for the Euler integrator, which needs a third of it."""
-    drive = np.empty((0 if p.integrator == dynamics.EULER else min(steps, LONGEST), 6))
-    fill_drive(p, 0, drive)
+    """Return the drive of a run."""
+    drive = np.empty((min(steps, LONGEST), 6))
+    _fill(p, drive, np.empty(0))
     return drive
 
 
 def interference_of(p: PlantParams, steps: int) -> NDArray[np.float64]:
     """Return the interference of a run."""
     interference = np.empty(min(steps, LONGEST))
-    fill_interference(p, 0, interference)
+    _fill(p, np.empty((0, 6)), interference)
     return interference
 
 

@@ -73,55 +73,27 @@ def recount(
         How far the count looks.
     """
     waiting: deque[Batch] = deque()
-    count = Count(period, settings)
+    times: NDArray[np.int64] = np.empty(0, np.int64)  # of all that is looked at
+    numbers: NDArray[np.int64] = np.empty(0, np.int64)  # of those before the first that waits
+
+    def count_first() -> Batch:
+        nonlocal times, numbers
+        batch = waiting.popleft()
+        begin, end = numbers.size, numbers.size + batch.time.size
+        numbers = np.append(numbers, np.zeros(batch.time.size, np.int64))
+        _number(times - times[0], numbers, begin, period, settings.least, settings.most)
+        counted = np.round(numbers[begin:] * spacing).astype(np.int64)
+        kept = max(0, end - settings.most)
+        times, numbers = times[kept:], numbers[kept:]
+        return replace(batch, time=counted)
+
     for batch in batches:
         waiting.append(batch)
-        count.receive(batch.time)
-        while waiting and count.received >= waiting[0].time.size + settings.most:
-            yield _timed(waiting.popleft(), count, spacing)
-    for batch in waiting:
-        yield _timed(batch, count, spacing)
-
-
-def _timed(batch: Batch, count: Count, spacing: float) -> Batch:
-    numbers = count.take(batch.time.size)
-    return replace(batch, time=np.round(numbers * spacing).astype(np.int64))
-
-
-class Count:
-    """Numbers the samples of a stream, those that are missing included.
-
-    Parameters
-    ----------
-    period : float
-        Mean period of the stream [ns].
-    settings : CountSettings
-        How far the count looks.
-    """
-
-    def __init__(self, period: float, settings: CountSettings = DEFAULTS) -> None:
-        self._period, self._settings = period, settings
-        self._times: NDArray[np.int64] = np.empty(0, np.int64)  # of all that is looked at
-        self._numbers: NDArray[np.int64] = np.empty(0, np.int64)  # of those that were taken
-
-    @property
-    def received(self) -> int:
-        """How many were received and not yet taken."""
-        return self._times.size - self._numbers.size
-
-    def receive(self, times: NDArray[np.int64]) -> None:
-        """Add the times of reception [ns] of the next samples."""
-        self._times = np.append(self._times, times)
-
-    def take(self, size: int) -> NDArray[np.int64]:
-        """Return the numbers of the next samples; the next `most` should have been received."""
-        begin, end = self._numbers.size, self._numbers.size + size
-        numbers = np.append(self._numbers, np.zeros(size, np.int64))
-        least, most = self._settings.least, self._settings.most
-        _number(self._times - self._times[0], numbers, begin, self._period, least, most)
-        kept = max(0, end - most)
-        self._times, self._numbers = self._times[kept:], numbers[kept:]
-        return numbers[begin:]
+        times = np.append(times, batch.time)
+        while waiting and times.size - numbers.size >= waiting[0].time.size + settings.most:
+            yield count_first()
+    while waiting:
+        yield count_first()
 
 
 @njit()

@@ -38,12 +38,15 @@ class Loaded:
         one that usually comes often has stayed away; None if the recording holds none.
     time : ndarray, shape (M,)
         From the first state [s]; of several recordings, each from its own.
+    recorded : float
+        Time from the first to the last sample, usable or not [s]; of all recordings.
     """
 
     x: NDArray[np.float64]
     begins: NDArray[np.bool_]
     theta: NDArray[np.float64] | None
     time: NDArray[np.float64]
+    recorded: float = 0.0
 
     @classmethod
     def joined(cls, parts: Sequence[Loaded]) -> Loaded:
@@ -54,6 +57,7 @@ class Loaded:
             np.concatenate([part.begins for part in parts]),
             np.concatenate(thetas) if len(thetas) == len(parts) else None,
             np.concatenate([part.time for part in parts]),
+            sum(part.recorded for part in parts),
         )
 
 
@@ -88,13 +92,13 @@ def load_states(
     """
     segmenter = Segmenter(segmentation)
     theta = None if command is None else _theta_at(bag, measured, command)
-    parts, begins, n = [], [], 0
+    parts, begins, n, last = [], [], 0, 0.0
     origin: int | None = None
     for batch in segmentation.timed(batches(bag, measured)):
         origin, n = int(batch.time[0]) if origin is None else origin, batch.x.shape[1]
         # time and number of a sample go the way of its state
         time = (batch.time - origin) * 1e-9
-        number = segmenter.samples + np.arange(time.size)
+        number, last = segmenter.samples + np.arange(time.size), float(time[-1])
         for segment in segmenter.split(replace(batch, x=np.column_stack((batch.x, time, number)))):
             size = segment.states.shape[1]
             parts.append(segment.states)
@@ -107,6 +111,7 @@ def load_states(
         np.concatenate(begins),
         None if theta is None else theta[np.floor(rows_of[n + 1] + ROUNDED).astype(np.int64)],
         rows_of[n],
+        last,
     )
 
 

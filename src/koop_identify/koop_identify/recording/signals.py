@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_core.config.fields import Source
-from koop_core.errors import InputError
 from koop_identify.recording.loaded import load_with_command
 from koop_identify.recording.loop import LoopRecord, read_loop
-from koop_identify.recording.samples import batches, state_names
+from koop_identify.recording.samples import state_names
 from koop_identify.recording.segmentation import BagReading, find_segmentation
 from koop_identify.recording.segments import Segmentation
 
@@ -122,11 +120,8 @@ def read_signals(path: Path, reading: BagReading, dt: float | None = None) -> Si
     """
     reading = replace(reading, dt=reading.dt or dt)
     with BagReader(path) as bag:
-        for source in filter(None, (reading.measured, reading.command)):
-            _check_topic(bag, path, source.topic)
         segmentation, n = find_segmentation(bag, path, reading)
         loaded = load_with_command(bag, reading, segmentation)
-        recorded = _duration(bag, segmentation, reading.measured)
     size = loaded.time.size
     return Signals(
         state_names(reading.measured, n),
@@ -141,7 +136,7 @@ def read_signals(path: Path, reading: BagReading, dt: float | None = None) -> Si
         np.full(size, np.nan) if loaded.theta is None else loaded.theta,
         None,
         np.full(size, np.nan),
-        recorded,
+        loaded.recorded + segmentation.dt,
     )
 
 
@@ -150,22 +145,6 @@ def _steps(time: NDArray[np.float64], segmentation: Segmentation) -> NDArray[np.
     number = np.arange(time.size)
     step = np.round(time / segmentation.dt).astype(np.int64)
     return np.asarray(1 + number + np.maximum.accumulate(step - number))
-
-
-def _duration(bag: BagReader, segmentation: Segmentation, measured: Source) -> float:
-    """Return the time from the first to the last sample, and one dt more [s]."""
-    first = last = None
-    for batch in segmentation.timed(batches(bag, measured)):
-        first = batch.time[0] if first is None else first
-        last = batch.time[-1]
-    return 0.0 if first is None or last is None else (last - first) * 1e-9 + segmentation.dt
-
-
-def _check_topic(bag: BagReader, path: Path, topic: str) -> None:
-    present = {item.name: item.type_name for item in bag.topics if item.count}
-    if topic not in present:
-        others = ", ".join(f"{name} ({kind})" for name, kind in sorted(present.items()))
-        raise InputError(f"{path}: no messages on {topic}; it has {others or 'none at all'}")
 
 
 def loop_signals(

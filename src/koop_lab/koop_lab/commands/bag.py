@@ -21,10 +21,6 @@ def register(commands: Any) -> None:
         help="the best theta, if you know it: adds the paper's metrics",
     )  # fmt: skip
     metrics.add_argument(
-        "--window", type=float, metavar="S",
-        help="of the amplitudes (default: five periods of the strongest oscillation)",
-    )  # fmt: skip
-    metrics.add_argument(
         "--start", type=float, metavar="S",
         help="leave out what is before (default: nothing; of the paper's metrics 100 s)",
     )  # fmt: skip

@@ -127,7 +127,7 @@ def describe(model: KoopmanModel) -> str:
         )
     lines += [*origin(model.provenance), "", mode_table(model), "", _cost(model)]
     if model.residuals is None:
-        lines.append("residuals are not known: the file is of version 1, 'koop train' has them")
+        lines.append("residuals are not known: the file has none")
     else:
         lines.append("residual: relative error of the mode over one step, 0 for a mode of the rig")
     return "\n".join(lines)

@@ -135,7 +135,7 @@ def metrics_of(
 
 
 def rig_metrics_of(
-    signals: Signals, window: float | None = None, start: float | None = None
+    signals: Signals, start: float | None = None
 ) -> tuple[RigMetrics, tuple[str, ...]]:
     """Return the metrics that need no theta*, and the names of their channels."""
     true = tuple(f"true {i}" for i in range(signals.ground_truth.shape[1]))
@@ -143,7 +143,7 @@ def rig_metrics_of(
         true = tuple(f"true {name}" for name in signals.names)
     channels = np.hstack((signals.x, signals.ground_truth))
     theta = signals.theta if signals.has_theta else None
-    metrics = rig_metrics(signals.t, channels, theta, signals.limited, window, start)
+    metrics = rig_metrics(signals.t, channels, theta, signals.limited, start)
     return metrics, signals.names + true
 
 
@@ -198,7 +198,7 @@ def metrics_main(args: argparse.Namespace) -> int:
     start = LOGGING_START if args.start is None else args.start
     tolerance = TOLERANCE if args.tolerance is None else args.tolerance
     metrics = metrics_of(run, theta_star, start, tolerance)
-    rig, names = rig_metrics_of(signals, args.window, args.start)
+    rig, names = rig_metrics_of(signals, args.start)
     rate = 0.0
     if loop is not None and loop.duration > 0.0:
         rate = (loop.counts["state"] - 1) / loop.duration

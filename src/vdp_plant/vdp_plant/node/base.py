@@ -129,9 +129,7 @@ class PlantRun(Run):
         if outlets is None:
             return
         if not (math.isfinite(x) and math.isfinite(y)):
-            self._node.get_logger().error(
-                f"the plant diverged at step {k}: use the rk4 integrator or a smaller dt"
-            )
+            self._node.get_logger().error(f"the plant diverged at step {k}: use a smaller dt")
             self._node.finish(1)
             return
         state = self._state_message

@@ -6,17 +6,14 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from koop_msgs.msg import Cost
-
 from koop_core.stream.resend import Due, Resend
 from koop_node.node.managed import ERROR, OK, Entities, ManagedNode
-from koop_node.node.qos import RELIABLE
 from vdp_plant.config import RESENDS, PaceConfig
 from vdp_plant.node.base import PlantRun
-from vdp_plant.pacing import silent_node
 
 CHECK_PERIOD = 0.05  # [s] between looks whether an answer is overdue
 WINDOW = 2500  # steps that may be on their way to a subscriber: half of what a writer keeps
+SILENT = "the lifter (koopman_lifter) or the controller (relay_esc) is silent"
 HELD = 30.0  # [s] for which a subscriber that falls behind holds the plant; DDS gives up before
 
 
@@ -27,8 +24,6 @@ class LockstepRun(PlantRun):
         super().__init__(node)
         self._state_message.lockstep = True
         self._question = Resend(node.parameters[PaceConfig].theta_timeout, RESENDS)
-        self._cost_seen: int | None = None
-        self._probe: Entities | None = None
         self._held_since: float | None = None
         self._holds = True
         """Whether the plant waits for those who fall behind."""
@@ -44,7 +39,6 @@ class LockstepRun(PlantRun):
     def deactivate(self) -> None:
         super().deactivate()
         self._held_since = None
-        self._end_probe()
 
     def parameters_changed(self, names: set[str]) -> None:
         super().parameters_changed(names)
@@ -52,7 +46,7 @@ class LockstepRun(PlantRun):
 
     def condition(self) -> tuple[int, str, Mapping[str, object]]:
         if self._question.overdue:
-            return ERROR, self._silent_node(), {"command": "overdue"}
+            return ERROR, SILENT, {"command": "overdue"}
         return OK, "running", {"command": "ok"}
 
     def _ask(self) -> None:
@@ -93,7 +87,6 @@ class LockstepRun(PlantRun):
             return
         self._theta = message.theta
         if self._question.close():
-            self._end_probe()
             self._node.get_logger().info(f"theta for step {self._k} was received late")
         self._advance(self._theta, message.step)
         if self._node.exit_code is None:
@@ -108,27 +101,12 @@ class LockstepRun(PlantRun):
             return
         what = f"no theta for step {self._k}"
         if due is Due.GIVE_UP:
-            self._node.get_logger().error(f"{what}: {self._silent_node()}")
+            self._node.get_logger().error(f"{what}: {SILENT}")
             self._node.finish(1)
             return
-        if self._probe is None:
-            self._probe = Entities(self._node)
-            self._probe.subscription(Cost, "cost", self._on_cost, RELIABLE)
         question = self._question
         self._node.get_logger().warning(
             f"{what} in {question.timeout:g} s: sending the state again "
             f"({question.resent} of {question.resends})"
         )
         self._send_again()
-
-    def _on_cost(self, cost: Cost) -> None:
-        self._cost_seen = cost.step
-
-    def _end_probe(self) -> None:
-        if self._probe is not None:
-            self._probe.close()
-            self._probe = None
-
-    def _silent_node(self) -> str:
-        listeners = self._outlets.state.publisher.get_subscription_count() if self._outlets else 0
-        return silent_node(self._k, self._cost_seen, listeners)
