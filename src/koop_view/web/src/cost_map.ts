@@ -1,6 +1,7 @@
 // The cost over theta, as it is explored.
 
 const BINS = 120;
+const FINEST = 2 ** -17; // width of a bin at first
 const MEMORY = 2000; // samples after which a bin's mean follows what is new: the map may drift
 const TRAIL = 1200; // points of the path
 const TRAIL_STEP = 0.05; // [s] between two points of the path
@@ -15,22 +16,21 @@ interface Bin {
 
 /** The cost in each part of theta's range, and the path of the last while. */
 export class CostMap {
-  private low = 0;
-  private width = 0;
-  private visited: (Bin | undefined)[] = [];
+  private width = FINEST;
+  private visited = new Map<number, Bin>();
   private trail: { t: number; theta: number; r: number }[] = [];
 
   clear(): void {
-    this.width = 0;
-    this.visited = [];
+    this.width = FINEST;
+    this.visited.clear();
     this.trail = [];
   }
 
   push(t: number, theta: number, r: number): void {
     if (!Number.isFinite(theta) || !Number.isFinite(r)) return;
-    this.include(theta);
-    const i = Math.min(BINS - 1, Math.floor((theta - this.low) / this.width));
-    this.visited[i] = join(this.visited[i], { n: 1, mean: r, least: r, most: r });
+    const at = Math.floor(theta / this.width);
+    this.visited.set(at, join(this.visited.get(at), { n: 1, mean: r, least: r, most: r }));
+    while (this.visited.size > BINS) this.widen();
     const end = this.trail.at(-1);
     if (!end || t - end.t >= TRAIL_STEP || t < end.t) this.trail.push({ t, theta, r });
     if (this.trail.length > TRAIL) this.trail.splice(0, TRAIL / 4);
@@ -43,9 +43,9 @@ export class CostMap {
 
   /** The parts that were visited: middle, mean, least, largest. */
   bins(): { theta: number[]; mean: number[]; least: number[]; most: number[] } {
-    const visited = [...this.visited.entries()].filter((item): item is [number, Bin] => !!item[1]);
+    const visited = [...this.visited].sort(([a], [b]) => a - b);
     return {
-      theta: visited.map(([i]) => this.low + (i + 0.5) * this.width),
+      theta: visited.map(([at]) => (at + 0.5) * this.width),
       mean: visited.map(([, bin]) => bin.mean),
       least: visited.map(([, bin]) => bin.least),
       most: visited.map(([, bin]) => bin.most),
@@ -57,22 +57,14 @@ export class CostMap {
     return this.trail.filter((point) => point.t >= from);
   }
 
-  /** Widen the range until theta is in it; two bins become one each time. */
-  private include(theta: number): void {
-    if (this.width === 0) {
-      this.width = 1 / 1024 / BINS; // nothing is known of the first theta; it doubles soon enough
-      this.low = Math.floor(theta / (this.width * BINS)) * this.width * BINS;
-    }
-    while (theta >= this.low + BINS * this.width || theta < this.low) {
-      const isBelow = theta < this.low;
-      const before = this.visited;
-      this.visited = [];
-      before.forEach((bin, i) => {
-        const k = (i >> 1) + (isBelow ? BINS / 2 : 0);
-        if (bin) this.visited[k] = join(this.visited[k], bin);
-      });
-      if (isBelow) this.low -= BINS * this.width;
-      this.width *= 2;
+  /** Make one of every two bins. */
+  private widen(): void {
+    const before = this.visited;
+    this.width *= 2;
+    this.visited = new Map();
+    for (const [at, bin] of before) {
+      const half = Math.floor(at / 2);
+      this.visited.set(half, join(this.visited.get(half), bin));
     }
   }
 }

@@ -1,6 +1,6 @@
 // The figures of the page: what each shows, and how.
 
-import uPlot from "uplot";
+import type uPlot from "uplot";
 import type { Drawing } from "./chart";
 import {
   axis,
@@ -13,23 +13,18 @@ import {
   padded,
   style,
 } from "./chart";
-import { byId, setText } from "./dom";
 import { short } from "./format";
 import type { Interval, Loop } from "./loop";
-import { fill, spectrum } from "./spectrum";
 import { curves, type Stream } from "./stream";
 import type { TimeAxis } from "./time_axis";
 
 const TRAIL = 60; // [s] of the path in r over theta
 const BREAK = 1; // [s] without a point, after which the path is interrupted
-const SPECTRUM = 60; // [s]
-const FLOOR = 1e-5; // of the largest amplitude: what is below is rounding
 
 /** What the figures show. */
 export interface Shown {
   loop: Loop | undefined;
   limits: [number, number] | undefined; // of theta
-  dt: number; // [s] between two steps
 }
 
 /** One figure over time. */
@@ -128,7 +123,6 @@ export class Figures {
         firstColor: 3,
       }),
       new Figure("map", () => 250, this.mapDrawing()),
-      new Figure("spectrum", () => 2000, this.spectrumDrawing()),
     ];
   }
 
@@ -149,7 +143,7 @@ export class Figures {
     };
     const isLog = (): boolean => figure.log === true && this.logR;
     return new Figure(figure.name, () => time.period(), {
-      shape: () => `${names()} ${isLog()}`,
+      shape: () => `${names()} ${isLog()} ${time.recorded}`,
       options: (width) => ({
         width,
         height: figure.height,
@@ -158,7 +152,7 @@ export class Figures {
           ...names().map((name, i) => line(name, color(i + (figure.firstColor ?? 0)))),
         ],
         scales: {
-          x: { time: false, range: () => time.range() },
+          x: { time: !time.recorded, range: () => time.range() },
           y: {
             distr: isLog() ? 3 : 1,
             range: (u, low, high) => {
@@ -172,7 +166,6 @@ export class Figures {
         axes: [
           axis(24, false, {
             space: 80,
-            splits: (u, _i, low, high) => time.ticks(low, high, u.width),
             values: (_u, splits) => splits.map((t) => time.tick(t)),
           }),
           axis(54, isLog(), { label: figure.label }),
@@ -189,7 +182,7 @@ export class Figures {
       data: () => {
         const { loop } = this.shown();
         if (!loop) return undefined;
-        const data = curves(figure.stream(loop), names(), ...time.range(), time.columns());
+        const data = curves(figure.stream(loop), names(), ...time.range());
         return (isLog() ? positive(data) : data) as unknown as uPlot.AlignedData;
       },
     });
@@ -305,45 +298,6 @@ export class Figures {
       ctx.arc(...place(loop.now.theta, loop.now.r), 4.5 * ratio, 0, 2 * Math.PI);
       ctx.fill();
     });
-  }
-
-  private spectrumDrawing(): Drawing {
-    const channels = (): string[] => this.shown().loop?.channels ?? [];
-    return {
-      shape: () => channels().join(),
-      options: (width) => ({
-        width,
-        height: 220,
-        series: [
-          { label: "Hz", value: (_u, v: number | null) => short(v) },
-          ...channels().map((name, i) => line(name, color(i))),
-        ],
-        scales: {
-          x: { time: false, distr: 3, range: padded(true, 0) },
-          y: { distr: 3, range: padded(true, 0) },
-        },
-        axes: [axis(26, true, { label: "frequency [Hz]" }), axis(54, true, { label: "amplitude" })],
-        cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
-      }),
-      data: () => this.spectra(),
-    };
-  }
-
-  private spectra(): uPlot.AlignedData | undefined {
-    const { loop, dt } = this.shown();
-    if (!loop?.channels.length || !(dt > 0)) return undefined;
-    const samples = loop.channels.map((name) => {
-      const { v, step } = loop.state.raw(name, loop.state.last - SPECTRUM);
-      return fill(step, v, (2 * SPECTRUM) / dt);
-    });
-    const spectra = samples.map((channel) => spectrum(channel, dt));
-    if (!spectra[0]?.f.length) return undefined;
-    setText(byId("spectrum-note"), `${short(samples[0]!.length * dt)} s, Hann window`);
-    const tables = spectra.map(({ f, amplitude }) => {
-      const floor = Math.max(...amplitude) * FLOOR;
-      return [f, amplitude.map((a) => (a > floor ? a : null))];
-    });
-    return uPlot.join(tables as unknown as uPlot.AlignedData[]);
   }
 }
 

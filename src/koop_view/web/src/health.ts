@@ -89,27 +89,20 @@ function isInactive(report: Report | undefined): boolean {
   return state !== undefined && state !== "active";
 }
 
-const LOSSES: Record<string, string> = {
-  missed_steps: "missed",
-  late: "late",
-  repeated: "repeated",
-  too_old: "too old",
-  unusable: "unusable",
-  restarts: "restarts",
-  silences: "silences",
-  late_ticks: "late ticks",
-  lost: "lost",
-  dropped: "dropped",
-};
+const LOSSES =
+  "missed_steps late repeated too_old unusable restarts silences late_ticks lost dropped".split(
+    " ",
+  );
 
 /** What a node has lost on its inputs, by its report: `12 missed, 1 late`; empty if nothing. */
 export function losses(report: Report | undefined): string {
   const sums = new Map<string, number>();
   for (const [key, value] of Object.entries(report?.values ?? {})) {
-    const word = LOSSES[key.slice(key.lastIndexOf(" ") + 1)];
-    if (word && Number(value) > 0) sums.set(word, (sums.get(word) ?? 0) + Number(value));
+    const name = key.slice(key.lastIndexOf(" ") + 1);
+    if (LOSSES.includes(name)) sums.set(name, (sums.get(name) ?? 0) + Number(value));
   }
-  return [...sums].map(([word, n]) => `${n} ${word}`).join(", ");
+  const lost = [...sums].filter(([, n]) => n > 0);
+  return lost.map(([name, n]) => `${n} ${name.replace("_steps", "").replace("_", " ")}`).join(", ");
 }
 
 /** Age of the newest input [s] as the node itself measures it. */

@@ -63,7 +63,6 @@ export class Link {
   private subscriptions = new Map<number, string>(); // topics
   private calls = new Map<number, Call>();
   private topics: string[] = []; // to be subscribed to
-  private watched: string[] = []; // parameters
   private notes = new Set<string>();
   private nextSubscription = 1;
   private nextCall = 1;
@@ -96,15 +95,6 @@ export class Link {
     client.on("advertise", (channels) => {
       for (const channel of channels) this.channels.set(channel.topic, channel);
       this.subscribe();
-    });
-    client.on("unadvertise", (ids) => {
-      for (const { id, topic } of [...this.channels.values()]) {
-        if (!ids.includes(id)) continue;
-        this.channels.delete(topic);
-        const numbers = [...this.subscriptions.keys()];
-        for (const n of numbers)
-          if (this.subscriptions.get(n) === topic) this.subscriptions.delete(n);
-      }
     });
     client.on("advertiseServices", (services) => {
       for (const service of services) this.services.set(service.name, service);
@@ -147,16 +137,9 @@ export class Link {
 
   /** Get these parameters now and whenever they change. */
   watch(names: string[]): void {
-    if (!this.client || !this.opened) return;
-    if (this.watched.length) this.client.unsubscribeParameterUpdates(this.watched);
-    this.watched = names;
-    if (names.length) this.client.subscribeParameterUpdates(names);
-    this.refresh();
-  }
-
-  /** Get the watched parameters again. */
-  refresh(): void {
-    if (this.opened && this.watched.length) this.client?.getParameters(this.watched, REQUEST);
+    if (!this.opened || !names.length) return;
+    this.client?.subscribeParameterUpdates(names);
+    this.client?.getParameters(names, REQUEST);
   }
 
   offers(service: string): boolean {
@@ -228,7 +211,6 @@ export class Link {
     this.client = undefined;
     this.opened = false;
     for (const map of [this.channels, this.subscriptions, this.services]) map.clear();
-    this.watched = [];
     for (const call of this.calls.values()) call.reject(new Error("the connection was lost"));
     this.calls.clear();
     this.handlers.services();

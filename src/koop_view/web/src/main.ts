@@ -9,10 +9,10 @@ const page = new Page();
 const probe = {
   newest: () => page.newest,
   raw: (name: string) => streamOf(name)?.raw(name) ?? { t: [], v: [], step: [] },
-  columns: (name: string, span: number) => {
+  columns: (name: string) => {
     const columns: { t: number[]; low: number[]; high: number[] } = { t: [], low: [], high: [] };
-    const stored = streamOf(name)?.signals.get(name)?.columns.get(span);
-    stored?.each(-Infinity, Infinity, (t, low, high) => {
+    const stored = streamOf(name)?.signals.get(name)?.columns;
+    stored?.each(-Infinity, Infinity, (t, { low, high }) => {
       columns.t.push(t);
       columns.low.push(low);
       columns.high.push(high);

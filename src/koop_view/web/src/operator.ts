@@ -6,15 +6,12 @@ import type { Link, Message } from "./link";
 import type { Loop } from "./loop";
 
 const MOST_ACTS = 50;
-const [DOUBLE, STRING] = [3, 4]; // rcl_interfaces/msg/ParameterType
-const SETTLES = "θ is held until the filters have settled, then the new cost is sought.";
+const DOUBLE = 3; // rcl_interfaces/msg/ParameterType
 
 /** Inputs that show a parameter until the operator changes them. */
 const INPUTS: Record<string, string> = {
   "theta-min": "controller.theta_min",
   "theta-max": "controller.theta_max",
-  cost: "lifter.cost",
-  model: "lifter.model",
 };
 
 /** What the operator sees. */
@@ -34,17 +31,10 @@ export class Operator {
     onClick(byId("hold"), () => void this.hold(true));
     onClick(byId("resume"), () => void this.resume());
     onClick(byId("reset"), () => void this.reset());
-    const forms = {
-      "limits-form": () => this.setLimits(),
-      "cost-form": () => this.setCost(),
-      "model-form": () => this.setModel(),
-    };
-    for (const [id, submit] of Object.entries(forms)) {
-      byId(id).addEventListener("submit", (event) => {
-        event.preventDefault();
-        void submit();
-      });
-    }
+    byId("limits-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.setLimits();
+    });
     for (const id of Object.keys(INPUTS)) {
       byId(id).addEventListener("input", () => this.changed.add(id));
     }
@@ -56,20 +46,18 @@ export class Operator {
   /** Show what may be done now, and in the inputs the values of the loop. */
   refresh(): void {
     const { loop, operate } = this.desk;
-    const { controller, lifter } = loop?.names ?? {};
+    const controller = loop?.names.controller;
     document.body.dataset["operate"] = String(operate);
-    const allow = (id: string, node: string | null | undefined, service: string): void => {
-      const offered = node ? this.link.offers(`${node}/${service}`) : false;
+    const allow = (id: string, service: string): void => {
+      const offered = controller ? this.link.offers(`${controller}/${service}`) : false;
       byId<HTMLButtonElement>(id).disabled = !(operate && !loop?.now.ended && offered);
     };
-    // a commander has no limits to set, and what it records is not for the operator to change
-    const isSought = this.desk.parameter("controller.theta_min") !== undefined;
-    allow("hold", controller, "hold");
-    allow("resume", controller, "hold");
-    allow("reset", controller, "reset");
-    allow("set-limits", isSought ? controller : null, "set_parameters_atomically");
-    for (const id of ["set-cost", "set-model"]) {
-      allow(id, loop?.now.commanded ? null : lifter, "set_parameters_atomically");
+    allow("hold", "hold");
+    allow("resume", "hold");
+    allow("reset", "reset");
+    allow("set-limits", "set_parameters_atomically");
+    if (this.desk.parameter("controller.theta_min") === undefined) {
+      byId<HTMLButtonElement>("set-limits").disabled = true; // a commander has none
     }
     byId("hold").classList.toggle("pressed", loop?.now.holding ?? false);
     byId("resume").classList.toggle("wanted", loop?.now.holding ?? false);
@@ -94,7 +82,7 @@ export class Operator {
 
   /** Holding moves nothing: it is done at once. */
   private async hold(data: boolean): Promise<void> {
-    await this.call(data ? "hold θ" : "resume", "controller", "hold", { data });
+    await this.call(data ? "hold θ" : "resume", "hold", { data });
   }
 
   private async resume(): Promise<void> {
@@ -113,7 +101,7 @@ export class Operator {
       `${Number.isNaN(initial) ? "its initial value" : short(initial)}, ` +
       `${limit > 0 ? `at most ${short(limit)} per second` : "at once"}. ` +
       "Filter and relay start again.";
-    if (await confirm("Reset", text)) await this.call("reset", "controller", "reset", {});
+    if (await confirm("Reset", text)) await this.call("reset", "reset", {});
   }
 
   private async setLimits(): Promise<void> {
@@ -132,52 +120,17 @@ export class Operator {
       values["theta_initial"] = inside(initial);
       words.push(`A reset goes to ${short(inside(initial))} then, not to ${short(initial)}.`);
     }
-    const what = `limits [${short(low)}, ${short(high)}]`;
-    await this.set("Limits of θ", words.join(" "), what, "controller", values);
-  }
-
-  private async setCost(): Promise<void> {
-    const cost = byId<HTMLSelectElement>("cost").value;
-    const text = `The lifter changes to the cost "${cost}". ${SETTLES}`;
-    await this.set("Cost", text, `cost ${cost}`, "lifter", { cost });
-  }
-
-  private async setModel(): Promise<void> {
-    const model = byId<HTMLInputElement>("model").value.trim();
-    const text = `The lifter loads ${model || "the shipped model"}. ${SETTLES}`;
-    await this.set("Model", text, `model ${model}`, "lifter", { model });
-  }
-
-  /** Set parameters of a node once the operator has confirmed it. */
-  private async set(
-    title: string,
-    text: string,
-    what: string,
-    role: "controller" | "lifter",
-    values: Record<string, number | string>,
-  ): Promise<void> {
-    if (!(await confirm(title, text))) return;
+    if (!(await confirm("Limits of θ", words.join(" ")))) return;
     const parameters = Object.entries(values).map(([name, value]) => ({
       name,
-      value:
-        typeof value === "number"
-          ? { type: DOUBLE, double_value: value }
-          : { type: STRING, string_value: value },
+      value: { type: DOUBLE, double_value: value },
     }));
-    if (!(await this.call(what, role, "set_parameters_atomically", { parameters }))) return;
-    for (const [id, name] of Object.entries(INPUTS)) {
-      if (name.replace(`${role}.`, "") in values) this.changed.delete(id);
-    }
-    this.link.refresh();
+    const what = `limits [${short(low)}, ${short(high)}]`;
+    if (await this.call(what, "set_parameters_atomically", { parameters })) this.forget();
   }
 
-  /** Call a service of a node and note its answer; return whether it was done. */
-  private async call(
-    what: string,
-    role: "controller" | "lifter",
-    service: string,
-    request: Message,
-  ): Promise<boolean> {
+  /** Call a service of the controller and note its answer; return whether it was done. */
+  private async call(what: string, service: string, request: Message): Promise<boolean> {
     const outcome = make("span", { text: " …" });
     const entry = make("li", { data: { outcome: "asked" } }, make("b", { text: what }), outcome);
     byId("acts").prepend(entry);
@@ -185,7 +138,10 @@ export class Operator {
     let isDone = false;
     let words = "";
     try {
-      const answer = await this.link.call(`${this.desk.loop?.names[role]}/${service}`, request);
+      const answer = await this.link.call(
+        `${this.desk.loop?.names.controller}/${service}`,
+        request,
+      );
       const result = (answer["result"] ?? answer) as Message;
       const reason = String(result["message"] ?? result["reason"] ?? "");
       isDone = (result["success"] ?? result["successful"]) === true;

@@ -14,9 +14,7 @@ import { TimeAxis } from "./time_axis";
 const MOST_NOTES = 40;
 const FRAME = 75; // [ms] between two looks at which figures are due: a frame costs even if none is
 const REFRESH = 250; // [ms] between two looks at health and words
-const RETRY = 3; // [s] between two requests for parameters that are missing
 const DISCOVERY = 4; // [s] that a server which has just started may need to find the loops
-const CLOCK_STEP = 5; // [s] by which time may go back before the clock has been set
 const CONNECTING = 2; // [s] without a connection at the start, after which it counts as lost
 const TOKEN = "koop token"; // in the storage of the tab
 const WARNING = 30; // rcl_interfaces/msg/Log
@@ -36,9 +34,9 @@ export class Page {
   chosen = decodeURIComponent(/[#&]loop=([^&]*)/.exec(location.hash)?.[1] ?? "");
   newest = NaN; // receive time of the newest message [s]
   private newestAt = NaN; // when it came
+  private begin = 0; // of a recording [s]; its figures count from there
   private lostAt = now();
   private openedAt = NaN;
-  private askedAt = 0;
   private watched = ""; // names of parameters
   private read: number | undefined; // messages so far of a recording that is not complete
   private readonly parameters = new Map<string, ParameterValue>();
@@ -97,13 +95,6 @@ export class Page {
     const low = this.parameter("controller.theta_min");
     const high = this.parameter("controller.theta_max");
     return typeof low === "number" && typeof high === "number" ? [low, high] : undefined;
-  }
-
-  /** Seconds between two steps. */
-  get dt(): number {
-    const dt = this.parameter("lifter.dt");
-    if (typeof dt === "number" && dt > 0) return dt;
-    return this.loop?.state.meanPeriod ?? NaN;
   }
 
   /** A parameter of the chosen loop, such as `controller.theta_min`. */
@@ -173,10 +164,7 @@ export class Page {
   takeServer(server: ServerState): void {
     const isRecorded = server.mode === "recorded";
     const isOther = server.mode !== this.server?.mode || server.session !== this.server.session;
-    if (this.server && isOther && (isRecorded || this.recorded)) {
-      this.loops.clear();
-      this.newest = NaN;
-    }
+    if (this.server && isOther && (isRecorded || this.recorded)) location.reload();
     this.server = server;
     if (isRecorded && !this.watched) this.restart(); // it is sent whole after every connection
     if (isRecorded && !this.time.recorded) {
@@ -219,19 +207,19 @@ export class Page {
   /** A recording is sent again: what was read before would be there twice. */
   private restart(): void {
     for (const loop of this.loops.values()) loop.clear();
-    this.read = 0;
+    this.read = this.begin = 0;
   }
 
   message(topic: string, time: number, message: Message): void {
     if (this.read !== undefined) this.read += 1;
-    const isSetBack = time < this.newest - CLOCK_STEP;
-    if (isSetBack || !(time <= this.newest)) {
-      this.newest = time;
-      this.newestAt = now();
-    }
+    this.newest = time;
+    this.newestAt = now();
     if (topic === "/diagnostics") this.takeDiagnostics(message);
     else if (topic === "/rosout") this.takeLog(message, time);
-    else this.loop?.take(topic, time, now(), message);
+    else {
+      if (this.recorded) this.begin ||= time;
+      this.loop?.take(topic, time - this.begin, now(), message);
+    }
   }
 
   private takeDiagnostics(message: Message): void {
@@ -311,15 +299,10 @@ export class Page {
     const levels = new Map(
       [...this.loops].map(([n, other]) => [n, this.levelOf(other, level, time)]),
     );
-    showLoops(levels, this);
+    showLoops(this.loops, levels, chosen);
     showHealth(rows, loop, this.recorded, time);
     showForce(this);
     this.operator.refresh();
-    const missing = !this.limits || this.parameter("lifter.cost") === undefined;
-    if (loop && missing && time - this.askedAt > RETRY) {
-      this.askedAt = time; // a node that has just started does not answer at once
-      this.link.refresh();
-    }
   }
 
   private levelOf(loop: Loop, verdictLevel: Level, time: number): Level {

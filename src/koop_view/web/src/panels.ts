@@ -1,14 +1,13 @@
 // The parts of the page that are words: health, loops, what is in force.
 
 import type { ParameterValue } from "@foxglove/ws-protocol";
-import { byId, make, onClick, setChildren, setText } from "./dom";
+import { byId, make, setChildren, setText } from "./dom";
 import { short, shortName } from "./format";
 import { inputAge, type Level, losses, type Row, silence, urgency } from "./health";
 import { costName, type Loop } from "./loop";
 import type { TimeAxis } from "./time_axis";
 
 export const WORDS = { ok: "OK", warn: "WARN", error: "ERROR", stale: "STALE", off: "–" };
-const MOST_BAD = 3; // loops that are named beside the selector
 
 /** The parameters that are shown, with their units. */
 export const PARAMETERS = {
@@ -35,40 +34,29 @@ export function showSpans(time: TimeAxis): void {
   byId("zoomed").hidden = !time.isZoomed;
 }
 
-interface Fleet {
-  chosen: string;
-  loops: ReadonlyMap<string, Loop>;
-  choose(namespace: string): void;
-}
-
 /** Each loop with its level in the selector, and those that need somebody beside it. */
-export function showLoops(levels: ReadonlyMap<string, Level>, fleet: Fleet): void {
+export function showLoops(
+  loops: ReadonlyMap<string, Loop>,
+  levels: ReadonlyMap<string, Level>,
+  chosen: string,
+): void {
   const describe = (namespace: string): string => {
     const name = namespace === "/" ? "/ (no namespace)" : namespace;
     const level = levels.get(namespace) ?? "off";
     if (level === "off") return name;
-    return `${name}: ${fleet.loops.get(namespace)?.now.ended ? "ENDED" : WORDS[level]}`;
+    return `${name}: ${loops.get(namespace)?.now.ended ? "ENDED" : WORDS[level]}`;
   };
-  const names = [...fleet.loops.keys()].sort();
+  const names = [...loops.keys()].sort();
   const select = byId<HTMLSelectElement>("loop");
   byId("loop-label").hidden = names.length < 2;
   if (names.join() !== Array.from(select.options, (option) => option.value).join()) {
     select.replaceChildren(...names.map((name) => new Option(name, name)));
   }
   for (const option of select.options) setText(option, describe(option.value));
-  select.value = fleet.chosen;
-  const urgencyOf = (namespace: string): number => urgency(levels.get(namespace) ?? "off");
-  const bad = names.filter((name) => names.length > 1 && urgencyOf(name) > urgency("ok"));
-  bad.sort((a, b) => urgencyOf(b) - urgencyOf(a));
-  const buttons = bad.slice(0, MOST_BAD).map((loop) => {
-    const data = { loop, level: levels.get(loop) ?? "off" };
-    const button = make("button", { text: describe(loop), title: "show this loop", data });
-    onClick(button, () => fleet.choose(loop));
-    return button;
-  });
-  const more = `and ${bad.length - MOST_BAD} more of ${names.length}`;
-  const rest = bad.length > MOST_BAD ? [make("span", { class: "soft", text: more })] : [];
-  setChildren(byId("fleet"), [...buttons, ...rest]);
+  select.value = chosen;
+  const isBad = (name: string): boolean => urgency(levels.get(name) ?? "off") > urgency("ok");
+  const bad = names.length > 1 ? names.filter(isBad) : [];
+  setText(byId("fleet"), bad.map(describe).join(", "));
 }
 
 export function showHealth(

@@ -1,22 +1,19 @@
-// What is kept of one topic: the last samples as they came, and columns of everything before.
+// What is kept of one topic: the last samples as they came, and columns of everything.
 
-import { Columns } from "./columns";
+import { type Column, Columns, FINEST } from "./columns";
 
-export const SPANS = [60, 600, 3600, 0]; // [s]; 0: all
-const COLUMNS = 600;
-const ALL_COLUMNS = 4096; // finer: a part of a recording is looked at through them
-const SAMPLES = 16384; // more than a minute at 200 Hz
+const COLUMNS = 16384; // of all time: a minute of a day has six or more
+const SAMPLES = 131072; // ten minutes at 200 Hz
 const CLOCK_STEP = 5; // [s] by which time may go back before it is another time
-const MOST_DRAWN = 4400; // samples of a curve; of more, the columns are drawn
+const MOST_DRAWN = 4400; // samples of a curve; of more, columns are drawn
+const FEWEST_DRAWN = 600; // columns of a curve
 
 type Values = (number | null)[];
 
 /** One value of a topic over time. */
 class Signal {
   readonly raw = new Float64Array(SAMPLES).fill(NaN);
-  readonly columns = new Map(
-    SPANS.map((span) => [span, new Columns(span, span ? COLUMNS : ALL_COLUMNS)]),
-  );
+  readonly columns = new Columns(COLUMNS);
 }
 
 /** The values of one topic. All of them have the same times. */
@@ -30,23 +27,18 @@ export class Stream {
   last = NaN; // receive time of the newest message [s]
   lastStep = -1;
 
-  /** Messages since the last clear. */
-  get count(): number {
-    return this.next - this.since;
-  }
-
-  get kept(): number {
-    return Math.min(this.count, SAMPLES);
-  }
-
   /** The oldest time whose samples are kept as they came. */
   get rawFrom(): number {
-    return this.kept ? this.times[(this.next - this.kept) % SAMPLES]! : Infinity;
+    return this.next > this.since ? this.times[this.oldest % SAMPLES]! : Infinity;
   }
 
   /** Seconds between two messages, over all of them. */
   get meanPeriod(): number {
-    return (this.last - this.first) / (this.count - 1);
+    return (this.last - this.first) / (this.next - this.since - 1);
+  }
+
+  private get oldest(): number {
+    return Math.max(this.since, this.next - SAMPLES);
   }
 
   clear(): void {
@@ -70,17 +62,19 @@ export class Stream {
       const signal = this.signals.get(name) ?? new Signal();
       this.signals.set(name, signal);
       signal.raw[at] = values[i]!;
-      for (const columns of signal.columns.values()) columns.push(t, values[i]!);
+      signal.columns.push(t, values[i]!);
     });
   }
 
-  /** The samples kept, oldest first, from a time on. */
-  raw(name: string, from = -Infinity): { t: number[]; v: number[]; step: number[] } {
+  /** The samples kept within [from, to], oldest first. */
+  raw(name: string, from = -Infinity, to = Infinity): { t: number[]; v: number[]; step: number[] } {
     const signal = this.signals.get(name);
     const samples = { t: [] as number[], v: [] as number[], step: [] as number[] };
-    for (let i = this.next - this.kept; signal && i < this.next; i += 1) {
+    let i = this.next;
+    while (i > this.oldest && this.times[(i - 1) % SAMPLES]! >= from) i -= 1;
+    for (; signal && i < this.next; i += 1) {
       const at = i % SAMPLES;
-      if (this.times[at]! < from) continue;
+      if (this.times[at]! > to) break;
       samples.t.push(this.times[at]!);
       samples.v.push(signal.raw[at]!);
       samples.step.push(this.steps[at]!);
@@ -92,46 +86,52 @@ export class Stream {
 /**
  * Curves of several signals of a stream over [from, to], on one time axis.
  *
- * Samples as they came where all are kept and there are not too many; otherwise the columns of
- * `span`, each drawn from its smallest to its largest value, in the order in which they came.
+ * Samples as they came where all are kept and there are not too many; otherwise columns, each drawn
+ * from its smallest to its largest value, in the order in which they came.
  */
 export function curves(
   stream: Stream,
   names: readonly string[],
   from: number,
   to: number,
-  span: number,
 ): [number[], ...Values[]] {
-  if (to - from <= 20 && stream.rawFrom <= Math.max(from, stream.first)) {
-    const samples = names.map((name) => stream.raw(name, from - 1));
-    const t = samples[0]?.t ?? [];
-    if (t.length <= MOST_DRAWN)
-      return interrupt(
-        t,
-        samples.map((s) => s.v),
-        1,
-      );
+  const isKept = stream.rawFrom <= Math.max(from, stream.first);
+  const samples = isKept ? names.map((name) => stream.raw(name, from - 1, to + 1)) : [];
+  const times = samples[0]?.t ?? [];
+  if (isKept && times.length <= MOST_DRAWN) {
+    const values = samples.map(({ v }) => v);
+    return interrupt(times, values, 1);
   }
-  const drawn = names.map((name) =>
-    columnCurve(stream.signals.get(name)?.columns.get(span), from, to),
-  );
-  const width = stream.signals.get(names[0] ?? "")?.columns.get(span)?.width ?? 1;
-  return interrupt(...align(drawn), Math.max(1, 3 * width));
-}
-
-function columnCurve(columns: Columns | undefined, from: number, to: number): Map<number, number> {
-  const curve = new Map<number, number>();
-  columns?.each(from, to, (t, low, high, rising) => {
-    curve.set(t + 0.25 * columns.width, rising ? low : high);
-    curve.set(t + 0.75 * columns.width, rising ? high : low);
+  const stored = names.map((name) => stream.signals.get(name)?.columns);
+  const finest = isKept ? 0 : (stored[0]?.width ?? 0);
+  const fine = FINEST * 2 ** Math.floor(Math.log2((to - from) / FEWEST_DRAWN / FINEST));
+  const width = Math.max(fine, finest);
+  const drawn = names.map((_name, i) => {
+    const columns = new Columns(Math.ceil((to - from + 2) / width) + 2, width);
+    samples[i]?.t.forEach((t, k) => {
+      columns.push(t, samples[i]!.v[k]!);
+    });
+    if (!isKept) stored[i]?.each(from, to, (t, c) => columns.push(t, c.low, c.high, c.rising));
+    return columns;
   });
-  return curve;
+  return interrupt(...edges(drawn, from, to), Math.max(1, 3 * width));
 }
 
-/** Put curves on the times of all of them. */
-function align(drawn: Map<number, number>[]): [number[], Values[]] {
-  const t = [...new Set(drawn.flatMap((curve) => [...curve.keys()]))].sort((a, b) => a - b);
-  return [t, drawn.map((curve) => t.map((time) => curve.get(time) ?? null))];
+/** The edges of columns of one width as points of curves. */
+function edges(drawn: Columns[], from: number, to: number): [number[], Values[]] {
+  const width = drawn[0]?.width ?? 1;
+  const times: number[] = [];
+  const values: Values[] = drawn.map(() => []);
+  for (let at = Math.floor(from / width); at <= to / width; at += 1) {
+    const cells: (Column | undefined)[] = drawn.map((columns) => columns.get(at));
+    if (cells.every((cell) => cell === undefined)) continue;
+    times.push((at + 0.25) * width, (at + 0.75) * width);
+    cells.forEach((cell, k) => {
+      const ends = cell ? [cell.low, cell.high] : [null, null];
+      values[k]!.push(...(cell?.rising === false ? ends.reverse() : ends));
+    });
+  }
+  return [times, values];
 }
 
 /** Interrupt curves where nothing came for longer than `silence` and than samples usually take. */
