@@ -18,7 +18,8 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.schema import load_schema
 from koop_view.protocol import AdvertisedChannel
 from koop_view.recorded import RecordedSource
-from koop_view.source import LoopNames, ViewSource
+from koop_view.roles import LoopNames
+from koop_view.session import ViewSource
 
 GOLDEN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
 PERIOD = 50_000_000  # [ns] between two steps: a run of hours in seconds
@@ -142,7 +143,9 @@ def fleet(tmp_path_factory):
     with Chromium(folder, "about:blank") as page:
         with running(Fleet(), TOKENS[0]) as port:
             page.open(f"http://127.0.0.1:{port}/#token={TOKENS[0]}")
-            bad = page.wait("(t => t.includes('/c') && t)(document.querySelector('#fleet').textContent)")
+            bad = page.wait(
+                "(t => t.includes('/c') && t)(document.querySelector('#fleet').textContent)"
+            )
             loops = page.value("[...document.querySelectorAll('#loop option')].map(o => o.text)")
             page.value("document.querySelector('#loop').value = '/b'")
             page.value("document.querySelector('#loop').dispatchEvent(new Event('change'))")

@@ -12,7 +12,7 @@ ADDRESS = "the page: "  # begins the line with its address
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """Address, access and limits of the server.
+    """Address and access of the server.
 
     Raises
     ------
@@ -41,23 +41,6 @@ class ViewConfig:
         "",
         "file with a line that is shown beside the loop, such as the stage of a commissioning; "
         "it may change",
-        read_only=True,
-    )
-    clients: int = parameter(16, "clients at a time", low=1, high=100, read_only=True)
-    backlog: float = parameter(
-        4.0,
-        "data that may wait for a slow client, which is dropped at more",
-        unit="MB",
-        low=0.1,
-        high=100.0,
-        read_only=True,
-    )
-    rate: float = parameter(
-        1000.0,
-        "messages per second of one topic; a faster one is thinned out",
-        unit="Hz",
-        low=1.0,
-        high=100000.0,
         read_only=True,
     )
 

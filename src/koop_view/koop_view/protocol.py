@@ -49,23 +49,20 @@ class AdvertisedChannel:
 
 @dataclass(frozen=True)
 class AdvertisedService:
-    """A service, as it is advertised; ``operates`` if it moves or changes the rig."""
+    """A service, as it is advertised."""
 
     number: int
     name: str
     type_name: str
     request: str
     response: str
-    operates: bool
 
     def as_json(self) -> dict[str, Any]:
-        """Return the service in the terms of the protocol, for old clients and new ones."""
+        """Return the service in the terms of the protocol."""
         return {
             "id": self.number,
             "name": self.name,
             "type": self.type_name,
-            "requestSchema": self.request,
-            "responseSchema": self.response,
             "request": self._side("Request", self.request),
             "response": self._side("Response", self.response),
         }
@@ -119,23 +116,7 @@ class Call:
     payload: bytes
 
 
-@dataclass(frozen=True)
-class Unsupported:
-    """An operation of the protocol that this server does not offer."""
-
-    operation: str
-
-
-Request = Subscribe | Unsubscribe | GetParameters | WatchParameters | Call | Unsupported
-_UNSUPPORTED = {
-    "setParameters",  # a node's service does that, and gives a reason if it refuses
-    "advertise",
-    "unadvertise",
-    "subscribeConnectionGraph",
-    "unsubscribeConnectionGraph",
-    "fetchAsset",
-    "playbackControlRequest",
-}
+Request = Subscribe | Unsubscribe | GetParameters | WatchParameters | Call
 
 
 def parse(message: str | bytes) -> Request:
@@ -144,14 +125,13 @@ def parse(message: str | bytes) -> Request:
     Raises
     ------
     ProtocolError
-        If the message does not follow the protocol.
+        If the message does not follow the protocol, or asks for what this server does not offer:
+        parameters are set by a node's service, which gives a reason if it refuses.
     """
     return _parse_binary(message) if isinstance(message, bytes) else _parse_text(message)
 
 
 def _parse_binary(message: bytes) -> Request:
-    if message[:1] == b"\x01":
-        return Unsupported("publishing")
     if message[:1] != b"\x02" or len(message) < _CALL.size:
         raise ProtocolError(f"a binary message of {len(message)} bytes that is not a call")
     _, service, call, length = _CALL.unpack_from(message)
@@ -182,9 +162,7 @@ def _parse_text(message: str) -> Request:
         return GetParameters(_names(content), request)
     if operation in ("subscribeParameterUpdates", "unsubscribeParameterUpdates"):
         return WatchParameters(_names(content), operation.startswith("subscribe"))
-    if operation in _UNSUPPORTED:
-        return Unsupported(operation)
-    raise ProtocolError(f"unknown operation {operation[:40]!r}")
+    raise ProtocolError(f"{operation[:40]!r} is not offered here")
 
 
 def _refuse(text: str) -> Any:
@@ -237,20 +215,14 @@ def server_info(
     )
 
 
-def status(level: int, text: str, identifier: str | None = None) -> str:
+def status(level: int, text: str) -> str:
     """Return a text for the user of a client."""
-    extra = {} if identifier is None else {"id": identifier}
-    return _encode("status", level=level, message=text, **extra)
+    return _encode("status", level=level, message=text)
 
 
 def advertise(channels: Iterable[AdvertisedChannel]) -> str:
     """Return the announcement of channels."""
     return _encode("advertise", channels=[channel.as_json() for channel in channels])
-
-
-def unadvertise(numbers: Iterable[int]) -> str:
-    """Return that channels have ended."""
-    return _encode("unadvertise", channelIds=list(numbers))
 
 
 def advertise_services(services: Iterable[AdvertisedService]) -> str:

@@ -14,8 +14,8 @@ from koop_bag.bag.playback import Playback
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_view.protocol import ENCODING, ERROR, INFO, AdvertisedChannel
-from koop_view.roles import COST, STATE, THETA, namespace_of
-from koop_view.source import LoopNames, Viewer, ViewSource
+from koop_view.roles import COST, STATE, THETA, LoopNames, namespace_of
+from koop_view.session import ClientSession, ViewSource
 
 COMPLETE = "recording complete"
 TURN = 200  # messages after which other clients have their turn
@@ -60,13 +60,13 @@ class RecordedSource(ViewSource):
             for name, value in values.items() if isinstance(values, Mapping) else ():
                 self.parameters[f"{node}.{name}"] = value
 
-    def subscribe(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
+    def subscribe(self, viewer: ClientSession, wanted: Mapping[int, AdvertisedChannel]) -> None:
         """Send channels that are subscribed to together in time order."""
         task = asyncio.get_running_loop().create_task(self._send(viewer, wanted))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _send(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
+    async def _send(self, viewer: ClientSession, wanted: Mapping[int, AdvertisedChannel]) -> None:
         """Send channels as long as they are subscribed to, and say when that is done."""
         numbers = {channel.topic: number for number, channel in wanted.items()}
         try:

@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, replace
-
-from koop_view.source import LoopNames
+from dataclasses import asdict, dataclass, replace
 
 GONE = 1.0  # [s] without any of its nodes: the loop has ended, before the page misses their reports
 STATE, COST, THETA = (f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput"))
+
+
+@dataclass(frozen=True)
+class LoopNames:
+    """One loop: full names of its nodes and topics, None where there is none."""
+
+    namespace: str
+    plant: str | None = None
+    lifter: str | None = None
+    controller: str | None = None
+    state: str | None = None
+    cost: str | None = None
+    theta: str | None = None
 
 
 def namespace_of(name: str) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
-import secrets
-from collections.abc import Mapping
 from http import HTTPStatus
 from importlib.resources import files
 from typing import Any
@@ -21,10 +19,9 @@ from koop_core.config.parameter import ConfigError
 from koop_view import protocol
 from koop_view.access import Access, Refusal, page_headers
 from koop_view.config import ViewConfig
-from koop_view.protocol import AdvertisedChannel, AdvertisedService
-from koop_view.session import ClientSession, SharedBudget
-from koop_view.source import ViewSource
+from koop_view.session import ClientSession, ViewSource
 
+CLIENTS = 16  # at a time
 LONGEST_MESSAGE = 256 * 1024  # [B] of a client
 CHECK_PERIOD = 0.1  # [s] between looks for slow clients
 OPEN_TIMEOUT = 5.0  # [s] for a request to be complete
@@ -44,22 +41,15 @@ class ViewServer:
         Where and to whom.
     token : str
         Token of those who may operate; empty: nobody may.
-    version : str
-        Version of the project, for clients.
     """
 
-    def __init__(self, source: ViewSource, config: ViewConfig, token: str, version: str) -> None:
+    def __init__(self, source: ViewSource, config: ViewConfig, token: str) -> None:
         self._source = source
         self._config = config
         self._access = Access(token, frozenset(config.origins))
-        self._version = version
-        self._session_id = secrets.token_hex(8)
         self._page = (files("koop_view") / "page" / "index.html").read_bytes()
-        self._sessions: set[ClientSession] = set()
-        self._shared = SharedBudget()
         self._server: Server | None = None
         self._check: asyncio.Task[None] | None = None
-        source.listener = self
 
     async def __aenter__(self) -> ViewServer:
         try:
@@ -116,16 +106,16 @@ class ViewServer:
             if refused is None:
                 return self._give_page(request.path, host)
         refused = refused or self._access.refuse_origin(origin or None, host) or wrong
-        if len(self._sessions) >= self._config.clients:
+        if len(self._source.sessions) >= CLIENTS:
             refused = refused or Refusal(
-                HTTPStatus.SERVICE_UNAVAILABLE, f"there are {self._config.clients} clients already"
+                HTTPStatus.SERVICE_UNAVAILABLE, f"there are {CLIENTS} clients already"
             )
         if refused is None:
             connection.operates = right is True  # type: ignore[attr-defined]
             return None
         peer = (connection.remote_address or "?")[0]
         whence = f", origin {origin[:100]!r}" if origin else ""
-        self._shared.log(self._source, f"refused: {peer}{whence}: {refused.reason}")
+        self._source.log_refusal(f"refused: {peer}{whence}: {refused.reason}")
         return _response(refused.status, [], (refused.reason + "\n").encode())
 
     def _give_page(self, path: str, host: str) -> Response:
@@ -134,64 +124,29 @@ class ViewServer:
         return _response(HTTPStatus.OK, page_headers(self._page, host), self._page)
 
     async def _serve_client(self, connection: ServerConnection) -> None:
-        operates = bool(getattr(connection, "operates", False))
-        limit = round(self._config.backlog * 1e6)
-        session = ClientSession(connection, self._source, operates, limit, self._shared)
-        if len(self._sessions) >= self._config.clients:  # several have come at once
+        source = self._source
+        session = ClientSession(connection, source, getattr(connection, "operates", False))
+        if len(source.sessions) >= CLIENTS:  # several have come at once
             await connection.close(1013, "too many clients")
             return
-        self._sessions.add(session)
+        source.sessions.add(session)
         try:
-            session.send(self._info(session))
-            session.send(protocol.advertise(self._source.channels.values()))
-            session.send_services(self._source.services.values())
+            session.send(source.info(session.operates))
+            session.send(protocol.advertise(source.channels.values()))
+            session.send_services(source.services.values())
             async for message in connection:
                 session.receive(message)
         except ConnectionClosed:
             pass
         finally:
-            self._sessions.discard(session)
+            source.sessions.discard(session)
             session.close()
-
-    def _info(self, session: ClientSession) -> str:
-        capabilities = ["parameters", "parametersSubscribe"]
-        capabilities += ["services"] if self._source.mode == "live" else []
-        metadata = {
-            "koop_mode": self._source.mode,
-            "koop_operate": "true" if session.operates else "false",
-            "koop_version": self._version,
-            "koop_loops": self._source.loops_json(),
-            "koop_about": self._source.about,
-        }
-        return protocol.server_info("koop", capabilities, metadata, self._session_id)
 
     async def _watch_backlogs(self) -> None:
         while True:
             await asyncio.sleep(CHECK_PERIOD)
-            for session in list(self._sessions):
+            for session in list(self._source.sessions):
                 session.check_backlog()
-
-    # -- news of the source -------------------------------------------------------------------
-
-    def change_channels(self, added: list[AdvertisedChannel], ended: list[int]) -> None:
-        for session in self._sessions:
-            if ended:
-                session.forget(ended)
-                session.send(protocol.unadvertise(ended))
-            if added:
-                session.send(protocol.advertise(added))
-
-    def add_services(self, added: list[AdvertisedService]) -> None:
-        for session in self._sessions:
-            session.send_services(added)
-
-    def change_parameters(self, values: Mapping[str, Any]) -> None:
-        for session in self._sessions:
-            session.send_parameters(dict(values))
-
-    def change_loops(self) -> None:
-        for session in self._sessions:
-            session.send(self._info(session))
 
 
 def _one(headers: Headers, name: str) -> str:

@@ -4,41 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
-import os
-import re
 import secrets
 import signal
 import socket
 from collections.abc import Callable, Coroutine
-from importlib.metadata import version
 from typing import Any
 
 from koop_core.config.parameter import ConfigError
 from koop_view.config import ADDRESS, ViewConfig
-from koop_view.source import ViewSource
-
-TOKEN = "KOOP_VIEW_TOKEN"  # environment variable: neither a command line nor a parameter is secret
-SHORTEST = 16  # characters of a token
-
-
-def token_of(config: ViewConfig) -> str:
-    """Return the token of those who may operate; empty: nobody may.
-
-    Raises
-    ------
-    ConfigError
-        If the environment sets one that can be guessed.
-    """
-    if not config.operate:
-        return ""
-    token = os.environ.get(TOKEN)
-    if token is None:
-        return secrets.token_urlsafe(24)
-    if not re.fullmatch(f"[A-Za-z0-9_-]{{{SHORTEST},}}", token):
-        raise ConfigError(
-            f"{TOKEN} must be at least {SHORTEST} letters, digits, - or _; or unset it"
-        )
-    return token
+from koop_view.session import ViewSource
 
 
 def address(config: ViewConfig, port: int) -> str:
@@ -86,8 +60,8 @@ async def serve(
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, stop.set)
-    token = token_of(config)
-    async with ViewServer(source, config, token, version("koop_view")) as server:
+    token = secrets.token_urlsafe(24) if config.operate else ""
+    async with ViewServer(source, config, token) as server:
         page = address(config, server.port)
         print(f"{ADDRESS}{page}{f'#token={token}' if token else ''}")
         if token:

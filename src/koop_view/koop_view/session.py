@@ -1,12 +1,15 @@
-"""One client: its subscriptions, its rights and its limits."""
+"""A client with its subscriptions, rights and limits, and the source that clients are shown."""
 
 from __future__ import annotations
 
 import asyncio
+import json
+import secrets
 import time
-from collections.abc import Coroutine, Iterable
+from collections.abc import Coroutine, Iterable, Mapping
 from contextlib import suppress
-from typing import Any
+from dataclasses import asdict
+from typing import Any, ClassVar
 
 from websockets.asyncio.connection import Connection, broadcast
 from websockets.exceptions import ConnectionClosed
@@ -19,8 +22,9 @@ from koop_view.protocol import (
     AdvertisedService,
     ProtocolError,
 )
-from koop_view.source import Refused, ViewSource
+from koop_view.roles import LoopNames
 
+BACKLOG = 4_000_000  # [B] that may wait for a client
 CALLS = 8  # that may wait for their answers
 POLICY_VIOLATION = 1008  # RFC 6455, section 7.4.1
 PATIENCE = 5.0  # [s] for a client that is dropped to take the reason
@@ -44,22 +48,66 @@ class Budget:
         return True
 
 
-class SharedBudget:
-    """What clients that only read may cost the loop, all of them together."""
+class Refused(Exception):
+    """A client's request was not carried out; the text says why."""
+
+
+class ViewSource:
+    """What is shown, a loop or a recording; the base class shows nothing."""
+
+    mode: ClassVar[str] = ""
 
     def __init__(self) -> None:
-        self.calls = Budget(50.0, 50.0)  # each takes time of a node
+        self.sessions: set[ClientSession] = set()
+        self.channels: dict[int, AdvertisedChannel] = {}
+        self.services: dict[int, AdvertisedService] = {}
+        """Services that move or change the rig."""
+        self.parameters: dict[str, Any] = {}
+        """By name, such as ``/relay_esc.dwell``."""
+        self.loops: dict[str, LoopNames] = {}
+        """By namespace."""
+        self.about = ""
+        """What the command that runs the loops does now."""
+        self._identity = secrets.token_hex(8)
         self._lines = Budget(1.0, 10.0)  # the log is recorded
-        self._omitted = 0
 
-    def log(self, source: ViewSource, text: str) -> None:
-        """Log a line about a client, unless there were many; the next one says how many."""
-        if not self._lines.take():
-            self._omitted += 1
-            return
-        others = f" (and {self._omitted} like it)" if self._omitted else ""
-        self._omitted = 0
-        source.log(text + others)
+    def info(self, operates: bool) -> str:
+        """Return the first message to a client, which comes again when the loops change."""
+        capabilities = ["parameters", "parametersSubscribe"]
+        capabilities += ["services"] if self.mode == "live" else []
+        metadata = {
+            "koop_mode": self.mode,
+            "koop_operate": "true" if operates else "false",
+            "koop_loops": json.dumps([asdict(loop) for _, loop in sorted(self.loops.items())]),
+            "koop_about": self.about,
+        }
+        return protocol.server_info("koop", capabilities, metadata, self._identity)
+
+    def subscribe(self, viewer: ClientSession, wanted: Mapping[int, AdvertisedChannel]) -> None:
+        """Begin to deliver channels, by the numbers of the subscriptions."""
+
+    def unsubscribe(
+        self, viewer: ClientSession, subscription: int, channel: AdvertisedChannel
+    ) -> None:
+        """Stop delivering a channel."""
+
+    async def call(self, service: AdvertisedService, payload: bytes, peer: str) -> bytes:
+        """Call a service and return its answer.
+
+        Raises
+        ------
+        Refused
+            If it could not be called, or did not answer.
+        """
+        raise Refused("a recording answers no calls")
+
+    def log(self, text: str) -> None:
+        """Write a line where the operator looks afterwards."""
+
+    def log_refusal(self, text: str) -> None:
+        """Log a line about a client, unless there were many."""
+        if self._lines.take():
+            self.log(text)
 
 
 class ClientSession:
@@ -73,28 +121,14 @@ class ClientSession:
         What is shown.
     operates : bool
         Whether the client may operate.
-    backlog : int
-        Bytes that may wait for the client.
-    shared : SharedBudget
-        What all clients have together.
     """
 
-    def __init__(
-        self,
-        connection: Connection,
-        source: ViewSource,
-        operates: bool,
-        backlog: int,
-        shared: SharedBudget,
-    ) -> None:
+    def __init__(self, connection: Connection, source: ViewSource, operates: bool) -> None:
         self.operates = operates
         host, port, *_ = connection.remote_address or ("?", 0)
         self.peer = f"{host}:{port}"
         self._connection = connection
         self._source = source
-        self._backlog = backlog
-        self._calls_allowed = Budget(50.0, 50.0) if operates else shared.calls
-        self._shared = shared
         self._messages = Budget(200.0, 1000.0)
         self._subscriptions: dict[int, AdvertisedChannel] = {}
         self._watched: set[str] | None = set()  # None: all
@@ -108,41 +142,37 @@ class ClientSession:
         if not self._dropped:
             broadcast((self._connection,), message)
 
-    def say(self, level: int, text: str, identifier: str | None = None) -> None:
-        self.send(protocol.status(level, text, identifier))
+    def say(self, level: int, text: str) -> None:
+        """Show a text to the user of the client."""
+        self.send(protocol.status(level, text))
 
     def deliver(self, subscription: int, time: int, data: bytes) -> None:
+        """Send a message of a channel, whether or not the client keeps up."""
         self.send(protocol.message_data(subscription, time, data))
 
     async def deliver_slowly(self, subscription: int, time: int, data: bytes) -> bool:
+        """Send a message as soon as the client takes it; False if it has unsubscribed."""
         if subscription not in self._subscriptions:
             return False
         await self._connection.send(protocol.message_data(subscription, time, data))
         return True
 
     def send_services(self, services: Iterable[AdvertisedService]) -> None:
-        """Announce services, as far as the client may call them."""
-        allowed = [item for item in services if self.operates or not item.operates]
-        if allowed:
-            self.send(protocol.advertise_services(allowed))
+        """Announce services, if the client may call them."""
+        if self.operates:
+            self.send(protocol.advertise_services(services))
 
-    def send_parameters(self, values: dict[str, Any]) -> None:
+    def send_parameters(self, values: Mapping[str, Any]) -> None:
         """Tell of changed parameters, as far as the client wants to know."""
         watched = self._watched
         wanted = {k: v for k, v in values.items() if watched is None or k in watched}
         if wanted:
             self.send(protocol.parameter_values(wanted, None))
 
-    def forget(self, ended: Iterable[int]) -> None:
-        """End the subscriptions to channels that have ended."""
-        for number, channel in list(self._subscriptions.items()):
-            if channel.number in ended:
-                self._unsubscribe(number)
-
     def check_backlog(self) -> None:
         """Drop the client if it does not keep up."""
         waiting = self._connection.transport.get_write_buffer_size()
-        if waiting > self._backlog:
+        if waiting > BACKLOG:
             self.drop(f"too slow: {waiting / 1e6:.1f} MB are waiting")
 
     def drop(self, reason: str) -> None:
@@ -150,7 +180,7 @@ class ClientSession:
         if self._dropped:
             return
         self._dropped = True
-        self._shared.log(self._source, f"dropped: {self.peer}: {reason}")
+        self._source.log_refusal(f"dropped: {self.peer}: {reason}")
         self.close()
         transport = self._connection.transport
         asyncio.get_running_loop().call_later(PATIENCE, transport.abort)
@@ -175,7 +205,7 @@ class ClientSession:
         try:
             self._carry_out(protocol.parse(message))
         except ProtocolError as error:
-            self.say(ERROR, f"not a request: {error}", "protocol")
+            self.say(ERROR, f"not a request: {error}")
 
     def _carry_out(self, request: protocol.Request) -> None:
         match request:
@@ -193,8 +223,6 @@ class ClientSession:
                 self._watch(names, wanted)
             case protocol.Call():
                 self._call(request)
-            case protocol.Unsupported(operation):
-                self.say(ERROR, f"{operation} is not offered here", "protocol")
 
     def _subscribe(self, items: Iterable[tuple[int, int]]) -> None:
         wanted: dict[int, AdvertisedChannel] = {}
@@ -225,20 +253,18 @@ class ClientSession:
     def _call(self, call: protocol.Call) -> None:
         service = self._source.services.get(call.service)
         reason = ""
-        if service is None:
-            reason = f"there is no service {call.service}"
-        elif service.operates and not self.operates:
-            reason = f"may only read: to call {service.name} takes the token that"
-            reason += " 'koop serve --operate' prints"
-            self._shared.log(self._source, f"refused: {self.peer} {reason}")
+        if not self.operates:
+            reason = "may only read: a call takes the token that 'koop serve --operate' prints"
+            self._source.log_refusal(f"refused: {self.peer} {reason}")
         elif call.encoding != protocol.ENCODING:
             reason = f"the encoding must be {protocol.ENCODING}"
-        elif len(self._tasks) >= CALLS or not self._calls_allowed.take():
+        elif len(self._tasks) >= CALLS:
             reason = "too many calls"
-        if reason or service is None:
-            self.send(protocol.call_failed(call.service, call.call, reason))
-        else:
+        elif service is not None:
             self._start(self._answer(service, call))
+            return
+        reason = reason or f"there is no service {call.service}"
+        self.send(protocol.call_failed(call.service, call.call, reason))
 
     async def _answer(self, service: AdvertisedService, call: protocol.Call) -> None:
         try:

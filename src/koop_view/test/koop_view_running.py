@@ -15,32 +15,32 @@ from websockets.sync.client import ClientConnection, connect
 from koop_view.config import ViewConfig
 from koop_view.protocol import SUBPROTOCOLS
 from koop_view.server import ViewServer
-from koop_view.source import ViewSource
+from koop_view.session import ViewSource
 
 TIMEOUT = 60.0  # [s]; nothing takes this long if all is well
 
 
 @contextmanager
-def running(source: ViewSource, token: str = "", **given: Any) -> Iterator[int]:
+def running(source: ViewSource, token: str = "", **options: Any) -> Iterator[int]:
     """Run a server of a source; give its port."""
     ready: threading.Event = threading.Event()
-    found: dict[str, Any] = {}
+    server: dict[str, Any] = {}
 
     async def work() -> None:
-        found["stop"], found["loop"] = asyncio.Event(), asyncio.get_running_loop()
-        config = ViewConfig(**{"port": 0, **given})
-        async with ViewServer(source, config, token, "0") as server:
-            found["port"] = server.port
+        server["stop"], server["loop"] = asyncio.Event(), asyncio.get_running_loop()
+        config = ViewConfig(**{"port": 0, **options})
+        async with ViewServer(source, config, token) as running_server:
+            server["port"] = running_server.port
             ready.set()
-            await found["stop"].wait()
+            await server["stop"].wait()
 
     thread = threading.Thread(target=lambda: asyncio.run(work()))
     thread.start()
     assert ready.wait(10)
     try:
-        yield found["port"]
+        yield server["port"]
     finally:
-        found["loop"].call_soon_threadsafe(found["stop"].set)
+        server["loop"].call_soon_threadsafe(server["stop"].set)
         thread.join()
 
 

@@ -2,13 +2,10 @@
 
 import base64
 import hashlib
-import re
 
 import pytest
 
 from koop_view.access import Access, Refusal, page_headers
-from koop_view.config import ViewConfig
-from koop_view.serving import TOKEN, token_of
 
 RULES = Access("a-token-of-24-characters", ("https://app.foxglove.dev",))
 
@@ -71,16 +68,3 @@ def test_the_page_runs_its_own_script_and_speaks_with_its_own_server_only():
     assert rules["connect-src"] == "'self' ws://127.0.0.1:1 wss://127.0.0.1:1"
     assert rules["default-src"] == rules["frame-ancestors"] == "'none'"
     assert "unsafe" not in policy
-
-
-def test_the_token_is_long_and_random_or_the_given_one(monkeypatch):
-    monkeypatch.delenv(TOKEN, raising=False)
-    first, second = (token_of(ViewConfig(operate=True)) for _ in range(2))
-    assert first != second
-    assert re.fullmatch(r"[\w-]{32}", first)
-    assert token_of(ViewConfig()) == ""
-    monkeypatch.setenv(TOKEN, "x" * 16)
-    assert token_of(ViewConfig(operate=True)) == "x" * 16
-    monkeypatch.setenv(TOKEN, "short")
-    with pytest.raises(ValueError, match="at least 16"):
-        token_of(ViewConfig(operate=True))

@@ -1,7 +1,6 @@
 """The loops that are found among the nodes and topics of a domain."""
 
-from koop_view.roles import COST, GONE, STATE, THETA, KnownLoops, find_loops
-from koop_view.source import LoopNames
+from koop_view.roles import COST, GONE, STATE, THETA, KnownLoops, LoopNames, find_loops
 
 
 def test_loops_are_told_apart_by_namespace_and_by_what_their_nodes_publish():

@@ -19,22 +19,22 @@ from koop_core.config.parameter import ConfigError
 from koop_view.config import ViewConfig
 from koop_view.protocol import SUBPROTOCOLS, AdvertisedChannel, AdvertisedService
 from koop_view.recorded import RecordedSource
-from koop_view.server import ViewServer
-from koop_view.source import Refused, ViewSource
+from koop_view.server import CLIENTS, ViewServer
+from koop_view.session import Refused, ViewSource
 
 TOKEN = "a-token-of-24-characters"
 
 
 class FakeLoop(ViewSource):
-    """A channel that sends without end, and two services, one of which changes the rig."""
+    """A channel that sends without end, and two services."""
 
     mode = "live"
 
     def __init__(self):
         super().__init__()
         self.channels = {1: AdvertisedChannel(1, "/gush", "std_msgs/msg/String", "string data")}
-        for number, (name, operates) in enumerate([("/get", False), ("/hold", True)], 1):
-            self.services[number] = AdvertisedService(number, name, "a/srv/B", "", "", operates)
+        for number, name in enumerate(["/reset", "/hold"], 1):
+            self.services[number] = AdvertisedService(number, name, "a/srv/B", "", "")
         self.parameters = {"/esc.dwell": 1.0, "/esc.name": "a"}
         self.asked, self.logged = [], []
         self.ended = threading.Event()
@@ -55,9 +55,9 @@ class FakeLoop(ViewSource):
         self.asked.append((service.name, payload))
         if payload == b"no":
             raise Refused("it cannot")
-        if service.operates:
-            self.parameters.update({"/esc.dwell": 2.0, "/late.dwell": 3.0})
-            self.listener.change_parameters(self.parameters)
+        self.parameters.update({"/esc.dwell": 2.0, "/late.dwell": 3.0})
+        for session in self.sessions:
+            session.send_parameters(self.parameters)
         return b"\0\1\0\0yes"
 
     def log(self, text):
@@ -71,7 +71,7 @@ def loop():
 
 @pytest.fixture(scope="module")
 def port(loop):
-    with running(loop, TOKEN, clients=3, backlog=1.0, allow_origins="https://good.example") as port:
+    with running(loop, TOKEN, allow_origins="https://good.example") as port:
         yield port
 
 
@@ -130,9 +130,6 @@ def test_no_page_of_another_origin_no_wrong_token_and_no_other_protocol_gets_in(
 
 def test_a_client_without_the_token_reads_and_may_not_operate(port, loop):
     with client(port) as viewer:
-        offered = heard(viewer, "advertiseServices")["services"]
-        assert [service["name"] for service in offered] == ["/get"]
-        assert call(viewer, 1, b"x") == b"\0\1\0\0yes"
         loop.asked.clear()
         assert "may only read" in call(viewer, 2, b"x")
         tell(viewer, "setParameters", parameters=[{"name": "/esc.dwell", "value": 9.0}], id="s")
@@ -144,7 +141,7 @@ def test_a_client_with_the_token_operates_and_others_see_it(port, loop):
     with client(port) as other, client(port, TOKEN) as operator:
         assert heard(operator, "serverInfo")["metadata"]["koop_operate"] == "true"
         names = [service["name"] for service in heard(operator, "advertiseServices")["services"]]
-        assert names == ["/get", "/hold"]
+        assert names == ["/reset", "/hold"]
         assert call(operator, 2, b"no") == "it cannot"
         assert "no service" in call(operator, 77, b"x")
         tell(other, "subscribeParameterUpdates", parameterNames=["/esc.dwell", "/late.dwell"])
@@ -170,7 +167,7 @@ def test_a_client_that_does_not_keep_up_is_dropped_and_told_why(port, loop):
 
 def test_a_port_that_is_taken_is_an_error_in_words(port):
     async def start():
-        async with ViewServer(FakeLoop(), ViewConfig(port=port), "", "0"):
+        async with ViewServer(FakeLoop(), ViewConfig(port=port), ""):
             pass
 
     with pytest.raises(ConfigError, match=f"port {port} is taken"):
@@ -178,7 +175,7 @@ def test_a_port_that_is_taken_is_an_error_in_words(port):
 
 
 def test_there_are_no_more_clients_than_allowed_and_no_message_is_too_long(port):
-    several = [client(port) for _ in range(3)]
+    several = [client(port) for _ in range(CLIENTS)]
     assert refused(port) == 503
     several[0].send("x" * 300_000)
     assert closed_with(several[0])[0] == 1009

@@ -18,39 +18,29 @@ from koop_bag.errors import BagError
 from koop_core.cdr import CdrError, check_message
 from koop_node.client.question import Question
 from koop_view.protocol import AdvertisedService
-from koop_view.source import Refused
+from koop_view.session import Refused
 
 ANSWER = 5.0  # [s] for a node to answer
-READS = {
-    "lifecycle_msgs/srv/GetAvailableStates",
-    "lifecycle_msgs/srv/GetAvailableTransitions",
-    "lifecycle_msgs/srv/GetState",
-    "rcl_interfaces/srv/DescribeParameters",
-    "rcl_interfaces/srv/GetParameterTypes",
-    "rcl_interfaces/srv/GetParameters",
-    "rcl_interfaces/srv/ListParameters",
-    "type_description_interfaces/srv/GetTypeDescription",
+OFFERED = {
+    "rcl_interfaces/srv/SetParametersAtomically",
+    "std_srvs/srv/SetBool",
+    "std_srvs/srv/Trigger",
 }
-"""Types of services that change nothing."""
-ONCE = {"std_srvs/srv/Trigger", "lifecycle_msgs/srv/ChangeState"}
-"""Types of services that must not be called twice."""
+"""Types of services with which the page operates a loop."""
+ONCE = "std_srvs/srv/Trigger"
+"""Type of services that must not be called twice."""
 
 
 def load(number: int, name: str, type_name: str) -> AdvertisedService:
-    """Return a service as it is advertised; raise BagError if its type is not installed."""
-    service_class(type_name)
+    """Return a service as it is advertised."""
     request, response = load_service(type_name)
-    operates = type_name not in READS
-    return AdvertisedService(number, name, type_name, request.text, response.text, operates)
+    return AdvertisedService(number, name, type_name, request.text, response.text)
 
 
 def service_class(type_name: str) -> Any:
     """Return the Python class of a service type."""
     package, _, name = type_name.partition("/srv/")
-    try:
-        return getattr(import_module(f"{package}.srv"), name)
-    except (ImportError, AttributeError) as error:
-        raise BagError(f"{type_name} has no Python class") from error
+    return getattr(import_module(f"{package}.srv"), name)
 
 
 def unpack(service: AdvertisedService, payload: bytes) -> Any:
@@ -104,7 +94,7 @@ class ServiceCaller:
             missing = f"{name} is not available: nothing was done"
             await _until(client.service_is_ready, deadline, missing)
             late = f"{name} did not answer in {ANSWER:g} s: check whether it was done"
-            if type_name not in ONCE:
+            if type_name != ONCE:
                 return await _until(Question(client, request).answer, deadline, late)
             future = client.call_async(request)
             await _until(future.done, deadline, late)
@@ -126,9 +116,7 @@ def describe(message: Any) -> str:
     if hasattr(message, "parameters"):
         pairs = [(p.name, parameter_value_to_python(p.value)) for p in message.parameters]
         return ", ".join(f"{name}={value}" for name, value in pairs)
-    if hasattr(message, "transition"):
-        return str(message.transition.label or message.transition.id)
-    if hasattr(message, "result") and hasattr(message.result, "successful"):
+    if hasattr(message, "result"):
         return "done" if message.result.successful else f"refused: {message.result.reason}"
     fields = message.get_fields_and_field_types()
     return ", ".join(f"{name}={getattr(message, name)}" for name in fields)

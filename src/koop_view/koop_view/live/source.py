@@ -23,12 +23,13 @@ from koop_bag.errors import BagError
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.topics import message_class
 from koop_core.errors import one_line
+from koop_view import protocol
 from koop_view.config import ViewConfig
-from koop_view.live.services import ServiceCaller, describe, load, unpack
+from koop_view.live.services import OFFERED, ServiceCaller, describe, load, unpack
 from koop_view.live.topic import ViewedTopic
-from koop_view.protocol import WARNING, AdvertisedChannel, AdvertisedService
+from koop_view.protocol import AdvertisedChannel, AdvertisedService
 from koop_view.roles import KnownLoops, find_loops
-from koop_view.source import Refused, Viewer, ViewSource
+from koop_view.session import ClientSession, Refused, ViewSource
 
 POLL = 0.02  # [s] between two looks for messages while there are viewers
 IDLE = 0.1  # [s] while there are none
@@ -50,7 +51,7 @@ class LiveSource(ViewSource):
     executor : object
         Executor of the node; it is polled here.
     config : ViewConfig
-        Rate of a topic, whether anybody may operate, and the file of the line beside the loops.
+        Whether anybody may operate, and the file of the line beside the loops.
     """
 
     mode = "live"
@@ -64,8 +65,7 @@ class LiveSource(ViewSource):
         self._reported: dict[str, float] = {}  # when a node's newest report came [s]
         self._types: dict[str, str] = {}  # of the topics and services that were examined
         self._topics: dict[str, ViewedTopic] = {}
-        self._viewers: dict[str, list[tuple[Viewer, int]]] = {}
-        self._thinned: set[str] = set()  # topics whose viewers were told that they are too fast
+        self._viewers: dict[str, list[tuple[ClientSession, int]]] = {}
         self._numbers = iter(range(1, 2**32))
         self._listen()
 
@@ -83,13 +83,14 @@ class LiveSource(ViewSource):
 
     # -- messages -----------------------------------------------------------------------------
 
-    def subscribe(self, viewer: Viewer, wanted: Mapping[int, AdvertisedChannel]) -> None:
+    def subscribe(self, viewer: ClientSession, wanted: Mapping[int, AdvertisedChannel]) -> None:
         for subscription, channel in wanted.items():
             self._viewers.setdefault(channel.topic, []).append((viewer, subscription))
-            self._thinned.discard(channel.topic)  # a new viewer is told, too
         self._listen()
 
-    def unsubscribe(self, viewer: Viewer, subscription: int, channel: AdvertisedChannel) -> None:
+    def unsubscribe(
+        self, viewer: ClientSession, subscription: int, channel: AdvertisedChannel
+    ) -> None:
         viewers = self._viewers[channel.topic]
         viewers.remove((viewer, subscription))
         if not viewers:
@@ -103,8 +104,8 @@ class LiveSource(ViewSource):
             self._topics.pop(name).close()
         for name in wanted - self._topics.keys():
             kind = self._types.get(name) or COMMON_TOPICS[name]
-            rate, common, kept = self._config.rate, name in COMMON_TOPICS, name == "/rosout"
-            self._topics[name] = ViewedTopic(self._node, name, kind, rate, common, kept)
+            is_common, is_log = name in COMMON_TOPICS, name == "/rosout"
+            self._topics[name] = ViewedTopic(self._node, name, kind, is_common, is_log)
 
     def _poll(self, now: float) -> None:
         for _ in range(EVENTS if self._caller.waiting else 2):
@@ -114,11 +115,6 @@ class LiveSource(ViewSource):
             for viewer, subscription in self._viewers.get(name, ()):
                 for received, data in taken:
                     viewer.deliver(subscription, received, data)
-            if topic.left_out and name not in self._thinned:
-                self._thinned.add(name)
-                text = f"{name} comes faster than {self._config.rate:g} Hz: it is thinned out"
-                for viewer, _ in self._viewers.get(name, ()):
-                    viewer.say(WARNING, text, f"rate of {name}")
             if name == DIAGNOSTICS:
                 self._hear([data for _, data in taken], now)
             elif name == CHANGES:
@@ -149,7 +145,8 @@ class LiveSource(ViewSource):
         about = self._read_about()
         if self._known.update(loops, now) or about != self.about:
             self.loops, self.about = self._known.loops, about
-            self.listener.change_loops()
+            for session in self.sessions:
+                session.send(self.info(session.operates))
         self._take_services(served)
 
     def _read_about(self) -> str:
@@ -177,10 +174,9 @@ class LiveSource(ViewSource):
         return published, served
 
     def _take_channels(self) -> None:
-        added, ended = [], []
-        advertised = {channel.topic: channel for channel in self.channels.values()}
+        added = []
         for topic, types in self._node.get_topic_names_and_types():
-            if self._types.get(topic) == types[0] or len(self._types) >= MOST:
+            if topic in self._types or len(self._types) >= MOST:
                 continue
             if not self._node.count_publishers(topic):
                 continue
@@ -191,14 +187,10 @@ class LiveSource(ViewSource):
             except BagError as error:
                 self.log(f"{topic} is not shown: {error}")
                 continue
-            if topic in advertised:
-                ended.append(advertised[topic].number)
             added.append(AdvertisedChannel(next(self._numbers), topic, types[0], definition))
-        for number in ended:
-            del self.channels[number]
         self.channels.update({channel.number: channel for channel in added})
-        if added:
-            self.listener.change_channels(added, ended)
+        for session in self.sessions if added else ():
+            session.send(protocol.advertise(added))
 
     def _take_services(self, served: Mapping[str, Mapping[str, str]]) -> None:
         """Offer the services of the loops' nodes."""
@@ -210,19 +202,15 @@ class LiveSource(ViewSource):
             if node is not None and node in served
         }
         for name, type_name in sorted(item for node in nodes for item in served[node].items()):
-            if name in self._types or len(self._types) >= 2 * MOST:
+            if name in self._types or type_name not in OFFERED:
                 continue
             self._types[name] = type_name
-            try:
-                service = load(next(self._numbers), name, type_name)
-            except BagError:
-                continue
-            added.append(service)
-            if self._config.operate and service.operates:
+            added.append(load(next(self._numbers), name, type_name))
+            if self._config.operate:
                 self._caller.prepare(type_name, name)
         self.services.update({service.number: service for service in added})
-        if added:
-            self.listener.add_services(added)
+        for session in self.sessions if added else ():
+            session.send_services(added)
 
     # -- parameters and services --------------------------------------------------------------
 
@@ -242,8 +230,8 @@ class LiveSource(ViewSource):
         unset = object()
         changed = {k: v for k, v in values.items() if self.parameters.get(k, unset) != v}
         self.parameters.update(changed)
-        if changed:
-            self.listener.change_parameters(changed)
+        for session in self.sessions if changed else ():
+            session.send_parameters(changed)
 
     def _take_changes(self, events: list[bytes]) -> None:
         for data in events:
@@ -267,9 +255,8 @@ class LiveSource(ViewSource):
         return bytes(serialize_message(answer))
 
     def _note(self, service: AdvertisedService, peer: str, request: Any, outcome: str) -> None:
-        """Log an act that moves or changes the rig."""
-        if service.operates:
-            self.log(f"{peer} operates: {service.name}({describe(request)}): {outcome}")
+        """Log what an operator does."""
+        self.log(f"{peer} operates: {service.name}({describe(request)}): {outcome}")
 
     def log(self, text: str) -> None:
         self._node.get_logger().info(one_line(text))

@@ -10,7 +10,6 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from koop_bag.recorder.topics import message_class, polled
-from koop_view.session import Budget
 
 WAITING = 200  # messages that DDS keeps between two polls; of more, the oldest are lost
 
@@ -26,23 +25,15 @@ class ViewedTopic:
         Owner; its executor must not get to see the subscription.
     name, type_name : str
         Full name and type of the topic.
-    rate : float
-        Messages a second that are taken [1/s].
     reliable : bool
         Whether what was lost on the way is sent again.
     kept : bool
         Whether the last messages from before are wanted, which takes reliable delivery.
     """
 
-    def __init__(
-        self, node: Node, name: str, type_name: str, rate: float, reliable: bool, kept: bool
-    ) -> None:
-        self.name = name
-        self.left_out = False
-        """Whether messages have been left out because they come too fast."""
+    def __init__(self, node: Node, name: str, type_name: str, reliable: bool, kept: bool) -> None:
         self._node = node
         self._type = message_class(type_name)
-        self._budget = Budget(rate, max(rate, WAITING))
         profile = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=WAITING,
@@ -63,9 +54,6 @@ class ViewedTopic:
         taken: list[tuple[int, bytes]] = []
         take, kind = self._subscription.handle.take_message, self._type
         for _ in range(WAITING):
-            if not self._budget.take():
-                self.left_out = True
-                break
             item = take(kind, True)
             if item is None:
                 break
