@@ -22,7 +22,6 @@ from koop_core.config.parameter import NodeConfig, spec_of
 from koop_core.config.parameter_file import as_yaml
 from koop_lab.cli.main import overview, parser
 from koop_loop.parameters import NODES
-from koop_view.config import ViewConfig
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH = 100
@@ -37,7 +36,6 @@ LOOP = {
 OTHERS = {
     "vdp_plant": NODES["vdp_plant"],
     "player": (PlayerConfig,),
-    "server": (ViewConfig,),
 }
 
 

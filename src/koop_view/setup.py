@@ -26,7 +26,6 @@ setup(
     "and the pages of reports.",
     license="Apache-2.0",
     entry_points={
-        "console_scripts": ["server = koop_view.executable:server"],
         "koop.commands": ["serve = koop_view.command:register"],
     },
 )

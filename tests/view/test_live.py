@@ -269,8 +269,8 @@ def browsed(seen, lifter, restart):
         return str(missing)
     with browser as page:
         page.wait(f"{LEVEL} == 'ok'")
-        page.wait("(koop.raw('y_out')?.v.length ?? 0) > 300")
-        drawn = {name: page.value(f"koop.raw('{name}')") for name in ("y_out", "theta")}
+        page.wait("(koop.raw('r')?.v.length ?? 0) > 300")
+        drawn = {name: page.value(f"koop.raw('{name}')") for name in ("r", "theta")}
         held = stay(page, seen.pid)
         clicked = page.value("document.querySelector('#hold').click(), Date.now()")
         page.wait(f"{ACT}?.dataset.outcome == 'done'")
@@ -313,7 +313,7 @@ def stay(page, server):
 @pytest.fixture(scope="module")
 def bag(story):
     """Return the recording's columns of the loop, by topic."""
-    wanted = {"/state": ["step"], "/ground_truth": ["step"], "/cost": ["step", "y_out"],
+    wanted = {"/state": ["step"], "/ground_truth": ["step"], "/cost": ["step", "r"],
               "/theta": ["step", "theta", "holding", "log_time"]}  # fmt: skip
     with BagReader(story.run) as reader:
         return {name: read_columns(reader, name, given) for name, given in wanted.items()}
@@ -391,7 +391,7 @@ def plain(value):
 
 def test_what_the_page_draws_is_what_was_recorded(story, bag):
     drawn = browser_of(story).drawn
-    for name, topic in (("y_out", "/cost"), ("theta", "/theta")):
+    for name, topic in (("r", "/cost"), ("theta", "/theta")):
         recorded = dict(zip(bag[topic]["step"].tolist(), bag[topic][name].tolist(), strict=True))
         steps = drawn[name]["step"]
         assert steps == sorted(set(steps)), name

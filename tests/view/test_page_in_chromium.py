@@ -13,7 +13,6 @@ from koop_view_running import running
 from rosbags.typesys import Stores, get_typestore
 from websockets.exceptions import ConnectionClosed
 
-from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.schema import load_schema
 from koop_view.protocol import AdvertisedChannel
@@ -116,7 +115,6 @@ def seen(tmp_path_factory):
         early = page.memory(), page.value("document.querySelectorAll('*').length")
         page.wait(f"{NEWEST} >= {BEGIN + (ALL - 1) * PERIOD * 1e-9}", LONG)
         late = page.memory(), page.value("document.querySelectorAll('*').length")
-        columns = page.value("koop.columns('x[0]')")
         widths = {}
         for width in (320, 390, 768, 1400):
             page.resize(width, 850)
@@ -131,9 +129,7 @@ def seen(tmp_path_factory):
             page.open(f"http://127.0.0.1:{other}/")
             page.wait(f"location.port == '{other}' && document.readyState == 'complete'")
             told.append(told_by(page, port))
-        return SimpleNamespace(
-            early=early, late=late, columns=columns, widths=widths, errors=errors, told=told
-        )
+        return SimpleNamespace(early=early, late=late, widths=widths, errors=errors, told=told)
 
 
 @pytest.fixture(scope="module")
@@ -183,15 +179,6 @@ def test_memory_stays_flat_however_long_the_run(seen):
     print(f"{seen.early[0]} B after {EARLY} steps, {seen.late[0]} B after {ALL}")
     assert seen.late[0] - seen.early[0] < GROWTH
     assert abs(seen.late[1] - seen.early[1]) < 50  # elements
-
-
-def test_the_whole_run_is_there_as_columns(seen):
-    t, low, high = (seen.columns[name] for name in ("t", "low", "high"))
-    assert len(t) <= 16384
-    assert t[-1] - t[0] == pytest.approx(ALL * PERIOD * 1e-9, rel=0.01)
-    with BagReader(GOLDEN) as bag:
-        x = read_columns(bag, "/state", ["x[0]"])["x[0]"]
-    assert (min(low), max(high)) == (x.min(), x.max())
 
 
 def test_no_width_needs_to_be_scrolled_sideways(seen):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from dataclasses import asdict
 from typing import Any
 
 from koop_core.config.parameter import ConfigError
@@ -44,16 +43,11 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code."""
-    config = ViewConfig(
-        host=args.host,
-        port=args.port,
-        operate=args.operate,
-        allow_origins=" ".join(args.allow_origin),
-    )
+    config = ViewConfig(args.host, args.port, args.operate, tuple(args.allow_origin))
     if args.run is None:
         from koop_view.node import run  # imports rclpy
 
-        return run(ros_arguments(config))
+        return run(config)
     if config.operate:
         raise ConfigError("--operate: a recording cannot be operated")
     from koop_view.recorded import RecordedSource
@@ -61,14 +55,3 @@ def main(args: argparse.Namespace) -> int:
 
     asyncio.run(serve(RecordedSource(args.run), config))
     return 0
-
-
-def ros_arguments(config: ViewConfig) -> list[str]:
-    """Return a configuration as arguments of the node."""
-    words = ["--ros-args"]
-    for name, value in asdict(config).items():
-        if value != "":
-            text = str(value).lower() if isinstance(value, bool) else str(value)
-            text = f"'{text}'" if isinstance(value, str) else text
-            words += ["-p", f"{name}:={text}"]
-    return words

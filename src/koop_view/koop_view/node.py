@@ -14,20 +14,14 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from koop_bag.recorder.topics import polled
-from koop_core.config.describe import help_text
 from koop_core.errors import KoopError, one_line
 from koop_node.node.entities import WithoutEvents
-from koop_node.node.main import refuse_other_arguments, set_dds_profile
-from koop_node.node.parameters import Parameters
+from koop_node.node.main import set_dds_profile
 from koop_node.process.lifeline import end_with_parent
 from koop_view.config import ViewConfig
 from koop_view.live.source import LiveSource
 from koop_view.serving import serve
 
-PURPOSE = (
-    "Serves a page that shows the loops of the ROS domain, and the Foxglove WebSocket protocol, "
-    "on one port."
-)
 NICE = 5  # the loop comes first
 
 
@@ -37,9 +31,6 @@ class ViewNode(WithoutEvents):
     def __init__(self) -> None:
         # its own parameters are not part of the record of a run, nor to be changed
         super().__init__("_koop_view", start_parameter_services=False)
-        self.parameters = Parameters(
-            self, (ViewConfig,), lambda configs, names: None, lambda names: None, sys.argv
-        )
 
     @property
     def subscriptions(self) -> Iterator[Any]:
@@ -47,48 +38,31 @@ class ViewNode(WithoutEvents):
         return (item for item in super().subscriptions if item.callback is not polled)
 
 
-def run(args: list[str] | None = None) -> int:
-    """Serve until the process is told to stop; ``args`` are ROS arguments.
+def run(config: ViewConfig) -> int:
+    """Serve the loops of the domain until the process is told to stop.
 
     Returns
     -------
     int
         Exit code: 0 after a clean end, 2 if the server could not start.
     """
-    if {"-h", "--help"} & set(sys.argv[1:] if args is None else args):
-        print(help_text("ros2 run koop_view server", PURPOSE, (ViewConfig,)))
-        return 0
     end_with_parent()
     set_dds_profile(guest=True)
     os.nice(NICE)
-    executor: Any = None
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node, executor = ViewNode(), EventsExecutor()
+    executor.add_node(node)
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        refuse_other_arguments(args)
-        node = ViewNode()
-        executor = EventsExecutor()
-        executor.add_node(node)
-        asyncio.run(_serve(node, executor))
-    except (KoopError, ValueError) as error:
+        source = LiveSource(node, executor, config)
+        asyncio.run(serve(source, config, source.run))
+    except KoopError as error:
         print(f"error: {one_line(str(error))}", file=sys.stderr)
         return 2
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        if executor is not None:
-            executor.remove_node(node)
-            node.destroy_node()
-            executor.shutdown()
+        executor.remove_node(node)
+        node.destroy_node()
+        executor.shutdown()
         rclpy.try_shutdown()
     return 0
-
-
-async def _serve(node: ViewNode, executor: Any) -> None:
-    config = node.parameters[ViewConfig]
-    source = LiveSource(node, executor, config)
-    await serve(source, config, source.run)
-
-
-def main() -> None:
-    """Run the node until it is told to stop."""
-    sys.exit(run())

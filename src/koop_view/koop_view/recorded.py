@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from koop_bag.bag.playback import Playback
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_view.protocol import ENCODING, ERROR, INFO, AdvertisedChannel
-from koop_view.roles import COST, STATE, THETA, LoopNames, namespace_of
+from koop_view.roles import LoopNames, find_loops, namespace_of
 from koop_view.session import ClientSession, ViewSource
 
 COMPLETE = "recording complete"
@@ -43,22 +44,15 @@ class RecordedSource(ViewSource):
         self._tasks: set[asyncio.Task[None]] = set()
         with BagReader(path) as bag:
             topics = [item for item in bag.topics if item.encoding == ENCODING]
-            self._read_parameters(bag.custom_data().get("parameters", ""))
+            nodes = yaml.safe_load(bag.custom_data().get("parameters", "")) or {}
+        for node, content in nodes.items():
+            values = content["ros__parameters"].items()
+            self.parameters |= {f"{node}.{name}": value for name, value in values}
         for number, item in enumerate(topics, 1):
             self.channels[number] = AdvertisedChannel(
                 number, item.name, item.type_name, item.definition
             )
         self.loops = _loops({t.name: t.type_name for t in topics}, self.parameters)
-
-    def _read_parameters(self, text: str) -> None:
-        try:
-            nodes = yaml.safe_load(text) or {}
-        except yaml.YAMLError:
-            return
-        for node, content in nodes.items() if isinstance(nodes, Mapping) else ():
-            values = content.get("ros__parameters") if isinstance(content, Mapping) else None
-            for name, value in values.items() if isinstance(values, Mapping) else ():
-                self.parameters[f"{node}.{name}"] = value
 
     def subscribe(self, viewer: ClientSession, wanted: Mapping[int, AdvertisedChannel]) -> None:
         """Send channels that are subscribed to together in time order."""
@@ -95,14 +89,12 @@ def _loops(topics: Mapping[str, str], parameters: Mapping[str, Any]) -> dict[str
     controller published it while another one commanded the rig.
     """
     roles = {"omega_h": "lifter", "dwell": "controller", "theta_star": "plant"}
-    kinds = {STATE: "state", COST: "cost", THETA: "theta"}
-    loops: dict[str, dict[str, str]] = {}
-    for topic, type_name in topics.items():
-        name = kinds.get(type_name)
-        if name is not None and topic.endswith(f"/{name}"):
-            loops.setdefault(namespace_of(topic), {})[name] = topic
+    loops = {
+        space: loop for space, loop in find_loops({}, topics).items() if loop.state or loop.cost
+    }
     for full in parameters:
         node, _, name = full.partition(".")
-        if name in roles and namespace_of(node) in loops:
-            loops[namespace_of(node)][roles[name]] = node
-    return {space: LoopNames(space, **it) for space, it in loops.items() if it.keys() - {"theta"}}
+        space = namespace_of(node)
+        if name in roles and space in loops:
+            loops[space] = replace(loops[space], **{roles[name]: node})
+    return loops

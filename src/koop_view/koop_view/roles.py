@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 
 GONE = 1.0  # [s] without any of its nodes: the loop has ended, before the page misses their reports
 STATE, COST, THETA = (f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput"))
+KINDS = {STATE: "state", COST: "cost", THETA: "theta"}
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,7 @@ def find_loops(
     result: dict[str, LoopNames] = {}
     for node, topics in sorted(published.items(), key=lambda item: (item[0] in managed, item[0])):
         of_type = {kind: topic for topic, kind in sorted(topics.items(), key=_last_is_own)}
-        kinds = {"state": STATE, "cost": COST, "theta": THETA}
-        outputs = {name: of_type[kind] for name, kind in kinds.items() if kind in of_type}
+        outputs = {name: of_type[kind] for kind, name in KINDS.items() if kind in of_type}
         if not outputs:
             continue
         is_lifter, is_controller = "cost" in outputs, "theta" in outputs
@@ -68,8 +68,9 @@ def find_loops(
         result[space] = replace(loop, **{role: node}, **outputs)
     for topic, kind in sorted(nameless.items(), key=_last_is_own):
         loop = result.get(namespace_of(topic), LoopNames(namespace_of(topic)))
-        if kind == STATE and (loop.state is None or loop.state in nameless):
-            result[loop.namespace] = replace(loop, state=topic)
+        name = KINDS.get(kind)
+        if name and (getattr(loop, name) is None or getattr(loop, name) in nameless):
+            result[loop.namespace] = replace(loop, **{name: topic})
     return result
 
 
@@ -97,5 +98,5 @@ class KnownLoops:
 
 def _join(before: LoopNames | None, now: LoopNames) -> LoopNames:
     """Return a loop with the names that it had before: a node that died has the same name."""
-    known = {} if before is None else asdict(before)
-    return LoopNames(**{**known, **{k: v for k, v in asdict(now).items() if v is not None}})
+    names = {key: name for key, name in asdict(now).items() if name is not None}
+    return replace(before or now, **names)

@@ -7,11 +7,10 @@ import errno
 import logging
 from http import HTTPStatus
 from importlib.resources import files
-from typing import Any
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
-from websockets.exceptions import ConnectionClosed, InvalidHeader
+from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
@@ -84,7 +83,6 @@ class ViewServer:
             self._config.port,
             process_request=self._decide,
             subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS],
-            select_subprotocol=_select_subprotocol,
             compression=None,  # it would cost the machine of the loop time
             server_header=None,
             open_timeout=OPEN_TIMEOUT,
@@ -98,20 +96,15 @@ class ViewServer:
     def _decide(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a request, or let it become a WebSocket."""
         host, origin = _one(request.headers, "Host"), _one(request.headers, "Origin")
-        right = self._access.check_token(request.path)
-        wrong = right if isinstance(right, Refusal) else None
         refused = self._access.refuse_host(host)
-        if _one(request.headers, "Upgrade").lower() != "websocket":
-            refused = refused or wrong  # so a page learns why its WebSocket was refused
-            if refused is None:
-                return self._give_page(request.path, host)
-        refused = refused or self._access.refuse_origin(origin or None, host) or wrong
+        if refused is None and _one(request.headers, "Upgrade").lower() != "websocket":
+            return self._give_page(request.path, host)
+        refused = refused or self._access.refuse_origin(origin or None, host)
         if len(self._source.sessions) >= CLIENTS:
             refused = refused or Refusal(
                 HTTPStatus.SERVICE_UNAVAILABLE, f"there are {CLIENTS} clients already"
             )
         if refused is None:
-            connection.operates = right is True  # type: ignore[attr-defined]
             return None
         peer = (connection.remote_address or "?")[0]
         whence = f", origin {origin[:100]!r}" if origin else ""
@@ -125,10 +118,9 @@ class ViewServer:
 
     async def _serve_client(self, connection: ServerConnection) -> None:
         source = self._source
-        session = ClientSession(connection, source, getattr(connection, "operates", False))
-        if len(source.sessions) >= CLIENTS:  # several have come at once
-            await connection.close(1013, "too many clients")
-            return
+        request = connection.request
+        operates = request is not None and self._access.may_operate(request.path)
+        session = ClientSession(connection, source, operates)
         source.sessions.add(session)
         try:
             session.send(source.info(session.operates))
@@ -153,14 +145,6 @@ def _one(headers: Headers, name: str) -> str:
     """Return a header; one that is there more than once cannot be used."""
     values = headers.get_all(name)
     return values[0] if len(values) == 1 else " ".join(values)
-
-
-def _select_subprotocol(connection: ServerConnection, offered: Any) -> Subprotocol | None:
-    """Return the first supported subprotocol that is offered; without one, refuse."""
-    for name in protocol.SUBPROTOCOLS:
-        if name in offered:
-            return Subprotocol(name)
-    raise InvalidHeader("Sec-WebSocket-Protocol", f"must have one of {protocol.SUBPROTOCOLS}")
 
 
 def _response(status: HTTPStatus, headers: list[tuple[str, str]], body: bytes) -> Response:

@@ -37,14 +37,14 @@ class Budget:
         self._rate, self._burst = rate, burst
         self._left, self._time = burst, time.monotonic()
 
-    def take(self, count: float = 1.0) -> bool:
+    def take(self) -> bool:
         """Return whether it may happen now."""
         now = time.monotonic()
         self._left = min(self._burst, self._left + (now - self._time) * self._rate)
         self._time = now
-        if self._left < count:
+        if self._left < 1.0:
             return False
-        self._left -= count
+        self._left -= 1.0
         return True
 
 

@@ -10,7 +10,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess
-from koop_view.command import ros_arguments
 from koop_view.config import ADDRESS, ViewConfig
 
 
@@ -36,16 +35,20 @@ def served(port: int | None, folder: Path) -> Iterator[Callable[[str], None]]:
     if port is None:
         yield lambda line: None
         return
-    ViewConfig(port=port)  # refuses one that cannot be
-    folder.mkdir(parents=True, exist_ok=True)
     about = folder / "view.txt"
+    config = ViewConfig(operate=True, port=port, about=str(about))  # refuses one that cannot be
+    folder.mkdir(parents=True, exist_ok=True)
     about.write_text("")
-    words = ros_arguments(ViewConfig(operate=True, port=port, about=str(about)))
-    command = [sys.executable, "-c", "from koop_view.executable import server; server()"]
+    code = (
+        "from koop_view.config import ViewConfig\n"
+        "from koop_view.node import run\n"
+        f"raise SystemExit(run({config!r}))"
+    )
+    command = [sys.executable, "-c", code]
     log = folder / "view.log"
     log.touch(mode=0o600)  # it holds the token
     begin = log.stat().st_size  # what a command that goes on had printed before is over
-    process = NodeProcess("view", words, log, command)
+    process = NodeProcess("view", [], log, command)
     try:
         print(said(process, begin), flush=True)
         yield lambda line: show(line, about)

@@ -3,8 +3,6 @@
 const BINS = 120;
 const FINEST = 2 ** -17; // width of a bin at first
 const MEMORY = 2000; // samples after which a bin's mean follows what is new: the map may drift
-const TRAIL = 1200; // points of the path
-const TRAIL_STEP = 0.05; // [s] between two points of the path
 
 /** Mean, least and largest r in a part of theta's range. */
 interface Bin {
@@ -14,31 +12,21 @@ interface Bin {
   most: number;
 }
 
-/** The cost in each part of theta's range, and the path of the last while. */
+/** The cost in each part of theta's range. */
 export class CostMap {
   private width = FINEST;
   private visited = new Map<number, Bin>();
-  private trail: { t: number; theta: number; r: number }[] = [];
 
   clear(): void {
     this.width = FINEST;
     this.visited.clear();
-    this.trail = [];
   }
 
-  push(t: number, theta: number, r: number): void {
+  push(theta: number, r: number): void {
     if (!Number.isFinite(theta) || !Number.isFinite(r)) return;
     const at = Math.floor(theta / this.width);
     this.visited.set(at, join(this.visited.get(at), { n: 1, mean: r, least: r, most: r }));
     while (this.visited.size > BINS) this.widen();
-    const end = this.trail.at(-1);
-    if (!end || t - end.t >= TRAIL_STEP || t < end.t) this.trail.push({ t, theta, r });
-    if (this.trail.length > TRAIL) this.trail.splice(0, TRAIL / 4);
-  }
-
-  /** The run has begun again: what follows is not joined to what was. */
-  restart(): void {
-    this.trail = [];
   }
 
   /** The parts that were visited: middle, mean, least, largest. */
@@ -50,11 +38,6 @@ export class CostMap {
       least: visited.map(([, bin]) => bin.least),
       most: visited.map(([, bin]) => bin.most),
     };
-  }
-
-  /** Where r and theta were since a time. */
-  trailSince(from: number): readonly { t: number; theta: number; r: number }[] {
-    return this.trail.filter((point) => point.t >= from);
   }
 
   /** Make one of every two bins. */

@@ -14,12 +14,9 @@ import {
   style,
 } from "./chart";
 import { short } from "./format";
-import type { Interval, Loop } from "./loop";
+import type { Loop } from "./loop";
 import { curves, type Stream } from "./stream";
 import type { TimeAxis } from "./time_axis";
-
-const TRAIL = 60; // [s] of the path in r over theta
-const BREAK = 1; // [s] without a point, after which the path is interrupted
 
 /** What the figures show. */
 export interface Shown {
@@ -35,7 +32,6 @@ interface TimeFigure {
   stream(loop: Loop): Stream;
   signals: readonly string[] | "channels";
   log?: boolean; // as the page says for r
-  firstColor?: number;
   withLimits?: boolean; // the axis reaches from limit to limit
   hooks?: uPlot.Hooks.Arrays;
 }
@@ -93,8 +89,8 @@ export class Figures {
         signals: ["theta"],
         withLimits: true,
         hooks: {
-          drawClear: [(u) => this.drawIntervals(u)],
-          draw: [(u) => this.drawLimits(u, "y"), (u) => this.drawFlips(u), marks],
+          drawClear: [(u) => this.drawHolds(u)],
+          draw: [(u) => this.drawLimits(u, "y"), marks],
         },
       }),
       this.timeFigure({
@@ -112,15 +108,6 @@ export class Figures {
         label: "state",
         stream: (loop) => loop.state,
         signals: "channels",
-      }),
-      this.timeFigure({
-        name: "energy",
-        height: 140,
-        label: "y_out",
-        stream: (loop) => loop.cost,
-        signals: ["y_out"],
-        log: true,
-        firstColor: 3,
       }),
       new Figure("map", () => 250, this.mapDrawing()),
     ];
@@ -149,7 +136,7 @@ export class Figures {
         height: figure.height,
         series: [
           { label: "at", value: (_u, t: number | null) => (t === null ? "" : time.time(t)) },
-          ...names().map((name, i) => line(name, color(i + (figure.firstColor ?? 0)))),
+          ...names().map((name, i) => line(name, color(i))),
         ],
         scales: {
           x: { time: !time.recorded, range: () => time.range() },
@@ -196,44 +183,20 @@ export class Figures {
     u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
   }
 
-  /** Where theta was held or at a limit. */
-  private drawIntervals(u: uPlot): void {
+  /** Where theta was held. */
+  private drawHolds(u: uPlot): void {
     const { loop } = this.shown();
     const [from, to] = this.time.range();
-    const draw = (intervals: Interval[], fill: string): void => {
-      for (const interval of intervals) {
-        if (interval.to < from || interval.from > to) continue;
-        const end = Math.min(to, interval.to, loop?.theta.last ?? to);
-        drawSpan(u, Math.max(from, interval.from), end, fill);
-      }
-    };
-    draw(loop?.holds ?? [], `${style("--c6")}38`);
-    draw(loop?.limited ?? [], `${style("--c4")}30`);
+    for (const hold of loop?.holds ?? []) {
+      if (hold.to < from || hold.from > to) continue;
+      const end = Math.min(to, hold.to, loop?.theta.last ?? to);
+      drawSpan(u, Math.max(from, hold.from), end, `${style("--c6")}38`);
+    }
   }
 
   /** theta's limits. */
   private drawLimits(u: uPlot, scale: "x" | "y"): void {
     for (const value of this.shown().limits ?? []) drawLevel(u, scale, value, style("--ink"));
-  }
-
-  /** theta's flips as arrows in the new direction, unless there are too many to tell apart. */
-  private drawFlips(u: uPlot): void {
-    const [from, to] = this.time.range();
-    const flips = this.shown().loop?.flips.filter(({ t }) => t >= from && t <= to) ?? [];
-    clipped(u, (ctx, ratio) => {
-      const size = 4 * ratio;
-      if (flips.length > u.bbox.width / (3 * size)) return;
-      ctx.fillStyle = color(1);
-      for (const { t, theta, epsilon } of flips) {
-        const [x, y] = [u.valToPos(t, "x", true), u.valToPos(theta, "y", true)];
-        const tip = epsilon > 0 ? size : -size;
-        ctx.beginPath();
-        ctx.moveTo(x, y + tip);
-        ctx.lineTo(x - size, y - tip);
-        ctx.lineTo(x + size, y - tip);
-        ctx.fill();
-      }
-    });
   }
 
   /** Restarts, other costs and models, with their names. */
@@ -265,7 +228,7 @@ export class Figures {
         },
         axes: [axis(24, false), axis(54, this.logR, { label: "r" })],
         cursor: { y: false, drag: { x: false, y: false }, points: { size: 6 } },
-        hooks: { draw: [(u) => this.drawLimits(u, "x"), (u) => this.drawTrail(u)] },
+        hooks: { draw: [(u) => this.drawLimits(u, "x"), (u) => this.drawNow(u)] },
       }),
       data: () => {
         const bins = this.shown().loop?.map.bins();
@@ -274,28 +237,14 @@ export class Figures {
     };
   }
 
-  /** The path of the last minute, and where the loop is now. */
-  private drawTrail(u: uPlot): void {
-    const { loop } = this.shown();
-    if (!loop) return;
-    const place = (theta: number, r: number): [number, number] => [
-      u.valToPos(theta, "x", true),
-      u.valToPos(r, "y", true),
-    ];
+  /** Where the loop is now. */
+  private drawNow(u: uPlot): void {
+    const { theta, r } = this.shown().loop?.now ?? { theta: NaN, r: NaN };
+    if (!Number.isFinite(theta) || !Number.isFinite(r)) return;
     clipped(u, (ctx, ratio) => {
-      ctx.strokeStyle = color(0);
       ctx.fillStyle = color(1);
       ctx.beginPath();
-      let before = -Infinity;
-      for (const { t, theta, r } of loop.map.trailSince(loop.theta.last - TRAIL)) {
-        if (t - before > BREAK) ctx.moveTo(...place(theta, r));
-        else ctx.lineTo(...place(theta, r));
-        before = t;
-      }
-      ctx.stroke();
-      if (!Number.isFinite(loop.now.theta) || !Number.isFinite(loop.now.r)) return;
-      ctx.beginPath();
-      ctx.arc(...place(loop.now.theta, loop.now.r), 4.5 * ratio, 0, 2 * Math.PI);
+      ctx.arc(u.valToPos(theta, "x", true), u.valToPos(r, "y", true), 4.5 * ratio, 0, 2 * Math.PI);
       ctx.fill();
     });
   }

@@ -8,8 +8,6 @@ import { type Channel, FoxgloveClient, type Service } from "@foxglove/ws-protoco
 const SUBPROTOCOLS = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 const FIRST_WAIT = 0.5; // [s] between two attempts
 const LONGEST_WAIT = 5; // [s]
-const ANSWER_TIMEOUT = 8; // [s]
-const UNAUTHORIZED = 401;
 const REQUEST = "koop"; // identifies the page's requests for parameters
 
 /** Names of a loop's nodes and topics. */
@@ -42,7 +40,6 @@ export interface Handlers {
   takeParameters(values: Map<string, ParameterValue>): void;
   complete(): void;
   note(text: string): void;
-  tokenRefused(): void;
   services(): void;
 }
 
@@ -63,13 +60,12 @@ export class Link {
   private subscriptions = new Map<number, string>(); // topics
   private calls = new Map<number, Call>();
   private topics: string[] = []; // to be subscribed to
-  private notes = new Set<string>();
   private nextSubscription = 1;
   private nextCall = 1;
 
   constructor(
     private readonly handlers: Handlers,
-    private token: string,
+    private readonly token: string,
   ) {}
 
   connect(): void {
@@ -108,7 +104,7 @@ export class Link {
         const message = this.reader(channel.schema).readMessage<Message>(data);
         this.handlers.message(topic, Number(timestamp) / 1e9, message);
       } catch (error) {
-        this.noteOnce(`${topic} cannot be decoded: ${(error as Error).message}`);
+        this.handlers.note(`${topic} cannot be decoded: ${(error as Error).message}`);
       }
     });
     client.on("parameterValues", ({ parameters }) =>
@@ -118,7 +114,7 @@ export class Link {
       const call = this.end(callId);
       if (!call) return;
       try {
-        const schema = call.service.response?.schema ?? call.service.responseSchema ?? "";
+        const schema = call.service.response?.schema ?? "";
         call.resolve(this.reader(schema).readMessage<Message>(data));
       } catch (error) {
         call.reject(new Error(`the answer cannot be decoded: ${(error as Error).message}`));
@@ -150,15 +146,11 @@ export class Link {
     const { client } = this;
     const service = this.services.get(name);
     if (!service || !client) throw new Error(`${name} is not available: its node may have ended`);
-    const schema = service.request?.schema ?? service.requestSchema ?? "";
+    const schema = service.request?.schema ?? "";
     const bytes = new MessageWriter(parse(schema, { ros2: true })).writeMessage(request);
     const callId = this.nextCall++;
     return await new Promise((resolve, reject) => {
       this.calls.set(callId, { resolve, reject, service });
-      setTimeout(
-        () => this.end(callId)?.reject(new Error(`no answer within ${ANSWER_TIMEOUT} s`)),
-        ANSWER_TIMEOUT * 1000,
-      );
       const data = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
       client.sendServiceCallRequest({ serviceId: service.id, callId, encoding: "cdr", data });
     });
@@ -201,13 +193,7 @@ export class Link {
     this.socket?.send(JSON.stringify(message));
   }
 
-  private noteOnce(text: string): void {
-    if (!this.notes.has(text)) this.handlers.note(text);
-    this.notes.add(text);
-  }
-
   private lose(): void {
-    const mayBeRefused = !this.opened && this.token !== "";
     this.client = undefined;
     this.opened = false;
     for (const map of [this.channels, this.subscriptions, this.services]) map.clear();
@@ -215,22 +201,6 @@ export class Link {
     this.calls.clear();
     this.handlers.services();
     this.handlers.closed();
-    void this.reconnect(mayBeRefused);
-  }
-
-  /** A browser does not say why a WebSocket was refused; the server says it to a request. */
-  private async reconnect(mayBeRefused: boolean): Promise<void> {
-    if (mayBeRefused) {
-      const request = fetch(`/?token=${encodeURIComponent(this.token)}`, { cache: "no-store" });
-      const status = await request.then(
-        (answer) => answer.status,
-        () => 0,
-      );
-      if (status === UNAUTHORIZED) {
-        this.token = "";
-        this.handlers.tokenRefused();
-      }
-    }
     this.wait = Math.min(LONGEST_WAIT, this.wait * 1.6);
     setTimeout(() => this.connect(), this.wait * 1000);
   }

@@ -1,16 +1,14 @@
 // One closed loop as it is heard: what its messages say, kept for the figures. No drawing here.
 
 import { CostMap } from "./cost_map";
-import type { Arrival, Judgement, Level, LoopNode, LoopState, Report, Role, Row } from "./health";
+import type { Judgement, Level, LoopNode, LoopState, Report, Role, Row } from "./health";
 import { judge, LEVELS, silence, worst } from "./health";
-import type { LoopNames } from "./link";
+import type { LoopNames, Message } from "./link";
 import { Stream } from "./stream";
 
 const FORGOTTEN = 60; // [s] without a report: a node that the loop does not need has ended
-const MOST_FLIPS = 4000;
 const MOST_INTERVALS = 400;
 const MOST_EVENTS = 200;
-const PAUSE = 5; // [s] without a message, after which its rate is measured again
 
 /** A time in which something held; `to` is infinite while it lasts. */
 export interface Interval {
@@ -27,39 +25,14 @@ export interface Status {
   values: Record<string, string>;
 }
 
-/** Counts the messages of a topic, second by second. */
-class Counter implements Arrival {
-  at = NaN;
-  rate = 0;
-  private since = NaN;
-  private n = 0;
-
-  count(now: number): void {
-    if (!(now - this.at <= PAUSE)) {
-      this.since = now;
-      this.n = 0;
-    }
-    this.at = now;
-    this.n += 1;
-    const span = now - this.since;
-    if (span < 1) return;
-    this.rate = (this.n - 1) / span || this.rate;
-    this.since = now;
-    this.n = 1;
-  }
-}
-
-type Message = Record<string, unknown>;
-
 export class Loop {
   readonly state = new Stream();
   readonly cost = new Stream();
   readonly theta = new Stream();
+  readonly all = [this.state, this.cost, this.theta];
   readonly map = new CostMap();
   readonly reports = new Map<string, Report>();
-  flips: { t: number; theta: number; epsilon: number }[] = [];
   holds: Interval[] = [];
-  limited: Interval[] = [];
   events: { t: number; text: string }[] = [];
   channels: string[] = [];
   source = -1; // of the cost: 0 raw, 1 lifted
@@ -77,8 +50,6 @@ export class Loop {
   gradient = NaN;
   confidence = NaN;
   stamp = NaN; // of the newest state's header [s]; 0: the rig sets none
-  private epsilon = 0;
-  private arrivals = newArrivals();
 
   constructor(public names: LoopNames) {}
 
@@ -88,15 +59,10 @@ export class Loop {
     this.now.ended = false;
   }
 
-  /** Names of the topics with the stream of each. */
-  get streams(): Map<string, Stream> {
-    const { names } = this;
-    const all = [
-      [names.state, this.state],
-      [names.cost, this.cost],
-      [names.theta, this.theta],
-    ] as const;
-    return new Map(all.filter((item): item is [string, Stream] => item[0] !== null));
+  /** Names of the topics. */
+  get topics(): string[] {
+    const { state, cost, theta } = this.names;
+    return [state, cost, theta].filter((name) => name !== null);
   }
 
   /** The last node has ended. The figures stay. */
@@ -104,19 +70,15 @@ export class Loop {
     if (this.now.ended) return;
     this.now.ended = true;
     this.reports.clear();
-    this.arrivals = newArrivals();
+    for (const stream of this.all) stream.at = NaN;
   }
 
   clear(): void {
-    for (const stream of [this.state, this.cost, this.theta]) stream.clear();
+    for (const stream of this.all) stream.clear();
     this.map.clear();
-    this.flips = [];
     this.holds = [];
-    this.limited = [];
     this.events = [];
-    this.epsilon = 0;
     this.now.r = this.now.theta = NaN;
-    this.arrivals = newArrivals();
   }
 
   /** Take a message that came at `t` on the server's clock, `now` on the page's. */
@@ -131,15 +93,10 @@ export class Loop {
     const step = Number(message["step"]);
     if (!x) return;
     if (x.length !== this.channels.length) this.channels = Array.from(x, (_, i) => `x[${i}]`);
-    if (step < this.state.lastStep) {
-      this.mark(t, "restart");
-      this.map.restart();
-      this.epsilon = 0; // the relay of another run
-    }
+    if (step < this.state.lastStep) this.mark(t, "restart");
     const { stamp } = message["header"] as { stamp: { sec: number; nanosec: number } };
     this.stamp = stamp.sec + stamp.nanosec / 1e9;
-    this.state.push(t, step, this.channels, x);
-    this.arrivals.rig.count(now);
+    this.state.push(t, step, this.channels, x, now);
   }
 
   private takeCost(t: number, now: number, message: Message): void {
@@ -155,31 +112,21 @@ export class Loop {
     }
     this.source = source;
     this.modelId = model;
-    const values = [this.now.r, message["y_out"] as number];
-    this.cost.push(t, Number(message["step"]), ["r", "y_out"], values);
-    this.arrivals.lifter.count(now);
+    this.cost.push(t, Number(message["step"]), ["r"], [this.now.r], now);
   }
 
   private takeTheta(t: number, now: number, message: Message): void {
-    const epsilon = message["epsilon"] as number;
     this.now.theta = message["theta"] as number;
     this.now.holding = message["holding"] === true;
     this.now.saturated = message["saturated"] === true;
     this.swing = message["swing"] as number;
     this.gradient = message["gradient"] as number;
     this.confidence = message["confidence"] as number;
-    this.now.commanded = epsilon === 0;
-    if (this.epsilon && epsilon && epsilon !== this.epsilon) {
-      this.flips.push({ t, theta: this.now.theta, epsilon });
-      if (this.flips.length > MOST_FLIPS) this.flips.splice(0, MOST_FLIPS / 4);
-    }
-    this.epsilon = epsilon;
+    this.now.commanded = message["epsilon"] === 0;
     const isHeld = this.now.holding && !this.now.commanded; // a commander moves theta
     extend(this.holds, isHeld, t, this.theta.last);
-    extend(this.limited, this.now.saturated, t, this.theta.last);
-    this.theta.push(t, Number(message["step"]), ["theta"], [this.now.theta]);
-    if (!this.now.holding || this.now.commanded) this.map.push(t, this.now.theta, this.now.r);
-    this.arrivals.controller.count(now);
+    this.theta.push(t, Number(message["step"]), ["theta"], [this.now.theta], now);
+    if (!this.now.holding || this.now.commanded) this.map.push(this.now.theta, this.now.r);
   }
 
   report(status: Status, now: number): void {
@@ -203,21 +150,21 @@ export class Loop {
 
   private nodes(now: number, live: boolean): LoopNode[] {
     const { plant, lifter, controller, state } = this.names;
-    const { arrivals, reports } = this;
+    const { reports } = this;
     const nodes: LoopNode[] = [
       {
         name: plant ?? state ?? "rig",
         role: "rig",
         report: plant ? reports.get(plant) : undefined,
-        output: arrivals.rig,
+        output: this.state,
       },
     ];
     for (const [name, role] of [
       [lifter, "lifter"],
       [controller, "controller"],
     ] as const) {
-      const input = role === "lifter" ? arrivals.rig : arrivals.lifter;
-      const output = arrivals[role];
+      const input = role === "lifter" ? this.state : this.cost;
+      const output = this.stream(role);
       if (name) nodes.push({ name, role, report: reports.get(name), output, input });
     }
     for (const [name, report] of reports) {
@@ -237,23 +184,12 @@ export class Loop {
 
   /** Steps per second, by the newest messages; NaN: not known yet. */
   rate(now: number): number {
-    return silence(this.arrivals.rig, now) ? 0 : this.arrivals.rig.rate || NaN;
+    return silence(this.state, now) ? 0 : this.state.rate || NaN;
   }
 
-  /** When the newest message of a node came. */
-  arrival(role: Role): Arrival | undefined {
-    return role === "other" ? undefined : this.arrivals[role];
-  }
-
-  /** Messages per second over all that was recorded of a node; NaN if that is not known. */
-  meanRate(role: Role): number {
-    const streams = {
-      rig: this.state,
-      lifter: this.cost,
-      controller: this.theta,
-      other: undefined,
-    };
-    return 1 / (streams[role]?.meanPeriod ?? NaN);
+  /** What a node publishes. */
+  stream(role: Role): Stream | undefined {
+    return { rig: this.state, lifter: this.cost, controller: this.theta, other: undefined }[role];
   }
 }
 
@@ -271,18 +207,13 @@ function judgeRecorded({ report, output }: LoopNode): Judgement {
   return { level: "off", text: "not in the recording" };
 }
 
-function newArrivals(): Record<Exclude<Role, "other">, Counter> {
-  return { rig: new Counter(), lifter: new Counter(), controller: new Counter() };
-}
-
 /** Open, keep or close the newest interval. */
 function extend(intervals: Interval[], on: boolean, t: number, before: number): void {
   const newest = intervals.at(-1);
   const isOpen = newest?.to === Infinity;
-  if (on && !isOpen) {
-    intervals.push({ from: t, to: Infinity });
-    if (intervals.length > MOST_INTERVALS) intervals.shift();
-  } else if (!on && newest && isOpen) {
+  if (on && !isOpen) intervals.push({ from: t, to: Infinity });
+  if (intervals.length > MOST_INTERVALS) intervals.shift();
+  if (!on && newest && isOpen) {
     newest.to = Number.isFinite(before) ? Math.max(newest.from, before) : t;
   }
 }

@@ -45,6 +45,7 @@ export class Page {
     () => this.currentTime(),
   );
   private readonly figures = new Figures(() => this, this.time);
+  private readonly token: string;
   private readonly link: Link;
   private readonly operator: Operator;
 
@@ -53,7 +54,8 @@ export class Page {
       this.figures.redraw();
       showSpans(this.time);
     };
-    this.link = new Link(this, this.takeToken());
+    this.token = this.takeToken();
+    this.link = new Link(this, this.token);
     this.operator = new Operator(this, this.link);
     byId("loop").addEventListener("change", () =>
       this.choose(byId<HTMLSelectElement>("loop").value),
@@ -104,14 +106,14 @@ export class Page {
   }
 
   private firstTime(): number {
-    const times = [...(this.loop?.streams.values() ?? [])].map((stream) => stream.first);
+    const times = (this.loop?.all ?? []).map((stream) => stream.first);
     return Math.min(...times.filter(Number.isFinite));
   }
 
   /** The server's time; of a recording its end, for what comes later are only reports. */
   private currentTime(): number {
     if (this.recorded) {
-      const times = [...(this.loop?.streams.values() ?? [])].map((stream) => stream.last);
+      const times = (this.loop?.all ?? []).map((stream) => stream.last);
       return Math.max(...times.filter(Number.isFinite));
     }
     return this.newest + (this.connection === "open" ? Math.max(0, now() - this.newestAt) : 0);
@@ -142,11 +144,6 @@ export class Page {
     this.connection = isNew ? "connecting" : "lost";
   }
 
-  tokenRefused(): void {
-    sessionStorage.removeItem(TOKEN);
-    this.note(NOT_ITS_TOKEN, "error");
-  }
-
   services(): void {
     this.operator.refresh();
   }
@@ -165,6 +162,7 @@ export class Page {
     const isRecorded = server.mode === "recorded";
     const isOther = server.mode !== this.server?.mode || server.session !== this.server.session;
     if (this.server && isOther && (isRecorded || this.recorded)) location.reload();
+    if (isOther && this.token && !server.operate) this.note(NOT_ITS_TOKEN, "error");
     this.server = server;
     if (isRecorded && !this.watched) this.restart(); // it is sent whole after every connection
     if (isRecorded && !this.time.recorded) {
@@ -183,7 +181,7 @@ export class Page {
 
   /** Subscribe to the chosen loop. */
   private follow(): void {
-    const topics = [...(this.loop?.streams.keys() ?? [])];
+    const topics = this.loop?.topics ?? [];
     this.link.follow([...topics, "/diagnostics", "/rosout"]);
     const names = Object.entries(PARAMETERS).flatMap(([role, units]) => {
       const node = this.loop?.names[role as keyof typeof PARAMETERS];

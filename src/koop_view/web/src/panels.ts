@@ -77,12 +77,12 @@ function healthRow(
   recorded: boolean,
   now: number,
 ): HTMLElement {
-  const arrival = loop?.arrival(node.role);
-  const silent = arrival && !recorded ? silence(arrival, now) : 0;
+  const stream = loop?.stream(node.role);
+  const silent = stream && !recorded ? silence(stream, now) : 0;
   const age = silent ? `${silent.toFixed(1)} s` : inputAge(node.report);
-  let rate = silent ? 0 : (arrival?.rate ?? NaN);
-  if (recorded) rate = loop?.meanRate(node.role) ?? NaN;
-  else if (!Number.isFinite(arrival?.at)) rate = Number(node.report?.values["rate_hz"] ?? NaN);
+  let rate = silent ? 0 : (stream?.rate ?? NaN);
+  if (recorded) rate = 1 / (stream?.meanPeriod ?? NaN);
+  else if (!Number.isFinite(stream?.at)) rate = Number(node.report?.values["rate_hz"] ?? NaN);
   const rateText = Number.isFinite(rate) ? `${rate.toFixed(rate < 10 ? 1 : 0)} /s` : "";
   const lost = losses(node.report);
   return make(

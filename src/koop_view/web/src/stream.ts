@@ -6,6 +6,7 @@ const COLUMNS = 16384; // of all time: a minute of a day has six or more
 const SAMPLES = 131072; // ten minutes at 200 Hz
 const CLOCK_STEP = 5; // [s] by which time may go back before it is another time
 const MOST_DRAWN = 4400; // samples of a curve; of more, columns are drawn
+const PAUSE = 5; // [s] without a message, after which the rate is measured again
 const FEWEST_DRAWN = 600; // columns of a curve
 
 type Values = (number | null)[];
@@ -26,6 +27,7 @@ export class Stream {
   first = NaN;
   last = NaN; // receive time of the newest message [s]
   lastStep = -1;
+  at = NaN; // when it came, on the page's clock [s]
 
   /** The oldest time whose samples are kept as they came. */
   get rawFrom(): number {
@@ -37,6 +39,15 @@ export class Stream {
     return (this.last - this.first) / (this.next - this.since - 1);
   }
 
+  /** Messages per second in the second before the newest. */
+  get rate(): number {
+    const newest = this.next - 1;
+    let i = newest;
+    const ago = (k: number): number => this.last - this.times[k % SAMPLES]!;
+    while (i > this.oldest && ago(i - 1) <= (i === newest ? PAUSE : 1)) i -= 1;
+    return (newest - i) / ago(i) || 0;
+  }
+
   private get oldest(): number {
     return Math.max(this.since, this.next - SAMPLES);
   }
@@ -44,16 +55,23 @@ export class Stream {
   clear(): void {
     this.signals.clear();
     this.since = this.next;
-    this.first = this.last = NaN;
+    this.first = this.last = this.at = NaN;
     this.lastStep = -1;
   }
 
-  /** Take a message; `values` are those of `names`. */
-  push(t: number, step: number, names: readonly string[], values: ArrayLike<number>): void {
+  /** Take a message that came at `t` on the server's clock; `values` are those of `names`. */
+  push(
+    t: number,
+    step: number,
+    names: readonly string[],
+    values: ArrayLike<number>,
+    now = NaN,
+  ): void {
     if (t < this.last - CLOCK_STEP) this.clear();
     if (Number.isNaN(this.first)) this.first = t;
     this.last = t;
     this.lastStep = step;
+    this.at = now;
     const at = this.next % SAMPLES;
     this.times[at] = t;
     this.steps[at] = step;

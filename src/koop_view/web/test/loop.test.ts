@@ -54,7 +54,7 @@ test("after a loop has ended, the next one misses none of its nodes", () => {
   );
 });
 
-test("with a commander, its dwell points belong to the map, and nothing flips", () => {
+test("with a commander, its dwell points belong to the map and are not held", () => {
   const loop = new Loop(names);
   loop.take("/cost", 1, 1, { step: 1n, r: 2, y_out: 1, settling: false, source: 0, model_id: "" });
   loop.take("/theta", 1, 1, theta(1, true));
@@ -63,6 +63,4 @@ test("with a commander, its dwell points belong to the map, and nothing flips", 
   assert.deepEqual(loop.map.bins().mean, [2]);
   assert.equal(loop.now.commanded, true);
   assert.deepEqual(loop.holds, [{ from: 1, to: 1 }]); // what a commander moves is not held
-  loop.take("/theta", 3, 3, theta(-1, false));
-  assert.equal(loop.flips.length, 0); // between the relay of one run and that of the next
 });
