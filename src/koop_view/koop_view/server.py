@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from http import HTTPStatus
 from importlib.resources import files
 
-from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
@@ -30,7 +32,7 @@ _silent.setLevel(logging.CRITICAL + 1)
 
 
 class ViewServer:
-    """Serves a source; an asynchronous context manager.
+    """Serves a source.
 
     Parameters
     ----------
@@ -47,51 +49,44 @@ class ViewServer:
         self._config = config
         self._access = Access(token, frozenset(config.origins))
         self._page = (files("koop_view") / "page" / "index.html").read_bytes()
-        self._server: Server | None = None
-        self._check: asyncio.Task[None] | None = None
 
-    async def __aenter__(self) -> ViewServer:
+    @asynccontextmanager
+    async def listen(self) -> AsyncIterator[int]:
+        """Serve while the context lasts; it gives the port.
+
+        Raises
+        ------
+        ConfigError
+            If the address cannot be had.
+        """
         try:
-            self._server = await self._listen()
+            server = await serve(
+                self._serve_client,
+                self._config.host,
+                self._config.port,
+                process_request=self._decide,
+                subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS],
+                compression=None,  # it would cost the machine of the loop time
+                server_header=None,
+                open_timeout=OPEN_TIMEOUT,
+                close_timeout=2.0,
+                max_size=LONGEST_MESSAGE,
+                max_queue=16,
+                write_limit=64 * 1024,
+                logger=_silent,
+            )
         except OSError as error:
             where = f"{self._config.host} port {self._config.port}"
             if error.errno == errno.EADDRINUSE:
                 raise ConfigError(f"{where} is taken: choose another one, or 0 for any") from None
             raise ConfigError(f"cannot listen on {where}: {error.strerror or error}") from None
-        self._check = asyncio.create_task(self._watch_backlogs())
-        return self
-
-    async def __aexit__(self, *error: object) -> None:
-        assert self._server is not None
-        assert self._check is not None
-        self._check.cancel()
-        self._server.close(code=1001, reason="the server ends")
-        await self._server.wait_closed()
-
-    @property
-    def port(self) -> int:
-        """The port that the server listens on."""
-        assert self._server is not None
-        return int(next(iter(self._server.sockets)).getsockname()[1])
-
-    # -- connections --------------------------------------------------------------------------
-
-    async def _listen(self) -> Server:
-        return await serve(
-            self._serve_client,
-            self._config.host,
-            self._config.port,
-            process_request=self._decide,
-            subprotocols=[Subprotocol(name) for name in protocol.SUBPROTOCOLS],
-            compression=None,  # it would cost the machine of the loop time
-            server_header=None,
-            open_timeout=OPEN_TIMEOUT,
-            close_timeout=2.0,
-            max_size=LONGEST_MESSAGE,
-            max_queue=16,
-            write_limit=64 * 1024,
-            logger=_silent,
-        )
+        check = asyncio.create_task(self._watch_backlogs())
+        try:
+            yield int(next(iter(server.sockets)).getsockname()[1])
+        finally:
+            check.cancel()
+            server.close(code=1001, reason="the server ends")
+            await server.wait_closed()
 
     def _decide(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a request, or let it become a WebSocket."""

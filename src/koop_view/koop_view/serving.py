@@ -61,8 +61,8 @@ async def serve(
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, stop.set)
     token = secrets.token_urlsafe(24) if config.operate else ""
-    async with ViewServer(source, config, token) as server:
-        page = address(config, server.port)
+    async with ViewServer(source, config, token).listen() as port:
+        page = address(config, port)
         print(f"{ADDRESS}{page}{f'#token={token}' if token else ''}")
         if token:
             print(f"with that address anybody may operate the loop; {page} reads only")

@@ -29,8 +29,8 @@ def running(source: ViewSource, token: str = "", **options: Any) -> Iterator[int
     async def work() -> None:
         server["stop"], server["loop"] = asyncio.Event(), asyncio.get_running_loop()
         config = ViewConfig(**{"port": 0, **options})
-        async with ViewServer(source, config, token) as running_server:
-            server["port"] = running_server.port
+        async with ViewServer(source, config, token).listen() as port:
+            server["port"] = port
             ready.set()
             await server["stop"].wait()
 

@@ -167,7 +167,7 @@ def test_a_client_that_does_not_keep_up_is_dropped_and_told_why(port, loop):
 
 def test_a_port_that_is_taken_is_an_error_in_words(port):
     async def start():
-        async with ViewServer(FakeLoop(), ViewConfig(port=port), ""):
+        async with ViewServer(FakeLoop(), ViewConfig(port=port), "").listen():
             pass
 
     with pytest.raises(ConfigError, match=f"port {port} is taken"):

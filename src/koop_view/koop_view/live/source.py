@@ -7,7 +7,6 @@ import time
 from array import array
 from collections.abc import Mapping
 from contextlib import suppress
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +36,7 @@ LOOK = 0.5  # [s] between looks at the graph
 PAUSE = 1.5  # [s] without a report, of which there is one per second
 EVENTS = 20  # of the executor at a time
 LINE = 200  # bytes of the line beside the loops
-MOST = 1000  # channels, services, loops: a broken domain may have any number
+MOST = 1000  # channels: a broken domain may have any number
 DIAGNOSTICS, CHANGES = "/diagnostics", "/parameter_events"
 
 
@@ -141,7 +140,7 @@ class LiveSource(ViewSource):
             if topic not in named and self._node.count_publishers(topic)
         }
         managed = {node for node, names in served.items() if f"{node}/change_state" in names}
-        loops = dict(islice(find_loops(published, nameless, managed).items(), MOST))
+        loops = find_loops(published, nameless, managed)
         about = self._read_about()
         if self._known.update(loops, now) or about != self.about:
             self.loops, self.about = self._known.loops, about

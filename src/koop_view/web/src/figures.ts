@@ -15,14 +15,9 @@ import {
 } from "./chart";
 import { short } from "./format";
 import type { Loop } from "./loop";
+import type { Desk } from "./operator";
 import { curves, type Stream } from "./stream";
 import type { TimeAxis } from "./time_axis";
-
-/** What the figures show. */
-export interface Shown {
-  loop: Loop | undefined;
-  limits: [number, number] | undefined; // of theta
-}
 
 /** One figure over time. */
 interface TimeFigure {
@@ -76,7 +71,7 @@ export class Figures {
   private readonly figures: Figure[];
 
   constructor(
-    private readonly shown: () => Shown,
+    private readonly desk: Desk,
     private readonly time: TimeAxis,
   ) {
     const marks = (u: uPlot): void => this.drawEvents(u);
@@ -126,7 +121,7 @@ export class Figures {
     const { time } = this;
     const names = (): readonly string[] => {
       const { signals } = figure;
-      return signals === "channels" ? (this.shown().loop?.channels ?? []) : signals;
+      return signals === "channels" ? (this.desk.loop?.channels ?? []) : signals;
     };
     const isLog = (): boolean => figure.log === true && this.logR;
     return new Figure(figure.name, () => time.period(), {
@@ -143,7 +138,7 @@ export class Figures {
           y: {
             distr: isLog() ? 3 : 1,
             range: (u, low, high) => {
-              const limits = figure.withLimits ? this.shown().limits : undefined;
+              const limits = figure.withLimits ? this.desk.limits : undefined;
               const pad = padded(isLog(), 0.06);
               if (!limits || low === null || high === null) return pad(u, low, high);
               return pad(u, Math.min(low, limits[0]), Math.max(high, limits[1]));
@@ -167,7 +162,7 @@ export class Figures {
         hooks: { ...figure.hooks, setSelect: [(u) => this.zoom(u)] },
       }),
       data: () => {
-        const { loop } = this.shown();
+        const { loop } = this.desk;
         if (!loop) return undefined;
         const data = curves(figure.stream(loop), names(), ...time.range());
         return (isLog() ? positive(data) : data) as unknown as uPlot.AlignedData;
@@ -185,7 +180,7 @@ export class Figures {
 
   /** Where theta was held. */
   private drawHolds(u: uPlot): void {
-    const { loop } = this.shown();
+    const { loop } = this.desk;
     const [from, to] = this.time.range();
     for (const hold of loop?.holds ?? []) {
       if (hold.to < from || hold.from > to) continue;
@@ -196,13 +191,13 @@ export class Figures {
 
   /** theta's limits. */
   private drawLimits(u: uPlot, scale: "x" | "y"): void {
-    for (const value of this.shown().limits ?? []) drawLevel(u, scale, value, style("--ink"));
+    for (const value of this.desk.limits ?? []) drawLevel(u, scale, value, style("--ink"));
   }
 
   /** Restarts, other costs and models, with their names. */
   private drawEvents(u: uPlot): void {
     const [from, to] = this.time.range();
-    const events = this.shown().loop?.events.filter(({ t }) => t >= from && t <= to) ?? [];
+    const events = this.desk.loop?.events.filter(({ t }) => t >= from && t <= to) ?? [];
     drawMarks(
       u,
       events.map(({ t, text }) => ({ x: t, name: text, color: style("--soft") })),
@@ -231,7 +226,7 @@ export class Figures {
         hooks: { draw: [(u) => this.drawLimits(u, "x"), (u) => this.drawNow(u)] },
       }),
       data: () => {
-        const bins = this.shown().loop?.map.bins();
+        const bins = this.desk.loop?.map.bins();
         return bins && [bins.theta, bins.least, bins.most, bins.mean];
       },
     };
@@ -239,7 +234,7 @@ export class Figures {
 
   /** Where the loop is now. */
   private drawNow(u: uPlot): void {
-    const { theta, r } = this.shown().loop?.now ?? { theta: NaN, r: NaN };
+    const { theta, r } = this.desk.loop?.now ?? { theta: NaN, r: NaN };
     if (!Number.isFinite(theta) || !Number.isFinite(r)) return;
     clipped(u, (ctx, ratio) => {
       ctx.fillStyle = color(1);

@@ -8,36 +8,29 @@ import type { Loop } from "./loop";
 const MOST_ACTS = 50;
 const DOUBLE = 3; // rcl_interfaces/msg/ParameterType
 
-/** Inputs that show a parameter until the operator changes them. */
-const INPUTS: Record<string, string> = {
-  "theta-min": "controller.theta_min",
-  "theta-max": "controller.theta_max",
-};
-
 /** What the operator sees. */
 export interface Desk {
   loop: Loop | undefined;
   operate: boolean;
+  limits: [number, number] | undefined; // of theta
   parameter(name: string): unknown; // `controller.theta_min`
 }
 
 export class Operator {
-  private readonly changed = new Set<string>(); // inputs
+  private shown = ""; // limits in the inputs, which the operator may have changed
 
   constructor(
     private readonly desk: Desk,
     private readonly link: Link,
   ) {
-    onClick(byId("hold"), () => void this.hold(true));
+    // holding moves nothing: it is done at once
+    onClick(byId("hold"), () => void this.call("hold θ", "hold", { data: true }));
     onClick(byId("resume"), () => void this.resume());
     onClick(byId("reset"), () => void this.reset());
     byId("limits-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.setLimits();
     });
-    for (const id of Object.keys(INPUTS)) {
-      byId(id).addEventListener("input", () => this.changed.add(id));
-    }
     for (const answer of ["yes", "no"]) {
       onClick(byId(`confirm-${answer}`), () => byId<HTMLDialogElement>("confirm").close(answer));
     }
@@ -45,7 +38,7 @@ export class Operator {
 
   /** Show what may be done now, and in the inputs the values of the loop. */
   refresh(): void {
-    const { loop, operate } = this.desk;
+    const { loop, operate, limits } = this.desk;
     const controller = loop?.names.controller;
     document.body.dataset["operate"] = String(operate);
     const allow = (id: string, service: string): void => {
@@ -56,44 +49,26 @@ export class Operator {
     allow("resume", "hold");
     allow("reset", "reset");
     allow("set-limits", "set_parameters_atomically");
-    if (this.desk.parameter("controller.theta_min") === undefined) {
-      byId<HTMLButtonElement>("set-limits").disabled = true; // a commander has none
-    }
+    if (!limits) byId<HTMLButtonElement>("set-limits").disabled = true; // a commander has none
     byId("hold").classList.toggle("pressed", loop?.now.holding ?? false);
     byId("resume").classList.toggle("wanted", loop?.now.holding ?? false);
-    for (const [id, name] of Object.entries(INPUTS)) {
-      const input = byId<HTMLInputElement>(id);
-      const value = this.desk.parameter(name);
-      const isTheirs = this.changed.has(id) || document.activeElement === input;
-      if (value !== undefined && !isTheirs && input.value !== String(value)) {
-        input.value = String(value);
-      }
-    }
-  }
-
-  /** Show the values of another loop. */
-  forget(): void {
-    this.changed.clear();
+    if (!limits || limits.join() === this.shown) return;
+    this.shown = limits.join();
+    byId<HTMLInputElement>("theta-min").value = String(limits[0]);
+    byId<HTMLInputElement>("theta-max").value = String(limits[1]);
   }
 
   private number(name: string): number {
     return Number(this.desk.parameter(`controller.${name}`) ?? NaN);
   }
 
-  /** Holding moves nothing: it is done at once. */
-  private async hold(data: boolean): Promise<void> {
-    await this.call(data ? "hold θ" : "resume", "hold", { data });
-  }
-
   private async resume(): Promise<void> {
-    const theta = short(this.desk.loop?.now.theta);
-    if (await confirm("Resume", `The controller moves θ again, from ${theta} on.`)) {
-      await this.hold(false);
-    }
+    const text = `The controller moves θ again, from ${short(this.desk.loop?.now.theta)} on.`;
+    if (await confirm("Resume", text)) await this.call("resume", "hold", { data: false });
   }
 
   private async reset(): Promise<void> {
-    const [low, high] = [this.number("theta_min"), this.number("theta_max")];
+    const [low, high] = this.desk.limits ?? [NaN, NaN];
     const initial = clamp(this.number("theta_initial"), low, high);
     const limit = this.number("rate_limit");
     const text =
@@ -126,11 +101,11 @@ export class Operator {
       value: { type: DOUBLE, double_value: value },
     }));
     const what = `limits [${short(low)}, ${short(high)}]`;
-    if (await this.call(what, "set_parameters_atomically", { parameters })) this.forget();
+    await this.call(what, "set_parameters_atomically", { parameters });
   }
 
-  /** Call a service of the controller and note its answer; return whether it was done. */
-  private async call(what: string, service: string, request: Message): Promise<boolean> {
+  /** Call a service of the controller and note its answer. */
+  private async call(what: string, service: string, request: Message): Promise<void> {
     const outcome = make("span", { text: " …" });
     const entry = make("li", { data: { outcome: "asked" } }, make("b", { text: what }), outcome);
     byId("acts").prepend(entry);
@@ -153,7 +128,6 @@ export class Operator {
     entry.dataset["outcome"] = isDone ? "done" : "refused";
     setText(outcome, ` – ${words} (${clock(Date.now() / 1000)})`);
     this.refresh();
-    return isDone;
   }
 }
 

@@ -44,7 +44,7 @@ export class Page {
     () => this.firstTime(),
     () => this.currentTime(),
   );
-  private readonly figures = new Figures(() => this, this.time);
+  private readonly figures = new Figures(this, this.time);
   private readonly token: string;
   private readonly link: Link;
   private readonly operator: Operator;
@@ -197,7 +197,6 @@ export class Page {
     history.replaceState(null, "", `#loop=${encodeURIComponent(namespace)}`);
     if (this.recorded) this.restart();
     this.follow();
-    this.operator.forget();
     this.figures.redraw();
     this.refresh();
   }

@@ -1,10 +1,11 @@
 // The parts of the page that are words: health, loops, what is in force.
 
-import type { ParameterValue } from "@foxglove/ws-protocol";
 import { byId, make, setChildren, setText } from "./dom";
 import { short, shortName } from "./format";
 import { inputAge, type Level, losses, type Row, silence, urgency } from "./health";
 import { costName, type Loop } from "./loop";
+import type { Desk } from "./operator";
+import type { Stream } from "./stream";
 import type { TimeAxis } from "./time_axis";
 
 export const WORDS = { ok: "OK", warn: "WARN", error: "ERROR", stale: "STALE", off: "–" };
@@ -59,25 +60,23 @@ export function showLoops(
   setText(byId("fleet"), bad.map(describe).join(", "));
 }
 
+/** A line for each node. */
 export function showHealth(
   rows: readonly Row[],
   loop: Loop | undefined,
   recorded: boolean,
   now: number,
 ): void {
-  setChildren(
-    byId("health"),
-    rows.map((row) => healthRow(row, loop, recorded, now)),
-  );
+  const lines = rows.map((row) => healthLine(row, loop?.stream(row.node.role), recorded, now));
+  setChildren(byId("health"), lines);
 }
 
-function healthRow(
+function healthLine(
   { node, judgement }: Row,
-  loop: Loop | undefined,
+  stream: Stream | undefined,
   recorded: boolean,
   now: number,
 ): HTMLElement {
-  const stream = loop?.stream(node.role);
   const silent = stream && !recorded ? silence(stream, now) : 0;
   const age = silent ? `${silent.toFixed(1)} s` : inputAge(node.report);
   let rate = silent ? 0 : (stream?.rate ?? NaN);
@@ -101,13 +100,8 @@ function healthRow(
   );
 }
 
-interface Controlled {
-  loop: Loop | undefined;
-  parameter(name: string): ParameterValue;
-}
-
 /** Cost, model and parameters that are in force. */
-export function showForce(desk: Controlled): void {
+export function showForce(desk: Desk): void {
   const { loop } = desk;
   const isSought = loop !== undefined && !loop.now.commanded;
   const finite = (value: number | undefined): string =>
