@@ -6,7 +6,9 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={"koop_hil": ["scenarios/*.yaml", "soak/*.yaml", "models/*.npz", "rigs/*.py"]},
+    package_data={
+        "koop_hil": ["scenarios/*.yaml", "soak/*.yaml", "models/*.npz", "rigs/*.py", "rigs/*.yaml"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),
@@ -21,11 +23,12 @@ setup(
         "koop_tune",
         "vdp_plant",
         "numpy",
+        "PyYAML",
         "tqdm",
     ],
     extras_require={
         "rigs": ["cyclonedds"],
-        "plants": ["jsbsim"],
+        "plants": ["jsbsim", "dpsim"],
         "test": ["pytest"],
     },
     zip_safe=False,

@@ -39,6 +39,7 @@ OPTIONAL = {
     "cyclonedds": "rigs",
     "dask": "workers",
     "distributed": "workers",
+    "dpsimpy": "plants",
     "fsspec": "store",
     "jsbsim": "plants",
     "pyarrow": "export",
@@ -48,6 +49,7 @@ OPTIONAL = {
     "upath": "store",
 }
 PYPI = {
+    "dpsimpy": "dpsim",
     "sklearn": "scikit-learn",
     "upath": "universal-pathlib",
 }  # under another name than the module's

@@ -4,29 +4,36 @@
 It measures at its own pace with its own clock, and its actuator is late and slow:
 
     python rig.py galloping --scale 4 --duration 300
+    python rig.py absorber --map 0.5 1.6 23
 
-A rig is a module with the physics (``oscillator.py``, ``flight.py``): it names its message and what
+A rig is a module with the physics (such as ``absorber.py``): it names its message and what
 moves theta, ``stand.py`` and ``wire.py`` do the rest. It waits for a reader of its measurements,
-and prints a line when its time is over.
+and prints a line when its time is over. With ``--map`` it prints the true map and ends.
 """
 
 import argparse
 import sys
 
+import absorber
 import flight
+import inverter
 import oscillator
 import stand
+import static_map
 
 
 def main() -> int:
     """Run the rig; return the exit code."""
     parser = argparse.ArgumentParser(prog="rig.py", description=__doc__.splitlines()[0])
     rigs = parser.add_subparsers(dest="rig", required=True, metavar="RIG")
-    for module in (oscillator, flight):
+    for module in (oscillator, absorber, flight, inverter):
         module.register(rigs)
     args = parser.parse_args()
     try:
-        stand.run(args.make(args), args)
+        if args.map:
+            static_map.print_map(args)
+        else:
+            stand.run(args.make(args), args)
     except ValueError as error:
         print(f"rig: {error}", file=sys.stderr)
         return 1

@@ -109,6 +109,15 @@ class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
     linear_acceleration_covariance: array[float64, 9]
 
 
+@dataclass
+class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
+    header: Header
+    name: sequence[str]
+    position: sequence[float64]
+    velocity: sequence[float64]
+    effort: sequence[float64]
+
+
 def measured_state(header: Header, step: int, x: Sequence[float]) -> MeasuredState:
     """Return a sample in the loop's own type."""
     return MeasuredState(header, step, False, list(x))
@@ -121,9 +130,15 @@ def imu(header: Header, step: int, x: Sequence[float]) -> Imu:
     return Imu(header, level, UNKNOWN, rates, [0.0] * 9, accelerations, [0.0] * 9)
 
 
+def joint_state(header: Header, step: int, x: Sequence[float]) -> JointState:
+    """Return positions, each named by its index."""
+    return JointState(header, list(map(str, range(len(x)))), list(x), [], [])
+
+
 MESSAGES: dict[str, tuple[type, Callable[[Header, int, Sequence[float]], Any], type]] = {
     "MeasuredState": (MeasuredState, measured_state, ControlInput),
     "Imu": (Imu, imu, Float64),
+    "JointState": (JointState, joint_state, Float64),
 }
 """Type of the measurements, what makes one of header, step and values, and the command's type.
 

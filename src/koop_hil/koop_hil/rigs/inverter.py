@@ -1,0 +1,131 @@
+"""A grid-following inverter on a weak line, by DPsim: noise of the grid shakes its power.
+
+Theta is the proportional gain of its power loop: too little lets the power swing slowly, too much
+excites a fast mode. The other gains are of DPsim's 400 V, 10 kVA example, whose line is shorter.
+``--at`` sets ``kp_pll``, which could be a second theta, and ``p_ref`` [W], which moves the optimum.
+"""
+
+from __future__ import annotations
+
+import argparse
+import cmath
+import math
+import random
+import tempfile
+from typing import Any
+
+from stand import Knob, parse_rig
+
+INSTALL = "pip install --no-deps -r requirements/plants.txt"
+DT, STEPS = 1e-3, 5  # between two samples [s]; DPsim's steps within: another number, another plant
+OMEGA, VOLTAGE, POWER = 2.0 * math.pi * 50.0, 400.0, 10e3  # [rad/s], [V], [W]
+RESISTANCE, INDUCTANCE = 0.3, 15e-3  # of the line [Ohm], [H]
+GRID = ((0.005, 0.02), (0.05, 0.5))  # noise of its magnitude [1] and angle [rad]; their memory [s]
+TRIP = 100e3  # power at which its protection would have opened [W]
+NOISE = 0.005  # of the sensors [kW], [kvar]
+
+
+class Inverter:
+    """Inverter, line and grid; one that has tripped is replaced by a new one.
+
+    DPsim's memory grows by 18 bytes a step, 0.3 GB in an hour of the rig's time.
+
+    Raises
+    ------
+    ValueError
+        If DPsim is not installed, or ``--at`` names what it does not have.
+    """
+
+    dt, message, topics = DT, "JointState", ("inverter", "kp_power")
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        try:
+            import dpsimpy
+        except ImportError as error:
+            raise ValueError(f"{error}: {INSTALL}") from None
+        self._dp = dpsimpy
+        dpsimpy.Logger.set_log_dir(tempfile.gettempdir())  # not in the folder of the caller
+        self.knob = Knob(0.06 if args.theta_initial is None else args.theta_initial, 0.04, 0.23)
+        self._values = {"kp_power": self.knob.start, "kp_pll": 0.16, "p_ref": POWER}
+        for item in args.at:
+            if item.name not in self._values:
+                known = ", ".join(self._values)
+                raise ValueError(f"--at: inverter has no {item.name!r}; there is {known}")
+        self._random, self._grid = random.Random(args.seed + 1), [0.0, 0.0]
+        self._build()
+
+    def _build(self) -> None:
+        """Build the circuit, in steady state."""
+        dp, off = self._dp, self._dp.LogLevel.off
+        impedance, terminal = complex(RESISTANCE, OMEGA * INDUCTANCE), complex(VOLTAGE)
+        for _ in range(50):  # power flow by fixed-point iteration
+            terminal = VOLTAGE + impedance * (POWER / terminal).conjugate()
+        voltages = {
+            "inverter": terminal,
+            "line": terminal - RESISTANCE * (POWER / terminal).conjugate(),
+            "grid": complex(VOLTAGE),
+        }
+        nodes = [dp.emt.SimNode(name, dp.PhaseType.ABC) for name in voltages]
+        for node, voltage in zip(nodes, voltages.values(), strict=True):
+            node.set_initial_voltage(dp.Math.single_phase_variable_to_three_phase(voltage))
+        self._inverter = dp.emt.ph3.GFL("GFL", off)
+        self._inverter.set_filter_parameters(2e-3, 10e-6, 0.2)
+        self._inverter.with_control(True)
+        self._set_parameters()
+        resistor, inductor = dp.emt.ph3.Resistor("R", off), dp.emt.ph3.Inductor("L", off)
+        resistor.set_parameters(dp.Math.single_phase_parameter_to_three_phase(RESISTANCE))
+        inductor.set_parameters(dp.Math.single_phase_parameter_to_three_phase(INDUCTANCE))
+        source = dp.emt.ph3.NetworkInjection("source", off)
+        source.set_parameters(dp.Math.single_phase_variable_to_three_phase(VOLTAGE))
+        parts = [self._inverter, resistor, inductor, source]
+        for part, ends in zip(parts, (nodes[:1], nodes[:2], nodes[1:], nodes[2:]), strict=True):
+            part.connect(ends)
+        self._system = dp.SystemTopology(50, nodes, parts)
+        self._simulation = dp.Simulation("inverter", off)
+        self._simulation.set_system(self._system)
+        self._simulation.set_time_step(DT / STEPS)
+        self._simulation.set_final_time(1e9)  # never
+        self._simulation.set_domain(dp.Domain.EMT)
+        self._simulation.set_solver(dp.Solver.MNA)
+        self._simulation.do_init_from_nodes_and_terminals(True)
+        self._simulation.start()
+        self._source = source.attr("V_ref")
+        self._nominal = self._source.get()
+        self._powers = [self._inverter.attr(name) for name in ("p_inst", "q_inst")]
+
+    def _set_parameters(self) -> None:
+        kp, kp_pll, power = self._values["kp_power"], self._values["kp_pll"], self._values["p_ref"]
+        self._inverter.set_parameters(OMEGA, VOLTAGE, power, 0.0)
+        self._inverter.set_controller_parameters(kp_pll, 0.2, kp, 0.2, 0.25, 1.0, OMEGA)
+
+    def measure(self, t: float, rng: random.Random) -> tuple[list[float], list[float]]:
+        """Return active and reactive power as measured [kW], [kvar], and as they are."""
+        powers = [power.get() / 1e3 for power in self._powers]
+        return [power + rng.gauss(0.0, NOISE) for power in powers], powers
+
+    def advance(self, t: float, theta: float) -> None:
+        """Go on by one sample."""
+        self.set("kp_power", theta)
+        for i, (size, memory) in enumerate(GRID):  # Ornstein-Uhlenbeck processes
+            kept = math.exp(-DT / memory)
+            push = size * math.sqrt(1.0 - kept**2) * self._random.gauss(0.0, 1.0)
+            self._grid[i] = kept * self._grid[i] + push
+        magnitude, angle = self._grid
+        self._source.set((1.0 + magnitude) * cmath.exp(1j * angle) * self._nominal)
+        for _ in range(STEPS):
+            self._simulation.next()
+        if not all(abs(power.get()) < TRIP for power in self._powers):  # nor a number
+            print(f"t = {t:g} s, theta = {theta:g}: tripped, replaced by a new one", flush=True)
+            self._build()
+
+    def set(self, name: str, value: float) -> None:
+        """Set a gain or the reference power."""
+        if self._values[name] != value:
+            self._values[name] = value
+            self._set_parameters()
+
+
+def register(rigs: Any) -> None:
+    """Add it to the command line."""
+    text = "a grid-following inverter on a weak line (DPsim), shaken by the grid"
+    parse_rig(rigs, "inverter", text, Inverter)

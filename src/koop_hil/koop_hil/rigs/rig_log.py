@@ -1,0 +1,88 @@
+#!/usr/bin/env python3
+"""A rig's own log, of which the loop knows nothing: theta and the true state, every second.
+
+What it says about the end of a recording, to judge a verdict by:
+
+    python rig.py absorber --scale 20 --log rig.csv
+    python rig_log.py rig.csv mine/verify-1/start-1
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+TAIL = 0.3  # of a recording, that is judged
+
+
+class Log:
+    """Writes a line for every second of the rig's time.
+
+    Columns: time of the day [s], the rig's own time [s], mean of theta, then mean and standard
+    deviation of each number of the true state.
+    """
+
+    def __init__(self, path: str, dt: float) -> None:
+        self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  open to the end, by lines
+        self._count = round(1.0 / dt)
+        self._samples: list[tuple[float, ...]] = []
+
+    def add(self, t: float, theta: float, truth: Sequence[float]) -> None:
+        """Take a sample."""
+        self._samples.append((theta, *truth))
+        if len(self._samples) < self._count:
+            return
+        samples = np.array(self._samples)
+        moments = np.stack([samples.mean(axis=0), samples.std(axis=0)], axis=1).ravel()
+        self._samples.clear()
+        self._file.write(f"{time.time():.3f},{t:.3f},{moments[0]:.6g}")
+        self._file.write("".join(f",{value:.6g}" for value in moments[2:]) + "\n")
+
+
+def amplitudes(lines: np.ndarray) -> np.ndarray:
+    """Return the true amplitudes over lines of a log: sqrt(2) times the standard deviations."""
+    means, spreads = lines[:, 3::2], lines[:, 4::2]
+    return np.sqrt(2.0 * ((spreads**2).mean(axis=0) + means.var(axis=0)))
+
+
+def tail(lines: np.ndarray, folder: Path) -> np.ndarray:
+    """Return the lines of the last part of a recording.
+
+    Raises
+    ------
+    ValueError
+        If the log has none.
+    """
+    bag = yaml.safe_load((folder / "bag" / "metadata.yaml").read_text())[
+        "rosbag2_bagfile_information"
+    ]
+    begin = 1e-9 * bag["starting_time"]["nanoseconds_since_epoch"]
+    duration = 1e-9 * bag["duration"]["nanoseconds"]
+    clock = lines[:, 0] - begin
+    found = lines[(clock >= (1.0 - TAIL) * duration) & (clock <= duration)]
+    if not len(found):
+        raise ValueError(f"the log has nothing of the time of {folder}")
+    return found
+
+
+def main() -> None:
+    """Print theta and true amplitude at the end of recordings."""
+    parser = argparse.ArgumentParser(prog="rig_log.py", description=main.__doc__)
+    parser.add_argument("log", metavar="LOG.CSV")
+    parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="with a bag")
+    args = parser.parse_args()
+    lines = np.loadtxt(args.log, delimiter=",", ndmin=2)
+    for folder in args.folders:
+        end = tail(lines, folder)
+        theta = end[:, 2]
+        true = ", ".join(f"{value:.4g}" for value in amplitudes(end))
+        print(f"{folder}: theta {theta.min():.4g} to {theta.max():.4g}, true amplitude {true}")
+
+
+if __name__ == "__main__":
+    main()

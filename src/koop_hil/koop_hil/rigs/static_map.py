@@ -1,0 +1,34 @@
+"""The true static map of a rig: its amplitudes at values of theta that are held."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+
+import numpy as np
+from stand import Rig
+
+SAMPLES = 60_000  # at each value, unless a duration is wanted
+SETTLING = 1.0 / 3.0  # of them
+
+
+def true_amplitudes(rig: Rig, theta: float, samples: int) -> np.ndarray:
+    """Return sqrt(2) times the standard deviation of each number of the true state."""
+    rng, truth = random.Random(0), []
+    for k in range(samples):
+        truth.append(rig.measure(k * rig.dt, rng)[1])
+        rig.advance(k * rig.dt, theta)
+    return math.sqrt(2.0) * np.std(truth[round(SETTLING * samples) :], axis=0)
+
+
+def print_map(args: argparse.Namespace) -> None:
+    """Print the map of a rig of the command line."""
+    low, high, points = args.map
+    print("     theta  true amplitude")
+    for theta in np.linspace(low, high, round(points)):
+        args.theta_initial = float(theta)
+        rig: Rig = args.make(args)
+        samples = round(args.duration / rig.dt) or SAMPLES
+        values = true_amplitudes(rig, args.theta_initial, samples)
+        print(f"{theta:10.4g}", *(f"{value:10.4g}" for value in values), flush=True)
