@@ -152,26 +152,32 @@ def test_the_absorber_publishes_its_sensors_takes_theta_and_logs_what_is_true(pr
     assert lines[-1, 3:] == pytest.approx([true[last].mean(), true[last].std()], rel=1e-5)
 
 
-def test_a_log_says_what_was_true_at_the_end_of_a_recording(tmp_path, monkeypatch, capsys):
+def test_a_log_says_what_was_true_during_a_recording(tmp_path, monkeypatch, capsys):
     dt, rng = 0.1, np.random.default_rng(0)
     x = rng.normal(size=1000) + np.linspace(0.0, 3.0, 1000)  # the mean moves, too
     log, clock = rig_log.Log(str(tmp_path / "log.csv"), dt), iter(range(1000, 1100))
     monkeypatch.setattr(rig_log.time, "time", lambda: next(clock))
     for k in range(1000):
         log.add(k * dt, 0.5 + k / 1000.0, [x[k]])
-    bag = {"starting_time": {"nanoseconds_since_epoch": 1000 * 10**9},
-           "duration": {"nanoseconds": 99 * 10**9}}  # fmt: skip
+    bag = {
+        "starting_time": {"nanoseconds_since_epoch": 1040 * 10**9},
+        "duration": {"nanoseconds": 29 * 10**9},
+    }
     (tmp_path / "bag").mkdir()
-    (tmp_path / "bag" / "metadata.yaml").write_text(
-        yaml.safe_dump({"rosbag2_bagfile_information": bag})
-    )
+    content = yaml.safe_dump({"rosbag2_bagfile_information": bag})
+    (tmp_path / "bag" / "metadata.yaml").write_text(content)
     lines = np.loadtxt(tmp_path / "log.csv", delimiter=",")
-    end = rig_log.tail(lines, tmp_path)
-    assert end[:, 0].tolist() == list(range(1070, 1100))
-    assert rig_log.amplitudes(end)[0] == pytest.approx(np.sqrt(2.0) * x[700:].std(), rel=1e-4)
+    part = rig_log.during(lines, tmp_path)
+    assert part[:, 0].tolist() == list(range(1040, 1070))
+    assert rig_log.amplitudes(part)[0] == pytest.approx(np.sqrt(2.0) * x[400:700].std(), rel=1e-4)
     monkeypatch.setattr(sys, "argv", ["rig_log.py", str(tmp_path / "log.csv"), str(tmp_path)])
     rig_log.main()
-    assert "theta 1.204 to 1.49" in capsys.readouterr().out
+    rows = capsys.readouterr().out.splitlines()[2:]
+    assert len(rows) == 10
+    until, low, _, high, _ = rows[0].split()  # of three lines, of a second each
+    assert [float(until), float(low), float(high)] == pytest.approx(
+        [42.9, 0.9045, 0.9245], abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A rig's own log, of which the loop knows nothing: theta and the true state, every second.
 
-What it says about the end of a recording, to judge a verdict by:
+What it says about a recording, to judge a verdict by:
 
     python rig.py absorber --scale 20 --log rig.csv
     python rig_log.py rig.csv mine/verify-1/start-1
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-TAIL = 0.3  # of a recording, that is judged
+PARTS = 10  # of a recording
 
 
 class Log:
@@ -50,38 +50,36 @@ def amplitudes(lines: np.ndarray) -> np.ndarray:
     return np.sqrt(2.0 * ((spreads**2).mean(axis=0) + means.var(axis=0)))
 
 
-def tail(lines: np.ndarray, folder: Path) -> np.ndarray:
-    """Return the lines of the last part of a recording.
+def during(lines: np.ndarray, folder: Path) -> np.ndarray:
+    """Return the lines of the time of a recording.
 
     Raises
     ------
     ValueError
         If the log has none.
     """
-    bag = yaml.safe_load((folder / "bag" / "metadata.yaml").read_text())[
-        "rosbag2_bagfile_information"
-    ]
-    begin = 1e-9 * bag["starting_time"]["nanoseconds_since_epoch"]
-    duration = 1e-9 * bag["duration"]["nanoseconds"]
-    clock = lines[:, 0] - begin
-    found = lines[(clock >= (1.0 - TAIL) * duration) & (clock <= duration)]
+    metadata = yaml.safe_load((folder / "bag" / "metadata.yaml").read_text())
+    bag = metadata["rosbag2_bagfile_information"]
+    clock = lines[:, 0] - 1e-9 * bag["starting_time"]["nanoseconds_since_epoch"]
+    found = lines[(clock >= 0.0) & (clock <= 1e-9 * bag["duration"]["nanoseconds"])]
     if not len(found):
         raise ValueError(f"the log has nothing of the time of {folder}")
     return found
 
 
 def main() -> None:
-    """Print theta and true amplitude at the end of recordings."""
+    """Print theta and true amplitude in the course of recordings, each in ten parts."""
     parser = argparse.ArgumentParser(prog="rig_log.py", description=main.__doc__)
     parser.add_argument("log", metavar="LOG.CSV")
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="with a bag")
     args = parser.parse_args()
     lines = np.loadtxt(args.log, delimiter=",", ndmin=2)
     for folder in args.folders:
-        end = tail(lines, folder)
-        theta = end[:, 2]
-        true = ", ".join(f"{value:.4g}" for value in amplitudes(end))
-        print(f"{folder}: theta {theta.min():.4g} to {theta.max():.4g}, true amplitude {true}")
+        print(f"{folder}\n   until [s]         theta          true amplitude")
+        for part in np.array_split(during(lines, folder), PARTS):
+            theta, true = part[:, 2], amplitudes(part)
+            row = f"{part[-1, 1]:12.5g}{theta.min():10.4g} to{theta.max():7.4g}  "
+            print(row, *(f"{value:9.4g}" for value in true))
 
 
 if __name__ == "__main__":
