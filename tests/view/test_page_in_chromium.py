@@ -139,9 +139,8 @@ def fleet(tmp_path_factory):
     with Chromium(folder, "about:blank") as page:
         with running(Fleet(), TOKENS[0]) as port:
             page.open(f"http://127.0.0.1:{port}/#token={TOKENS[0]}")
-            bad = page.wait(
-                "(t => t.includes('/c') && t)(document.querySelector('#fleet').textContent)"
-            )
+            page.wait("document.querySelector('#fleet')?.textContent.includes('/c')")
+            bad = page.value("document.querySelector('#fleet').textContent")
             loops = page.value("[...document.querySelectorAll('#loop option')].map(o => o.text)")
             page.value("document.querySelector('#loop').value = '/b'")
             page.value("document.querySelector('#loop').dispatchEvent(new Event('change'))")
