@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from koop_bench.identify import (
-    IdentificationCase,
     difference,
     identify,
     make_recording,
@@ -18,13 +17,12 @@ from koop_core.errors import KoopError
 def test_the_recording_is_identified_as_numpy_does_it_whole(tmp_path):
     file = tmp_path / "samples.npy"
     np.save(file, make_recording(300_016))
-    case = IdentificationCase(4, 2, {})
     figures = {
-        name: identify(Path(sys.executable), name, file, case, 300_000)
+        name: identify(Path(sys.executable), name, file, 4, 2, 300_000)
         for name in ("koop", "numpy")
     }
     ours, whole = figures["koop"], figures["numpy"]
-    assert ours.eigenvalues.size == case.observables == 15
+    assert ours.eigenvalues.size == 15
     assert difference(ours.eigenvalues, whole.eigenvalues) < 1e-9
     # all lifted states together are 36 MB
     assert ours.memory < 20e6 < 36e6 < whole.memory
@@ -42,4 +40,4 @@ def test_a_tool_that_is_not_installed_is_an_error_that_says_so(tmp_path):
     bare.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
     bare.chmod(0o755)
     with pytest.raises(KoopError, match=r"No module named|is not installed"):
-        identify(bare, "pykoop", file, IdentificationCase(1, 1, {}), 50)
+        identify(bare, "pykoop", file, 1, 1, 50)

@@ -55,19 +55,7 @@ def main(roles: str, steps: int, raw: bool) -> None:
 
 
 class BareLink:
-    """A node that answers a message with another one.
-
-    Parameters
-    ----------
-    role : str
-        ``a``, ``b`` or ``c``.
-    raw : bool
-        Whether its messages are bytes.
-    steps : int
-        Round trips after which ``a`` ends the chain.
-    stop : list of int
-        Gets an item then.
-    """
+    """A node that answers a message with another one; ``a`` fills ``stop`` after so many steps."""
 
     def __init__(self, role: str, raw: bool, steps: int, stop: list[int]) -> None:
         self.role, self.step = role, 0
@@ -95,7 +83,7 @@ class BareLink:
         self.node.create_subscription(in_type, self._from, on_message, 100, raw=raw)
 
     def connected(self) -> bool:
-        """Return whether it hears the link before it and is heard by the one after it."""
+        """Return whether it hears the link before it and the one after hears it."""
         heard = self.publisher.get_subscription_count() >= 1
         return heard and bool(self.node.count_publishers(self._from))
 

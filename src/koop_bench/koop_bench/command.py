@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -48,9 +48,6 @@ def register(commands: Any) -> None:
         "--python", type=Path, default=Path(sys.executable), metavar="FILE",
         help="Python that has PyDMD and pykoop, for identify (default: this one)",
     )  # fmt: skip
-    parser.add_argument(
-        "--write", type=Path, metavar="FILE", help="Markdown file for all that is printed"
-    )
     parser.set_defaults(func=main)
 
 
@@ -63,13 +60,10 @@ def main(args: argparse.Namespace) -> int:
         raise InputError("--duration must be positive")
     if not (args.rounds is None or args.rounds > 0):
         raise InputError("--rounds must be positive")
-    head = f"Measured by `koop bench {' '.join(args.names)}`".rstrip() + f" on {machine()}."
-    print(head, flush=True)
-    settings = BenchSettings(args.duration, args.rounds, args.python, print_now)
-    text, kept = run_benchmarks({name: load(name) for name in names}, settings)
-    if args.write:
-        args.write.write_text(f"# Benchmarks\n\n{head}\n\n{text}\n", encoding="utf-8")
-    return 0 if kept else 1
+    show = partial(print, flush=True)  # also into a pipe at once
+    show(f"Measured by `koop bench {' '.join(args.names)}`".rstrip() + f" on {machine()}.")
+    settings = BenchSettings(args.duration, args.rounds, args.python, show)
+    return 0 if run_benchmarks({name: load(name) for name in names}, settings) else 1
 
 
 def load(name: str) -> Callable[[BenchSettings], list[BenchFigure]]:
@@ -82,43 +76,23 @@ def load(name: str) -> Callable[[BenchSettings], list[BenchFigure]]:
     return run
 
 
-def print_now(text: str) -> None:
-    """Print a line, also into a pipe at once."""
-    print(text, flush=True)
-
-
 def run_benchmarks(
     benchmarks: Mapping[str, Callable[[BenchSettings], list[BenchFigure]]], settings: BenchSettings
-) -> tuple[str, bool]:
-    """Run benchmarks one after the other; the error of one ends no other.
+) -> bool:
+    """Run benchmarks one after the other, then show a table; the error of one ends no other.
 
-    Returns
-    -------
-    text : str
-        The figures as a table and the lines of every benchmark, as Markdown.
-    kept : bool
-        Whether none failed and every promise was kept.
+    Returns whether none failed and every promise was kept.
     """
     figures: list[tuple[str, BenchFigure]] = []
-    parts: list[str] = []
-    kept = True
+    failed = False
     for name, run in benchmarks.items():
-        what = BENCHMARKS.get(name, name)
-        lines: list[str] = []
-
-        def show(text: str, lines: list[str] = lines) -> None:
-            settings.show(text)
-            lines.append(text)
-
-        settings.show(f"\n{name}: {what}")
+        settings.show(f"\n{name}: {BENCHMARKS.get(name, name)}")
         begin = time.monotonic()
         try:
-            figures += [(name, figure) for figure in run(replace(settings, show=show))]
+            figures += [(name, figure) for figure in run(settings)]
         except KoopError as error:
-            kept = False
-            show(f"failed: {error}")
-        took = time.monotonic() - begin
-        parts.append("\n".join([f"## {name}\n\n{what}; {took:.0f} s:\n", "```text", *lines, "```"]))
-    table = figure_table(figures)
-    settings.show(f"\n{table}")
-    return "\n\n".join([table, *parts]), kept and all(figure.kept for _, figure in figures)
+            failed = True
+            settings.show(f"failed: {error}")
+        settings.show(f"({time.monotonic() - begin:.0f} s)")
+    settings.show(f"\n{figure_table(figures)}")
+    return not failed and all(figure.kept for _, figure in figures)

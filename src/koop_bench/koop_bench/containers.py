@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from koop_bench.figures import processor_time, processors
-from koop_bench.fleet_report import FleetReport, Snapshot, report, snapshot
+from koop_bench.fleet_report import Counts, FleetReport, counts_of, report
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess, uninterrupted
 from koop_core.config import parameter_file
 from koop_core.errors import LiveError
@@ -23,71 +22,23 @@ SETTLED = 2.0  # [s] after the last loop has begun
 DT = 0.005  # [s] of a step, simulated
 
 
-class Fleet:
-    """The containers of a fleet; a context manager that leaves none behind.
+class Fleet(Client):
+    """The containers of a fleet, and the last reports of its nodes on /diagnostics.
 
-    Loop k is in the namespace ``/loopk`` and in container k modulo their number.
-
-    Parameters
-    ----------
-    folder : Path
-        Receives logs and parameters.
-    loops : int
-        Number of loops.
-    values : mapping of str to mapping
-        Parameters of the nodes by name, the same for all loops.
-    containers : int
-        Processes; by default one a processor that this process may use, and no more than loops.
+    Loop k is in the namespace ``/loopk`` and in container k modulo their number. Values and times
+    [s] of the reports, by the nodes' own clocks, are kept by full name, such as
+    ``/loop0/vdp_plant``.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        loops: int,
-        values: Mapping[str, Mapping[str, Any]],
-        containers: int = 0,
-    ) -> None:
-        self.folder = folder
-        self.namespaces = [f"/loop{number}" for number in range(loops)]
-        self._values = values
-        self._containers = min(containers or len(processors()), loops)
-        self.processes: list[NodeProcess] = []
-        self._stack = ExitStack()
+    def __init__(self, namespaces: list[str], processes: list[NodeProcess]) -> None:
+        from diagnostic_msgs.msg import DiagnosticArray
 
-    def __enter__(self) -> Fleet:
-        with ExitStack() as stack:
-            stack.enter_context(alone("/loop0"))
-            self.folder.mkdir(parents=True, exist_ok=True)
-            file = self.folder / "given_parameters.yaml"
-            parameter_file.write({name: self._values.get(name, {}) for name in COMPONENTS}, file)
-            stack.callback(self.stop)
-            for number in range(self._containers):
-                words = [
-                    f"{component}@{namespace}"
-                    for namespace in self.namespaces[number :: self._containers]
-                    for component in COMPONENTS.values()
-                ]
-                words += ["--ros-args", "--params-file", str(file)]
-                log = self.folder / f"container{number}.log"
-                self.processes.append(NodeProcess("container", words, log))
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.close()
-
-    @uninterrupted()
-    def stop(self) -> None:
-        """End the containers, all at once."""
-        for process in self.processes:
-            process.ask_to_stop()
-        for process in self.processes:
-            process.stop()
+        super().__init__("koop_fleet")
+        self.namespaces = namespaces
+        self.processes = processes
+        self.values: dict[str, dict[str, str]] = {}
+        self.times: dict[str, float] = {}
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 1000)
 
     def check(self) -> None:
         """Raise LiveError if a container has ended."""
@@ -99,47 +50,20 @@ class Fleet:
         """Return the processor time that all containers have used [s]."""
         return sum(processor_time(process.process.pid) for process in self.processes)
 
-
-class FleetMonitor(Client):
-    """Last reports of the nodes of all loops on /diagnostics.
-
-    Attributes
-    ----------
-    values : dict
-        By the node's full name, such as ``/loop0/vdp_plant``.
-    times : dict
-        Of the reports, by the nodes' own clocks [s].
-    """
-
-    def __init__(self) -> None:
-        from diagnostic_msgs.msg import DiagnosticArray
-
-        super().__init__("koop_fleet")
-        self.values: dict[str, dict[str, str]] = {}
-        self.times: dict[str, float] = {}
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 1000)
-
-    def listen(self, seconds: float, check: Callable[[], object]) -> None:
-        """Listen for a time; ``check`` is called meanwhile and may raise."""
+    def listen(self, seconds: float) -> None:
+        """Listen for a time."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self.spin(0.2)
-            check()
+            self.check()
 
-    def snapshots(self, fleet: Fleet) -> list[Snapshot]:
+    def counts(self) -> list[Counts]:
         """Return the last report of each loop."""
-        return [snapshot(name, self.values, self.times) for name in fleet.namespaces]
+        return [counts_of(name, self.values, self.times) for name in self.namespaces]
 
-    def wait_until_running(self, fleet: Fleet, steps: int = 1) -> None:
-        """Wait until every plant of a fleet has done so many steps.
-
-        Raises
-        ------
-        LiveError
-            If one does not begin, or a container ends.
-        """
-        waiting = {f"{namespace}/vdp_plant" for namespace in fleet.namespaces}
-        seconds = START_TIMEOUT + 0.5 * len(waiting)
+    def wait_until_running(self, steps: int = 1) -> None:
+        """Wait until every plant has done so many steps; raise LiveError if one does not."""
+        waiting = {f"{namespace}/vdp_plant" for namespace in self.namespaces}
 
         def ready() -> bool:
             begun = {n for n in waiting if int(self.values.get(n, {}).get("step", 0)) >= steps}
@@ -147,10 +71,10 @@ class FleetMonitor(Client):
             return not waiting
 
         try:
-            self.wait_for(ready, seconds, "all loops", fleet.check)
+            self.wait_for(ready, START_TIMEOUT + 0.5 * len(waiting), "all loops", self.check)
         except LiveError as error:
-            names = ", ".join(sorted(waiting))
-            raise LiveError(f"{error}: {names} did not begin; see {fleet.folder}") from None
+            names, log = ", ".join(sorted(waiting)), self.processes[0].log
+            raise LiveError(f"{error}: {names} did not begin; see {log.parent}") from None
 
     def _on_message(self, message: Any) -> None:
         stamp = message.header.stamp
@@ -158,6 +82,47 @@ class FleetMonitor(Client):
             name = status.name.split(":")[0]
             self.values[name] = {item.key: item.value for item in status.values}
             self.times[name] = stamp.sec + 1e-9 * stamp.nanosec
+
+
+@contextmanager
+def fleet(
+    folder: Path, loops: int, values: Mapping[str, Mapping[str, Any]], containers: int = 1
+) -> Iterator[Fleet]:
+    """Run so many loops, in no more containers, while the context lasts.
+
+    The folder receives logs and parameters; ``values`` are the nodes' parameters by name, the same
+    for all loops.
+    """
+    namespaces = [f"/loop{number}" for number in range(loops)]
+    containers = min(containers, loops)
+    processes: list[NodeProcess] = []
+    with alone("/loop0"):
+        folder.mkdir(parents=True, exist_ok=True)
+        file = folder / "given_parameters.yaml"
+        parameter_file.write({name: values.get(name, {}) for name in COMPONENTS}, file)
+        try:
+            for number in range(containers):
+                words = [
+                    f"{component}@{namespace}"
+                    for namespace in namespaces[number::containers]
+                    for component in COMPONENTS.values()
+                ]
+                words += ["--ros-args", "--params-file", str(file)]
+                log = folder / f"container{number}.log"
+                processes.append(NodeProcess("container", words, log))
+            with Fleet(namespaces, processes) as running:
+                yield running
+        finally:
+            _stop(processes)
+
+
+@uninterrupted()
+def _stop(processes: list[NodeProcess]) -> None:
+    """End the containers, all at once."""
+    for process in processes:
+        process.ask_to_stop()
+    for process in processes:
+        process.stop()
 
 
 def parameters_at(rate: float, priority: int = 0) -> dict[str, dict[str, Any]]:
@@ -171,25 +136,19 @@ def parameters_at(rate: float, priority: int = 0) -> dict[str, dict[str, Any]]:
     return values
 
 
-def measure_fleet(
-    loops: int, rate: float, duration: float, priority: int = 0, containers: int = 0
-) -> FleetReport:
+def measure_fleet(loops: int, rate: float, duration: float, priority: int = 0) -> FleetReport:
     """Run a fleet at a rate [Hz]; return its report over a time [s] once all loops had settled.
 
-    Raises
-    ------
-    koop_core.errors.LiveError
-        If a container ends, or a loop does not begin.
+    It has a container for each processor that this process may use.
     """
     values = parameters_at(rate, priority)
     with (
         tempfile.TemporaryDirectory() as folder,
-        Fleet(Path(folder), loops, values, containers) as fleet,
-        FleetMonitor() as monitor,
+        fleet(Path(folder), loops, values, processors()) as running,
     ):
-        monitor.wait_until_running(fleet)
-        monitor.listen(SETTLED, fleet.check)
-        before, used, begin = monitor.snapshots(fleet), fleet.processor_time(), time.monotonic()
-        monitor.listen(duration, fleet.check)
-        cpu = (fleet.processor_time() - used) / (time.monotonic() - begin)
-        return report(before, monitor.snapshots(fleet), cpu)
+        running.wait_until_running()
+        running.listen(SETTLED)
+        before, used, begin = running.counts(), running.processor_time(), time.monotonic()
+        running.listen(duration)
+        cpu = (running.processor_time() - used) / (time.monotonic() - begin)
+        return report(before, running.counts(), cpu)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -14,49 +15,29 @@ QUIET = 0.5  # load average from which on the figures are bounds
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """Settings of a benchmark, from the options of the command.
-
-    Attributes
-    ----------
-    duration : float or None
-        Length of each measurement [s]; None: the benchmark's own.
-    rounds : int or None
-        Repetitions; None: the benchmark's own.
-    python : Path
-        Python that has PyDMD and pykoop.
-    show : callable
-        Takes the lines that a benchmark prints as it goes on.
-    """
+    """Settings of a benchmark, from the options of the command."""
 
     duration: float | None
+    """Length of each measurement [s]; None: the benchmark's own."""
     rounds: int | None
+    """Repetitions; None: the benchmark's own."""
     python: Path
+    """Python that has PyDMD and pykoop."""
     show: Callable[[str], None]
+    """Takes the lines that a benchmark prints as it goes on."""
 
 
 @dataclass(frozen=True)
 class BenchFigure:
-    """One result of a benchmark.
-
-    Attributes
-    ----------
-    what : str
-        What was measured.
-    value : str
-        The result with its unit.
-    ratio : float
-        The result over the baseline's.
-    baseline : str
-        The baseline, measured in the same run.
-    kept : bool
-        Whether a promise that the figure is about was kept.
-    """
+    """One result of a benchmark: what was measured, its value with the unit."""
 
     what: str
     value: str
     ratio: float
+    """The result over the baseline's, which was measured in the same run."""
     baseline: str
     kept: bool = True
+    """Whether a promise that the figure is about was kept."""
 
 
 def figure_table(figures: Sequence[tuple[str, BenchFigure]]) -> str:
@@ -71,28 +52,20 @@ def figure_table(figures: Sequence[tuple[str, BenchFigure]]) -> str:
 
 def machine() -> str:
     """Return a line on the machine, the time and the load that it has."""
-    now = datetime.now(timezone.utc)
     load = os.getloadavg()[0]
-    cpu = next(
-        (
-            line.split(":")[1].strip()
-            for line in Path("/proc/cpuinfo").read_text().splitlines()
-            if line.startswith("model name")
-        ),
-        platform.machine(),
-    )
+    info = Path("/proc/cpuinfo").read_text()
+    model = re.search(r"^model name\s*: (.*)$", info, re.MULTILINE)
     busy = "" if load < QUIET else "; not a quiet machine: the figures are bounds"
     return (
-        f"{now.day} {now:%B %Y}, {now:%H:%M} UTC, {cpu}, {len(processors())} processors, Linux "
+        f"{datetime.now(timezone.utc):%d %B %Y, %H:%M} UTC, "
+        f"{model[1] if model else platform.machine()}, {processors()} processors, Linux "
         f"{platform.release()}, Python {platform.python_version()}, load average {load:.2f}{busy}"
     )
 
 
-def processors() -> list[int]:
-    """Return the processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count() or 1))
+def processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 def processor_time(process: int) -> float:

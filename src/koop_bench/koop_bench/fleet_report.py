@@ -3,42 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from functools import reduce
+from dataclasses import dataclass
+from typing import NamedTuple
 
 from koop_core.stream.durations import Durations, read
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """Last reports of the three nodes of a loop.
-
-    Attributes
-    ----------
-    time : float
-        Of the plant's report, by its own clock [s].
-    step, late, lost : int
-        Steps done, periods without a tick, messages that lifter and controller missed.
-    round_trips, behind : Durations
-        From a state to its theta, and by how much ticks were late.
-    """
+class Counts(NamedTuple):
+    """What the three nodes of a loop report, of all their time or of a part of it."""
 
     time: float
-    step: int
+    """Of the plant's report, by its own clock [s]."""
+    steps: int
     late: int
+    """Periods without a tick."""
     lost: int
-    round_trips: Durations
+    """Messages that lifter and controller missed."""
+    trips: Durations
+    """From a state to its theta."""
     behind: Durations
+    """By how much ticks were late."""
+
+    def since(self, before: Counts) -> Counts:
+        """Return the counts from an earlier report on."""
+        return Counts(
+            self.time - before.time,
+            self.steps - before.steps,
+            self.late - before.late,
+            self.lost - before.lost,
+            self.trips - before.trips,
+            self.behind - before.behind,
+        )
+
+    @property
+    def rate(self) -> float:
+        """Steps a second; 0 where no new report came."""
+        return self.steps / self.time if self.time > 0.0 else 0.0
 
 
-def snapshot(
+def counts_of(
     namespace: str, values: Mapping[str, Mapping[str, str]], times: Mapping[str, float]
-) -> Snapshot:
+) -> Counts:
     """Return the last report of a loop, from values and times by the nodes' full names."""
     plant = values[f"{namespace}/vdp_plant"]
     lifter = values.get(f"{namespace}/koopman_lifter", {})
     controller = values.get(f"{namespace}/relay_esc", {})
-    return Snapshot(
+    return Counts(
         times[f"{namespace}/vdp_plant"],
         int(plant["step"]),
         int(plant["late_ticks"]),
@@ -50,59 +60,47 @@ def snapshot(
 
 @dataclass(frozen=True)
 class FleetReport:
-    """A fleet between two reports of each of its loops.
+    """A fleet between two reports of each of its loops."""
 
-    Attributes
-    ----------
-    rates : tuple of float
-        Steps a second, by loop; 0 of a loop that is silent.
-    steps, late, lost, unanswered : int
-        Of all loops: steps done, periods without a tick, messages missed, states without a theta.
-    round_trips, behind : Durations
-        Of all loops.
-    cpu : float
-        Processor time of the containers as a share of one core.
-    """
-
-    rates: tuple[float, ...]
-    steps: int
-    late: int
-    lost: int
-    unanswered: int
-    round_trips: Durations = field(repr=False)
-    behind: Durations = field(repr=False)
+    loops: tuple[Counts, ...]
     cpu: float
+    """Processor time of the containers as a share of one core."""
+
+    @property
+    def ticks(self) -> int:
+        """Ticks that were due in all loops."""
+        return sum(loop.steps + loop.late for loop in self.loops)
+
+    @property
+    def late(self) -> int:
+        """Ticks that were missed."""
+        return sum(loop.late for loop in self.loops)
+
+    @property
+    def lost(self) -> int:
+        """Messages missed, and states without a theta; the last one's may be on its way."""
+        unanswered = sum(max(loop.steps - loop.trips.count - 1, 0) for loop in self.loops)
+        return unanswered + sum(loop.lost for loop in self.loops)
+
+    @property
+    def slowest(self) -> float:
+        """Steps a second of the slowest loop; 0 if one is silent."""
+        return min(loop.rate for loop in self.loops)
 
     @property
     def cpu_per_loop(self) -> float:
         """Processor time of a loop as a share of one core."""
-        return self.cpu / len(self.rates)
+        return self.cpu / len(self.loops)
 
-    def p(self, share: float) -> float:
-        """Return a percentile of the time from a state to its theta [s]."""
-        return self.round_trips.quantile(share)
+    def trip(self, share: float) -> float:
+        """Return a quantile of the time from a state to its theta [s]."""
+        return sum((loop.trips for loop in self.loops), Durations()).quantile(share)
 
-
-def report(before: Iterable[Snapshot], after: Iterable[Snapshot], cpu: float) -> FleetReport:
-    """Return what happened between two snapshots of every loop."""
-    pairs = list(zip(before, after, strict=True))
-    steps = [late.step - early.step for early, late in pairs]
-    trips = [late.round_trips.since(early.round_trips) for early, late in pairs]
-    behind = [late.behind.since(early.behind) for early, late in pairs]
-    return FleetReport(
-        tuple(rate(early, late) for early, late in pairs),
-        sum(steps),
-        sum(late.late - early.late for early, late in pairs),
-        sum(late.lost - early.lost for early, late in pairs),
-        # the theta of the last state may be on its way
-        sum(max(n - trip.count - 1, 0) for n, trip in zip(steps, trips, strict=True)),
-        reduce(Durations.with_those_of, trips, Durations()),
-        reduce(Durations.with_those_of, behind, Durations()),
-        cpu,
-    )
+    def behind(self, share: float) -> float:
+        """Return a quantile of how far ticks were behind [s]."""
+        return sum((loop.behind for loop in self.loops), Durations()).quantile(share)
 
 
-def rate(early: Snapshot, late: Snapshot) -> float:
-    """Return the steps a second between two snapshots; 0 if there was no new report."""
-    elapsed = late.time - early.time
-    return (late.step - early.step) / elapsed if elapsed > 0.0 else 0.0
+def report(before: Iterable[Counts], after: Iterable[Counts], cpu: float) -> FleetReport:
+    """Return what happened between two reports of every loop."""
+    return FleetReport(tuple(b.since(a) for a, b in zip(before, after, strict=True)), cpu)

@@ -27,34 +27,14 @@ SNAPSHOTS = 400_000
 DT = 0.05  # [s]
 
 
-@dataclass(frozen=True)
-class IdentificationCase:
-    """One identification.
-
-    Attributes
-    ----------
-    delays, degree : int
-        Samples of the channel that are the state, degree of their monomials.
-    limits : dict of str to int
-        Snapshots for a tool that would need more memory than this machine has, or more than some
-        minutes, for all of them.
-    """
-
-    delays: int
-    degree: int
-    limits: dict[str, int]
-
-    @property
-    def observables(self) -> int:
-        """p."""
-        return math.comb(self.delays + self.degree, self.degree)
-
-
-CASES = (
-    IdentificationCase(1, 3, {}),
-    IdentificationCase(4, 3, {"numpy": 100_000, "hankel_dmd": 100_000}),
-    IdentificationCase(16, 3, {"numpy": 10_000, "pykoop": 40_000, "hankel_dmd": 10_000}),
-)
+DEGREE = 3  # of the monomials
+# Samples of the channel that are the state, and the snapshots for a tool that would need more
+# memory than this machine has, or more than some minutes, for all of them.
+CASES: dict[int, dict[str, int]] = {
+    1: {},
+    4: {"numpy": 100_000, "hankel_dmd": 100_000},
+    16: {"numpy": 10_000, "pykoop": 40_000, "hankel_dmd": 10_000},
+}
 
 
 @dataclass(frozen=True)
@@ -68,33 +48,32 @@ class Identification:
 
 def run(settings: BenchSettings) -> list[BenchFigure]:
     """Identify case by case with every tool that there is."""
-    figures: list[BenchFigure] = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "samples.npy"
-        np.save(file, make_recording(SNAPSHOTS + max(case.delays for case in CASES)))
-        for case in CASES:
-            figures += run_case(settings, file, case)
-    return figures
+        np.save(file, make_recording(SNAPSHOTS + max(CASES)))
+        return [figure for delays in CASES for figure in run_case(settings, file, delays)]
 
 
-def run_case(settings: BenchSettings, file: Path, case: IdentificationCase) -> list[BenchFigure]:
+def run_case(settings: BenchSettings, file: Path, delays: int) -> list[BenchFigure]:
     """Measure and print one case."""
+    observables = math.comb(delays + DEGREE, DEGREE)
     settings.show(
-        f"\n{case.delays} sample{'s' * (case.delays > 1)} of one channel, degree {case.degree}: "
-        f"{case.observables} observables\n{'':22}{'snapshots':>10}{'time':>11}{'memory':>11}"
+        f"\n{delays} sample{'s' * (delays > 1)} of one channel, degree {DEGREE}: "
+        f"{observables} observables\n{'':22}{'snapshots':>10}{'time':>11}{'memory':>11}"
         f"{'time':>8}{'memory':>8}{'spectrum differs by':>21}"
     )
     figures = []
     ours: dict[int, Identification] = {}
     for tool, label in OTHERS.items():
-        snapshots = min(SNAPSHOTS, case.limits.get(tool, SNAPSHOTS))
+        snapshots = CASES[delays].get(tool, SNAPSHOTS)
+        case = (file, delays, DEGREE, snapshots)
         if snapshots not in ours:
-            ours[snapshots] = identify(Path(sys.executable), OURS, file, case, snapshots)
+            ours[snapshots] = identify(Path(sys.executable), OURS, *case)
             settings.show(columns(OURS, snapshots, ours[snapshots]))
         same = ours[snapshots]
         python = Path(sys.executable) if tool == "numpy" else settings.python
         try:
-            other = identify(python, tool, file, case, snapshots)
+            other = identify(python, tool, *case)
         except KoopError as error:
             settings.show(f"  {label:20}left out: {error}")
             continue
@@ -103,7 +82,7 @@ def run_case(settings: BenchSettings, file: Path, case: IdentificationCase) -> l
             + f"{other.time / same.time:8.1f}{other.memory / max(same.memory, 1):8.1f}"
             + f"{difference(same.eigenvalues, other.eigenvalues):21.1e}"
         )
-        what = f"{case.observables} observables, {snapshots} snapshots"
+        what = f"{observables} observables, {snapshots} snapshots"
         figures.append(BenchFigure(what, f"{same.time:.3f} s", same.time / other.time, label))
     return figures
 
@@ -121,18 +100,15 @@ def make_recording(count: int) -> NDArray[np.float64]:
 
 
 def identify(
-    python: Path, tool: str, file: Path, case: IdentificationCase, snapshots: int
+    python: Path, tool: str, file: Path, delays: int, degree: int, snapshots: int
 ) -> Identification:
-    """Identify in a process of its own, with one thread.
+    """Identify in a process of its own, with one thread, as ``identify_tool`` takes the words.
 
-    Raises
-    ------
-    KoopError
-        If it fails, or the tool is not installed there.
+    Raises KoopError if it fails, or the tool is not installed there.
     """
-    numbers = map(str, (case.delays, case.degree, snapshots))
+    words = map(str, (python, TOOL, tool, file, delays, degree, snapshots))
     done = subprocess.run(
-        [str(python), str(TOOL), tool, str(file), *numbers],
+        list(words),
         capture_output=True,
         text=True,
         check=False,

@@ -64,12 +64,12 @@ def pykoop(file: Path, delays: int, degree: int, snapshots: int) -> Callable[[],
     import pykoop
 
     def run() -> Spectrum:
-        functions = []
+        functions = [
+            ("monomials", pykoop.PolynomialLiftingFn(degree)),
+            ("one", pykoop.ConstantLiftingFn()),
+        ]
         if delays > 1:
-            functions.append(("delays", pykoop.DelayLiftingFn(delays - 1, 0)))
-        if degree > 1:
-            functions.append(("monomials", pykoop.PolynomialLiftingFn(degree)))
-        functions.append(("one", pykoop.ConstantLiftingFn()))
+            functions.insert(0, ("delays", pykoop.DelayLiftingFn(delays - 1, 0)))
         pipeline = pykoop.KoopmanPipeline(functions, pykoop.Edmd(alpha=0))
         samples = np.load(file)[: snapshots + delays]
         pipeline.fit(samples[:, None], n_inputs=0, episode_feature=False)
@@ -79,14 +79,11 @@ def pykoop(file: Path, delays: int, degree: int, snapshots: int) -> Callable[[],
 
 
 def hankel_dmd(file: Path, delays: int, degree: int, snapshots: int) -> Callable[[], Spectrum]:
-    """PyDMD's HankelDMD of the samples; of their monomials, which it lacks, where there are any."""
+    """PyDMD's HankelDMD of the samples' monomials, which it lacks."""
     from pydmd import HankelDMD
     from sklearn.preprocessing import PolynomialFeatures
 
     def run() -> Spectrum:
-        if degree == 1:
-            dmd = HankelDMD(svd_rank=-1, d=delays)
-            return dmd.fit(np.load(file)[None, : snapshots + delays]).eigs
         states = _embedded(file, delays, snapshots)
         lifted = PolynomialFeatures(degree).fit_transform(states.T).T
         return HankelDMD(svd_rank=-1, d=1).fit(lifted).eigs
@@ -127,10 +124,8 @@ def main(tool: str, file: Path, delays: int, degree: int, snapshots: int) -> Non
 
 def _peak() -> int:
     """Most memory that this process has held [B]."""
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmHWM"):
-            return int(line.split()[1]) * 1024
-    return 0
+    status = Path("/proc/self/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) * 1024
 
 
 if __name__ == "__main__":

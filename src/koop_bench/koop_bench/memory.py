@@ -1,16 +1,17 @@
-"""Resident memory of a node, of a loop in processes and in one, of each further loop."""
+"""Resident memory of a node, of a loop in processes and in one, of each further loop.
+
+A page that n processes share counts as 1/n of it (PSS).
+"""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import NamedTuple
 
-from koop_bench.containers import Fleet, FleetMonitor
+from koop_bench.containers import fleet
 from koop_bench.figures import BenchFigure, BenchSettings
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Monitor
@@ -28,30 +29,15 @@ rclpy.spin(node)
 """
 
 
-class ProcessMemory(NamedTuple):
-    """Resident memory of processes [B].
-
-    Attributes
-    ----------
-    pss : float
-        A page that n processes share counts as 1/n of it.
-    rss : float
-        It counts as a whole in each.
-    """
-
-    pss: float
-    rss: float
-
-
 def run(settings: BenchSettings) -> list[BenchFigure]:
     """Measure node by node, then loops."""
     bare = bare_node()
     figures: list[BenchFigure] = []
 
-    def add(what: str, memory: ProcessMemory) -> None:
-        settings.show(f"{what:34}{memory.pss / 1e6:7.1f} MB PSS {memory.rss / 1e6:7.1f} MB RSS")
-        value, ratio = f"{memory.pss / 1e6:.1f} MB", memory.pss / bare.pss
-        figures.append(BenchFigure(what, value, ratio, "a bare rclpy node"))
+    def add(what: str, memory: float) -> None:
+        value = f"{memory / 1e6:.1f} MB"
+        settings.show(f"{what:34}{value:>12}")
+        figures.append(BenchFigure(what, value, memory / bare, "a bare rclpy node"))
 
     add("a bare rclpy node", bare)
     with tempfile.TemporaryDirectory() as name:
@@ -59,32 +45,23 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
         loop_memory(folder / "first", True)  # compiles the kernels if they are not kept yet
         for node in EXECUTABLES:
             add(f"{node} alone", node_memory(folder, node))
-        add("loop in four processes", total(loop_memory(folder / "apart", False).values()))
+        add("loop in four processes", sum(loop_memory(folder / "apart", False).values()))
         composed = loop_memory(folder / "composed", True)
-        add("loop in one process, and recorder", total(composed.values()))
+        add("loop in one process, and recorder", sum(composed.values()))
         add("loop in one process", composed["container"])
         few, many = (fleet_memory(folder / str(loops), loops) for loops in SIZES)
-        more = SIZES[1] - SIZES[0]
-        further = ProcessMemory((many.pss - few.pss) / more, (many.rss - few.rss) / more)
-        add("each further loop", further)
+        add("each further loop", (many - few) / (SIZES[1] - SIZES[0]))
     return figures[1:]
 
 
-def process_memory(process: int) -> ProcessMemory:
-    """Return the memory of a process, by its id."""
-    rows = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()[1:]
-    sizes = {row.split(":")[0]: int(row.split()[1]) * 1024 for row in rows}
-    return ProcessMemory(float(sizes["Pss"]), float(sizes["Rss"]))
+def process_memory(process: int) -> float:
+    """Return the memory of a process, by its id [B]."""
+    rows = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+    return float(next(row.split()[1] for row in rows if row.startswith("Pss:"))) * 1024
 
 
-def total(memories: Iterable[ProcessMemory]) -> ProcessMemory:
-    """Return the memory of several processes together."""
-    pss, rss = map(sum, zip(*memories, strict=True))
-    return ProcessMemory(pss, rss)
-
-
-def bare_node() -> ProcessMemory:
-    """Return the memory of a node that does nothing."""
+def bare_node() -> float:
+    """Return the memory of a node that does nothing [B]."""
     with subprocess.Popen([sys.executable, "-c", BARE], stdout=subprocess.PIPE) as process:
         try:
             assert process.stdout is not None
@@ -94,8 +71,8 @@ def bare_node() -> ProcessMemory:
             process.kill()
 
 
-def node_memory(folder: Path, node: str) -> ProcessMemory:
-    """Return the memory of a node that runs alone."""
+def node_memory(folder: Path, node: str) -> float:
+    """Return the memory of a node that runs alone [B]."""
     words = ["--ros-args", "-p", f"output:={folder / 'alone'}"] if node == "recorder" else []
     with ExitStack() as stack:
         monitor = stack.enter_context(Monitor())
@@ -117,19 +94,16 @@ def wait_until_active(monitor: Monitor, process: NodeProcess) -> None:
     monitor.wait_for(active, START_TIMEOUT, f"{process.node} to be active")
 
 
-def loop_memory(folder: Path, composed: bool) -> dict[str, ProcessMemory]:
-    """Return the memory of every process of a loop that records itself in real time."""
+def loop_memory(folder: Path, composed: bool) -> dict[str, float]:
+    """Return the memory of every process of a loop that records itself in real time [B]."""
     parameters = make({"vdp_plant": {"duration": 3600.0, "pace": "realtime"}})
     with LiveLoop(folder, parameters, composed=composed) as loop, Monitor("") as monitor:
         monitor.wait_for(lambda: monitor.progress.step > SETTLED, START_TIMEOUT, "the loop")
         return {name: process_memory(pid) for name, pid in loop.process_ids().items()}
 
 
-def fleet_memory(folder: Path, loops: int) -> ProcessMemory:
-    """Return the memory of a container with so many loops, in real time."""
-    with (
-        Fleet(folder, loops, {"vdp_plant": {"pace": "realtime"}}, containers=1) as fleet,
-        FleetMonitor() as monitor,
-    ):
-        monitor.wait_until_running(fleet, SETTLED)
-        return process_memory(fleet.processes[0].process.pid)
+def fleet_memory(folder: Path, loops: int) -> float:
+    """Return the memory of a container with so many loops, in real time [B]."""
+    with fleet(folder, loops, {"vdp_plant": {"pace": "realtime"}}) as running:
+        running.wait_until_running(SETTLED)
+        return process_memory(running.processes[0].process.pid)

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -76,12 +77,7 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
 def compare(loop: TimedLoop, program: Path | None, rounds: int) -> tuple[float, float, float]:
     """Time kernel and C in turn, so that other work of the machine disturbs both.
 
-    Returns
-    -------
-    kernel, c : float
-        Best times [s]; C's is infinite without a program.
-    worst : float
-        Largest difference in theta; 0 without a program.
+    Returns the best times [s], and the largest difference in theta; infinite and 0 without C.
     """
     times, worst = [], 0.0
     for _ in range(rounds):
@@ -95,22 +91,28 @@ def compare(loop: TimedLoop, program: Path | None, rounds: int) -> tuple[float, 
     return float(best[0]), float(best[1]), worst
 
 
+def best_time(rounds: int, function: Callable[[], object]) -> float:
+    """Return the least processor time [s]; a first call compiles and touches the memory."""
+    times = []
+    for _ in range(rounds + 1):
+        begin = time.process_time()
+        function()
+        times.append(time.process_time() - begin)
+    return min(times[1:], default=np.inf)
+
+
 def time_kernel(loop: TimedLoop, rounds: int) -> tuple[float, NDArray[np.float64]]:
     """Return the best time [s] of the compiled loop, and theta of every 1000th step."""
     parameters = controller(loop.lifter, loop.esc, loop.model)
     work = cost.workspace(parameters.lifting)
     buffers = (np.empty((STEPS, 2)), np.empty((STEPS, 2)), np.empty(STEPS), np.empty(STEPS))
-    x, y = initial_state(loop.plant)
-    best = np.inf
-    for number in range(rounds + 1):
-        begin = time.process_time()
-        run_kernel(
-            loop.plant.params(), parameters, LoopMemory(cost.initial(), loop.esc.initial()), work,
-            x, y, *buffers, None,
-        )  # fmt: skip
-        if number:  # the first run compiles and touches the memory
-            best = min(best, time.process_time() - begin)
-    return float(best), buffers[3][::EVERY]
+    start = initial_state(loop.plant)
+
+    def once() -> None:
+        memory = LoopMemory(cost.initial(), loop.esc.initial())
+        run_kernel(loop.plant.params(), parameters, memory, work, *start, *buffers, None)
+
+    return best_time(rounds, once), buffers[3][::EVERY]
 
 
 def time_python(name: str) -> float:

@@ -18,7 +18,6 @@ from koop_bench.fleet_report import FleetReport
 DURATION = 60.0  # [s]
 RATES = (200.0, 500.0, 1000.0)  # [Hz]
 PRIORITY = 50
-BUSY = "while True: pass"
 COLUMNS = (
     "   Hz                       missed ticks   ticks behind [ms]       state -> theta [ms]\n"
     f"{'':44}p99  p99.9   most     p50    p99  p99.9   most   CPU"
@@ -31,26 +30,20 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
     settings.show(f"one composed loop, {duration:g} s a round")
     figures = []
     for busy in (False, True):
-        settings.show(
-            f"\n{'every processor busy' if busy else 'nothing else is started'}\n{COLUMNS}"
-        )
+        state = "every processor busy" if busy else "nothing else is started"
+        settings.show(f"\n{state}\n{COLUMNS}")
         with keep_busy(busy):
             for rate in RATES:
                 bare, line = measure_bare(rate, duration)
                 settings.show(line)
                 if not busy:
-                    usual = measure_fleet(1, rate, duration, containers=1)
-                    settings.show(report_line(rate, "usual", usual))
-                loop = measure_fleet(1, rate, duration, PRIORITY, containers=1)
+                    settings.show(report_line(rate, "usual", measure_fleet(1, rate, duration)))
+                loop = measure_fleet(1, rate, duration, PRIORITY)
                 settings.show(report_line(rate, "priority", loop))
-                figures.append(
-                    BenchFigure(
-                        f"ticks behind, 99.9 %, {rate:g} Hz, {'busy' if busy else 'idle'}",
-                        f"{loop.behind.quantile(0.999) * 1e3:.2f} ms",
-                        loop.behind.quantile(0.999) / bare,
-                        "a bare timer",
-                    )
-                )
+                what = f"ticks behind, 99.9 %, {rate:g} Hz, {'busy' if busy else 'idle'}"
+                behind = loop.behind(0.999)
+                value = f"{behind * 1e3:.2f} ms"
+                figures.append(BenchFigure(what, value, behind / bare, "a bare timer"))
     return figures
 
 
@@ -60,12 +53,8 @@ def measure_bare(rate: float, duration: float) -> tuple[float, str]:
     It has the priority of the loop.
     """
     command = [sys.executable, "-m", f"{__package__}.bare_timer"]
-    done = subprocess.run(
-        [*command, str(rate), str(duration), str(PRIORITY)],
-        check=True,
-        capture_output=True,
-        text=True,
-    )
+    words = [str(rate), str(duration), str(PRIORITY)]
+    done = subprocess.run([*command, *words], check=True, capture_output=True, text=True)
     result = json.loads(done.stdout)
     behind = " ".join(f"{item * 1e3:6.2f}" for item in result["behind"])
     missed = f"{result['late']} of {result['done'] + result['late']}"
@@ -76,17 +65,17 @@ def measure_bare(rate: float, duration: float) -> tuple[float, str]:
 def report_line(rate: float, name: str, report: FleetReport) -> str:
     """Return a line of the table."""
     shares = (0.5, 0.99, 0.999, 1.0)
-    behind = " ".join(f"{report.behind.quantile(s) * 1e3:6.2f}" for s in shares[1:])
-    trips = " ".join(f"{report.p(s) * 1e3:6.2f}" for s in shares)
-    missed = f"{report.late} of {report.steps + report.late}"
+    behind = " ".join(f"{report.behind(share) * 1e3:6.2f}" for share in shares[1:])
+    trips = " ".join(f"{report.trip(share) * 1e3:6.2f}" for share in shares)
+    missed = f"{report.late} of {report.ticks}"
     return f"{rate:7.0f} {name:12}{missed:>20}  {behind}  {trips} {report.cpu:5.1%}"
 
 
 @contextmanager
 def keep_busy(wanted: bool) -> Iterator[None]:
     """Run a program that never waits on every processor."""
-    command = [sys.executable, "-c", BUSY]
-    started = [subprocess.Popen(command) for _ in processors()] if wanted else []
+    command = [sys.executable, "-c", "while True: pass"]
+    started = [subprocess.Popen(command) for _ in range(processors())] if wanted else []
     try:
         yield
     finally:

@@ -15,7 +15,7 @@ from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
 from koop_bag.recorder.config import LOOP_TOPICS
-from koop_bench.containers import DT, Fleet, FleetMonitor, parameters_at
+from koop_bench.containers import DT, fleet, parameters_at
 from koop_bench.figures import BenchFigure, BenchSettings, processor_time
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Progress
@@ -105,19 +105,17 @@ def kill_recorders(folder: Path, count: int, seed: int = 1) -> list[float]:
     """Kill recorders of a running loop at random times; return what each lacks [s]."""
     rng = random.Random(seed)
     missing = []
-    with (
-        Fleet(folder, 1, parameters_at(200.0), containers=1) as fleet,
-        FleetMonitor() as monitor,
-    ):
-        monitor.wait_until_running(fleet)
-        topics = [f"{fleet.namespaces[0]}/{topic}" for topic in LOOP_TOPICS]
+    with fleet(folder, 1, parameters_at(200.0)) as running:
+        running.wait_until_running()
+        namespace = running.namespaces[0]
+        topics = [f"{namespace}/{topic}" for topic in LOOP_TOPICS]
         for number in range(count):
             output, saved = folder / str(number), folder / f"{number}-saved"
-            words = ["--ros-args", "-r", f"__ns:={fleet.namespaces[0]}", "-p", f"output:={output}"]
+            words = ["--ros-args", "-r", f"__ns:={namespace}", "-p", f"output:={output}"]
             recorder = NodeProcess("recorder", words, folder / f"recorder{number}.log")
             try:
                 wait_for_messages(output, topics)
-                monitor.listen(rng.uniform(0.0, 2.0), fleet.check)
+                running.listen(rng.uniform(0.0, 2.0))
                 killed = time.time()
                 recorder.process.kill()
             finally:

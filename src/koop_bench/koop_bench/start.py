@@ -46,15 +46,16 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
         figures.append(BenchFigure(what, f"{median:.2f} s", ratio, "Python importing rclpy"))
         return median
 
-    bare = partial(duration_of, [sys.executable, "-c", "import rclpy"])
-    baseline = add("a bare Python that imports rclpy", bare)
+    baseline = add(
+        "a bare Python that imports rclpy",
+        lambda: duration_of(sys.executable, "-c", "import rclpy"),
+    )
     if entry.is_file():
-        add("./koop --help", partial(duration_of, [str(entry), "--help"]))
-        add("./koop demo --help", partial(duration_of, [str(entry), "demo", "--help"]))
+        add("./koop --help", lambda: duration_of(entry, "--help"))
+        add("./koop demo --help", lambda: duration_of(entry, "demo", "--help"))
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        stop_at_end(folder / "first")  # compiles the kernels if they are not kept yet
-        fresh = (folder / str(number) for number in itertools.count())
+        fresh = (Path(name) / str(number) for number in itertools.count())
+        stop_at_end(next(fresh))  # compiles the kernels if they are not kept yet
         for node in EXECUTABLES:
             start = partial(start_node, fresh, node)
             add(f"{node}, from start to its report of being active", start)
@@ -67,7 +68,7 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
     return [*figures[1:], BenchFigure(what, f"{whole:.1f} s", whole / loop, "its loop")]
 
 
-def duration_of(command: list[str]) -> float:
+def duration_of(*command: str | Path) -> float:
     """Return the wall-clock time of a command [s]."""
     begin = time.monotonic()
     subprocess.run(command, check=True, capture_output=True)
@@ -101,8 +102,8 @@ def stop_at_end(folder: Path) -> float:
 def stop_early(folder: Path) -> float:
     """Return the time that a demo in real time takes to end when it is stopped [s]."""
     command = [*DEMO, "--pace", "realtime", "--duration", "60", "--out", str(folder)]
-    with Monitor("") as monitor, open(os.devnull, "w") as nowhere:
-        process = subprocess.Popen(command, stdout=nowhere, stderr=nowhere)
+    with Monitor("") as monitor:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
             monitor.wait_for(lambda: monitor.progress.step > RECORDED, START_TIMEOUT, "the demo")
             begin = time.monotonic()
@@ -115,6 +116,6 @@ def stop_early(folder: Path) -> float:
 
 def whole_demo(folder: Path, duration: float) -> tuple[float, float]:
     """Return the wall-clock time of a demo, plot and all, and of its loop alone [s]."""
-    whole = duration_of([*DEMO, "--duration", str(duration), "--out", str(folder)])
+    whole = duration_of(*DEMO, "--duration", str(duration), "--out", folder)
     metrics = json.loads((folder / "metrics.json").read_text())
     return whole, (metrics["steps"] - 1) / metrics["rate_hz"]

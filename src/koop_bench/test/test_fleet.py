@@ -2,9 +2,9 @@
 
 import pytest
 
-from koop_bench.containers import Fleet, FleetMonitor, parameters_at
+from koop_bench.containers import fleet, parameters_at
 from koop_bench.fleet import holds
-from koop_bench.fleet_report import report, snapshot
+from koop_bench.fleet_report import counts_of, report
 from koop_core.config.parameter import ConfigError
 from koop_core.stream.durations import Durations
 
@@ -25,17 +25,17 @@ def said(step, late=0, missed=0, answered=0, trip=1e-3):
 
 
 def between(before, after):
-    first = snapshot("/a", before, {"/a/vdp_plant": 10.0})
-    return report([first], [snapshot("/a", after, {"/a/vdp_plant": 12.0})], cpu=0.06)
+    first = counts_of("/a", before, {"/a/vdp_plant": 10.0})
+    return report([first], [counts_of("/a", after, {"/a/vdp_plant": 12.0})], cpu=0.06)
 
 
 def test_only_what_came_between_two_reports_counts():
     found = between(
         said(100, late=7, missed=3, answered=90), said(500, late=8, missed=3, answered=490)
     )
-    assert found.rates == (200.0,)
-    assert (found.steps, found.late, found.lost, found.unanswered) == (400, 1, 0, 0)
-    assert found.p(0.99) == pytest.approx(1e-3, rel=0.05)
+    assert found.slowest == 200.0
+    assert (found.ticks, found.late, found.lost) == (401, 1, 0)
+    assert found.trip(0.99) == pytest.approx(1e-3, rel=0.05)
     assert found.cpu_per_loop == 0.06
 
 
@@ -64,11 +64,11 @@ def test_another_rate_is_another_time_scale_of_the_same_loop():
 
 def test_two_loops_in_two_containers_run_side_by_side(own_domain, tmp_path):
     """They do not hear each other: a second publisher of a topic would be an error."""
-    with Fleet(tmp_path, 2, parameters_at(200.0), containers=2) as fleet, FleetMonitor() as monitor:
-        monitor.wait_until_running(fleet, 100)
-        for each in monitor.snapshots(fleet):
-            assert each.step >= 100
-            assert each.round_trips.count > 0
+    with fleet(tmp_path, 2, parameters_at(200.0), containers=2) as running:
+        running.wait_until_running(100)
+        for each in running.counts():
+            assert each.steps >= 100
+            assert each.trips.count > 0
     logs = [(tmp_path / f"container{number}.log").read_text() for number in (0, 1)]
     assert [log.count("loop0.koopman_lifter") > 0 for log in logs] == [True, False]
     assert not any("publishers on" in log or "Traceback" in log for log in logs)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from koop_bag.recorder.config import RECORDER, RecorderConfig
 from koop_core.config import parameter_file
-from koop_core.config.parameter import ConfigError, refuse_unknown
+from koop_core.config.parameter import SIMILAR, ConfigError, refuse_unknown
 from koop_core.config.parameter_file import ParameterFile
 from koop_loop.parameters import (
     COMPONENTS,
@@ -33,7 +33,6 @@ from vdp_plant.config import pace_values
 
 ALL_NODES = {**NODES, **RECORDER}
 FLAGS = ("true", "false", "True", "False")
-SIMILAR = 0.8  # of two names, from 0 to 1, from which on one is taken for the other misspelt
 
 
 class Argument(NamedTuple):

@@ -65,37 +65,17 @@ class Visitor(Protocol):
     """Takes values of one field, or of one element."""
 
     def take(self, kind: MessageType, start: int, count: int) -> bool:
-        """Take a value that lies at `start`, of `count` bytes (text) or elements (array).
-
-        Returns
-        -------
-        bool
-            Whether the walk may end here.
-        """
+        """Take a value of `count` bytes or elements; return whether the walk may end."""
 
     def inner(self, key: str | int) -> Any:
         """Return the visitor of a field or element, None to pass over it."""
 
 
 class Walk:
-    """One pass over a serialized message, which is checked against its length.
+    """One pass over a serialized message, encapsulation included, checked against its length.
 
-    Parameters
-    ----------
-    data : bytes
-        The message, encapsulation included.
-    wide : bool
-        Whether wide strings are passed over, at four bytes a character; DDS vendors differ in it.
-
-    Attributes
-    ----------
-    guards : list of tuple of int
-        Place and value of each length word.
-
-    Raises
-    ------
-    CdrError
-        If the message is not in plain CDR or, from :meth:`visit`, too short.
+    With ``wide``, wide strings are passed over, at four bytes a character; DDS vendors differ in
+    it. CdrError is raised if the message is not in plain CDR or, from :meth:`visit`, too short.
     """
 
     def __init__(self, data: bytes, wide: bool = False) -> None:
@@ -106,6 +86,7 @@ class Walk:
         self._at = ENCAPSULATION
         self._done = False
         self.guards: list[tuple[int, int]] = []
+        """Place and value of each length word."""
 
     def visit(self, kind: MessageType, visitor: Visitor | None = None) -> None:
         """Walk over one value, or until a visitor has all that it wants."""

@@ -4,8 +4,6 @@ Before numba looks for a kept kernel it imports all that its compiler knows, Sci
 included: 0.4 s of a processor and 33 MB in every node and every command. What is kept needs none
 of it. It is put off until something is to be compiled, when numba does it in any case.
 
-Kernels that call back into the interpreter would need it (numba #2198, #9806): there are none here.
-
 Numba looks at the types of all arguments in every call. For named tuples that takes longer than the
 kernel: 3 of 4 us for the controller's. Who calls with the same types for ever leaves it out.
 """
@@ -31,14 +29,9 @@ class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Compile a function, and keep it, as ``numba.njit(cache=True)`` does.
+    """Compile a function, and keep it, as ``numba.njit(cache=True)`` does with these options.
 
     Numba takes no other cache than its own: this is the one place that replaces it.
-
-    Parameters
-    ----------
-    options
-        Of ``numba.njit``.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
@@ -79,13 +72,6 @@ def direct(kernel: Any, *arguments: Any) -> Callable[..., Any]:
 
     It is called with them once. The caller answers for the types from then on: of an array of
     another type or order, the kernel would read the bytes as if it had the right one.
-
-    Parameters
-    ----------
-    kernel
-        Of :func:`njit`.
-    arguments
-        As the kernel takes them.
     """
     kernel(*arguments)
     compiled = kernel.overloads[tuple(numba.typeof(argument) for argument in arguments)]

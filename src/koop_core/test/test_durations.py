@@ -33,7 +33,7 @@ def test_of_nothing_no_quantile_is_known():
 
 def test_counts_add_up_and_tell_what_came_between():
     early, late = counted([1e-3] * 5), counted([1e-3] * 5 + [2e-3] * 3)
-    assert late.since(early).count == 3
-    assert late.since(early).quantile(0.0) == pytest.approx(2e-3, rel=0.05)
-    assert early.with_those_of(late).count == 13
+    assert (late - early).count == 3
+    assert (late - early).quantile(0.0) == pytest.approx(2e-3, rel=0.05)
+    assert (early + late).count == 13
     assert read(late.text()).counts == late.counts

@@ -5,7 +5,7 @@ from collections import namedtuple
 import pytest
 
 from koop_core.config.parameter import ConfigError
-from koop_core.config.parameter_file import read, refuse_unused_sections, write
+from koop_core.config.parameter_file import read, shared_names, write
 
 KEYS = (
     "/**", "**", "/*", "/**/node", "**/node", "/*/node", "/node", "node", "/a/node", "a/node",
@@ -130,10 +130,10 @@ def test_a_section_that_was_meant_for_a_node_and_is_not_its_own_is_refused(tmp_p
     file = tmp_path / "params.yaml"
     words = ["--ros-args", "--params-file", str(file)]
     file.write_text(section("/**/koopmn_lifter", "cost: raw") + section("/**/relay_esc", "a: 1"))
-    refuse_unused_sections(words, ["/relay_esc"])
+    assert shared_names(words, "/relay_esc") == set()
     with pytest.raises(ConfigError, match=r"did you mean '/\*\*/koopman_lifter'\?"):
-        refuse_unused_sections(words, ["/koopman_lifter"])
+        shared_names(words, "/koopman_lifter")
     file.write_text(section("/relay_esc", "a: 1") + section("/relay_esc_b", "a: 2"))
-    refuse_unused_sections(words, ["/relay_esc"])
-    with pytest.raises(ConfigError, match="'/relay_esc' is not /rig1/relay_esc, which this node"):
-        refuse_unused_sections(words, ["/rig1/relay_esc"])
+    assert shared_names(words, "/relay_esc") == set()
+    with pytest.raises(ConfigError, match="'/relay_esc' is not /rig1/relay_esc: write"):
+        shared_names(words, "/rig1/relay_esc")

@@ -20,7 +20,7 @@ from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.adapter import StateAdapter
 from koop_node.node.entities import Writer
-from koop_node.node.graph import listeners_of
+from koop_node.node.graph import listeners_of, publishers_of
 from koop_node.node.main import run
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
@@ -106,7 +106,7 @@ class LifterRun(Run):
             if foreign is None:
                 entities.reader(MeasuredState, "state", self._on_state, RELIABLE)
             else:
-                entities.when_published(foreign.topic, listen_to)
+                entities.when_typed(publishers_of, foreign.topic, listen_to)
 
         def listen_to(name: str) -> None:
             assert foreign is not None

@@ -18,7 +18,7 @@ from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.entities import Writer
-from koop_node.node.graph import Listeners, listeners_of
+from koop_node.node.graph import Listeners, listeners_of, subscribers_of
 from koop_node.node.main import run
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import NEWEST, RELIABLE
@@ -66,7 +66,7 @@ class EscRun(Run):
 
         if config.command:  # the rig listens there, and to nothing else
             source = parse_source(config.command)
-            entities.when_subscribed(source.topic, command)
+            entities.when_typed(subscribers_of, source.topic, command)
         else:
             entities.when_heard({writer.publisher: rig}, listen)
 

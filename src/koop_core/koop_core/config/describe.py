@@ -39,17 +39,7 @@ def allowed(item: Field[Any]) -> str:
 
 
 def help_text(program: str, purpose: str, classes: Iterable[type]) -> str:
-    """Return what ``--help`` of a node prints.
-
-    Parameters
-    ----------
-    program : str
-        How it is started.
-    purpose : str
-        What it does, in a sentence.
-    classes : iterable of type
-        Configuration classes of its parameters.
-    """
+    """Return what ``--help`` of a node prints: how it is started, what it does, its parameters."""
     usage = _wrapped(f"usage: {program} {ARGUMENTS}", "", "    ")
     lines = [*usage, "", *_wrapped(purpose), ""]
     lines.append("parameters (NAME = default: what it may be)")
@@ -67,14 +57,7 @@ def parameter_file(
 ) -> str:
     """Return a ROS 2 parameter file, each value explained in a comment above it.
 
-    Parameters
-    ----------
-    nodes : mapping of str to iterable of type
-        Configuration classes by node.
-    values : mapping of str to mapping, optional
-        What is not the default, by node.
-    reasons : mapping of str to mapping, optional
-        Why such a value is what it is, by node.
+    All by node: configuration classes, values that are not the default, and the reasons of those.
     """
     given, why = values or {}, reasons or {}
     return "".join(

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
+from itertools import islice
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -28,7 +30,7 @@ Path = tuple[tuple[str, int | None], ...]
 
 
 class Source(NamedTuple):
-    """A topic and the fields of its messages that make the state, in order."""
+    """A topic and fields of its messages, in order."""
 
     topic: str
     fields: tuple[Path, ...]
@@ -43,15 +45,10 @@ class Source(NamedTuple):
 
 
 def parse_field(text: str) -> Path:
-    """Return the steps from a message to a number: (name, index or None) each.
+    """Return the steps from a message to a number, or raise ConfigError.
 
     >>> parse_field("pose.position.x")
     (('pose', None), ('position', None), ('x', None))
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If the text is not a field expression.
     """
     parts = text.strip().split(".", MAX_DEPTH)
     matches = [_PART.fullmatch(part) for part in parts]
@@ -68,18 +65,13 @@ def format_field(path: Path) -> str:
 
 
 def parse_source(text: str) -> Source:
-    """Return the topic and the fields of ``topic:field,field``.
+    """Return the topic and the fields of ``topic:field,field``, or raise ConfigError.
 
     The one grammar of what is measured and what is commanded: in rig files, node parameters and
     the options ``--measured`` and ``--command``.
 
     >>> parse_source("/joint_states:position[0],velocity[0]").names
     ('position[0]', 'velocity[0]')
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If the text is anything else, or a field is named twice.
     """
     topic, colon, fields = text.strip().partition(":")
     if not colon or not _TOPIC.fullmatch(topic):
@@ -113,12 +105,7 @@ def check_type(text: str) -> str:
 def check_fields(fields: tuple[Path, ...], message: Any) -> None:
     """Raise ConfigError unless a message of this kind has all fields.
 
-    Parameters
-    ----------
-    fields : tuple of Path
-        From :func:`parse_source`.
-    message : object
-        An empty message; arrays may be empty, their elements are then not looked at.
+    Its arrays may be empty: their elements are then not looked at.
     """
     for path in fields:
         value = message
@@ -152,13 +139,7 @@ def read_field(path: Path, message: Any) -> float:
 
 
 def write_field(path: Path, message: Any, value: float) -> None:
-    """Set a number of a message; arrays that are too short are filled with zeros.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If the message has no such number.
-    """
+    """Set a number of a message, or raise ConfigError; short arrays are filled with zeros."""
     *above, (name, index) = path
     for part, place in above:
         message = getattr(message, part)
@@ -180,32 +161,25 @@ def numbers_of(message: Any) -> list[Path]:
     """Return all fields of a message that are numbers, up to :data:`MAX_FIELDS`.
 
     What says when and not what was measured is left out: headers, stamps, steps, flags.
-
-    Parameters
-    ----------
-    message : object
-        One that was received: arrays have their elements then.
     """
-    found: list[Path] = []
-    _collect(message, (), found)
-    return found[:MAX_FIELDS]
+    return list(islice(_numbers_of(message, ()), MAX_FIELDS))
 
 
-def _collect(value: Any, above: Path, found: list[Path]) -> None:
+def _numbers_of(value: Any, above: Path) -> Iterator[Path]:
     for name in getattr(value, "get_fields_and_field_types", dict)():
         item = getattr(value, name)
         if name in ("header", "stamp", "step", "seq", "layout") or isinstance(item, bool | str):
             continue
         if isinstance(item, Real):
-            found.append((*above, (name, None)))
+            yield (*above, (name, None))
         elif hasattr(item, "get_fields_and_field_types") and len(above) < MAX_DEPTH:
-            _collect(item, (*above, (name, None)), found)
+            yield from _numbers_of(item, (*above, (name, None)))
         elif hasattr(item, "__len__") and len(item) and not isinstance(item, bytes):
             for i in range(min(len(item), MAX_FIELDS)):
                 if isinstance(item[i], Real):
-                    found.append((*above, (name, i)))
+                    yield (*above, (name, i))
                 else:
-                    _collect(item[i], (*above, (name, i)), found)
+                    yield from _numbers_of(item[i], (*above, (name, i)))
 
 
 def _has(message: Any, name: str) -> bool:

@@ -16,6 +16,9 @@ from typing import Any
 
 from koop_core.errors import InputError
 
+SIMILAR = 0.7
+"""Of two names, from 0 to 1, from which on one is taken for the other misspelt."""
+
 
 class ConfigError(InputError):
     """A configuration value that cannot be used; says which, why and what is allowed."""
@@ -23,31 +26,19 @@ class ConfigError(InputError):
 
 @dataclass(frozen=True)
 class Spec:
-    """What a parameter means and which values it may take.
-
-    Attributes
-    ----------
-    description : str
-        What the parameter does.
-    unit : str
-        Physical unit; empty for a dimensionless one.
-    low, high : float
-        Inclusive range of a number, or of every element of a list.
-    choices : tuple of str
-        Allowed values of a string; empty for any.
-    read_only : bool
-        True if the value cannot change while the node runs.
-    origin : str
-        What chose the default: a study, a measurement, a standard; empty where nothing had to.
-    """
+    """What a parameter means and which values it may take."""
 
     description: str
     unit: str = ""
     low: float = -math.inf
+    """Inclusive range, as ``high``, of a number or of every element of a list."""
     high: float = math.inf
     choices: tuple[str, ...] = ()
+    """Allowed values of a string; empty for any."""
     read_only: bool = False
+    """Whether the value cannot change while the node runs."""
     origin: str = ""
+    """What chose the default: a study, a measurement, a standard; empty where nothing had to."""
 
     @property
     def constraint(self) -> str:
@@ -64,20 +55,9 @@ class Spec:
         return ""
 
 
-def parameter(
-    default: Any,
-    description: str,
-    *,
-    unit: str = "",
-    low: float = -math.inf,
-    high: float = math.inf,
-    choices: tuple[str, ...] = (),
-    read_only: bool = False,
-    origin: str = "",
-) -> Any:
-    """Declare one field of a configuration dataclass; the arguments are those of :class:`Spec`."""
-    spec = Spec(description, unit, low, high, choices, read_only, origin)
-    return field(default=default, metadata={"spec": spec})
+def parameter(default: Any, description: str, **options: Any) -> Any:
+    """Declare one field of a configuration dataclass; the options are those of :class:`Spec`."""
+    return field(default=default, metadata={"spec": Spec(description, **options)})
 
 
 def spec_of(config_field: Field[Any]) -> Spec:
@@ -91,12 +71,8 @@ def validate(config: Any) -> None:
     """Check every field of a configuration against its type and :class:`Spec`.
 
     An integer is accepted where a float is declared and a list where a tuple is (YAML and ROS
-    write them so); the field is then converted.
-
-    Raises
-    ------
-    ConfigError
-        On the first field with a wrong type, a non-finite number or a value out of range.
+    write them so); the field is then converted. ConfigError is raised on the first field with a
+    wrong type, a non-finite number or a value out of range.
     """
     for item in fields(config):
         if "spec" not in item.metadata:  # a configuration of its own, which checked itself

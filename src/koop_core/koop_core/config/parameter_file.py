@@ -11,21 +11,18 @@ import difflib
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
 
-from koop_core.config.parameter import ConfigError
+from koop_core.config.parameter import SIMILAR, ConfigError
 from koop_core.config.yaml_file import read_yaml
 
 # What every node has, whatever it is: it says nothing about the loop.
 ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
-
-
-SIMILAR = 0.7  # of two names, from 0 to 1, from which on one is taken for the other misspelt
 
 
 class NodeSection(NamedTuple):
@@ -70,36 +67,24 @@ class ParameterFile:
         return any(section.names(node) and not section.for_any for section in self.sections)
 
     def values(self, node: str, known: Collection[str]) -> dict[str, Any]:
-        """Return what the file says to a node.
+        """Return what the file says to a node, by its full name.
 
-        Parameters
-        ----------
-        node : str
-            Full name, such as ``/rig/relay_esc``.
-        known : collection of str
-            The node's parameters; of a section for nodes of any name, only these are taken.
+        Of a section for nodes of any name, only ``known`` parameters are taken.
         """
-        found: dict[str, Any] = {}
-        for section in self.sections:
-            if section.names(node):
-                found.update(
-                    (name, value)
-                    for name, value in section.values.items()
-                    if not section.for_any or name in known or name.startswith(ROS_OWN)
-                )
-        return found
+        return {
+            name: value
+            for section in self.sections
+            if section.names(node)
+            for name, value in section.values.items()
+            if not section.for_any or name in known or name.startswith(ROS_OWN)
+        }
 
     def values_of(
         self, known: Mapping[str, Collection[str]], namespace: str | None = None
     ) -> dict[str, dict[str, Any]]:
-        """Return what the file says to the nodes of a namespace, by their own names.
+        """Return what the file says to nodes, by their own names with the parameters they know.
 
-        Parameters
-        ----------
-        known : mapping of str to collection of str
-            The parameters of each node.
-        namespace : str, optional
-            By default the one that the file names.
+        The namespace is by default the one that the file names.
 
         Raises
         ------
@@ -119,93 +104,53 @@ class ParameterFile:
                 f"{self.path}: has no parameters for {wanted}; it has {keys}; "
                 "'/**/NAME' is in every one"
             )
-        self._refuse_misspelt(known)
-        for section in named:
-            node = f"{base}/{section.node}"
-            if not self.describes(node):
-                raise ConfigError(
-                    f"{self.path}: '{section.key}' is not in the loop's namespace {base or '/'}: "
-                    f"write '{node}', or '/**/{section.node}' for every namespace"
-                )
+        for node in known:
+            self.refuse_nearly(f"{base}/{node}", known)
         return found
 
-    def _refuse_misspelt(self, nodes: Collection[str]) -> None:
-        """Raise ConfigError on a section whose name is nearly that of a node."""
+    def refuse_nearly(self, node: str, others: Collection[str] = ()) -> None:
+        """Raise ConfigError on a section that must have been meant for a node, and is not its.
+
+        It has the node's name, but another namespace, or nearly its name and none of the others'.
+        """
+        if self.describes(node):
+            return
+        name = node.rpartition("/")[2]
         for section in self.sections:
-            near = difflib.get_close_matches(section.node, nodes, n=1, cutoff=SIMILAR)
-            if near and section.node not in nodes:
-                meant = f"{section.key.removesuffix(section.node)}{near[0]}"
+            if section.node == name:
                 raise ConfigError(
-                    f"{self.path}: section '{section.key}' is not one of a node of the loop: "
+                    f"{self.path}: '{section.key}' is not {node}: write '{node}', or '/**/{name}' "
+                    "for every namespace"
+                )
+            likeness = difflib.SequenceMatcher(None, section.node, name).ratio()
+            if likeness >= SIMILAR and section.node not in others:
+                meant = f"{section.key.removesuffix(section.node)}{name}"
+                raise ConfigError(
+                    f"{self.path}: section '{section.key}' is not of a node of the loop: "
                     f"did you mean '{meant}'?"
                 )
 
     def namespace_of(self, nodes: Collection[str]) -> str:
-        """Return the one namespace that the file has these nodes in; ``/`` if it names none.
+        """Return the namespace that the file has these nodes in; ``/`` if it names none.
 
-        Raises
-        ------
-        ConfigError
-            If it is not one.
+        Raises ConfigError if there are several.
         """
-        found = sorted(
-            {
-                section.namespace
-                for section in self.sections
-                if section.node in nodes and "*" not in section.namespace
-            }
-        )
-        if len(found) > 1:
+        spaces = {section.namespace for section in self.sections if section.node in nodes}
+        named = sorted(space for space in spaces if "*" not in space)
+        if len(named) > 1:
             raise ConfigError(
-                f"{self.path}: describes several loops, in the namespaces {', '.join(found)}: "
+                f"{self.path}: describes several loops, in the namespaces {', '.join(named)}: "
                 "keep the sections of one"
             )
-        return found[0] if found else "/"
+        return named[0] if named else "/"
 
 
 def read(path: str | Path) -> ParameterFile:
-    """Read a parameter file.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read or is not a parameter file.
-    """
+    """Read a parameter file; raise ConfigError if it cannot be read or is none."""
     content = read_yaml(path, _Loader)
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: is not a ROS 2 parameter file")
     return ParameterFile(Path(path), tuple(_sections(str(path), "", content)))
-
-
-def refuse_unused_sections(args: Sequence[str], nodes: Collection[str]) -> None:
-    """Refuse a file with a section that is nearly a node's, or is its in another namespace.
-
-    ROS ignores such a section without a word.
-
-    Parameters
-    ----------
-    args : sequence of str
-        Command line, as for :func:`shared_names`.
-    nodes : collection of str
-        Full names of the nodes that it starts.
-
-    Raises
-    ------
-    ConfigError
-        If a file has no section for one of them, but one that must have been meant for it.
-    """
-    files = [read(value) for option, value in _ros_options(args) if option == "--params-file"]
-    for file in files:
-        for node in nodes:
-            name = node.rpartition("/")[2]
-            if file.describes(node):
-                continue
-            if keys := [section.key for section in file.sections if section.node == name]:
-                raise ConfigError(
-                    f"{file.path}: '{keys[0]}' is not {node}, which this node is: write '{node}', "
-                    f"or '/**/{name}' for every namespace"
-                )
-            file._refuse_misspelt({name})
 
 
 def write(values: Mapping[str, Mapping[str, Any]], path: str | Path) -> None:
@@ -222,27 +167,36 @@ def as_yaml(value: Any) -> str:
     return text.removesuffix("...\n").strip()
 
 
-def shared_names(args: Sequence[str]) -> set[str]:
+def shared_names(args: Sequence[str], node: str) -> set[str]:
     """Return the parameters that files give to nodes of any name only, and nobody to one by name.
 
-    A file for several nodes may hold under ``/**`` what only some of them know.
+    A file for several nodes may hold under ``/**`` what only some of them know. Of the command line
+    count ``--params-file FILE`` and ``-p NAME:=VALUE`` between ``--ros-args`` and ``--``; ``node``
+    is the full name of the one that reads it.
 
-    Parameters
-    ----------
-    args : sequence of str
-        Command line: ``--params-file FILE`` and ``-p NAME:=VALUE`` between ``--ros-args`` and
-        ``--`` count.
+    Raises
+    ------
+    ConfigError
+        If a file has no section for the node, but one that must have been meant for it, which ROS
+        ignores without a word.
     """
     shared: set[str] = set()
     named: set[str] = set()
     for option, value in _ros_options(args):
         if option == "--params-file":
-            with suppress(ConfigError):
-                for section in read(value).sections:
-                    (shared if section.for_any else named).update(section.values)
+            file = _read_once(value, Path(value).stat().st_mtime_ns)
+            file.refuse_nearly(node)
+            for section in file.sections:
+                (shared if section.for_any else named).update(section.values)
         elif option in ("-p", "--param"):
             named.add(value.partition(":=")[0].rpartition(":")[2])
     return shared - named
+
+
+@cache
+def _read_once(path: str, changed: int) -> ParameterFile:
+    """Read a file for all nodes of a process."""
+    return read(path)
 
 
 def _ros_options(args: Sequence[str]) -> Iterator[tuple[str, str]]:

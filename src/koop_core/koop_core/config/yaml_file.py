@@ -16,13 +16,7 @@ LARGEST = 1 << 20
 
 
 def read_yaml(path: str | Path, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
-    """Return the content of a YAML file.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If it cannot be read, is too large or is not YAML.
-    """
+    """Return the content of a YAML file; raise ConfigError if it is unreadable or too large."""
     try:
         if Path(path).stat().st_size > LARGEST:
             raise ConfigError(f"{path}: is too large for a file of settings")
@@ -51,12 +45,8 @@ class LinedLoader(yaml.SafeLoader):
         for key, value in node.value:
             name, line = self.construct_object(key, deep=True), key.start_mark.line + 1
             if name in found:
-                raise yaml.constructor.ConstructorError(
-                    None,
-                    None,
-                    f"'{name}' stands in line {found.lines[name]} already",
-                    key.start_mark,
-                )
+                text = f"'{name}' stands in line {found.lines[name]} already"
+                raise yaml.constructor.ConstructorError(None, None, text, key.start_mark)
             found[name] = self.construct_object(value, deep=True)
             found.lines[str(name)] = line
         return found
@@ -69,13 +59,7 @@ LinedLoader.add_implicit_resolver(
 
 
 def one_setting(text: str, nodes: Sequence[str]) -> tuple[str, str, Any]:
-    """Return node, parameter and value of `node.parameter=value`, as after ``--set``.
-
-    Raises
-    ------
-    ConfigError
-        If it is written otherwise, of another node, or the value is not YAML.
-    """
+    """Return node, parameter and value of `node.parameter=value`, or raise ConfigError."""
     name, equals, value = text.partition("=")
     node, dot, parameter = name.strip().partition(".")
     if not (equals and dot) or node not in nodes:

@@ -30,15 +30,7 @@ class AgeMeter:
         self._best = self._low = self._low_before = math.inf
 
     def age(self, written: float, now: float) -> float:
-        """Return the age of a message [s].
-
-        Parameters
-        ----------
-        written : float
-            When it was written, on its writer's clock [s].
-        now : float
-            Steady time of its arrival [s].
-        """
+        """Return a message's age [s]; it was written on its writer's clock, and arrives ``now``."""
         delay = now - written
         if now - self._last > GAP:
             self._low = self._low_before = math.inf

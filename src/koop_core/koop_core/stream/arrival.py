@@ -41,43 +41,22 @@ WINDOW = 64  # steps that a message may be overtaken by; further back is another
 
 
 class Heard(NamedTuple):
-    """What is remembered of a stream.
-
-    Attributes
-    ----------
-    step : int
-        Step of the newest message; -1 before the first.
-    late : int
-        Messages in a row that newer ones had overtaken.
-    """
+    """What is remembered of a stream."""
 
     step: int
+    """Of the newest message; -1 before the first."""
     late: int
+    """Messages in a row that newer ones had overtaken."""
 
 
 NOTHING = Heard(-1, 0)
 
 
 def classify(heard: Heard, step: int, timeout: float, dt: float) -> tuple[Arrival, Heard]:
-    """Say what a message is.
+    """Say what a message is, and return the stream with it.
 
-    Parameters
-    ----------
-    heard : Heard
-        The stream so far.
-    step : int
-        Step of the message.
-    timeout : float
-        Silence after which the stream resumes [s]; 0: never.
-    dt : float
-        Time between two steps [s].
-
-    Returns
-    -------
-    arrival : Arrival
-        What the message is; never TOO_OLD, which no step tells.
-    heard : Heard
-        The stream with it.
+    After a silence of ``timeout`` [s], in steps of ``dt`` [s], the stream resumes; 0: never. No
+    step tells TOO_OLD.
     """
     last = heard.step
     if step == last:

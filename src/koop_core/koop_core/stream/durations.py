@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
 
 FINE = 16  # sizes that an octave is divided into: each 4.4 % above the one before
 SMALLEST = 1e-6  # [s]
@@ -13,8 +13,8 @@ SIZES = FINE * 30  # up to 18 minutes
 class Durations:
     """Counts by size; a quantile is known to 5 %."""
 
-    def __init__(self) -> None:
-        self.counts = [0] * SIZES
+    def __init__(self, counts: Iterable[int] = ()) -> None:
+        self.counts = list(counts) or [0] * SIZES
 
     def add(self, duration: float) -> None:
         """Count a duration [s]."""
@@ -31,20 +31,19 @@ class Durations:
 
     def quantile(self, share: float) -> float:
         """Return the duration [s] that a share of all do not exceed; NaN if there are none."""
-        wanted, seen = share * self.count, 0
+        wanted, passed = share * self.count, 0
         for size, count in enumerate(self.counts):
-            seen += count
-            if count and seen >= wanted:
+            passed += count
+            if count and passed >= wanted:
                 return SMALLEST * 2.0 ** (size / FINE)
         return math.nan
 
-    def since(self, before: Durations) -> Durations:
-        """Return what was counted since ``before``, an earlier copy of this."""
-        return _of(a - b for a, b in zip(self.counts, before.counts, strict=True))
+    def __sub__(self, before: Durations) -> Durations:
+        """Return the durations that were counted since ``before``, an earlier copy of this."""
+        return Durations(a - b for a, b in zip(self.counts, before.counts, strict=True))
 
-    def with_those_of(self, other: Durations) -> Durations:
-        """Return both together."""
-        return _of(a + b for a, b in zip(self.counts, other.counts, strict=True))
+    def __add__(self, other: Durations) -> Durations:
+        return Durations(a + b for a, b in zip(self.counts, other.counts, strict=True))
 
     def text(self) -> str:
         """Return all counts as text, for :func:`read`."""
@@ -57,14 +56,8 @@ def read(text: str) -> Durations:
     >>> read("0:3 16:1").quantile(1.0)
     2e-06
     """
-    counts = [0] * SIZES
+    made = Durations()
     for pair in text.split():
         size, _, count = pair.partition(":")
-        counts[int(size)] = int(count)
-    return _of(iter(counts))
-
-
-def _of(counts: Iterator[int]) -> Durations:
-    made = Durations()
-    made.counts = list(counts)
+        made.counts[int(size)] = int(count)
     return made

@@ -37,8 +37,7 @@ class StreamMonitor:
     may_end : bool
         Whether silence is not a fault where the source has left in order.
     newest_counts : bool
-        Whether only the newest message matters, as for commands in real time: lost and overtaken
-        ones are then counted, and no finding.
+        Whether lost and overtaken messages are no finding, as commands in real time.
     """
 
     def __init__(
@@ -63,8 +62,7 @@ class StreamMonitor:
         self._stream = NOTHING
         self._reported: tuple[int, ...] = (0,) * 6
         self._meter = AgeMeter()
-        self._silent = False
-        """Whether silence was found while there was a source."""
+        self._silent = False  # whether silence began while there was a source
         self._paused = False
 
     @property
@@ -79,19 +77,11 @@ class StreamMonitor:
         return self.hear(message.step, seconds, now, math.nan if message.lockstep else written)
 
     def hear(self, step: int, stamp: float, now: float, written: float = math.nan) -> Arrival:
-        """Say what a message is.
+        """Say what a message is, by its step.
 
-        Parameters
-        ----------
-        step : int
-            Step of the message.
-        stamp : float
-            Its stamp [s], in whatever clock its source has.
-        now : float
-            Steady time of its arrival [s].
-        written : float
-            When it was written, on the clock of its writer's host [s]; NaN where age does not
-            matter, as in lockstep: its source waits for the answer.
+        Its stamp [s] is in whatever clock its source has, ``now`` the steady time of its arrival
+        [s], ``written`` a time on the clock of its writer's host [s]; NaN where age does not
+        matter, as in lockstep: its source waits for the answer.
         """
         last = self._stream.step
         if not math.isnan(written):
@@ -156,18 +146,10 @@ class StreamMonitor:
         can_say_more: bool = True,
         unheard: Sequence[str] = (),
     ) -> Iterator[Finding]:
-        """Say what is wrong; counts are those since the last call.
+        """Say what is wrong at a steady time [s]; counts are those since the last call.
 
-        Parameters
-        ----------
-        now : float
-            Steady time [s].
-        publishers : int
-            How many publish the topic.
-        can_say_more : bool
-            Whether one of them may have something to say: its own source has not left.
-        unheard : sequence of str
-            Publishers that cannot be heard, in words.
+        ``publishers`` is their number, ``can_say_more`` whether one of them may have something to
+        say, for its own source has not left, ``unheard`` says which of them cannot be heard.
         """
         counts = (
             self.unusable, self.missed, self.late, self.restarts, self.repeated, self.too_old
@@ -204,20 +186,14 @@ class StreamMonitor:
     def values(self, now: float, wall: float, publishers: int) -> dict[str, object]:
         """Return the figures for /diagnostics."""
         latency = self.latency(now, wall)
-        name = self.topic
-        return {
-            f"{name} age_s": f"{self.age(now):.3f}",
-            **({f"{name} latency_ms": f"{latency * 1e3:.2f}"} if math.isfinite(latency) else {}),
-            f"{name} missed_steps": self.missed,
-            f"{name} late": self.late,
-            f"{name} repeated": self.repeated,
-            f"{name} restarts": self.restarts,
-            f"{name} silences": self.silences,
-            f"{name} unusable": self.unusable,
-            f"{name} too_old": self.too_old,
-            f"{name} publishers": publishers,
-            f"{name} watchdog": self.watchdog(now),
-        }
+        values: dict[str, object] = {"age_s": f"{self.age(now):.3f}"}
+        if math.isfinite(latency):
+            values["latency_ms"] = f"{latency * 1e3:.2f}"
+        values["missed_steps"] = self.missed
+        for name in ("late", "repeated", "restarts", "silences", "unusable", "too_old"):
+            values[name] = getattr(self, name)
+        values |= {"publishers": publishers, "watchdog": self.watchdog(now)}
+        return {f"{self.topic} {name}": value for name, value in values.items()}
 
     def watchdog(self, now: float) -> str:
         """Return the state of the watchdog: off, waiting, ok or stale."""

@@ -13,21 +13,12 @@ SETTLED = 5.0  # [s] that a lower level must last before it is news
 
 
 class Finding(NamedTuple):
-    """One thing that a node found, with its level.
-
-    Attributes
-    ----------
-    level : int
-        How bad it is.
-    text : str
-        What it is.
-    at_once : bool
-        Whether the log says so at once; else only when it has lasted, as at every start.
-    """
+    """One thing that a node found, with its level."""
 
     level: int
     text: str
     at_once: bool = True
+    """Whether the log says so at once; else only when it has lasted, as at every start."""
 
 
 def summary(findings: Iterable[Finding]) -> Finding:
@@ -39,9 +30,9 @@ def summary(findings: Iterable[Finding]) -> Finding:
     if not ordered:
         return Finding(OK, "")
     level = ordered[0].level
-    told = [item for item in ordered if item.level != OK] if level != OK else ordered
     at_once = any(item.at_once for item in ordered if item.level == level)
-    return Finding(level, "; ".join(item.text for item in told if item.text), at_once)
+    texts = [item.text for item in ordered if item.text and (item.level or not level)]
+    return Finding(level, "; ".join(texts), at_once)
 
 
 class News:
@@ -52,26 +43,17 @@ class News:
     """
 
     def __init__(self) -> None:
-        self._told = OK
-        self._since = math.nan
-        """When the level changed that was not told yet [s]."""
+        self._logged = OK
+        self._since = math.nan  # when the level changed that was not logged yet [s]
 
-    def of(self, found: Finding, now: float) -> Finding | None:
-        """Return what to log.
-
-        Parameters
-        ----------
-        found : Finding
-            The summary of this moment.
-        now : float
-            Steady time [s].
-        """
-        change = _URGENCY.index(found.level) - _URGENCY.index(self._told)
+    def of(self, state: Finding, now: float) -> Finding | None:
+        """Return what to log of the summary at a steady time [s]."""
+        change = _URGENCY.index(state.level) - _URGENCY.index(self._logged)
         if change == 0:
             self._since = math.nan
         elif math.isnan(self._since):
             self._since = now
-        if (change > 0 and found.at_once) or now - self._since >= SETTLED:
-            self._told, self._since = found.level, math.nan
-            return found
+        if (change > 0 and state.at_once) or now - self._since >= SETTLED:
+            self._logged, self._since = state.level, math.nan
+            return state
         return None

@@ -16,23 +16,14 @@ class Due(Enum):
 class Resend:
     """One question at a time.
 
-    Parameters
-    ----------
-    timeout : float
-        How long an answer may take before it is asked for again [s]; 0: for ever.
-    resends : int
-        How often it is asked for again before giving up.
-
-    Attributes
-    ----------
-    resent : int
-        How often the open question was asked again; 0 if none is open.
+    An answer may take ``timeout`` [s] before it is asked for again, 0: for ever; after so many
+    resends it is given up.
     """
 
     def __init__(self, timeout: float, resends: int) -> None:
         self.timeout = timeout
         self.resends = resends
-        self.resent = 0
+        self.resent = 0  # how often the open question was asked again
         self._since: float | None = None
 
     @property

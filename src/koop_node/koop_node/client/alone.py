@@ -18,23 +18,13 @@ DISCOVERY = 4.0  # [s]: Fast DDS, as it comes, announces itself every 3 s to who
 
 @contextmanager
 def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[None]:
-    """Hold the place of the one loop while the context lasts.
+    """Hold the place of the one loop, which will publish these topics, while the context lasts.
 
     Two commands on one machine that start at the same moment are told apart by a name that the
     system gives to one of them only; a loop of other hosts, or of nodes that were started by hand,
     shows in the graph.
 
-    Parameters
-    ----------
-    namespace : str
-        Of the loop, such as ``/rig``; empty for the root.
-    topics : iterable of str
-        What the loop is going to publish.
-
-    Raises
-    ------
-    LiveError
-        If there is a loop already.
+    Raises LiveError if there is a loop already.
     """
     domain = current_domain()
     with _claimed(f"koop/{domain}{namespace}") as first:

@@ -10,7 +10,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, TypeVar
 
 from koop_core.errors import LiveError
@@ -18,7 +18,8 @@ from koop_node.client.question import ASK_AGAIN, Question
 
 ANSWER = 5.0  # [s] for a node to answer a call
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-Found = TypeVar("Found")
+Check = Callable[[], object] | None
+Result = TypeVar("Result")
 Own = TypeVar("Own", bound="Client")
 
 
@@ -30,7 +31,7 @@ class Client:
     name : str
         Of the node.
     domain : int, optional
-        ROS domain; by default that of the environment.
+        ROS domain; by default the one of the environment.
     guest : bool
         See :func:`koop_node.node.main.set_dds_profile`.
     """
@@ -54,12 +55,7 @@ class Client:
     def __enter__(self: Own) -> Own:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -79,47 +75,29 @@ class Client:
             self._executor.spin_once(timeout_sec=seconds)
 
     def wait_for(
-        self,
-        condition: Callable[[], Found],
-        seconds: float,
-        what: str,
-        check: Callable[[], object] | None = None,
-    ) -> Found:
-        """Spin until a condition is true, and return it.
+        self, condition: Callable[[], Result], seconds: float, what: str, check: Check = None
+    ) -> Result:
+        """Spin until a condition, ``what`` in words, is true, and return it.
 
-        Parameters
-        ----------
-        condition : callable
-            What is waited for.
-        seconds : float
-            No longer than this.
-        what : str
-            The condition in words.
-        check : callable, optional
-            Called meanwhile; it may raise.
+        Meanwhile ``check`` is called; it may raise.
 
         Raises
         ------
         LiveError
-            If the condition did not become true.
+            If the condition did not become true in so many seconds.
         """
-        if not (found := self._spin_until(condition, seconds, check)):
+        if not (result := self._spin_until(condition, seconds, check)):
             raise LiveError(f"{what}: timed out after {seconds:g} s")
-        return found
+        return result
 
-    def _spin_until(
-        self,
-        condition: Callable[[], Found],
-        seconds: float,
-        check: Callable[[], object] | None,
-    ) -> Found:
+    def _spin_until(self, condition: Callable[[], Result], seconds: float, check: Check) -> Result:
         """Spin until a condition is true or the time is over; return what it last was."""
         deadline = time.monotonic() + seconds
-        while not (found := condition()) and time.monotonic() <= deadline:
+        while not (result := condition()) and time.monotonic() <= deadline:
             self.spin(0.05)
             if check is not None:
                 check()
-        return found
+        return result
 
     def call(
         self,
@@ -127,7 +105,7 @@ class Client:
         name: str,
         request: Any,
         seconds: float = ANSWER,
-        check: Callable[[], object] | None = None,
+        check: Check = None,
     ) -> Any:
         """Call a service and return its answer; as :meth:`wait_for`.
 
@@ -136,9 +114,7 @@ class Client:
         question = Question(self._service(service_type, name, seconds, check), request)
         return self.wait_for(question.answer, seconds, f"an answer of {name}", check)
 
-    def _service(
-        self, service_type: Any, name: str, seconds: float, check: Callable[[], object] | None
-    ) -> Any:
+    def _service(self, service_type: Any, name: str, seconds: float, check: Check) -> Any:
         """Return the client of a service that is ready."""
         if name not in self._services:
             self._services[name] = self.node.create_client(service_type, name)
@@ -147,18 +123,11 @@ class Client:
         return client
 
     def set_parameters(
-        self,
-        node: str,
-        values: Mapping[str, Any],
-        seconds: float = ANSWER,
-        check: Callable[[], object] | None = None,
+        self, node: str, values: Mapping[str, Any], seconds: float = ANSWER, check: Check = None
     ) -> None:
-        """Change parameters of a node while it runs, all or none; as :meth:`wait_for`.
+        """Change parameters of a running node, all or none; as :meth:`call`.
 
-        Raises
-        ------
-        LiveError
-            If the node does not answer or refuses.
+        Raises LiveError if the node does not answer or refuses.
         """
         from rcl_interfaces.srv import SetParametersAtomically
         from rclpy.parameter import Parameter
@@ -171,18 +140,11 @@ class Client:
             raise LiveError(f"{node} refuses {', '.join(values)}: {answer.reason}")
 
     def change_state(
-        self,
-        node: str,
-        transition: str,
-        seconds: float = ANSWER,
-        check: Callable[[], object] | None = None,
+        self, node: str, transition: str, seconds: float = ANSWER, check: Check = None
     ) -> None:
         """Make a node ``configure``, ``activate``, ``deactivate`` or ``cleanup``; as :meth:`call`.
 
-        Raises
-        ------
-        LiveError
-            If the node does not answer or refuses.
+        Raises LiveError if the node does not answer or refuses.
         """
         from lifecycle_msgs.msg import State, Transition
         from lifecycle_msgs.srv import ChangeState, GetState

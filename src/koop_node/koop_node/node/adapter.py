@@ -15,23 +15,13 @@ class StepCounter:
     message is a gap in the steps; jitter and a drifting clock don't add up, for only neighbours are
     compared. A message without a stamp (zero) is the next step. Counting begins at 1: step 0 is
     where a run begins, and a source without steps is under way whenever it is heard.
-
-    Parameters
-    ----------
-    dt : float
-        Time between two steps [s].
-
-    Attributes
-    ----------
-    early : int
-        Messages that came less than half a step after the one before: the source is faster.
     """
 
     def __init__(self, dt: float) -> None:
-        self._dt = dt
+        self._dt = dt  # [s] between two steps
         self._step = 0
         self._stamp = 0.0
-        self.early = 0
+        self.early = 0  # messages less than half a step after the one before: it is faster
 
     def next(self, stamp: float) -> int:
         """Return the step of a message with this stamp [s]."""

@@ -21,7 +21,7 @@ from rclpy.timer import Timer as RosTimer
 
 from koop_core.errors import KoopError
 from koop_node.node import schedule
-from koop_node.node.graph import Listeners, best_effort_only, publishers_of, subscribers_of
+from koop_node.node.graph import Listeners, best_effort_only, publishers_of
 from koop_node.node.schedule import Timer
 from koop_node.node.wire import WireError, codec
 
@@ -51,15 +51,7 @@ class WithoutEvents(Node):
 
 
 class Writer:
-    """Publishes messages of one type without rclpy's conversion.
-
-    Parameters
-    ----------
-    publisher : rclpy.publisher.Publisher
-        On which they go; matching and acknowledgement are asked of it.
-    kind : type
-        Message class.
-    """
+    """Publishes messages of one type without rclpy's conversion."""
 
     def __init__(self, publisher: Publisher, kind: Any) -> None:
         self.publisher = publisher
@@ -76,21 +68,6 @@ class Input:
 
     It is reliable, so that nothing is lost in lockstep or on a busy machine, until a publisher is
     there that offers best effort only, as most drivers of sensors do.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Owner.
-    kind : type
-        Message class.
-    topic : str
-        Its name.
-    deliver : callable
-        Takes what arrives, as rclpy gives it.
-    qos : QoSProfile
-        Quality of service while all publishers are reliable.
-    raw : bool
-        Whether the messages are delivered as bytes.
     """
 
     def __init__(
@@ -123,7 +100,6 @@ class _OfRos:
         self.cancel = timer.cancel
 
     def restart(self, period: float | None = None) -> None:
-        """Let it be due a period [s] from now, a new one if one is given, and so on."""
         if period is not None:
             self._timer.timer_period_ns = round(period * 1e9)
         self._timer.reset()
@@ -134,26 +110,14 @@ class Entities:
 
     Callbacks are called only until then: an executor may still hold messages that came before.
     Timers run on the steady clock, whatever simulated time does.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Owner.
-
-    Attributes
-    ----------
-    inputs : dict of str to Input
-        What :meth:`reader` and :meth:`dated_subscription` have made, by topic as it was given.
-    waiting_for : str
-        What is still waited for; empty: nothing.
-    fail : callable
-        Ends the node as one that failed.
     """
 
     def __init__(self, node: Node) -> None:
         self.inputs: dict[str, Input] = {}
+        """What :meth:`reader` and :meth:`dated_subscription` have made, by topic as written."""
         self.waiting_for = ""
         self.fail: Callable[[], object] = bool
+        """Ends the node as one that failed."""
         self._node = node
         self._stack = ExitStack()
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -176,10 +140,9 @@ class Entities:
     def reader(
         self, kind: Any, topic: str, callback: Callable[[Any, float], None], qos: QoSProfile
     ) -> None:
-        """Listen to messages that are decoded here; see :mod:`koop_node.node.wire`.
+        """Listen as :meth:`dated_subscription` does, to messages that are decoded here.
 
-        The callback also gets when a message was written, as of :meth:`dated_subscription`. One
-        that cannot be decoded is reported and goes no further.
+        One that cannot be is reported and goes no further. See :mod:`koop_node.node.wire`.
         """
         decode, logger = codec(kind).decode, self._node.get_logger()
 
@@ -202,7 +165,6 @@ class Entities:
         raw: bool = False,
     ) -> Subscription:
         """Create a subscription."""
-
         look = self._look
 
         def deliver(message: Any) -> None:
@@ -233,9 +195,9 @@ class Entities:
     ) -> None:
         look = self._look
 
-        def deliver(*given: Any) -> None:
+        def deliver(*arguments: Any) -> None:
             # the EventsExecutor of rclpy 7.1 gives message and info as one tuple
-            message, info = given if len(given) == 2 else given[0]
+            message, info = arguments if len(arguments) == 2 else arguments[0]
             if self._open:
                 callback(message, info["source_timestamp"] * 1e-9)
                 look()
@@ -288,29 +250,26 @@ class Entities:
 
         timer = self.timer(LOOK_PERIOD, look)
 
-    def when_published(self, topic: str, then: Callable[[str], object]) -> None:
-        """Call ``then`` with the message type of a topic once it has a publisher."""
-        self._when_typed(f"a publisher of {topic}", partial(publishers_of, self._node, topic), then)
-
-    def when_subscribed(self, topic: str, then: Callable[[str], object]) -> None:
-        """Call ``then`` with the message type of a topic once a node subscribes to it."""
-        self._when_typed(
-            f"a subscriber of {topic}", partial(subscribers_of, self._node, topic), then
-        )
-
-    def _when_typed(
-        self, what: str, endpoints: Callable[[], list[Any]], then: Callable[[str], object]
+    def when_typed(
+        self,
+        endpoints: Callable[[Node, str], list[Any]],
+        topic: str,
+        then: Callable[[str], object],
     ) -> None:
-        self.waiting_for = f"waiting for {what}"
+        """Call ``then`` with the message type of a topic once it has an endpoint.
+
+        That is one of ``publishers_of`` or ``subscribers_of``, of :mod:`koop_node.node.graph`.
+        """
+        self.waiting_for = f"waiting for {endpoints.__name__.replace('_', ' ')} {topic}"
         self._node.get_logger().info(self.waiting_for)
 
         def look() -> None:
-            if not (found := endpoints()):
+            if not (infos := endpoints(self._node, topic)):
                 return
             timer.cancel()
             self.waiting_for = ""
             try:
-                then(found[0].topic_type)
+                then(infos[0].topic_type)
             except KoopError as error:
                 self._node.get_logger().error(str(error))
                 self.fail()

@@ -25,18 +25,11 @@ class Listeners:
     """Which nodes must listen to a topic before its publisher begins.
 
     An observer, such as ``ros2 topic echo``, is none of them, however many there are.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Nodes by name.
-    next : str
-        Besides them, ``loop``: a node that publishes a message of the loop; ``any``: any node that
-        is not hidden; empty: none.
     """
 
     names: tuple[str, ...] = ()
     next: str = ""
+    """Besides those named: ``loop``, a node that publishes a message of the loop; ``any``."""
 
     def missing(self, node: Node, publisher: Publisher) -> str:
         """Return in words who does not listen yet; empty if all do."""
@@ -62,12 +55,7 @@ class Listeners:
 def listeners_of(text: str, next_: str) -> tuple[Listeners, Listeners]:
     """Return who must hear what a node answers, and who what it publishes besides.
 
-    Parameters
-    ----------
-    text : str
-        Parameter ``listeners``.
-    next_ : str
-        What :data:`NEXT` is, as in :class:`Listeners`.
+    ``text`` is the parameter ``listeners``, ``next_`` what its :data:`NEXT` is.
     """
     words = text.split()
     names = tuple(word for word in words if word != NEXT)
@@ -87,7 +75,7 @@ def subscribers_of(node: Node, topic: str) -> list[Any]:
 def unheard(subscription: Subscription, publishers: Sequence[Any]) -> list[str]:
     """Say of every publisher that a subscription cannot hear, who it is and why."""
     wanted = type_name(subscription.msg_type)
-    found = []
+    texts = []
     for info in publishers:
         if info.topic_type != wanted:
             why = f"as {info.topic_type}, not as {wanted}"
@@ -95,8 +83,8 @@ def unheard(subscription: Subscription, publishers: Sequence[Any]) -> list[str]:
             why = "with a quality of service that does not fit"
         else:
             continue
-        found.append(f"'{subscription.topic_name}' is published by {full_name(info)} {why}")
-    return found
+        texts.append(f"'{subscription.topic_name}' is published by {full_name(info)} {why}")
+    return texts
 
 
 def best_effort_only(publishers: Sequence[Any]) -> bool:

@@ -22,7 +22,6 @@ from rclpy.utilities import remove_ros_args
 
 from koop_core.config.describe import ARGUMENTS, help_text
 from koop_core.config.parameter import NodeConfig
-from koop_core.config.parameter_file import refuse_unused_sections
 from koop_core.errors import InputError
 from koop_node.node import schedule
 from koop_node.node.managed import ManagedNode
@@ -31,7 +30,6 @@ from koop_node.process.lifeline import end_with_parent
 from koop_node.process.realtime import apply_priority
 
 USAGE = f"a node takes {ARGUMENTS}; --help lists its parameters"
-QUEUED = 100  # callbacks that an executor may have to do before it knows of a change
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"  # environment variables of Fast DDS
 TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
@@ -41,15 +39,9 @@ def set_dds_profile(guest: bool = False) -> None:
     """Let Fast DDS notice a loss in 10 ms and never wait for a lost host.
 
     To be called before DDS starts in this process; what counts is the first call. A file of the
-    user's stays. Where the user's environment asks for UDP (``FASTDDS_BUILTIN_TRANSPORTS=UDPv4``),
-    what is sent to this process comes so: with the discovery range LOCALHOST, rmw_fastrtps ignores
-    that variable.
-
-    Parameters
-    ----------
-    guest : bool
-        Whether the process only looks on: what is sent to it then comes by UDP, not through shared
-        memory, which under load may be lost for good.
+    user's stays. What is sent to a guest, which only looks on, comes by UDP, not through shared
+    memory, which under load may be lost for good; and so where the user's environment asks for it
+    (``FASTDDS_BUILTIN_TRANSPORTS=UDPv4``), which rmw_fastrtps ignores in the range LOCALHOST.
     """
     guest = guest or os.environ.get(TRANSPORTS) == "UDPv4"
     own = Path(str(files("koop_node")))
@@ -78,30 +70,18 @@ def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> in
     return run_nodes(make, args)
 
 
-def run_nodes(
-    make: Callable[[], list[ManagedNode[Any]]],
-    args: list[str] | None = None,
-    keep_going: bool = False,
-) -> int:
-    """Run nodes on one executor until they finish or the process is told to stop.
+def run_nodes(make: Callable[[], list[ManagedNode[Any]]], args: list[str] | None = None) -> int:
+    """Run nodes on one executor until one finishes or the process is told to stop.
 
     SIGINT and SIGTERM end the process cleanly. The handlers only set a flag, so that no callback
     is interrupted and the context stays valid for the last publications.
 
-    Parameters
-    ----------
-    make : callable
-        Returns the nodes, those that listen before those that speak; called with rclpy ready.
-    args : list of str, optional
-        ROS arguments; by default those of the process.
-    keep_going : bool
-        Whether the others go on when a node has ended.
+    ``make`` returns the nodes, those that listen before those that speak; rclpy is ready then.
 
     Returns
     -------
     int
-        Exit code: 0 after a clean end, 1 if a node failed or ended before the last one, by whose
-        end the work is judged, 2 if one could not start.
+        0 after a clean end, 1 if a node failed or ended before the last one, 2 if it cannot start.
     """
     with schedule.running() as timers:
 
@@ -115,32 +95,25 @@ def run_nodes(
         try:
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             nodes = make()
-            names = [node.get_fully_qualified_name() for node in nodes]
-            refuse_unused_sections(sys.argv if args is None else args, names)
             priority = max((node.parameters[NodeConfig].priority for node in nodes), default=0)
         except Exception as error:  # whatever the start-up raises, the user gets one line
             print(f"error: {_one_line(error)}", file=sys.stderr)
             rclpy.try_shutdown()
             return 2
-        return _spin(nodes, priority, timers, keep_going)
+        return _spin(nodes, priority, timers)
 
 
-def _spin(
-    nodes: list[ManagedNode[Any]],
-    priority: int,
-    timers: schedule.Schedule,
-    keep_going: bool,
-) -> int:
-    """Run nodes until they finish or the schedule is asked to end; return the exit code."""
+def _spin(nodes: list[ManagedNode[Any]], priority: int, timers: schedule.Schedule) -> int:
+    """Run nodes until one finishes or the schedule is asked to end; return the exit code."""
     executor: Any = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
     house = Housekeeping(time.monotonic())  # before the first tick, for it takes a while
     asked = False
+    ended: list[ManagedNode[Any]] = []
     code = 0
     try:
-        going = bool(nodes)
-        while going and not timers.asked:
+        while not (ended or timers.asked):
             interrupted = Future()
             timers.interrupt = partial(interrupted.set_result, None)
             timers.run_due()
@@ -152,15 +125,12 @@ def _spin(
                     nodes[0].get_logger().warning(problem)
             # spin() would hang in the Jazzy wheels, spin_once() costs 4 us for every callback
             executor.spin_until_future_complete(interrupted, timeout_sec=wait)
-            ended = _ended(nodes)
-            if ended is not None:
-                code = code or nodes[ended].exit_code or 0
-                going = len(nodes) > 1 and keep_going
-                if not keep_going and ended < len(nodes) - 1:
-                    nodes[ended].get_logger().error("has ended: the other nodes end with it")
-                    code = code or 1
-                if going:
-                    _take_out(nodes, ended, executor, timers, house)
+            ended = [node for node in nodes if node.exit_code is not None]
+        if ended:
+            code = ended[0].exit_code or 0
+            if ended[0] is not nodes[-1]:
+                ended[0].get_logger().error("has ended: the other nodes end with it")
+                code = code or 1
         for node in reversed(nodes):  # speakers end before those who listen to them
             node.close()
     finally:
@@ -175,36 +145,6 @@ def _spin(
         executor.shutdown()
         rclpy.try_shutdown()
     return code
-
-
-def _ended(nodes: list[ManagedNode[Any]]) -> int | None:
-    """Return the index of a node that has ended."""
-    for index, node in enumerate(nodes):
-        if node.exit_code is not None:
-            return index
-    return None
-
-
-def _take_out(
-    nodes: list[ManagedNode[Any]],
-    index: int,
-    executor: Any,
-    timers: schedule.Schedule,
-    house: Housekeeping,
-) -> None:
-    """End one of several nodes; the others go on."""
-    node = nodes.pop(index)
-    name, code = node.get_fully_qualified_name(), node.exit_code
-    print(f"{name} ended with exit code {code}; the others go on", flush=True)
-    node.close()
-    executor.remove_node(node)
-    for _ in range(QUEUED):  # what was queued for the node, and that it was removed
-        executor.spin_once(timeout_sec=0.0)
-    node.destroy_node()
-    del node
-    # a node and what it made refer to each other; as long as it is there it is seen
-    timers.purge()
-    house.settle()
 
 
 def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:

@@ -32,13 +32,7 @@ REPORT_PERIOD = 1.0  # [s]
 
 
 def message_type(name: str) -> Any:
-    """Return the class of ``pkg/msg/Type``.
-
-    Raises
-    ------
-    ConfigError
-        If no such message is installed.
-    """
+    """Return the class of ``pkg/msg/Type``; raise ConfigError if it is not installed."""
     package, _, kind = check_type(name).split("/")
     try:
         return getattr(import_module(f"{package}.msg"), kind)
@@ -87,26 +81,12 @@ RunT = TypeVar("RunT", bound=Run)
 class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     """Base of the nodes: lifecycle, parameters, diagnostics, end of the run.
 
-    Parameters
-    ----------
-    name : str
-        Name of the node.
-    make_run : callable
-        ``make_run(node, entities)`` configures.
-    options
-        As of every rclpy node: ``context``, ``namespace``, ``parameter_overrides`` and so on.
-
-    Attributes
-    ----------
-    configs : tuple of type
-        Configurations of its parameters, besides NodeConfig; of the class.
-    run : Run or None
-        There from configure to cleanup.
-    exit_code : int or None
-        Of the process, once the node has finished.
+    ``make_run(node, entities)`` configures; the options are those of every rclpy node. ``run`` is
+    there from configure to cleanup, the exit code of the process once the node has finished.
     """
 
     configs: ClassVar[tuple[type, ...]] = ()
+    """Configurations of its parameters, besides NodeConfig."""
 
     def __init__(
         self, name: str, make_run: Callable[[Any, Entities], RunT], **options: Any
@@ -152,11 +132,6 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         if self.run is None:
             return "unconfigured"
         return "active" if self.active else "inactive"
-
-    @property
-    def hardware_id(self) -> str:
-        """What the diagnostics are about: the loop, for a fleet has one in every namespace."""
-        return f"koop{self.get_namespace()}".rstrip("/")
 
     def finish(self, exit_code: int = 0) -> None:
         """End the process after the current callback; in a container, end the work."""
@@ -217,16 +192,14 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         self._release()
         return TransitionCallbackReturn.SUCCESS
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._stop_working()
-        self._release()
-        self.finish(0)
-        return TransitionCallbackReturn.SUCCESS
-
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         self._stop_working()
         self._release()
         return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.finish(0)
+        return self.on_error(state)
 
     def _attempt(self, action: Callable[[], None], entities: Entities) -> TransitionCallbackReturn:
         """Make a transition; one that fails midway leaves nothing behind."""
@@ -296,17 +269,17 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
             if self._while_active is not None:
                 findings += self._findings(monitor, now, publishers, self._while_active.inputs)
             values |= monitor.values(now, time.time(), len(publishers))
-        if self._without_time():
+        if self.get_parameter("use_sim_time").value and not self.get_clock().now().nanoseconds:
             findings.append(
                 Finding(WARN, "use_sim_time is set, but nothing is published on /clock")
             )
-        found = summary(findings)
-        self._log(self._news.of(found, now))
+        state = summary(findings)
+        self._log(self._news.of(state, now))
         status = DiagnosticStatus(
-            level=bytes([found.level]),
+            level=bytes([state.level]),
             name=self.get_fully_qualified_name(),
-            message=found.text,
-            hardware_id=self.hardware_id,
+            message=state.text,
+            hardware_id=f"koop{self.get_namespace()}".rstrip("/"),  # the loop
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
         array = DiagnosticArray(status=[status])
@@ -326,11 +299,6 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
             not monitor.stale(now) or can_say_more(self, publishers),
             unheard(inputs[monitor.topic].subscription, publishers),
         )
-
-    def _without_time(self) -> bool:
-        """Return True if stamps are 0 because simulated time has not begun."""
-        wanted = self.get_parameter("use_sim_time").value
-        return bool(wanted) and self.get_clock().now().nanoseconds == 0
 
     def _log(self, news: Finding | None) -> None:
         if news is None:

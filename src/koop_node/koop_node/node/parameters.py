@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
@@ -28,26 +28,15 @@ OF_THE_CLOCK = "qos_overrides./clock."  # rclpy's own, with use_sim_time
 class Parameters:
     """The configurations of a node, each an immutable object that is swapped when it changes.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Node on which the parameters are declared.
-    config_classes : iterable of type
-        Dataclasses made with ``koop_core.config.parameter.parameter``. A field name that several
-        of them share is one ROS parameter.
-    check : callable
-        ``check(changed, names)`` is called with a new value of every configuration, by class, and
-        the names that were set, before it is taken; it raises KoopError to refuse it.
-    changed : callable
-        ``changed(names)`` is called after new values were taken.
-    args : sequence of str
-        Command line from which values may come.
+    A field name that several of the classes share is one ROS parameter. ``check(changed, names)``
+    is called with a new value of every configuration, by class, and the names that were set, before
+    it is taken; it raises KoopError to refuse it. ``changed(names)`` is called after that.
 
     Raises
     ------
     ConfigError
-        If a value given at the start is unknown, out of range or of the wrong type. What all nodes
-        of a wildcard were given may be unknown.
+        If a value at the start is unknown, out of range or of the wrong type. What a file says to
+        all nodes of a wildcard may be unknown; ``args`` is the command line that names the file.
     """
 
     def __init__(
@@ -63,13 +52,17 @@ class Parameters:
         self._changed = changed
         overrides = parameter_overrides(node)
         known = {item.name: item for cls in self._classes for item in fields(cls)}
-        unknown = unknown_names(
-            overrides, set(known) | set(node.get_parameters_by_prefix("")), args
+        shared = shared_names(args, node.get_fully_qualified_name())
+        unknown = sorted(
+            name
+            for name in overrides
+            if not (name in known or node.has_parameter(name) or name.startswith(OF_THE_CLOCK))
         )
+        refuse_unmeant(unknown, known, shared)
         if unknown:
             node.get_logger().info(f"given to all nodes, not known here: {', '.join(unknown)}")
-        given = {name: value for name, value in overrides.items() if name in known}
-        self._configs = self._build({item.name: item.default for item in known.values()} | given)
+        self._defaults = {item.name: item.default for item in known.values()}
+        self._configs = self._build(self._defaults | overrides)
         self._pending: dict[type, Any] | None = None
         values = self._values(self._configs)
         for item in known.values():
@@ -79,7 +72,6 @@ class Parameters:
                 descriptor(spec_of(item), item.default),
                 ignore_override=True,
             )
-        self._defaults = {item.name: item.default for item in known.values()}
         node.add_pre_set_parameters_callback(self._as_declared)
         node.add_on_set_parameters_callback(self._on_set)
         node.add_post_set_parameters_callback(self._on_taken)
@@ -149,26 +141,15 @@ def _in_type_of(default: Any, item: Parameter) -> Parameter:
     return item
 
 
-def unknown_names(given: Iterable[str], known: set[str], args: Sequence[str]) -> list[str]:
-    """Return the names that may be ignored: a file gave them to all nodes.
-
-    Raises
-    ------
-    ConfigError
-        If others are unknown.
-    """
-    unknown = sorted(name for name in given if name not in known)
+def refuse_unmeant(unknown: Iterable[str], known: Iterable[str], shared: Collection[str]) -> None:
+    """Raise ConfigError on an unknown name, unless a file gave it to all nodes."""
     for name in unknown:
-        if name.startswith("qos_overrides.") and not name.startswith(OF_THE_CLOCK):
+        if name.startswith("qos_overrides."):
             raise ConfigError(
                 f"{name}: the quality of service of the topics is fixed, and publishers of any "
                 "reliability are heard"
             )
-    unknown = [name for name in unknown if not name.startswith(OF_THE_CLOCK)]
-    shared = shared_names(args) if unknown else set()
-    meant = [name for name in unknown if name not in shared]
-    refuse_unknown(meant, sorted(known))
-    return unknown
+    refuse_unknown([name for name in unknown if name not in shared], sorted(known))
 
 
 def _ros_value(value: Any) -> Any:

@@ -34,7 +34,7 @@ class Timer(Protocol):
 
 
 class ScheduledTimer:
-    """A timer of a schedule."""
+    """A timer of a schedule; see :class:`Timer`."""
 
     def __init__(self, schedule: Schedule, period: float, callback: Callable[[], object]) -> None:
         self._schedule = schedule
@@ -43,11 +43,9 @@ class ScheduledTimer:
         self.restart()
 
     def cancel(self) -> None:
-        """Let it be due no more, until it is restarted."""
         self.due = math.inf
 
     def restart(self, period: float | None = None) -> None:
-        """Let it be due a period [s] from now, a new one if one is given, and so on."""
         if period is not None:
             self.period = period
         self.due = self._schedule.clock() + self.period
@@ -55,26 +53,14 @@ class ScheduledTimer:
 
 
 class Schedule:
-    """The timers of a process, the next one first.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns a steady time [s].
-
-    Attributes
-    ----------
-    interrupt : callable
-        Lets the executor return after the callback that it runs; not to be called by a handler of
-        signals.
-    asked : bool
-        Whether it is to return as soon as may be; set by handlers of signals.
-    """
+    """The timers of a process, the next one first, on a steady clock [s]."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock = clock
         self.interrupt: Callable[[], object] = bool
+        """Lets the executor return after its callback; not for a handler of signals."""
         self.asked = False
+        """Whether it is to return as soon as may be; for handlers of signals."""
         self._number = itertools.count()
         self._heap: list[tuple[float, int, ScheduledTimer]] = []
 
@@ -107,11 +93,6 @@ class Schedule:
             timer.due = max(timer.due, math.nextafter(now, math.inf))
             self.push(timer)
             timer.callback()
-
-    def purge(self) -> None:
-        """Forget the timers that were cancelled, and with them whom they would call."""
-        self._heap = [entry for entry in self._heap if entry[0] == entry[2].due]
-        heapq.heapify(self._heap)
 
     def push(self, timer: ScheduledTimer) -> None:
         """Take note of when a timer is due."""

@@ -11,10 +11,8 @@ codec writes is what rclpy's own serialiser writes, to the byte.
 from __future__ import annotations
 
 import struct
-import sys
 from array import array
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -36,21 +34,14 @@ class WireError(ValueError):
 
 
 class Leaf(NamedTuple):
-    """A field that holds no other ones.
-
-    Attributes
-    ----------
-    path : str
-        Dotted names from the message.
-    format : str
-        Of :mod:`struct`, of the number or of each element.
-    kind : str
-        ``number``, ``text`` or ``sequence``.
-    """
+    """A field that holds no other ones."""
 
     path: str
+    """Dotted names from the message."""
     format: str
+    """Of :mod:`struct`, of the number or of each element."""
     kind: str
+    """``number``, ``text`` or ``sequence``."""
 
     @property
     def type(self) -> MessageType:
@@ -61,8 +52,7 @@ class Leaf(NamedTuple):
         return number if self.kind == "number" else Array(number, None)
 
 
-@dataclass(frozen=True)
-class Packing:
+class Packing(NamedTuple):
     """Where the fields lie in all messages whose length words are the same."""
 
     packer: struct.Struct
@@ -70,17 +60,9 @@ class Packing:
 
 
 class Codec:
-    """Reads and writes one type of message.
+    """Reads and writes one type of message, of a class that the interface generators made.
 
-    Parameters
-    ----------
-    message_class : type
-        Of the message, as the interface generators made it.
-
-    Raises
-    ------
-    WireError
-        If it has fields of other kinds than those named above.
+    Raises WireError if it has fields of other kinds than those named above.
     """
 
     def __init__(self, message_class: Any) -> None:
@@ -88,12 +70,15 @@ class Codec:
         leaves = list(_leaves(message_class))
         self._leaves = leaves
         self._type = Struct(self.name, tuple((leaf.path, leaf.type) for leaf in leaves))
-        self._count = sum(leaf.kind != "number" for leaf in leaves)
-        self._layouts: dict[tuple[str, tuple[int, ...]], Packing] = {}
-        self._last = self._layout("<", (1,) * self._count)
+        self._layouts: dict[tuple[int, ...], Packing] = {}
+        self._last = self._layout(tuple(1 for leaf in leaves if leaf.kind != "number"))
         made = _compiled(message_class, leaves)
-        self.new: Callable[[], Any] = made["new"]
         self._build, self._lengths, self._encode = made["build"], made["lengths"], made["encode"]
+        self._empty = self.encode(message_class())
+
+    def new(self) -> Any:
+        """Return an empty message."""
+        return self.decode(self._empty)
 
     def encode(self, message: Any) -> bytes:
         """Return a message, of this codec or of the message class, as DDS carries it."""
@@ -102,10 +87,7 @@ class Codec:
     def decode(self, data: bytes) -> Any:
         """Return the message that DDS carried.
 
-        Raises
-        ------
-        WireError
-            If it is cut short, of another encoding, or holds text that is not UTF-8.
+        Raises WireError if it is cut short, in another encoding, or holds text that is not UTF-8.
         """
         layout = self._last
         if data[:4] != LITTLE or len(data) < layout.packer.size:
@@ -115,20 +97,19 @@ class Codec:
             layout = self._last = self._find(data)
             values = layout.packer.unpack_from(data)
         try:
-            return self._build(values, layout.packer.format[0])
+            return self._build(values)
         except UnicodeDecodeError as error:
             raise WireError(f"a {self.name} holds text that is not UTF-8: {error}") from None
 
-    def _layout(self, order: str, lengths: tuple[int, ...]) -> Packing:
-        key = (order, lengths)
-        if key not in self._layouts:
+    def _layout(self, lengths: tuple[int, ...]) -> Packing:
+        if lengths not in self._layouts:
             if len(self._layouts) > 100:  # lengths that change for ever must not fill the memory
                 self._layouts.clear()
-            self._layouts[key] = Packing(struct.Struct(self._format(order, lengths)), lengths)
-        return self._layouts[key]
+            self._layouts[lengths] = Packing(struct.Struct(self._format(lengths)), lengths)
+        return self._layouts[lengths]
 
-    def _format(self, order: str, lengths: tuple[int, ...]) -> str:
-        text, at, left = f"{order}4s", 0, iter(lengths)
+    def _format(self, lengths: tuple[int, ...]) -> str:
+        text, at, left = "<4s", 0, iter(lengths)
 
         def put(size: int, item: str, alignment: int) -> None:
             nonlocal text, at
@@ -148,13 +129,14 @@ class Codec:
 
     def _find(self, data: bytes) -> Packing:
         """Walk over a message and return its layout."""
+        if data[:2] != LITTLE[:2]:
+            raise WireError(f"a {self.name} is not in little-endian CDR")
         try:
             walk = Walk(data)
             walk.visit(self._type)
         except CdrError as error:
             raise WireError(f"a {self.name} is {error}") from None
-        order = "<" if data[1] else ">"
-        return self._layout(order, tuple(length for _, length in walk.guards))
+        return self._layout(tuple(length for _, length in walk.guards))
 
 
 @cache
@@ -194,55 +176,45 @@ def _positions(leaves: list[Leaf]) -> Iterator[tuple[int, Leaf]]:
 def _compiled(message_class: Any, leaves: list[Leaf]) -> dict[str, Any]:
     """Return functions made for a type of message.
 
-    ``new()`` returns an empty one, ``build(values, order)`` the one with the values of a layout,
-    ``lengths(values)`` its length words, ``encode(message, layout)`` its bytes.
+    ``build(values)`` returns the one with the values of a layout, ``lengths(values)`` its length
+    words, ``encode(message, layout)`` its bytes.
     """
     read = {
         leaf.path: {
             "number": f"v[{index + 1}]",
             "text": f"text(v[{index + 2}])",
-            "sequence": f"numbers({leaf.format!r}, v[{index + 2}], order)",
+            "sequence": f"array({leaf.format!r}, v[{index + 2}])",
         }[leaf.kind]
         for index, leaf in _positions(leaves)
     }
-    empty = {
-        leaf.path: {"number": "0", "text": "''", "sequence": f"array({leaf.format!r})"}[leaf.kind]
-        for leaf in leaves
-    }
     classes: list[str] = []
 
-    def expression(made: Any, prefix: str, values: dict[str, str]) -> str:
+    def expression(made: Any, prefix: str) -> str:
         names = list(made.get_fields_and_field_types())
         inner = [
-            values[f"{prefix}{name}"]
-            if f"{prefix}{name}" in values
-            else expression(_class_of(made, name), f"{prefix}{name}.", values)
+            read.get(f"{prefix}{name}") or expression(_class_of(made, name), f"{prefix}{name}.")
             for name in names
         ]
         label = f"{made.__name__}_{prefix.replace('.', '_')}"
-        if values is read:
-            classes.append(
-                f"class {label}:\n"
-                f"    __slots__ = {tuple(names)!r}\n"
-                f"    def __init__(self, {', '.join(names)}):\n"
-                + "".join(f"        self.{name} = {name}\n" for name in names)
-            )
+        classes.append(
+            f"class {label}:\n"
+            f"    __slots__ = {tuple(names)!r}\n"
+            f"    def __init__(self, {', '.join(names)}):\n"
+            + "".join(f"        self.{name} = {name}\n" for name in names)
+        )
         return f"{label}({', '.join(inner)})"
 
-    build = expression(message_class, "", read)
-    new = expression(message_class, "", empty)
+    build = expression(message_class, "")
     lengths = " ".join(f"v[{n + 1}]," for n, leaf in _positions(leaves) if leaf.kind != "number")
     source = (
         "".join(classes)
-        + f"def build(v, order):\n    return {build}\n"
-        + f"def new():\n    return {new}\n"
+        + f"def build(v):\n    return {build}\n"
         + f"def lengths(v):\n    return ({lengths})\n"
         + _encoder(leaves)
     )
     space = {
         "LITTLE": LITTLE,
         "array": array,
-        "numbers": _numbers,
         "text": lambda chunk: chunk[:-1].decode() if len(chunk) > 1 else "",
     }
     # as dataclasses and namedtuple do it: a call for every field would cost as much as rclpy
@@ -278,13 +250,5 @@ def _encoder(leaves: list[Leaf]) -> str:
             lines.append(f"{length} = len({chunk}) // {size}")
         lengths.append(f"{length},")
         packed += [length, chunk]
-    lines.append(f"return layout('<', ({' '.join(lengths)})).packer.pack({', '.join(packed)})")
+    lines.append(f"return layout(({' '.join(lengths)})).packer.pack({', '.join(packed)})")
     return "def encode(m, layout):\n" + "".join(f"    {line}\n" for line in lines)
-
-
-def _numbers(code: str, chunk: bytes, order: str) -> array[Any]:
-    """Return a sequence as rclpy gives it."""
-    made = array(code, chunk)
-    if (order == "<") != (sys.byteorder == "little"):
-        made.byteswap()
-    return made

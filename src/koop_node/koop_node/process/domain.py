@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import random
 import socket
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -18,40 +18,22 @@ DAEMON = b"ros2cli.daemon"  # in the command line of ros2cli's daemon
 
 
 def current_domain() -> int:
-    """Return the domain of the environment.
-
-    Raises
-    ------
-    ConfigError
-        If it is not a number.
-    """
+    """Return the domain of the environment; raise ConfigError if it is not a number."""
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not text.isdecimal():
         raise ConfigError(f"ROS_DOMAIN_ID = {text!r}: must be a whole number from 0 to 101")
     return int(text)
 
 
-def free_domain(candidates: Iterable[int] | None = None) -> int:
+def free_domain() -> int:
     """Return a ROS domain that nobody takes part in, so that a loop may run beside.
 
     Where the system does not tell who listens, it is the domain of the environment.
-
-    Parameters
-    ----------
-    candidates : iterable of int, optional
-        Domains in the order of preference; by default all of :data:`DOMAINS` in a random one.
     """
-    order = list(candidates) if candidates is not None else random.sample(DOMAINS, len(DOMAINS))
-    taken = _taken()
-    if taken is None:
+    if (sockets := _sockets()) is None:
         return current_domain()
-    return next((domain for domain in order if domain not in taken), order[0])
-
-
-def is_taken(domain: int) -> bool:
-    """Return whether anybody on this machine takes part in a domain; True where nothing tells."""
-    taken = _taken()
-    return taken is None or domain in taken
+    free = [domain for domain in DOMAINS if domain not in sockets.values()]
+    return random.choice(free or DOMAINS)
 
 
 def only_observed(domain: int) -> bool:
@@ -68,12 +50,6 @@ def only_observed(domain: int) -> bool:
             if DAEMON in (process / "cmdline").read_bytes():
                 sockets -= {os.readlink(file) for file in (process / "fd").iterdir()}
     return not sockets
-
-
-def _taken() -> set[int] | None:
-    """Return the domains that somebody listens in, or None where the system does not tell."""
-    sockets = _sockets()
-    return None if sockets is None else set(sockets.values())
 
 
 def _sockets() -> dict[int, int] | None:

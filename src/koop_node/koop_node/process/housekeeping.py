@@ -23,24 +23,13 @@ _MADV_DONTNEED = 4  # asm-generic/mman-common.h
 
 
 class Housekeeping:
-    """Garbage of a process, collected when there is time.
-
-    Parameters
-    ----------
-    now : float
-        Steady time [s].
-    """
+    """Garbage of a process, collected when there is time; ``now`` is a steady time [s]."""
 
     def __init__(self, now: float) -> None:
         self._next = now + PERIOD
-        self.settle()
-        gc.disable()
-
-    def settle(self) -> None:
-        """Take what is there now for what stays."""
-        gc.unfreeze()
         gc.collect()
         gc.freeze()
+        gc.disable()
 
     def tidy(self, now: float, room: float) -> None:
         """Collect if it is time and there is room until the next timer [s]."""
@@ -76,15 +65,7 @@ def _compiler() -> list[tuple[int, int]]:
 
 
 def clean_mappings(maps: str, library: str) -> Iterator[tuple[int, int]]:
-    """Yield begin and end of the mappings of a library that are as its file.
-
-    Parameters
-    ----------
-    maps : str
-        Of ``/proc/PID/smaps``.
-    library : str
-        Part of the file's name.
-    """
+    """Yield begin and end of the mappings in ``/proc/PID/smaps`` that are as a library's file."""
     for block in re.split(r"\n(?=[0-9a-f]+-[0-9a-f]+ )", maps):
         head, _, rest = block.partition("\n")
         span, permissions, *_, path = head.split()

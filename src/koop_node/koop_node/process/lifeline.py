@@ -28,7 +28,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 def deferred_signals() -> Iterator[None]:
     """Let SIGINT and SIGTERM wait, in a process that is started here, until it handles them.
 
-    Before a line of ours runs, Python would print a traceback and end with exit code 1 or -2.
+    Before a line of ours runs, Python would print a traceback.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, DEFERRED)
     try:
