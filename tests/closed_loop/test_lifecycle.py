@@ -68,7 +68,7 @@ def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, pr
         assert state_of(probe, active) == "inactive"
         told, silence = len(numbers), len(reports)
         begin = len(thetas)
-        probe.spin_until(lambda n=silence: len(reports) > n + 6, "two seconds of reports")
+        probe.spin_until(lambda n=silence: len(reports) > n + 3, "a second of reports")
         assert {m.theta for m in thetas[begin:]} <= set()
         assert len(numbers) == told
         assert change(probe, standby, ACTIVATE)

@@ -66,11 +66,11 @@ def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, re
         said = Listener(client, THETA, THETA_TYPE, (parse_field("theta"),), reliable=True)
         with CommanderClient(Assignment(SLOW, SLOW.theta_start), tmp_path / "log") as commander:
             commander.go(-1.0)
-            wait(lambda: client.spin(0.02) or fast_rig.theta < -0.8, "theta to move")
+            client.wait_for(lambda: fast_rig.theta < -0.8, TIMEOUT, "theta to move")
             setattr(fast_rig, fault, True)
             with pytest.raises(LiveError, match=reason):
                 wait(commander.check, "the fault")
-        wait(lambda: client.spin(0.02) or said.last.theta == SLOW.theta_safe, "all that was said")
+        client.wait_for(lambda: said.last.theta == SLOW.theta_safe, TIMEOUT, "all that was said")
     assert_walked(fast_rig.moved, SLOW)
     # the way home does not make up for the time of the silence
     assert np.abs(np.diff(said.samples().x[:, 0])).max() <= SLOW.theta_rate * STEP
