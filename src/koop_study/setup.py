@@ -11,8 +11,6 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     install_requires=[
-        "koop_bag",
-        "koop_bringup",
         "koop_core",
         "koop_identify",
         "koop_loop",

@@ -20,7 +20,7 @@ from koop_study.experiments import stats
 from koop_study.experiments.kinds import read, read_folder
 from koop_study.report import summary
 from koop_study.report.page import render
-from koop_study.runner import run_all
+from koop_study.session import run_all
 from koop_study.simulation.work import runs
 from koop_study.workers.units import Store
 from koop_view.report.document import Figure, Heat, Panel, Section, Series
@@ -75,9 +75,9 @@ def write_small(folder: Path) -> None:
         own = content["experiment"] in without
         if content["experiment"] != "commission":
             content["settings"] = {k: v for k, v in SMALL.items() if not (own and k == "duration")}
-        for ablation in content.get("ablations", ()):
-            if ablation["name"] in ("trajectories", "training_duration"):
-                ablation["values"] = [4, 8]
+        for table in content.get("tables", ()):
+            if table["name"] in ("ablation_trajectories", "ablation_training_duration"):
+                table["values"] = [4, 8]
         if content["experiment"] == "laws":
             quick = content["quick"]
             quick["seeds"]["count"] = 2

@@ -16,9 +16,9 @@ def register(commands: Any) -> None:
         "same command resumes a study that was stopped.",
     )
     parser.add_argument(
-        "kinds", nargs="*", metavar="KIND",
-        help="a kind of experiment, such as modes, robustness, laws, or an experiment file of your "
-        "own (default: every file of experiments/)",
+        "names", nargs="*", metavar="NAME",
+        help="such as modes, robustness or laws, of experiments/, or a file of your own (default: "
+        "all of experiments/)",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="a small version, within minutes")
     parser.add_argument(
@@ -36,16 +36,6 @@ def register(commands: Any) -> None:
         "place of processes of this machine; the same results. 'dask scheduler' and 'dask worker "
         "ADDRESS --nthreads 1' in a ./koop shell of the same commit start them",
     )  # fmt: skip
-    parser.add_argument(
-        "--publish", type=Path, metavar="DIR",
-        help="write the report there too, without intermediate results",
-    )  # fmt: skip
-    parser.add_argument(
-        "--over-dds",
-        action="store_true",
-        help="run only the headline runs, with the real nodes in lockstep, and compare them with "
-        "the offline loop bit for bit; exit code 1 if one differs",
-    )
     parser.set_defaults(func=main)
 
 

@@ -6,15 +6,15 @@ import argparse
 import shlex
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from koop_core.config.parameter import ConfigError
-from koop_study import over_dds
-from koop_study.experiments.kinds import KINDS, Experiment, in_order, read, read_folder
+from koop_study.experiments.kinds import Experiment, in_order, read, read_folder
 from koop_study.report import page, summary
-from koop_study.runner import run_all
-from koop_study.workers.cluster import WorkerLost
+from koop_study.workers.cluster import compute_all
 from koop_study.workers.units import Store
+from koop_view.report.document import Section
 
 EXPERIMENTS = Path("experiments")  # of the repository, in whose root the study runs
 INTERRUPTED = 130
@@ -31,49 +31,48 @@ def run(args: argparse.Namespace) -> int:
     begin = time.monotonic()
     if args.processes < 1:
         raise ConfigError(f"--processes {args.processes}: must be at least 1")
-    experiments = chosen(args.kinds, args.quick)
+    experiments = choose(args.names, args.quick)
     out = args.out or Path("recordings/study-quick" if args.quick else "recordings/study")
-    if args.over_dds:
-        return 0 if over_dds.repeat(experiments, out) else 1
     store = Store(out / "units")
     try:
         sections = run_all(experiments, store, args.processes, args.scheduler)
     except KeyboardInterrupt:
         print(f"stopped; the same command resumes from what is in {out}", file=sys.stderr)
         return INTERRUPTED
-    except WorkerLost as error:
-        print(f"koop study: error: {error}", file=sys.stderr)
-        return 1
-    command = shlex.join(["koop", "study", *args.kinds, *(["--quick"] if args.quick else [])])
-    for folder in (out, *([args.publish] if args.publish else [])):
-        path = page.write(folder, sections, experiments, command)
+    command = shlex.join(["koop", "study", *args.names, *(["--quick"] if args.quick else [])])
+    path = page.write(out, sections, experiments, command)
     for claim in summary.sentences(summary.by_name(sections)):
         print(f"- {claim.text}")
     print(f"{path} ({time.monotonic() - begin:.0f} s)")
     return 0
 
 
-def chosen(names: list[str], quick: bool) -> list[Experiment]:
-    """Return the experiments that kinds and files name; all of the repository without a name.
+def run_all(
+    experiments: Sequence[Experiment], store: Store, processes: int, scheduler: str = ""
+) -> list[Section]:
+    """Return one section an experiment; all units share the workers."""
+    units = [experiment.units() for experiment in experiments]
+    every = [unit for some in units for unit in some]
+    results = iter(compute_all(every, store, processes, scheduler))
+    return [
+        experiment.section([next(results) for _ in some])
+        for experiment, some in zip(experiments, units, strict=True)
+    ]
+
+
+def choose(names: list[str], quick: bool) -> list[Experiment]:
+    """Return the experiments of the files that are named; all of the repository without a name.
 
     Raises
     ------
     koop_core.config.parameter.ConfigError
-        If a name is neither, or a file cannot be used.
+        If there is no such file, or it cannot be used.
     """
-    files = [name for name in names if name.endswith(".yaml")]
-    kinds = [name for name in names if name not in files]
-    for kind in kinds:
-        if kind not in KINDS:
-            raise ConfigError(
-                f"unknown kind of experiment '{kind}': known are {', '.join(KINDS)}; "
-                "a file's name ends with .yaml"
-            )
-    experiments = [read(Path(name), quick) for name in files]
-    if kinds or not files:
-        experiments += [
-            experiment
-            for experiment in read_folder(EXPERIMENTS, quick)
-            if not kinds or experiment.kind in kinds
-        ]
-    return in_order(experiments)
+    if not names:
+        return read_folder(EXPERIMENTS, quick)
+    paths = [Path(n) if n.endswith(".yaml") else EXPERIMENTS / f"{n}.yaml" for n in names]
+    for name, path in zip(names, paths, strict=True):
+        if path.parent == EXPERIMENTS and not path.exists():
+            known = ", ".join(sorted(item.stem for item in EXPERIMENTS.glob("*.yaml")))
+            raise ConfigError(f"unknown experiment '{name}': known are {known}")
+    return in_order([read(path, quick) for path in paths])

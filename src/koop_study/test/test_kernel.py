@@ -13,9 +13,9 @@ from koop_loop.loop import simulate
 from koop_loop.parameters import make
 from koop_loop.training import train
 from koop_study.simulation import maps
-from koop_study.simulation.case import Case, model_of, override, seeded
-from koop_study.simulation.run import measure, run
-from koop_study.simulation.scenario import ScenarioConfig, expose, interference
+from koop_study.simulation.case import Case, ScenarioConfig, override, seeded
+from koop_study.simulation.learning import interference, model_of
+from koop_study.simulation.run import expose, measure, run
 from koopman_lifter import cost
 from relay_esc import relay
 from vdp_plant import dynamics

@@ -51,10 +51,11 @@ def test_a_value_out_of_range_names_its_setting() -> None:
 def test_an_ablation_is_checked_before_anything_runs(tmp_path: Path) -> None:
     path = tmp_path / "x.yaml"
     path.write_text(
-        "experiment: ablations\nseeds: {first: 0, count: 1}\ncosts: {raw: {cost: raw}}\n"
-        "ablations:\n  - {name: a, title: A, parameters: [esc.dwell], values: [5, -1]}\n"
+        "experiment: cases\ntitle: A\ntext: B\nseeds: {first: 0, count: 1}\n"
+        "costs: {raw: {cost: raw}}\ntables:\n"
+        "  - {name: a, title: A, parameters: [esc.dwell], values: [5, -1]}\n"
     )
-    with pytest.raises(ConfigError, match=r"ablations\[0\].*esc\.dwell = -1"):
+    with pytest.raises(ConfigError, match=r"tables\[0\].*esc\.dwell = -1"):
         read(path, False)
 
 
@@ -78,8 +79,9 @@ def test_a_setting_without_effect_is_refused(settings: dict[str, object], messag
     ("text", "message"),
     [
         (
-            "experiment: robustness\nseeds: {first: 0, count: 1}\ncosts: {raw: {cost: raw}}\n"
-            "settings: {plant.seed: 3}",
+            "experiment: cases\ntitle: A\ntext: B\nseeds: {first: 0, count: 1}\n"
+            "costs: {raw: {cost: raw}}\nsettings: {plant.seed: 3}\n"
+            "tables: [{name: a, title: A}]",
             r"plant\.seed: is drawn from the seeds",
         ),
         (
@@ -91,7 +93,8 @@ def test_a_setting_without_effect_is_refused(settings: dict[str, object], messag
             r"esc\.dwell: has no effect on a static map",
         ),
         (
-            "experiment: closed_loop\ncosts: {raw: {cost: raw, plant.mu: -1}}",
+            "experiment: cases\ntitle: A\ntext: B\ncosts: {raw: {cost: raw, plant.mu: -1}}\n"
+            "tables: [{name: a, title: A}]",
             r"plant\.mu = -1: must be",
         ),
     ],

@@ -25,16 +25,21 @@ from koop_lab.cli.main import main
 from koop_study.experiments import stats
 from koop_study.simulation.work import runs
 from koop_study.workers import cluster, units
-from koop_study.workers.cluster import WorkerLost, Workers
-from koop_study.workers.task import _check_threads
+from koop_study.workers.cluster import WorkerLost, compute_all
+from koop_study.workers.task import WORK
 from koop_study.workers.units import Store, Unit, write_atomically
 from koop_view.report.document import Column, Table
 
 TINY = """
-experiment: sensitivity
-omega_h: [5, 20]
-omega_l: [0.1, 0.3]
-tau_f: [3, 10]
+experiment: cases
+title: Sensitivity
+text: Small.
+costs: {raw: {cost: raw}, lifted: {cost: lifted}}
+tables:
+  - name: sensitivity
+    title: Constants
+    parameters: [lifter.omega_h, lifter.omega_l, esc.tau_f]
+    grid: [[5, 20], [0.1, 0.3], [3, 10]]
 seeds: {first: 0, count: 2}
 settings: {duration: 300, training.trajectories: 10, training.duration: 10}
 """
@@ -143,9 +148,8 @@ def test_workers_killed_again_and_again_end_the_study_with_an_error_and_keep_wha
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         pytest.raises(WorkerLost, match="too little memory"),
-        Workers(store, 1) as workers,
     ):
-        workers.results(units)
+        compute_all(units, store, 1)
     killer.join()
     assert store.has(units[0])
     assert not store.has(units[1])
@@ -188,10 +192,10 @@ def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results
         process.kill()
         left.append(sum(not store.has(unit) for unit in units))
 
-    with ThreadPoolExecutor(1) as thread, Workers(store, 1, address) as workers:
+    with ThreadPoolExecutor(1) as thread:
         left: list[int] = []
         killed = thread.submit(kill, worker, units, left)
-        found = workers.results(units)
+        found = compute_all(units, store, 1, address)
         killed.result()
         assert worker.wait() == -signal.SIGKILL
         assert left[0] > 1
@@ -201,16 +205,11 @@ def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results
         with monkeypatch.context() as patch:  # another study than what the workers are made of
             patch.setattr("koop_study.workers.units.fingerprint", lambda *_: "other")
             with pytest.raises(ValueError, match="has other code"):
-                workers.results([other])
+                compute_all([other], store, 1, address)
         thread.submit(kill, scheduler, further, left)
         with pytest.raises(WorkerLost, match="scheduler has gone"):
-            workers.results(further)
+            compute_all(further, store, 1, address)
         assert any(map(store.has, further))
-
-
-def test_a_worker_of_several_threads_is_refused() -> None:
-    with pytest.raises(ValueError, match="--nthreads 1"):
-        _check_threads("tcp://other:1", 2)
 
 
 def test_where_no_scheduler_is_that_is_said(
@@ -230,9 +229,8 @@ def test_where_no_scheduler_is_that_is_said(
 def test_what_the_store_has_is_not_computed_again(tmp_path: Path, monkeypatch) -> None:
     store, unit = Store(tmp_path), Unit("runs", {"settings": {}, "seeds": [1]})
     store.save(unit, [{"iae": 1.5}])
-    monkeypatch.setattr(Workers, "_compute", lambda *_: pytest.fail("computed"))
-    with Workers(store, 1) as workers:
-        assert workers.results([unit, unit]) == [[{"iae": 1.5}], [{"iae": 1.5}]]
+    monkeypatch.setattr(cluster, "_compute", lambda *_: pytest.fail("computed"))
+    assert compute_all([unit, unit], store, 1) == [[{"iae": 1.5}], [{"iae": 1.5}]]
 
 
 def test_another_argument_is_another_unit() -> None:
@@ -253,68 +251,42 @@ def test_comments_docstrings_and_line_breaks_do_not_change_what_code_means() -> 
         assert units.meaning(plain.replace("x + 1", other)) != units.meaning(plain)
 
 
-@pytest.mark.parametrize(
-    ("modules", "packages", "innocent"),
-    [
-        ("koop_study.simulation.work, koop_study.laws.run", units.PACKAGES, set()),
-        # bags are read there, but the study's recordings never were in one
-        (
-            "koop_study.commissioning.work",
-            (*units.PACKAGES, *units.COMMISSIONING),
-            {"koop_bag"},
-        ),
-    ],
-)
-def test_what_decides_results_imports_nothing_that_the_fingerprint_leaves_out(
-    modules: str, packages: tuple[str, ...], innocent: set[str]
-) -> None:
-    # what a fresh interpreter has loaded after the work's import is what can decide results
+def test_what_decides_results_imports_nothing_that_the_fingerprint_leaves_out() -> None:
+    # what a fresh interpreter has loaded after the works' import is what can decide results
+    modules = sorted({name.partition(":")[0] for name in WORK.values()})
     script = (
-        f"import sys, {modules}\n"
+        f"import sys, {', '.join(modules)}\n"
         "for name, module in sys.modules.items():\n"
         "    if name.startswith(('koop', 'vdp_plant', 'relay_esc')) and module.__file__:\n"
-        "        print(name, module.__file__)\n"
+        "        print(name)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True
-    )
-    loaded = dict(line.split() for line in done.stdout.splitlines())
-    counted = set(units.sources(packages).values())
-    outside = {
-        name
-        for name, file in loaded.items()
-        if (text := Path(file).read_text()) not in counted and text.count("\n") > 1
-    }
-    assert {name.split(".")[0] for name in outside} == innocent
-    assert len(loaded) > 20
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    # bags are read there, but the study's recordings never were in one
+    allowed = (*units.PACKAGES, "koop_bag", "koop_study")
+    loaded = [name for name in run.stdout.split() if name != "koop_study"]
+    assert len(loaded) > 50
+    for name in loaded:
+        inside = any(name == package or name.startswith(f"{package}.") for package in allowed[:-1])
+        assert inside or name in ("koop_study.workers", "koop_study.experiments"), name
 
 
 MEANING = lru_cache(maxsize=None)(units.meaning)  # the same source is parsed once
 
 
-@pytest.mark.parametrize("package", [*units.PACKAGES, *units.COMMISSIONING])
+@pytest.mark.parametrize("package", units.PACKAGES)
 def test_a_changed_line_in_any_package_that_decides_results_changes_the_key(
     package: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    further = package in units.COMMISSIONING
-    ordinary, commission = Unit("runs", {"seeds": [1]}), Unit(units.COMMISSION, {"seed": 1})
+    unit = Unit("runs", {"seeds": [1]})
     monkeypatch.setattr(units, "fingerprint", units.fingerprint.__wrapped__)
     monkeypatch.setattr(units, "meaning", MEANING)
-    before = ordinary.key, commission.key
-    read = units.sources
-    own = read([package])
-    assert len(own) > 1
-    for name, source in own.items():
-        changed = {name: source + "\nADDED = 1\n"}
-        monkeypatch.setattr(
-            units,
-            "sources",
-            lambda packages, changed=changed: {
-                key: changed.get(key, text) for key, text in read(packages).items()
-            },
-        )
-        assert commission.key != before[1]
-        assert (ordinary.key == before[0]) == further
+    before, every = unit.key, units.sources(units.PACKAGES)
+    names = list(units.sources([package]))
+    assert len(names) > 1
+    for name in (names[0], names[-1]):
+        changed = {**every, name: every[name] + "\nADDED = 1\n"}
+        monkeypatch.setattr(units, "sources", lambda _, changed=changed: changed)
+        assert unit.key != before
 
 
 def test_a_new_module_changes_the_key_and_one_that_knows_ros_does_not(

@@ -6,32 +6,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from koop_core.config.parameter import ConfigError, nearest
-from koop_study.experiments import (
-    ablations,
-    closed_loop,
-    commission,
-    laws,
-    modes,
-    robustness,
-    sensitivity,
-    static_maps,
-)
-from koop_study.experiments.spec import parse, quickened, read_file
+from koop_core.config.parameter import ConfigError, mapping, nearest
+from koop_core.config.yaml_file import read_yaml
+from koop_study.experiments import cases, commission, laws, modes, static_maps
+from koop_study.experiments.spec import parse
 from koop_study.simulation import work
 from koop_study.workers.units import Unit
 from koop_view.report.document import Section
 
-KINDS: dict[str, tuple[type[Any], Any]] = {  # configuration and module, in the report's order
+KINDS: dict[str, tuple[type[Any], Any]] = {  # configuration and module
     "modes": (modes.ModesConfig, modes),
     "static_maps": (static_maps.StaticMapsConfig, static_maps),
-    "closed_loop": (closed_loop.ClosedLoopConfig, closed_loop),
-    "robustness": (robustness.RobustnessConfig, robustness),
-    "sensitivity": (sensitivity.SensitivityConfig, sensitivity),
-    "ablations": (ablations.AblationsConfig, ablations),
+    "cases": (cases.CasesConfig, cases),
     "laws": (laws.LawsConfig, laws),
     "commission": (commission.CommissionConfig, commission),
 }
+ORDER = ("modes", "static_maps", "closed_loop", "robustness", "sensitivity", "ablations", "laws")
 
 
 @dataclass(frozen=True)
@@ -74,14 +64,14 @@ def read(path: Path, quick: bool) -> Experiment:
         If anything in it is unknown, missing, out of range or without effect; the message names
         file and key.
     """
-    content = quickened(read_file(path), quick)
+    content = mapping(read_yaml(path), f"{path}: the file")
+    changes = mapping(content.pop("quick", {}), "quick")
+    content = {**content, **changes} if quick else content
     kind = content.pop("experiment", None)
     if kind not in KINDS:
         raise ConfigError(f"{path}: unknown experiment {kind!r}: {nearest(str(kind), KINDS)}")
     experiment = Experiment(path, kind, content, parse(KINDS[kind][0], content, str(path)))
     for unit in experiment.units():
-        if unit.work not in work.WORK:
-            continue  # checked where its configuration is read
         try:
             work.check(unit.work, unit.arguments)
         except ConfigError as error:
@@ -97,13 +87,13 @@ def read_folder(folder: Path, quick: bool) -> list[Experiment]:
     koop_core.config.parameter.ConfigError
         If there is none, or one is wrong.
     """
-    found = [read(path, quick) for path in sorted(folder.glob("*.yaml"))]
-    if not found:
+    experiments = [read(path, quick) for path in sorted(folder.glob("*.yaml"))]
+    if not experiments:
         raise ConfigError(f"{folder}: has no experiment files (*.yaml)")
-    return in_order(found)
+    return in_order(experiments)
 
 
 def in_order(experiments: list[Experiment]) -> list[Experiment]:
     """Return experiments in the order of the report."""
-    order = list(KINDS)
-    return sorted(experiments, key=lambda experiment: order.index(experiment.kind))
+    order = {name: place for place, name in enumerate(ORDER)}
+    return sorted(experiments, key=lambda item: order.get(item.path.stem, len(order)))

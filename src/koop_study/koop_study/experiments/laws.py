@@ -6,7 +6,6 @@ Both laws have the same constants on all rigs, in units of each rig's own time a
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -24,7 +23,15 @@ from koop_study.workers.units import Unit
 from koop_view.report.document import Column, Figure, Panel, Section, Table
 
 AT_ONCE = 4  # seeds of a unit of work
-Rows = list[dict[str, Any]]
+COLUMNS = (
+    Column("plant", "plant, scenario, law"),
+    Column("median", "score, median", ".2f"),
+    Column("p90", "90 %", ".2f"),
+    Column("worst", "worst", ".2f"),
+    Column("failed", "failed [%]", ".0f"),
+    Column("reacquired", "reacquired after [s], median", ".0f"),
+    Column("in_time", "reacquired in time [%]", ".1f"),
+)
 
 
 @dataclass(frozen=True)
@@ -38,26 +45,13 @@ class ComparedLaw:
 
 @dataclass(frozen=True)
 class JudgedPlant:
-    """A plant, the scenarios that a law is judged under, and the time to reacquire the optimum.
-
-    Attributes
-    ----------
-    plant : LawPlant
-        The plant.
-    scenarios : dict of str to dict
-        Settings of the plant that each adds.
-    within : float
-        Time in which an optimum that jumped is to be reached again: seconds, or the rig's times.
-    """
+    """A plant, and the scenarios under which a law is judged: settings that each adds."""
 
     plant: LawPlant
     scenarios: dict[str, dict[str, Any]]
-    within: float
 
     def __post_init__(self) -> None:
-        if not self.scenarios:
-            raise ConfigError("scenarios: needs at least one")
-        for name in ("", *self.scenarios):
+        for name in self.scenarios:
             plant = self.under(name)
             if plant.family:
                 parse(FamilyConfig, plant.settings, f"{plant.name}: {name}")
@@ -65,37 +59,37 @@ class JudgedPlant:
                 override(Case(), plant.paper_settings())
 
     def under(self, scenario: str) -> LawPlant:
-        """Return the plant under a scenario; without a name, as it is tuned."""
-        added = self.scenarios.get(scenario, {})
-        return replace(self.plant, settings={**self.plant.settings, **added})
+        """Return the plant under a scenario."""
+        return replace(self.plant, settings={**self.plant.settings, **self.scenarios[scenario]})
 
 
 @dataclass(frozen=True)
 class LawsConfig:
-    """Laws, plants with their scenarios, and the seeds of every run."""
+    """Laws, plants with their scenarios, and the seeds of every run.
+
+    Attributes
+    ----------
+    within : float
+        Time in which an optimum that jumped is to be reached again [s].
+    settings : dict
+        Of every plant that is not a family.
+    """
 
     laws: tuple[ComparedLaw, ...]
     plants: tuple[JudgedPlant, ...]
     seeds: Seeds
-    settings: dict[str, Any] = field(default_factory=dict)  # of every plant that is not a family
+    within: float
+    settings: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len({judged.plant.name for judged in self.plants}) < len(self.plants):
             raise ConfigError("plants: two have the same name")
 
-    def described(self, plant: LawPlant) -> dict[str, Any]:
-        """Return a plant in JSON terms, with the experiment's settings in force."""
-        if plant.family:
-            return asdict(plant)
-        settings = {**plant.settings, **self.settings}
-        duration = float(settings.pop("duration", plant.duration))
-        return asdict(replace(plant, settings=settings, duration=duration))
-
-    def cells(self) -> list[tuple[JudgedPlant, str, ComparedLaw, list[int]]]:
+    def cells(self) -> list[tuple[LawPlant, str, ComparedLaw, list[int]]]:
         """Return plant, scenario, law and seeds of every unit."""
         seeds = self.seeds.list()
         return [
-            (judged, scenario, law, seeds[i : i + AT_ONCE])
+            (judged.under(scenario), scenario, law, seeds[i : i + AT_ONCE])
             for judged in self.plants
             for scenario in judged.scenarios
             for law in self.laws
@@ -106,101 +100,47 @@ class LawsConfig:
 
 def units(config: LawsConfig) -> list[Unit]:
     """Return the units of every plant, scenario and law."""
-    return [
-        Unit("law_runs",
-             {"plant": config.described(judged.under(scenario)),
-              "constants": asdict(law.constants), "seeds": seeds})
-        for judged, scenario, law, seeds in config.cells()
-    ]  # fmt: skip
+    result = []
+    for plant, _, law, seeds in config.cells():
+        described = asdict(plant)
+        if not plant.family:
+            described["settings"] = {**plant.settings, **config.settings}
+        arguments = {"plant": described, "constants": asdict(law.constants), "seeds": seeds}
+        result.append(Unit("law_runs", arguments))
+    return result
 
 
 def section(config: LawsConfig, results: Sequence[Any]) -> Section:
     """Return the part of the report."""
-    outcome: dict[tuple[str, str], dict[str, Rows]] = {}
-    for (judged, scenario, law, _), found in zip(config.cells(), results, strict=True):
-        rows = outcome.setdefault((judged.plant.name, scenario), {})
-        rows.setdefault(law.name, []).extend(found)
-    tables: list[Table] = []
-    figures: list[Figure] = []
-    for judged in config.plants:
-        panels = []
-        for scenario in judged.scenarios:
-            rows = outcome[judged.plant.name, scenario]
-            tables.append(_table(judged, scenario, rows))
-            panels.append(_panel(judged, scenario, rows))
-        figures.append(
-            Figure(
-                _slug(judged.plant.name, "figure"),
-                f"{judged.plant.name}: scores of all seeds, cumulative; further left is better.",
-                tuple(panels),
-                columns=2,
+    rows: dict[tuple[str, str], dict[str, list[dict[str, Any]]]] = {}
+    for (plant, scenario, law, _), some in zip(config.cells(), results, strict=True):
+        rows.setdefault((plant.name, scenario), {}).setdefault(law.name, []).extend(some)
+    table, panels = Table("laws", f"{config.seeds.count} seeds", COLUMNS), []
+    for (name, scenario), laws in rows.items():
+        scores = {of: [row["score"] for row in some] for of, some in laws.items()}
+        for law_name, some in laws.items():
+            again = [math.inf if t is None else t for row in some for t in row["reacquired"]]
+            table.rows.append(
+                (
+                    f"{name}, {scenario}: {law_name}",
+                    quantile(scores[law_name], 0.5),
+                    quantile(scores[law_name], 0.9),
+                    max(scores[law_name]),
+                    100.0 * float(np.mean([row["failed"] for row in some])),
+                    finite(quantile(again, 0.5)) if again else None,
+                    100.0 * float(np.mean([t <= config.within for t in again])) if again else None,
+                )
             )
-        )
+        curves = cumulative(scores, config.seeds.count)
+        title = f"{name}, {scenario}"
+        panels.append(Panel("score", "share of runs [%]", curves, title, log_x=True))
     return Section(
         "laws",
         "Laws",
         "The paper's relay and the law adaptive. On the paper's plant the score is IAE; on the "
         "family, a random rig for each seed, it is the rms amplitude over the second half of a run "
         "over that of the best fixed θ, 1 at best; a run has failed where it did not converge, or "
-        "is above 1.5. The swing is the 5 to 95 % range of θ over the last 30 % of a run; T is a "
-        "rig's slowest amplitude time and two periods.",
-        tables,
-        figures,
+        f"is above 1.5. In time is within {config.within:g} s.",
+        [table],
+        [Figure("laws", "Scores of all seeds; further left is better.", tuple(panels), 2)],
     )
-
-
-def _values(rows: Rows, name: str) -> list[float]:
-    return [math.inf if row[name] is None else float(row[name]) for row in rows]
-
-
-def _table(judged: JudgedPlant, scenario: str, rows: dict[str, Rows]) -> Table:
-    family = judged.plant.family
-    score, unit = ("amplitude", "T") if family else ("IAE", "s")
-    form = ".2f" if family else ".0f"
-    table = Table(
-        _slug(judged.plant.name, scenario),
-        f"{judged.plant.name}, {scenario}: {len(next(iter(rows.values())))} seeds",
-        (
-            Column("law", "law"),
-            Column("median", f"{score} median", form),
-            Column("p90", f"{score} 90 %", form),
-            Column("worst", f"{score} worst", form),
-            Column("failed", "failed [%]", ".0f"),
-            Column("swing", "swing [% of range]", ".1f"),
-            Column("converged", f"first within bounds after [{unit}], median", ".0f"),
-            Column("reacquired", f"reacquired after [{unit}], median", ".0f"),
-            Column("in_time", f"reacquired within {judged.within:g} {unit} [%]", ".1f"),
-        ),
-        detail=scenario != next(iter(judged.scenarios)),
-    )
-    for name, found in rows.items():
-        scores = _values(found, "score")
-        again = [
-            math.inf if value is None else value for row in found for value in row["reacquired"]
-        ]
-        in_time = 100.0 * float(np.mean([v <= judged.within for v in again])) if again else None
-        table.rows.append(
-            (
-                name,
-                quantile(scores, 0.5),
-                quantile(scores, 0.9),
-                max(scores),
-                100.0 * float(np.mean(_values(found, "failed"))),
-                100.0 * float(np.mean(_values(found, "swing"))),
-                finite(quantile(_values(found, "converged"), 0.5)),
-                finite(quantile(again, 0.5)) if again else None,
-                in_time,
-            )
-        )
-    return table
-
-
-def _slug(plant: str, scenario: str) -> str:
-    return "laws_" + re.sub(r"[^a-z0-9]+", "_", f"{plant} {scenario}".lower()).strip("_")
-
-
-def _panel(judged: JudgedPlant, scenario: str, rows: dict[str, Rows]) -> Panel:
-    curves = {name: _values(found, "score") for name, found in rows.items()}
-    label = "amplitude over that of the best fixed θ" if judged.plant.family else "IAE"
-    count = len(next(iter(curves.values())))
-    return Panel(label, "share of runs [%]", cumulative(curves, count), scenario, log_x=True)

@@ -6,13 +6,11 @@ mapping ``quick:`` replaces some of them for ``koop study --quick``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
-from pathlib import Path
+from types import UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from koop_core.config.parameter import ConfigError, mapping, refuse_unknown
-from koop_core.config.yaml_file import read_yaml
 
 T = TypeVar("T")
 
@@ -31,24 +29,6 @@ class Seeds:
     def list(self) -> list[int]:
         """Return the seeds."""
         return [*range(self.first, self.first + self.count)]
-
-
-def read_file(path: Path) -> dict[str, Any]:
-    """Return the content of a YAML file that holds one mapping.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If it cannot be read or is not a mapping.
-    """
-    return mapping(read_yaml(path), f"{path}: the file")
-
-
-def quickened(content: Mapping[str, Any], quick: bool) -> dict[str, Any]:
-    """Return the settings with those under ``quick`` in force, or left out."""
-    changes = mapping(content.get("quick", {}), "quick")
-    rest = {name: value for name, value in content.items() if name != "quick"}
-    return {**rest, **changes} if quick else rest
 
 
 def parse(kind: type[T], content: Any, where: str) -> T:
@@ -86,6 +66,8 @@ def parse(kind: type[T], content: Any, where: str) -> T:
 def convert(hint: Any, value: Any, where: str) -> Any:
     """Return ``value`` as the annotation ``hint`` wants it; raise ConfigError if it cannot be."""
     origin, args = get_origin(hint), get_args(hint)
+    if origin is UnionType:  # such as Seeds | None, where absent is None
+        return convert(args[0], value, where)
     if is_dataclass(hint):
         return parse(hint, value, where)  # type: ignore[arg-type]
     if origin is tuple:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from koop_view.report.document import Cell, Column, Series
 LONGEST = math.inf  # of a first hitting time that never comes
 
 
-@dataclass(frozen=True)
-class Spread:
+class Spread(NamedTuple):
     """Median and the 10 and 90 % quantiles."""
 
     median: float
@@ -54,7 +53,7 @@ def win_rate(rows: Sequence[Row], rivals: Sequence[Row], name: str = "iae") -> f
     return 100.0 * float(np.mean([ours < theirs for ours, theirs in pairs]))
 
 
-SUMMARY_COLUMNS = (
+COLUMNS = (
     Column("iae_median", "IAE median", ".0f"),
     Column("iae_p10", "IAE 10 %", ".0f"),
     Column("iae_p90", "IAE 90 %", ".0f"),
@@ -62,21 +61,23 @@ SUMMARY_COLUMNS = (
     Column("t_theta_median", "T median [s]", ".0f"),
     Column("reached", "reached [%]", ".0f"),
     Column("converged", "converged [%]", ".0f"),
+    Column("tail_median", "mean error, last 30 %, median", ".3f"),
+    Column("e_r_ss_median", "e_r^ss median", ".5f"),
+    Column("win_rate", "wins against raw [%]", ".0f"),
 )
 
 
-def summary_cells(rows: Sequence[Row]) -> tuple[Cell, ...]:
-    """Return the cells of :data:`SUMMARY_COLUMNS`."""
-    iae = spread(rows, "iae")
-    t_theta: Cell = spread(rows, "t_theta").median
+def summary_cells(rows: Sequence[Row], rivals: Sequence[Row] | None) -> tuple[Cell, ...]:
+    """Return the cells of :data:`COLUMNS`; ``rivals`` are the same seeds with the raw cost."""
     return (
-        iae.median,
-        iae.low,
-        iae.high,
+        *spread(rows, "iae"),
         spread(rows, "ise").median,
-        None if t_theta == LONGEST else t_theta,
+        finite(spread(rows, "t_theta").median),
         share(rows, "reached"),
         share(rows, "converged"),
+        spread(rows, "tail").median,
+        finite(spread(rows, "e_r_ss").median),
+        None if rivals is None else win_rate(rows, rivals),
     )
 
 
@@ -97,5 +98,5 @@ def cumulative(curves: Mapping[str, Sequence[float]], total: int) -> tuple[Serie
 
 
 def finite(value: float) -> float | None:
-    """Return ``value``, or None for a figure if it is not finite."""
+    """Return ``value``, or None if it is not finite."""
     return value if math.isfinite(value) else None

@@ -5,32 +5,25 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
-from koop_core.kernels import njit
-from koop_loop.metrics import CONVERGED, TAIL
-from koop_study.family import oscillator
+from koop_loop.metrics import CONVERGED
 from koop_study.family.config import FamilyConfig, family_of
 from koop_study.family.learning import learned_contrast
 from koop_study.family.loop import GOOD, RunNoise, close, noise_of
-from koop_study.family.oscillator import RigParams
 from koop_study.family.rig import Rig, draw
 from koop_study.family.scaled import PAPER_OMEGA, PAPER_TIME, ScaledConstants, scaled_to
 from koop_study.simulation import run as paper
-from koop_study.simulation.case import Case, override
-from koop_study.simulation.scenario import displacement
-from koop_study.simulation.work import case_of
+from koop_study.simulation.case import Case, case_of, override
 from koopman_lifter.model import KoopmanModel
 
 JUMP = 0.1  # change of theta* from one step to the next that is not a drift
-WINDOW = 0.02  # of a run, over which the way to the optimum is averaged
 COSTS_OF_RIGS = ("raw", "contrast")
 LawRow = dict[str, Any]
 
@@ -42,7 +35,7 @@ class LawPlant:
     Attributes
     ----------
     name : str
-        Of its table.
+        In the table.
     family : bool
         Whether each seed draws a rig; otherwise the paper's plant.
     cost : str
@@ -84,23 +77,27 @@ class LawPlant:
         }
 
 
-def rows(plant: LawPlant, constants: ScaledConstants, seeds: list[int]) -> Iterator[LawRow]:
-    """Yield the figures of a law's run with each seed.
+def law_runs(plant: dict[str, Any], constants: dict[str, Any], seeds: list[int]) -> list[LawRow]:
+    """Return the figures of a law's run with each seed.
 
-    Yields
-    ------
-    dict
+    Returns
+    -------
+    list of dict
         ``score``: on the paper's plant IAE; on a rig the rms amplitude over the second half of the
         run over that of the best fixed theta with the same noise (its inverse where the amplitude
         is to be maximised). ``failed``: 1 where the paper's tail error is above 0.6 or the rig's
-        score above 1.5. ``swing``: the 5 to 95 % range of theta over the last 30 %, as a share of
-        its range. ``converged``: when the mean over 2 % of the run first is within the same
-        bounds, in seconds or in the rig's times; None if never. ``reacquired``: the same after
-        each jump of the optimum, None where it did not before the next one.
+        score above 1.5. ``reacquired``: on the paper's plant the time [s] after which theta is
+        within 0.6 after each jump of the optimum; None where it is not before the next one.
     """
+    return list(_rows(LawPlant(**plant), ScaledConstants(**constants), seeds))
+
+
+def _rows(plant: LawPlant, constants: ScaledConstants, seeds: list[int]) -> Iterator[LawRow]:
     if plant.family:
         for seed in seeds:
-            yield _rig_row(plant, constants, seed)
+            rig, model, noise = _drawn(json.dumps(asdict(plant), sort_keys=True), seed)
+            ratio = close(rig, scaled_to(rig, constants, model), noise, seed).ratio
+            yield {"score": ratio, "failed": float(ratio > GOOD), "reacquired": []}
         return
     for seed in seeds:
         case = case_of(plant.paper_settings(constants), seed)
@@ -109,34 +106,19 @@ def rows(plant: LawPlant, constants: ScaledConstants, seeds: list[int]) -> Itera
 
 def paper_row(case: Case, trace: paper.Trace) -> LawRow:
     """Return the row of a run on the paper's plant."""
-    found = paper.measure(case, trace)
+    metrics = paper.measure(case, trace)
     if trace.diverged:
-        return {"score": math.inf, "failed": 1.0, "swing": 1.0, "converged": None, "reacquired": []}
-    displaced = displacement(case.scenario, case.steps, case.plant.dt)
-    aligned = trace.theta - displaced if displaced.size else trace.theta
-    span = case.esc.theta_max - case.esc.theta_min
-    jumps = np.flatnonzero(np.abs(np.diff(displaced)) > JUMP) + 1
-    return {
-        "score": found["iae"],
-        "failed": 1.0 - float(found["converged"] or 0.0),
-        "swing": _swing((trace.theta - case.esc.theta_min) / span),
-        **_times(np.abs(aligned - case.plant.theta_star), CONVERGED, jumps, case.plant.dt),
-    }
-
-
-def _rig_row(plant: LawPlant, constants: ScaledConstants, seed: int) -> LawRow:
-    rig, model, noise = _drawn(json.dumps(asdict(plant), sort_keys=True), seed)
-    p, done = rig.params, close(rig, scaled_to(rig, constants, model), noise, seed)
-    gain, u = np.empty(done.theta.size), np.empty(done.theta.size)
-    fill_gains(p, done.theta, gain, u)
-    period = p.jump_every / p.dt if p.jump else math.inf
-    jumps = np.array([round(i * period) for i in range(1, int((u.size - 1) / period) + 1)], int)
-    return {
-        "score": done.ratio,
-        "failed": float(done.ratio > GOOD),
-        "swing": _swing(u),
-        **_times(gain, GOOD, jumps, p.dt / rig.time),
-    }
+        return {"score": math.inf, "failed": 1.0, "reacquired": []}
+    displaced = paper.displacement(case.scenario, case.steps, case.plant.dt)
+    reacquired = []
+    if displaced.size:
+        near = np.abs(trace.theta - displaced - case.plant.theta_star) <= CONVERGED
+        jumps = np.flatnonzero(np.abs(np.diff(displaced)) > JUMP) + 1
+        for begin, end in itertools.pairwise(jumps):  # the last one is cut short
+            inside = np.flatnonzero(near[begin:end])
+            reacquired.append(float(inside[0] * case.plant.dt) if inside.size else None)
+    failed = 1.0 - float(metrics["converged"] or 0.0)
+    return {"score": metrics["iae"], "failed": failed, "reacquired": reacquired}
 
 
 @lru_cache(maxsize=4)  # as many as a unit of work has: the next law's unit has the same ones
@@ -146,48 +128,3 @@ def _drawn(plant: str, seed: int) -> tuple[Rig, KoopmanModel | None, RunNoise]:
     rig = draw(config.rigs(), seed)
     model = None if config.cost == "raw" else learned_contrast(json.dumps(config.settings), seed)
     return rig, model, noise_of(rig, round(config.duration * rig.time / rig.params.dt), seed)
-
-
-@njit()
-def fill_gains(
-    p: RigParams, theta: NDArray[np.float64], gain: NDArray[np.float64], u: NDArray[np.float64]
-) -> None:
-    """Fill in L(theta) over L* at each time, from 1 upwards, and the position of theta."""
-    for k in range(theta.shape[0]):
-        u[k] = oscillator.position(p, theta[k])
-        ratio = oscillator.level(p, u[k], k * p.dt) / p.level
-        gain[k] = ratio if p.sense > 0.0 else 1.0 / ratio
-
-
-def _swing(u: NDArray[np.float64]) -> float:
-    tail = u[-max(1, round(TAIL * u.size)) :]
-    return float(np.subtract(*np.quantile(tail, [0.95, 0.05])))
-
-
-def _times(
-    away: NDArray[np.float64], bound: float, jumps: NDArray[np.int64], dt: float
-) -> dict[str, Any]:
-    """Return when ``away`` first is within a bound, and after each jump; ``dt`` is the unit."""
-    width = max(1, round(WINDOW * away.size))
-    edges = [0, *jumps.tolist(), away.size]
-    first, *later = (
-        _first_within(away[a:b], bound, min(width, b - a) if a == 0 else 1)
-        for a, b in itertools.pairwise(edges)
-    )
-    times = [None if k is None else k * dt for k in (first, *later[:-1])]  # the last is cut short
-    return {"converged": times[0], "reacquired": times[1:]}
-
-
-def _first_within(away: NDArray[np.float64], bound: float, width: int) -> int | None:
-    """Return the first sample up to which the mean of the last ``width`` is within ``bound``."""
-    sums = np.concatenate([[0.0], np.cumsum(away)])
-    inside = np.flatnonzero((sums[width:] - sums[:-width]) / width <= bound)
-    return int(inside[0]) + width - 1 if inside.size else None
-
-
-def law_runs(plant: dict[str, Any], constants: dict[str, Any], seeds: list[int]) -> list[LawRow]:
-    """Return the figures of a law, one row a seed."""
-    return list(rows(LawPlant(**plant), ScaledConstants(**constants), seeds))
-
-
-WORK: dict[str, Callable[..., Any]] = {"law_runs": law_runs}

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from koop_study.experiments.cases import label
 from koop_view.report.document import Claim, Section, Table
+from koopman_lifter.config import LifterConfig
+from relay_esc.config import EscConfig
 
 COLUMNS = ("cost", "iae_median", "iae_p90", "t_theta_median", "converged", "e_r_ss_median")
 METRICS = (
@@ -37,13 +40,13 @@ def by_name(sections: Sequence[Section]) -> dict[str, Table]:
 
 def sentences(tables: Tables) -> list[Claim]:
     """Return the sentences that the tables carry, the most important first."""
-    found = []
+    claims = []
     for name, write in SENTENCES:
         try:
-            found.append(Claim(write(tables[name]), name))
+            claims.append(Claim(write(tables[name]), name))
         except (KeyError, ValueError):  # no such table, row, column or figure
             continue
-    return found
+    return claims
 
 
 def headline(tables: Tables) -> Table | None:
@@ -67,14 +70,22 @@ def _the_papers_claim(table: Table) -> str:
     )
 
 
+def _rows(table: Table, cost: str) -> list[dict[str, str]]:
+    """Return the rows of a cost, each by the column's key."""
+    keys = [column.key for column in table.columns]
+    rows = [dict(zip(keys, texts, strict=True)) for texts in table.texts()]
+    return [row for row in rows if row["cost"] == cost]
+
+
 def _the_open_constants(table: Table) -> str:
-    best, default = table.cell("raw", "best_iae"), table.cell("lifted", "default_iae")
-    verdict = "beats" if _number(best) < _number(default) else "does not beat"
+    best = min(_rows(table, "raw"), key=lambda row: _number(row["iae_median"]))
+    usual = label([LifterConfig.omega_h, LifterConfig.omega_l, EscConfig.tau_f])
+    (default,) = (row["iae_median"] for row in _rows(table, "lifted") if row["value"] == usual)
+    verdict = "beats" if _number(best["iae_median"]) < _number(default) else "does not beat"
     return (
         "But the paper leaves three filter constants open, and they matter as much as the lifting: "
         f"with its best choice of them the raw cost {verdict} the lifted one at the defaults, "
-        f"{best} against {default}, and {table.cell('raw', 'best_converged')} % of its runs "
-        "converge."
+        f"{best['iae_median']} against {default}, and {best['converged']} % of its runs converge."
     )
 
 
@@ -110,12 +121,12 @@ def _contrast(table: Table) -> str:
 
 
 def _the_limit(table: Table) -> str:
-    lag = str(table.rows[-1][0])
-    at, with_lag = (table.cell(row, "contrast_iae_median") for row in ("0", lag))
-    verdict = "grows" if _number(with_lag) > 1.1 * _number(at) else "hardly changes"
+    still, *_, last = _rows(table, "contrast")
+    at, lagging = still["iae_median"], last["iae_median"]
+    verdict = "grows" if _number(lagging) > 1.1 * _number(at) else "hardly changes"
     return (
         "Contrast relies on interference that reaches both states at the same time: with a lag of "
-        f"{lag} s between them its IAE {verdict}, from {at} to {with_lag}."
+        f"{last['value']} s between them its IAE {verdict}, from {at} to {lagging}."
     )
 
 

@@ -8,18 +8,86 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from koop_core.config.parameter import ConfigError, refuse_unknown
-from koop_loop.training import TrainingConfig
-from koop_study.simulation.learning import model_for
-from koop_study.simulation.scenario import ScenarioConfig
-from koop_study.simulation.sensing import SensingConfig
+from koop_core.config.parameter import ConfigError, parameter, refuse_unknown, validate
+from koop_loop.training import STATE_NAMES, TrainingConfig
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.model import KoopmanModel
+from koopman_lifter.delays import Delays
 from relay_esc.config import EscConfig
 from vdp_plant.config import PlantConfig
 
 COSTS = ("raw", "lifted", "contrast")
+CHANNELS = {"both": (0, 1), "x": (0,), "y": (1,)}
+
+
+@dataclass(frozen=True)
+class ScenarioConfig:
+    """Disturbances of one run; the defaults are the paper's: none.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If a value has the wrong type or is out of range.
+    """
+
+    noise: float = parameter(
+        0.0, "standard deviation of white noise on each measured state", low=0.0, high=1e3
+    )
+    lost: float = parameter(0.0, "share of measured states that never arrive", low=0.0, high=0.99)
+    optimum_swing: float = parameter(
+        0.0, "amplitude of a sinusoidal motion of theta*", low=0.0, high=10.0
+    )
+    optimum_period: float = parameter(1000.0, "period of that motion", unit="s", low=1.0, high=1e6)
+    optimum_jump: float = parameter(0.0, "theta* jumps by this much and back", low=-10.0, high=10.0)
+    jump_every: float = parameter(
+        800.0, "time between two jumps of theta*", unit="s", low=1.0, high=1e6
+    )
+    interference_gain_y: float = parameter(
+        1.0, "interference on the second state relative to the first", low=-10.0, high=10.0
+    )
+    interference_lag_y: float = parameter(
+        0.0, "delay of the interference on the second state", unit="s", low=0.0, high=100.0
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+@dataclass(frozen=True)
+class SensingConfig:
+    """Measured states and delays; the defaults are the paper's: both states, no delays.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If a value has the wrong type or is out of range.
+    """
+
+    channels: str = parameter("both", "measured states", choices=tuple(CHANNELS))
+    delays: int = parameter(1, "samples of each of them that make up the state", low=1, high=64)
+    spacing: float = parameter(
+        0.0, "time between two of these samples", unit="s", low=0.0, high=100.0
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if (self.delays > 1) != (self.spacing > 0.0):
+            raise ConfigError("delays and spacing: both or none; one sample has no spacing")
+
+    @property
+    def indices(self) -> NDArray[np.int64]:
+        """Positions of the measured channels in the plant's state."""
+        return np.array(CHANNELS[self.channels], dtype=np.int64)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the measured channels."""
+        return tuple(STATE_NAMES[i] for i in CHANNELS[self.channels])
+
+    def embedding(self, dt: float) -> Delays:
+        """Return the delays at a sampling time [s]."""
+        return Delays.spaced(len(CHANNELS[self.channels]), self.delays, self.spacing, dt)
 
 
 @dataclass(frozen=True)
@@ -124,25 +192,18 @@ def seeded(case: Case, seed: int) -> Case:
     return replace(case, plant=plant, training=replace(case.training, seed=seed))
 
 
-def model_of(case: Case) -> KoopmanModel | None:
-    """Return the model that the case's cost needs, trained now or remembered; None for raw.
+def case_of(settings: dict[str, Any], seed: int | None) -> Case:
+    """Return the case of some settings; without a seed, everything is as in the paper.
 
-    The training plant has the paper's phases of the interference: a recording made earlier knows
-    nothing of the phase that a run will meet.
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If a setting is unknown or would have no effect, or the parts do not fit together.
     """
-    if case.cost == "raw":
-        return None
-    plant = replace(
-        case.plant,
-        seed=0,
-        initial_state=(),
-        theta_initial=PlantConfig.theta_initial,
-        interference_phase_1=0.0,
-        interference_phase_2=0.0,
-    )
-    channels = replace(
-        ScenarioConfig(),
-        interference_gain_y=case.scenario.interference_gain_y,
-        interference_lag_y=case.scenario.interference_lag_y,
-    )
-    return model_for(case.cost, plant, channels, case.training, case.sensing)
+    case = override(Case(), settings)
+    if seed is None:
+        return case
+    for name in DRAWN:
+        if name in settings:
+            raise ConfigError(f"{name}: is drawn from the seeds of the experiment")
+    return seeded(case, seed)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from koop_loop.training import TrainingConfig, trajectories
-from koop_study.simulation.scenario import ScenarioConfig, second_channel
-from koop_study.simulation.sensing import SensingConfig
+from koop_study.simulation.case import Case, ScenarioConfig, SensingConfig
 from koopman_lifter.contrast import TrajectoryMoments, with_contrast
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
@@ -18,39 +17,36 @@ from koopman_lifter.observables import Monomials
 from vdp_plant.config import PlantConfig
 
 
-@dataclass(frozen=True)
-class Learned:
-    """Sums over the training data.
-
-    Attributes
-    ----------
-    gram : Gram
-        Over all snapshot pairs, as in ``koop_loop.training``.
-    moments : TrajectoryMoments
-        Of every trajectory, for the contrast.
-    """
-
-    gram: Gram
-    moments: TrajectoryMoments
+def interference(plant: PlantConfig, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return i(t) of the paper for an array of times [s]."""
+    return plant.interference_amplitude_1 * np.sin(
+        plant.interference_frequency_1 * t + plant.interference_phase_1
+    ) + plant.interference_amplitude_2 * np.sin(
+        plant.interference_frequency_2 * t + plant.interference_phase_2
+    )
 
 
+def second_channel(
+    config: ScenarioConfig, plant: PlantConfig, t: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the second state's interference less the first's, shape (M,)."""
+    if config.interference_gain_y == 1.0 and config.interference_lag_y == 0.0:
+        return np.empty(0)
+    lagged = interference(plant, t - config.interference_lag_y)
+    return config.interference_gain_y * lagged - interference(plant, t)
+
+
+@lru_cache(maxsize=128)
 def learn(
     plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfig, sensing: SensingConfig
-) -> Learned:
-    """Simulate the training trajectories and sum them up; models that differ in N share the sums.
+) -> tuple[Gram, TrajectoryMoments]:
+    """Sum up the snapshot pairs of the training trajectories, and for the contrast each of them.
 
     Raises
     ------
     ValueError
         If every trajectory diverged.
     """
-    return _learn(plant, scenario, replace(training, modes=1), sensing)
-
-
-@lru_cache(maxsize=128)
-def _learn(
-    plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfig, sensing: SensingConfig
-) -> Learned:
     delays = sensing.embedding(plant.dt)
     gram, moments = Gram.empty(Monomials(delays.n, training.degree)), TrajectoryMoments(delays)
     added: NDArray[np.float64] | None = None
@@ -67,18 +63,32 @@ def _learn(
         moments.add(sensed)
     if added is None:
         raise ValueError("every training trajectory diverged")
-    return Learned(gram, moments)
+    return gram, moments
 
 
-def model_for(
-    cost: str,
-    plant: PlantConfig,
-    scenario: ScenarioConfig,
-    training: TrainingConfig,
-    sensing: SensingConfig,
-) -> KoopmanModel:
-    """Return the model of the cost ``lifted`` or ``contrast``."""
-    learned = learn(plant, scenario, training, sensing)
-    embedding, provenance = sensing.embedding(plant.dt), {"variant": cost}
-    model = build(learned.gram, plant.dt, sensing.names, training.modes, provenance, embedding)
-    return with_contrast(model, *learned.moments.result()) if cost == "contrast" else model
+def model_of(case: Case) -> KoopmanModel | None:
+    """Return the model that the case's cost needs, trained now or remembered; None for raw.
+
+    The training plant has the paper's phases of the interference: a recording made earlier knows
+    nothing of the phase that a run will meet.
+    """
+    if case.cost == "raw":
+        return None
+    plant = replace(
+        case.plant,
+        seed=0,
+        initial_state=(),
+        theta_initial=PlantConfig.theta_initial,
+        interference_phase_1=0.0,
+        interference_phase_2=0.0,
+    )
+    channels = ScenarioConfig(
+        interference_gain_y=case.scenario.interference_gain_y,
+        interference_lag_y=case.scenario.interference_lag_y,
+    )
+    sensing, training = case.sensing, case.training
+    # models that differ in N share the sums
+    gram, moments = learn(plant, channels, replace(training, modes=1), sensing)
+    embedding, provenance = sensing.embedding(plant.dt), {"variant": case.cost}
+    model = build(gram, plant.dt, sensing.names, training.modes, provenance, embedding)
+    return with_contrast(model, *moments.result()) if case.cost == "contrast" else model

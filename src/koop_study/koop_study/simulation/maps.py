@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,7 @@ SPACING = 0.25  # of the points that ramp and settled map share
 SMOOTHING = 3  # points of the moving average before the second differences
 
 
-@dataclass(frozen=True)
-class MapShape:
+class MapShape(NamedTuple):
     """How suitable a static map is for extremum seeking.
 
     Attributes
@@ -27,10 +27,8 @@ class MapShape:
         Share of the smoothed map's second differences that are >= 0; 1 for a convex map.
     rank_correlation : float
         Spearman's, of r with |theta - theta*|; 1 for a map that rises monotonously both ways.
-    argmin : float
-        theta of the smoothed map's smallest value.
-    minimum : float
-        That value.
+    argmin, minimum : float
+        theta of the smoothed map's smallest value, and that value.
     """
 
     convexity: float

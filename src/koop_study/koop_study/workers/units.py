@@ -11,7 +11,6 @@ import ast
 import hashlib
 import json
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,11 +21,10 @@ from typing import Any
 
 # packages all code of which decides results, but for the modules that know ROS
 PACKAGES = (
-    "koop_core", "vdp_plant", "koopman_lifter", "relay_esc", "koop_loop",
-    "koop_study.simulation", "koop_study.family", "koop_study.laws",
+    "koop_core", "vdp_plant", "koopman_lifter", "relay_esc", "koop_loop", "koop_identify",
+    "koop_tune", "koop_study.simulation", "koop_study.family", "koop_study.laws",
+    "koop_study.commissioning",
 )  # fmt: skip
-COMMISSIONING = ("koop_identify", "koop_tune", "koop_study.commissioning")  # further ones
-COMMISSION = "commission_plant"  # the one work that the further ones decide
 ROS = ("node.py", "executable.py")
 LIBRARIES = ("numpy", "scipy", "numba")  # another version may round in another way
 
@@ -41,36 +39,32 @@ class Unit:
     @property
     def key(self) -> str:
         """Name of the result: the same work with the same code has the same key."""
-        code = fingerprint(self.work == COMMISSION)
-        text = json.dumps([self.work, self.arguments, code], sort_keys=True)
+        text = json.dumps([self.work, self.arguments, fingerprint()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
-@lru_cache(maxsize=2)
-def fingerprint(commissioning: bool = False) -> str:
-    """Return a hash of everything that decides results: our code, and the libraries' versions.
-
-    With ``commissioning`` also of what decides :data:`COMMISSION`.
-    """
+@lru_cache(maxsize=1)
+def fingerprint() -> str:
+    """Return a hash of everything that decides results: our code, and the libraries' versions."""
     digest = hashlib.sha256()
     for name in LIBRARIES:
         digest.update(f"{name} {version(name)}\n".encode())
-    for name, source in sources((*PACKAGES, *COMMISSIONING) if commissioning else PACKAGES).items():
+    for name, source in sources(PACKAGES).items():
         digest.update(f"{name} {meaning(source)}\n".encode())
     return digest.hexdigest()
 
 
 def sources(packages: Sequence[str]) -> dict[str, str]:
     """Return the modules of packages by package and path, but for those that know ROS."""
-    found = {}
+    texts = {}
     for package in packages:
         spec = find_spec(package)
         assert spec is not None
         for folder in map(Path, spec.submodule_search_locations or ()):
             for path in sorted(folder.rglob("*.py")):
                 if path.name not in ROS:
-                    found[f"{package}/{path.relative_to(folder)}"] = path.read_text()
-    return found
+                    texts[f"{package}/{path.relative_to(folder)}"] = path.read_text()
+    return texts
 
 
 def meaning(source: str) -> str:
@@ -118,12 +112,9 @@ class Store:
 
 def write_atomically(path: Path, text: str) -> None:
     """Write a text file so that a reader sees the old content or the new, never a part."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
