@@ -105,10 +105,7 @@ def hand_over(monitor: Monitor, old: str, new: str) -> None:
 
     At no time both are active.
 
-    Raises
-    ------
-    LiveError
-        If no theta comes, or a node refuses or does not answer.
+    Raises LiveError if no theta comes, or a node refuses or does not answer.
     """
     from koop_msgs.msg import ControlInput
     from std_srvs.srv import Trigger

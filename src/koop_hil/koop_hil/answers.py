@@ -83,60 +83,35 @@ def _largest_age(state: Columns, answered: NDArray[Any], when: NDArray[np.int64]
     return float(np.max(ages, initial=0)) * 1e-9
 
 
-def active_times(transitions: Columns) -> list[tuple[int, int]]:
-    """Return begin and end of every time in which a managed node was active.
+def is_active(transitions: Columns, at: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return whether a managed node was active at times [ns]; before its first event as that says.
 
     Parameters
     ----------
     transitions : mapping
         ``publish_time``, ``start_state.label`` and ``goal_state.label`` of its transition events.
-
-    >>> event = {"publish_time": np.array([5]), "start_state.label": np.array(["active"]),
-    ...          "goal_state.label": np.array(["deactivating"])}
-    >>> active_times(event)
-    [(0, 5)]
+    at : ndarray, shape (M,)
+        The times.
     """
-    events = sorted(
-        zip(
-            transitions["publish_time"].tolist(),
-            transitions["start_state.label"].tolist(),
-            transitions["goal_state.label"].tolist(),
-            strict=True,
-        )
-    )
-    times, begin = [], None
-    if not events or events[0][1] == "active":  # since before the recording
-        begin = 0
-    for at, start, goal in events:
-        if goal == "active":
-            begin = at
-        elif start == "active" and begin is not None:
-            times.append((begin, at))
-            begin = None
-    if begin is not None:
-        times.append((begin, np.iinfo(np.int64).max))
-    return times
+    when = transitions["publish_time"].astype(np.int64)
+    order = np.argsort(when, kind="stable")
+    before = transitions["start_state.label"][order[:1]] if order.size else np.array(["active"])
+    states = np.concatenate([before, transitions["goal_state.label"][order]])
+    return states[np.searchsorted(when[order], at)] == "active"
 
 
-def authors(
-    theta: Columns, active: Mapping[str, list[tuple[int, int]]]
-) -> tuple[dict[str, int], int]:
+def authors(theta: Columns, transitions: Mapping[str, Columns]) -> tuple[dict[str, int], int]:
     """Return how many thetas came while each controller alone was active, and the other ones.
 
     Parameters
     ----------
     theta : mapping
         ``publish_time``.
-    active : mapping
-        :func:`active_times` of every controller.
+    transitions : mapping
+        Of every controller, as for :func:`is_active`.
     """
     at = theta["publish_time"].astype(np.int64)
-    masks = {
-        name: np.logical_or.reduce([(begin <= at) & (at <= end) for begin, end in times])
-        if times
-        else np.zeros(at.size, bool)
-        for name, times in active.items()
-    }
+    masks = {name: is_active(events, at) for name, events in transitions.items()}
     count = np.sum(list(masks.values()), axis=0)
     alone = {name: int((mask & (count == 1)).sum()) for name, mask in masks.items()}
     return alone, int((count != 1).sum())

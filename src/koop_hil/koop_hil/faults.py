@@ -49,10 +49,7 @@ class Fault:
 def parse(text: str) -> Fault:
     """Return the fault that ``name key=value ...`` describes.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If there is no such fault or setting.
+    Raises ConfigError if there is no such fault or setting.
     """
     name, *words = text.split() or [""]
     if name not in DEFAULTS:

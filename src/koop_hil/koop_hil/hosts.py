@@ -40,10 +40,7 @@ def entrance() -> list[str]:
     Namespaces alone where that is permitted, to root; else a user namespace around them, in which
     a user may do so.
 
-    Raises
-    ------
-    HostsError
-        If a tool is missing or the system refuses.
+    Raises HostsError if a tool is missing or the system refuses.
     """
     for tool, package in TOOLS.items():
         if shutil.which(tool) is None:
@@ -64,10 +61,7 @@ def entrance() -> list[str]:
 def call_isolated(command: list[str]) -> int:
     """Run a command on a host of its own; return its exit code.
 
-    Raises
-    ------
-    HostsError
-        If no such host can be made here.
+    Raises HostsError if no such host can be made here.
     """
     environment = {
         name: value for name, value in os.environ.items() if name != "ROS_LOCALHOST_ONLY"
@@ -129,10 +123,7 @@ class OtherHost(NamedTuple):
 def other_host() -> Iterator[OtherHost]:
     """Make another host that is linked to this one; to be used inside the :func:`entrance`.
 
-    Raises
-    ------
-    koop_core.errors.LiveError
-        If the system refuses.
+    Raises LiveError if the system refuses.
     """
     with namespace() as (pid, switch), namespace() as (_, host):
         _run(switch, SWITCH)

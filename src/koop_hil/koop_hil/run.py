@@ -33,10 +33,7 @@ BAR = "{desc:<24} {percentage:3.0f}% |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 def run(scenario: Scenario, folder: Path) -> Verdict:
     """Run one scenario, judge it and write ``verdict.json`` beside its recording.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If the folder holds a recording already.
+    Raises ConfigError if the folder holds a recording already.
     """
     if (folder / "bag").exists():
         raise ConfigError(f"{folder} holds a recording already: choose another --out")

@@ -166,10 +166,7 @@ def shipped() -> list[Path]:
 def find(name: str) -> Path:
     """Return the file of a scenario, given as a file or by the name of a shipped one.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If there is none.
+    Raises ConfigError if there is none.
     """
     if Path(name).suffix in (".yaml", ".yml"):
         return Path(name)
@@ -182,10 +179,7 @@ def find(name: str) -> Path:
 def read(path: Path) -> Scenario:
     """Read a scenario file.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If it cannot be read or says something meaningless; names file and entry.
+    Raises ConfigError if it cannot be read or says something meaningless; names file and entry.
     """
     content = read_yaml(path)
     try:
@@ -249,10 +243,7 @@ def with_controller(scenario: Scenario, file: Path) -> Scenario:
 
     The scenario's theta at the start remains: it is the plant's, too.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If the file cannot be used; names it.
+    Raises ConfigError if the file cannot be used; names it.
     """
     given = parameters.read(file, {node: parameters.NODES[node] for node in CONTROLLER})
     try:

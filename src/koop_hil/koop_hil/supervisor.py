@@ -55,10 +55,7 @@ class RunRecord:
 def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]) -> RunRecord:
     """Run a scenario in a folder to its end.
 
-    Raises
-    ------
-    LiveError
-        If the loop doesn't start, or a stranger publishes on its topics.
+    Raises LiveError if the loop doesn't start, or a stranger publishes on its topics.
     """
     with ExitStack() as stack:
         other = None

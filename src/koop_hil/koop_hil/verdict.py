@@ -12,7 +12,7 @@ from koop_bag.bag.columns import Columns, read_tables
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_hil.actions import FIRST, SECOND
-from koop_hil.answers import active_times, age_acting, age_sent, answered_twice, authors
+from koop_hil.answers import age_acting, age_sent, answered_twice, authors
 from koop_hil.scenario import NO_LIMIT, Scenario
 from koop_hil.supervisor import RunRecord
 from koop_loop.metrics import TAIL
@@ -159,8 +159,8 @@ def _judge_theta(
 
 def _look_for_authors(scenario: Scenario, recorded: dict[str, Columns], verdict: Verdict) -> None:
     """Fill in which controller gave how many answers."""
-    active = {name: active_times(recorded[name]) for name in CONTROLLERS if name in recorded}
-    verdict.answers, verdict.contested = authors(recorded["theta"], active)
+    events = {name: recorded[name] for name in CONTROLLERS if name in recorded}
+    verdict.answers, verdict.contested = authors(recorded["theta"], events)
     if not any(event.action == "handover" for event in scenario.events):
         if not verdict.contested:
             verdict.failures.append("the second controller did nothing")

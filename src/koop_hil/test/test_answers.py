@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from koop_hil.answers import active_times, age_acting, age_sent, answered_twice, authors
+from koop_hil.answers import age_acting, age_sent, answered_twice, authors
 
 TICK = 5_000_000  # [ns]
 
@@ -101,19 +101,18 @@ def test_an_answer_is_of_the_controller_that_was_active():
     second = transitions(
         (100, "unconfigured", "configuring"), (350, "activating", "active"), (650, "active", "x")
     )
-    active = {"first": active_times(first), "second": active_times(second)}
-    assert active == {
-        "first": [(0, 300), (710, np.iinfo(np.int64).max)],
-        "second": [(350, 650)],
-    }
+    events = {"first": first, "second": second}
     theta = columns(publish_time=[10, 290, 360, 400, 640, 720, 9000])
-    assert authors(theta, active) == ({"first": 4, "second": 3}, 0)
+    assert authors(theta, events) == ({"first": 4, "second": 3}, 0)
     theta = columns(publish_time=[320, 360, 680])
-    assert authors(theta, active) == ({"first": 0, "second": 1}, 2)
-    both = {"first": [(0, 500)], "second": [(400, 900)]}
+    assert authors(theta, events) == ({"first": 0, "second": 1}, 2)
+    both = {
+        "first": transitions((500, "active", "deactivating")),
+        "second": transitions((400, "activating", "active"), (900, "active", "x")),
+    }
     assert authors(columns(publish_time=[100, 450, 600]), both) == ({"first": 1, "second": 1}, 1)
 
 
 def test_a_controller_without_transitions_in_the_recording_was_active_all_the_time():
     nothing = columns(publish_time=[], start_state__label=[], goal_state__label=[])
-    assert active_times(nothing) == [(0, np.iinfo(np.int64).max)]
+    assert authors(columns(publish_time=[5, 6]), {"first": nothing}) == ({"first": 2}, 0)

@@ -87,10 +87,7 @@ class Actuator:
 def run(rig: Rig, args: argparse.Namespace) -> None:
     """Run a rig at its own pace, with its own clock, until its time is over or it is stopped.
 
-    Raises
-    ------
-    ValueError
-        If the rig breaks.
+    Raises ValueError if the rig breaks.
     """
     from rig_log import Log
     from wire import Wire  # Cyclone DDS: a wrong argument is reported without it

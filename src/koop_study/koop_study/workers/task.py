@@ -28,12 +28,15 @@ def compute(work: str, arguments: dict[str, Any], key: str) -> Any:
     Raises
     ------
     UnfitWorker
-        If the key is another one here, as other code decides the result.
+        If the key is another one here, as other code decides the result, or if the worker has
+        more than one thread, on whose number the order of sums and so the last bits depend.
     """
-    address = distributed.get_worker().address
+    worker = distributed.get_worker()
     if Unit(work, arguments).key != key:
         raise UnfitWorker(
-            f"the worker {address} has other code, or another version of NumPy, SciPy or "
+            f"the worker {worker.address} has other code, or another version of NumPy, SciPy or "
             "Numba: set it up from the same commit"
         )
+    if worker.state.nthreads != 1:
+        raise UnfitWorker(f"the worker {worker.address} has several threads: --nthreads 1")
     return resolve_name(WORK[work])(**arguments)
