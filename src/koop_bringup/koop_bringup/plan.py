@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,20 +46,28 @@ class Argument(NamedTuple):
         The node whose parameter of that name it sets; empty if it is not a parameter.
     choices : tuple of str
         What it may be; empty: anything.
+    kind : type
+        Of the parameter.
     """
 
     name: str
     meaning: str
     node: str = ""
     choices: tuple[str, ...] = ()
+    kind: type = str
 
 
 ARGUMENTS = (
     Argument("namespace", "namespace of the whole loop; a fleet is N namespaces"),
     Argument("params", "ROS 2 parameter file for all nodes; an argument wins over the file"),
     Argument("pace", "realtime, lockstep or a number: so many times real time", "vdp_plant"),
-    Argument("duration", "simulated time [s] after which the launch ends; 0: never", "vdp_plant"),
-    Argument("seed", "seed of the plant's initial state", "vdp_plant"),
+    Argument(
+        "duration",
+        "simulated time [s] after which the launch ends; 0: never",
+        "vdp_plant",
+        kind=float,
+    ),
+    Argument("seed", "seed of the plant's initial state", "vdp_plant", kind=int),
     Argument("cost", "lifted or raw", "koopman_lifter", ("lifted", "raw")),
     Argument("model", "Koopman model file", "koopman_lifter"),
     Argument(
@@ -77,7 +85,6 @@ ARGUMENTS = (
     Argument(
         "composed", "true: all nodes but the recorder share one process (false)", choices=FLAGS
     ),
-    Argument("listeners", "further nodes, by name, that must listen before the loop begins"),
 )
 
 
@@ -155,12 +162,16 @@ def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
     KoopError
         If an argument, the parameter file or the model cannot be used; in one line.
     """
-    told = {name: text for name, text in given.items() if text}
-    namespace = _namespace(told.get("namespace", ""))
-    file = parameter_file.read(told["params"]) if "params" in told else None
+    arguments = {name: text for name, text in given.items() if text}
+    namespace = _namespace(arguments.get("namespace", ""))
+    file = parameter_file.read(arguments["params"]) if "params" in arguments else None
     notes = []
-    simulated, recorded = _flag("plant", told, True), _flag("record", told, False)
-    if file is not None and "plant" not in told and not file.describes(f"{namespace}/vdp_plant"):
+    simulated, recorded = _flag("plant", arguments, True), _flag("record", arguments, False)
+    if (
+        file is not None
+        and "plant" not in arguments
+        and not file.describes(f"{namespace}/vdp_plant")
+    ):
         simulated = False
         if not file.describes(f"{namespace}/rig"):
             notes.append(
@@ -170,7 +181,7 @@ def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
     program = _program(file, namespace)
     if simulated and program:
         raise ConfigError(
-            f"{told['params']}: names the simulated plant and the rig's own program: keep the "
+            f"{arguments['params']}: names the simulated plant and the rig's own program: keep the "
             "section vdp_plant or rig.command"
         )
     started = [
@@ -187,47 +198,33 @@ def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
         for name, own in classes.items()
     }
     if file is not None:
-        from_file, ignored = _from_file(file, namespace, classes)
+        known = {name: names_of(own) for name, own in classes.items()}
+        from_file = with_model_beside(file.path, file.values_of(known, namespace))
         values = {name: own | from_file[name] for name, own in values.items()}
-        if ignored:
+        # a recorded run's own file names its recorder, which this launch may not start
+        if any([own.pop("listeners", "next") != "next" for own in values.values()]):
             notes.append(
-                f"{told['params']}: 'listeners' is not used: the launch says who must be there"
+                f"{arguments['params']}: 'listeners' is not used: the launch says who must be there"
             )
     for argument in ARGUMENTS:
-        if argument.name in told and argument.node:
+        if argument.name in arguments and argument.node:
             if argument.node not in values:
                 need = "plant:=true" if argument.node == "vdp_plant" else "record:=true"
-                raise ConfigError(f"{argument.name}:={told[argument.name]}: needs {need}")
-            values[argument.node] |= _values(argument, told[argument.name])
-    # a rig's controller waits for no recorder: that one could have failed
-    listeners = [
-        "next",
-        *(["recorder"] if recorded and simulated else []),
-        *told.get("listeners", "").split(),
-    ]
-    for name in started:
-        if name != "recorder" and len(listeners) > 1:
-            values[name]["listeners"] = " ".join(listeners)
+                raise ConfigError(f"{argument.name}:={arguments[argument.name]}: needs {need}")
+            values[argument.node] |= _values(argument, arguments[argument.name])
+    if recorded and simulated:  # a rig's controller waits for no recorder, which could have failed
+        for name in NODES:
+            values[name]["listeners"] = "next recorder"
     _check(values, classes)
     nodes = tuple(PlannedNode(name, *EXECUTABLES[name]) for name in started)
-    composed = _flag("composed", told, False)
+    composed = _flag("composed", arguments, False)
     return Plan(namespace, nodes, values, not simulated, program, composed, tuple(notes))
 
 
 def refuse_other_arguments(words: list[str]) -> None:
-    """Refuse misspelt arguments, which launch itself would ignore.
+    """Raise ConfigError on a misspelt argument (``name:=value``), which launch would ignore.
 
-    What is unlike any of them is an argument of a file that includes this one.
-
-    Parameters
-    ----------
-    words : list of str
-        As on the command line, ``name:=value``.
-
-    Raises
-    ------
-    ConfigError
-        On the first one.
+    What is unlike any of ours is an argument of a file that includes this one.
     """
     known = [argument.name for argument in ARGUMENTS]
     for name in (word.partition(":=")[0] for word in words):
@@ -242,20 +239,6 @@ def _program(file: ParameterFile | None, namespace: str) -> tuple[str, ...]:
     return config.words()
 
 
-def _from_file(
-    file: ParameterFile, namespace: str, classes: Mapping[str, tuple[type, ...]]
-) -> tuple[dict[str, dict[str, Any]], bool]:
-    """Return what a file says to the nodes, and whether listeners are left out.
-
-    A recorded run's own file may name its recorder: with it, a plant would wait for a recorder
-    that this launch does not start.
-    """
-    known = {name: names_of(own) for name, own in classes.items()}
-    values = with_model_beside(file.path, file.values_of(known, namespace))
-    ignored = [own.pop("listeners", "next") != "next" for own in values.values()]
-    return values, any(ignored)
-
-
 def _check(
     values: Mapping[str, Mapping[str, Any]], classes: Mapping[str, tuple[type, ...]]
 ) -> None:
@@ -267,8 +250,8 @@ def _check(
         if hasattr(config, "dt")
     }
     if len(set(steps.values())) > 1:
-        told = ", ".join(f"{name} {dt:g}" for name, dt in steps.items())
-        raise ConfigError(f"dt differs: {told} s")
+        listed = ", ".join(f"{name} {dt:g}" for name, dt in steps.items())
+        raise ConfigError(f"dt differs: {listed} s")
     lifter = configs["koopman_lifter"]
     load_for(lifter[LifterConfig], lifter[ModelConfig])
     if "recorder" in configs:
@@ -289,26 +272,20 @@ def _namespace(text: str) -> str:
     return "".join(f"/{part}" for part in parts)
 
 
-def _flag(name: str, told: Mapping[str, str], default: bool) -> bool:
-    if name not in told:
+def _flag(name: str, arguments: Mapping[str, str], default: bool) -> bool:
+    if name not in arguments:
         return default
-    if told[name] not in FLAGS:
-        raise ConfigError(f"{name}:={told[name]}: must be true or false")
-    return told[name].lower() == "true"
+    if arguments[name] not in FLAGS:
+        raise ConfigError(f"{name}:={arguments[name]}: must be true or false")
+    return arguments[name].lower() == "true"
 
 
 def _values(argument: Argument, text: str) -> dict[str, Any]:
-    """Return the parameters that an argument sets, each of the type of its default."""
+    """Return the parameters that an argument sets."""
     if argument.name == "pace":
         return pace_values(text)
-    default = next(
-        item.default
-        for cls in ALL_NODES[argument.node]
-        for item in fields(cls)
-        if item.name == argument.name and item.default is not MISSING
-    )
-    kind = {float: "number", int: "whole number"}.get(type(default), "")
     try:
-        return {argument.name: type(default)(text)}
+        return {argument.name: argument.kind(text)}
     except ValueError:
+        kind = "whole number" if argument.kind is int else "number"
         raise ConfigError(f"{argument.name}:={text}: must be a {kind}") from None

@@ -87,7 +87,7 @@ def _start(context: LaunchContext) -> list:
     }
     files = [item for item in of_group if not isinstance(item, tuple)]
     for node in planned.processes():
-        loop.add(
+        loop.processes.append(
             Node(
                 package=node.package,
                 executable=node.executable,
@@ -101,7 +101,8 @@ def _start(context: LaunchContext) -> list:
         )
     if planned.program:
         words = [sys.executable, "-m", "koop_node.process.companion", *planned.program]
-        loop.add(ExecuteProcess(name="rig", cmd=words, on_exit=loop.on_exit("rig"), **shared))
+        program = ExecuteProcess(name="rig", cmd=words, on_exit=loop.on_exit("rig"), **shared)
+        loop.processes.append(program)
     return [
         *(LogInfo(msg=note) for note in planned.notes),
         RegisterEventHandler(OnShutdown(on_shutdown=loop.on_shutdown)),
@@ -128,10 +129,6 @@ class _Loop:
         self._failure = ""  # why the launch is to end with exit code 1
         self._place = ExitStack()
         self._place.enter_context(place)
-
-    def add(self, process: ExecuteProcess) -> None:
-        """Take a process."""
-        self.processes.append(process)
 
     def on_exit(self, node: str):
         """Return what to do when a node ends."""

@@ -57,8 +57,6 @@ def test_the_file_wins_over_defaults_and_only_a_given_argument_wins_over_the_fil
     [
         ({}, None),
         ({"record": "true"}, "next recorder"),
-        ({"record": "true", "listeners": "scope"}, "next recorder scope"),
-        ({"listeners": "scope"}, "next scope"),
         ({"record": "true", "plant": "false"}, None),
     ],
 )

@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any
 
 from koop_bag.recorder.config import RecorderConfig
 from koop_bringup.live.monitor import Monitor, Progress
@@ -20,8 +19,6 @@ from koop_core.errors import LiveError
 from koop_loop.ending import Ending, ending
 from koop_loop.parameters import COMPONENTS, EXECUTABLES, LoopParameters
 from koop_node.client.alone import TOPICS, alone
-
-Own = TypeVar("Own", bound="LiveNodes")
 
 
 class LiveNodes:
@@ -76,7 +73,7 @@ class LiveNodes:
         self._nodes: dict[str, NodeProcess] = {}
         self._stack = ExitStack()
 
-    def __enter__(self: Own) -> Own:
+    def __enter__(self) -> LiveNodes:
         by_others = self._rig and not self._program
         with ExitStack() as stack:
             stack.enter_context(
@@ -103,12 +100,7 @@ class LiveNodes:
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._stack.close()
 
     @uninterrupted()
@@ -178,10 +170,10 @@ class LiveNodes:
             if code is None or node in self.lost:
                 continue
             role = list(self._composed)[-1] if node == "container" else node
-            found = ending(role, code, self._rig)
-            if found is Ending.DONE:
+            end = ending(role, code, self._rig)
+            if end is Ending.DONE:
                 return True
-            if found is Ending.FAILED:
+            if end is Ending.FAILED:
                 raise process.failure()
             self.lost.append(node)
             self._note(f"{process.failure()}\nthe loop goes on without it")
@@ -193,18 +185,9 @@ class LiveNodes:
 
 
 class LiveLoop(LiveNodes):
-    """The node processes of a simulated run that is recorded.
+    """The node processes of a simulated run that is recorded; its folder is the recorder's output.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the run: receives bag, logs and parameters.
-    parameters : LoopParameters
-        Of the three nodes.
-    recorder : RecorderConfig
-        Of the recorder; its output is the folder, whatever it says.
-    composed : bool
-        Whether the three nodes share one process.
+    Composed, the three nodes share one process.
     """
 
     def __init__(
@@ -214,12 +197,9 @@ class LiveLoop(LiveNodes):
         recorder: RecorderConfig = RecorderConfig(),  # noqa: B008 - it is frozen
         composed: bool = False,
     ) -> None:
-        given = {
-            node: {**own, "listeners": "next recorder"} for node, own in parameters.as_ros().items()
-        }
-        super().__init__(
-            folder,
-            {**given, "recorder": asdict(replace(recorder, output=str(folder)))},
-            composed=composed,
-        )
+        values = parameters.as_ros()
+        for section in values.values():
+            section["listeners"] = "next recorder"
+        values["recorder"] = asdict(replace(recorder, output=str(folder)))
+        super().__init__(folder, values, composed=composed)
         self._in_turn = parameters.pace.pace == "lockstep"
