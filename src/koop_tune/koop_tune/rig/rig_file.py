@@ -175,6 +175,8 @@ def read(path: str | Path) -> RigFile:
     koop_core.config.parameter.ConfigError
         If it cannot be used; names file and line.
     """
+    if not Path(path).exists():
+        raise ConfigError(f"{path}: there is no such file; koop commission --new {path} writes one")
     content = read_yaml(path, LinedLoader)
     lines: Mapping[str, int] = getattr(content, "lines", {})
     try:
