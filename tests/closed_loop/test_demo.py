@@ -49,7 +49,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
     process = demo(folder, "--params-file", str(file), "--cost", "raw", "--seed", "2")
     printed, _ = process.communicate(timeout=120)
     assert process.returncode == 0, printed
-    for text in ("raw cost", "IAE_theta [s]", "5125.7", "lost messages: none", str(folder)):
+    for text in ("raw cost", "IAE_theta [s]", "5125.7", "lost: none", str(folder)):
         assert text in printed
     metrics = json.loads((folder / "metrics.json").read_text())
     for name in ("iae_theta", "ise_theta", "t_theta", "e_r_ss", "rate_hz", "real_time_factor"):
@@ -127,6 +127,7 @@ def test_a_demo_that_is_stopped_leaves_a_whole_bag_and_no_process(tmp_path, numb
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 130
     assert printed.rstrip().endswith("interrupted")
+    assert f"the run until here is in {folder}/" in printed
     assert "Traceback" not in printed
     assert not processes_of(folder)
     assert_whole(folder)

@@ -31,20 +31,9 @@ def test_simulate_writes_signals_metrics_and_a_plot(tmp_path, capsys):
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
-def test_loops_of_several_seeds_are_those_of_each(capsys):
-    given = ["--duration", "120", "--cost", "raw", "--json"]
-    assert main(["simulate", *given, "--seed", "3", "--seeds", "2"]) == 0
-    both = json.loads(capsys.readouterr().out)
-    for seed, found in zip(("3", "4"), both, strict=True):
-        assert main(["simulate", *given, "--seed", seed]) == 0
-        one = json.loads(capsys.readouterr().out)
-        assert found == one | {"e_r_ss": None}  # r* is of one loop
-    assert both[0] != both[1]
-
-
 def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys):
     path = tmp_path / "model.npz"
-    given = ["--trajectories", "5", "--duration", "10", "--modes", "6", "--out", str(path)]
+    given = ["--modes", "6", "--out", str(path)]
     assert main(["train", *given]) == 0
     printed = capsys.readouterr().out
     assert main(["inspect", str(path)]) == 0
@@ -66,15 +55,14 @@ def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys
         (["simulate", "--duration", "-1"], "duration = -1: must be 0 to 1e+09 s"),
         (["simulate", "--duration", "0"], "--duration must cover at least two steps"),
         (["simulate", "--duration", "1", "--plot", "x.xyz"], "'xyz' is not a format: choose png"),
-        (["simulate", "--seeds", "0"], "--seeds 0: must be at least 1"),
-        (["simulate", "--seeds", "2", "--plot", "x.png"], "--out and --plot are of one loop"),
         (["demo", "--duration", "0"], "--duration must cover at least two steps"),
         (["demo", "--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
         (["demo", "--pace", "slow"], "must be realtime, lockstep or a number"),
         (["inspect", __file__], "truncated, damaged or not a model file"),
         (["train", "--degree", "0"], "degree = 0: must be 1 to 8"),
-        (["train", "--delays", "8"], "--delays is for training on bags"),
+        (["train", "--delays", "8"], "--delays are for training on bags"),
         (["bag", "metrics", "nowhere"], "koop bag metrics: error: there is no bag nowhere"),
+        (["check", "nowhere.yaml"], "no such file; koop commission --new nowhere.yaml writes one"),
     ],
 )
 def test_bad_input_ends_in_one_line_and_exit_code_2(argv, message, capsys):
@@ -83,6 +71,12 @@ def test_bad_input_ends_in_one_line_and_exit_code_2(argv, message, capsys):
     assert error.startswith(f"koop {argv[0]}")
     assert message in error
     assert error.count("\n") == 1
+
+
+def test_a_cost_that_comes_with_a_model_is_refused_with_the_way_to_it(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["demo", "--cost", "contrast"])
+    assert "koop train --contrast --out contrast.npz, then --model" in capsys.readouterr().err
 
 
 def test_a_run_that_does_not_fit_into_memory_ends_in_one_line(monkeypatch, capsys):
@@ -161,6 +155,12 @@ def test_the_contrast_model_serves_the_loop_and_beats_the_shipped_one(tmp_path, 
     path = tmp_path / "contrast.npz"
     assert main(["train", "--contrast", "--out", str(path)]) == 0
     capsys.readouterr()
+    drawn = tmp_path / "run.svg"
+    given = ["--duration", "10", "--model", str(path), "--plot", str(drawn)]
+    assert main(["simulate", *given]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("contrast cost ")
+    assert f"written to {drawn}" in printed
     found = []
     for model in ([], ["--model", str(path)]):
         assert main(["simulate", "--json", *model]) == 0

@@ -9,20 +9,18 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.linalg import expm
 
-from koop_core.config import parameter_file
 from koop_core.stream.arrival import Arrival
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import read_signals
 from koop_lab.cli.main import main
 from koop_lab.plots.report import frequencies, mark_modes
+from koop_lab.recorded.report import costs_of, read
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import build, load
 from koopman_lifter.observables import Monomials
-from relay_esc.config import EscConfig
-from relay_esc.relay import answer
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 BEGIN = 1_700_000_000_000_000_000  # [ns] when the recorder started
@@ -171,30 +169,6 @@ def test_the_metrics_of_a_rig_need_no_optimum(joints, capsys):
     assert "theta has settled: within its final swing from 36." in printed
 
 
-def test_with_theta_star_the_paper_s_metrics_stand_beside(joints, capsys):
-    given = [
-        "--measured",
-        JOINTS,
-        "--command",
-        "/command:data",
-        "--dt",
-        "0.01",
-        "--theta-star",
-        "-3",
-    ]
-    assert main(["bag", "metrics", str(joints), *given, "--start", "50", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    # a triangle of 0.5: mean 0.25 over 50 s
-    assert result["iae_theta"] == pytest.approx(12.5, rel=0.02)
-    assert (result["theta_star"], result["start"], result["tolerance"]) == (-3.0, 50.0, 0.1)
-    assert result["amplitude"]["before"]["from"] == pytest.approx(50.0)
-    assert main(["bag", "metrics", str(joints), *given, "--tolerance", "3", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["t_theta"] == pytest.approx(22.1, abs=0.2)
-    assert main(["bag", "metrics", str(joints), *given]) == 0
-    assert "IAE_theta [s]" in (printed := capsys.readouterr().out)
-    assert "paper" not in printed
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -213,7 +187,7 @@ def test_what_cannot_be_read_is_named(joints, given, message, capsys):
     assert message in capsys.readouterr().err
 
 
-# -- open loop ----------------------------------------------------------------------------------
+# -- costs --------------------------------------------------------------------------------------
 
 TRAIN = ["--dt", "0.01", "--degree", "2", "--modes", "3", "--delays", "4"]
 
@@ -227,69 +201,34 @@ def model(pressure, tmp_path_factory):
     return out
 
 
-def test_a_replay_of_any_states_says_what_the_nodes_would(pressure, model, tmp_path, capsys):
-    """Beside it the same kernel, called state by state as the nodes call it."""
-    out = tmp_path / "answers.npz"
-    given = ["--offline", "--measured", PRESSURE, "--command", "/knob:data", "--model", str(model)]
-    assert main(["replay", str(pressure), *given, "--out", str(out)]) == 0
-    printed = capsys.readouterr().out
-    assert "OPEN LOOP" in printed
-    assert "identical" not in printed
-    found = np.load(out)
+def test_the_cost_of_any_states_under_a_model_is_that_of_the_node(pressure, model):
+    """Beside it the same kernel, called state by state as the node calls it."""
+    costs = costs_of(read(pressure, reading(PRESSURE), model=model), model)
     states = np.ascontiguousarray(read_signals(pressure, reading(PRESSURE)).x)
-    lifter, relay = LifterConfig(dt=DT), EscConfig(dt=DT)
-    lifting = load(model).lifting()
-    detector, state, work = cost.initial(), relay.initial(), cost.workspace(lifting)
-    size = 4000
-    r, theta = np.empty(size), np.empty(size)
-    for k in range(size):
+    lifter, lifting = LifterConfig(dt=DT), load(model).lifting()
+    detector, work = cost.initial(), cost.workspace(lifting)
+    r = np.empty(4000)
+    for k in range(r.size):
         arrival = int(Arrival.NEXT if k else Arrival.JOIN)  # no step 0: it joins
-        r[k], _, settling, detector = cost.answer(
+        r[k], _, _, detector = cost.answer(
             lifter.source, lifting, lifter.detector_params(), detector, arrival, k + 1, states[k],
             work,
         )  # fmt: skip
-        state, _, _ = answer(relay.params(), state, arrival, False, settling, r[k], False)
-        theta[k] = state.output
-    np.testing.assert_array_equal(found["open_loop_r"][:size], r)
-    np.testing.assert_array_equal(found["open_loop_theta"][:size], theta)
+    np.testing.assert_array_equal(costs[f"r under {load(model).model_id}"][: r.size], r)
     assert np.isfinite(r).sum() > 2000
-    assert np.ptp(theta) > 0.3
-    np.testing.assert_array_equal(found["recorded_theta"], np.repeat(np.arange(10.0), 1000))
-
-
-def test_an_open_loop_replay_is_drawn_and_follows_the_settings(joints, tmp_path, capsys):
-    given, drawn = ["--offline", "--measured", JOINTS], tmp_path / "open.png"
-    assert main(["replay", str(joints), *given, "--plot", str(drawn)]) == 0
-    usual = capsys.readouterr().out
-    assert "cost raw, omega_h 20" in usual  # no model
-    assert drawn.read_bytes().startswith(b"\x89PNG")
-    file = tmp_path / "controller.yaml"
-    parameter_file.write({"relay_esc": {"theta_initial": -1.0}}, file)
-    assert main(["replay", str(joints), *given, "--params-file", str(file)]) == 0
-    assert "theta  would have gone from -1 to" in capsys.readouterr().out
-    parameter_file.write({"relay_esc": {"dt": 0.02}}, file)
-    assert main(["replay", str(joints), *given, "--params-file", str(file)]) == 2
-    assert "dt differs: states" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("dt", "measured", "message"),
     [
-        (["--model", "MODEL"], "--measured needs --offline"),
-        (["--offline", "--model", "MODEL"], "is for 1 channel (data); /joint_states:position[0]"),
+        (DT, JOINTS, "trained on 1 channels, the state has 2"),
+        (0.02, JOINTS, "trained at dt = 0.01 s"),
     ],
 )
-def test_an_open_loop_replay_that_makes_no_sense_is_refused(joints, model, given, message, capsys):
-    given = [str(model) if word == "MODEL" else word for word in given]
-    given += ["--measured", JOINTS, "--dt", "0.01"]
-    assert main(["replay", str(joints), *given]) == 2
+def test_a_model_of_other_states_is_refused(joints, model, dt, measured, message, capsys):
+    given = ["--measured", measured, "--dt", str(dt), "--model", str(model)]
+    assert main(["bag", "plot", str(joints), *given]) == 2
     assert message in capsys.readouterr().err
-
-
-def test_a_model_learned_at_another_dt_is_refused(pressure, model, capsys):
-    given = ["--offline", "--measured", PRESSURE, "--dt", "0.02", "--model", str(model)]
-    assert main(["replay", str(pressure), *given]) == 2
-    assert "--dt 0.02: the model was learned at 0.01 s" in capsys.readouterr().err
 
 
 # -- views --------------------------------------------------------------------------------------

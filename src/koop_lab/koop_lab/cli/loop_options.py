@@ -9,12 +9,15 @@ from typing import Any
 from koop_core.config.parameter import ConfigError
 from koop_loop import parameters
 from koop_loop.parameters import NODES, LoopParameters
+from koopman_lifter.config import SOURCES
 
 
 def add_loop_options(parser: argparse.ArgumentParser, duration: float) -> None:
     """Add the options that choose an experiment: parameter file, cost, model, seed, duration."""
     parser.add_argument("--params-file", metavar="FILE", help="ROS 2 parameter file of the nodes")
-    parser.add_argument("--cost", choices=("lifted", "raw"), help="cost that the controller sees")
+    parser.add_argument(
+        "--cost", type=_cost, metavar="{lifted,raw}", help="cost that the controller sees"
+    )
     parser.add_argument("--model", metavar="FILE", help="Koopman model (default: the shipped one)")
     parser.add_argument("--seed", type=int, help="seed of the plant's initial state")
     parser.add_argument(
@@ -24,6 +27,16 @@ def add_loop_options(parser: argparse.ArgumentParser, duration: float) -> None:
         help=f"simulated time in seconds (default {duration:g}, as in the paper)",
     )
     parser.set_defaults(usual_duration=duration)
+
+
+def _cost(text: str) -> str:
+    """Return a cost that the lifter has; another one comes with a model."""
+    if text not in SOURCES:
+        hint = "lifted or raw"
+        if text == "contrast":
+            hint = "it comes with a model: koop train --contrast --out contrast.npz, then --model"
+        raise argparse.ArgumentTypeError(f"'{text}' is not a cost of the lifter: {hint}")
+    return text
 
 
 def given_values(

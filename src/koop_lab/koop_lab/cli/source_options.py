@@ -37,12 +37,7 @@ def add_reading_options(parser: Any) -> None:
 def reading_of(args: argparse.Namespace, default: str = "") -> BagReading | None:
     """Return what the options of :func:`add_reading_options` say; None: the loop's own topics.
 
-    Parameters
-    ----------
-    args : argparse.Namespace
-        The options.
-    default : str
-        What is measured where ``--measured`` is not given.
+    ``default`` is measured where ``--measured`` is not given.
 
     Raises
     ------

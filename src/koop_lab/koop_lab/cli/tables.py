@@ -28,9 +28,16 @@ def mode_table(model: KoopmanModel) -> str:
     return table(["eigenvalue", "|lambda|", "energy E_j", "residual", "selected"], rows)
 
 
-def metrics_table(metrics: Metrics, cost: str, ours: bool = True) -> str:
-    """Return the paper's metrics of a run; of our plant beside the paper's own (table 4)."""
-    paper = PAPER[cost]
+def cost_name(cost: str, model: KoopmanModel | None) -> str:
+    """Return what a cost is called: raw, lifted or, by the model's kind, contrast."""
+    if cost == "raw" or model is None:
+        return cost
+    return str(model.provenance.get("variant", cost))
+
+
+def metrics_table(metrics: Metrics, cost: str) -> str:
+    """Return the paper's metrics of a run of our plant beside the paper's own (table 4)."""
+    paper = PAPER.get(cost, PAPER["lifted"])
     rows = [
         ["IAE_theta [s]", f"{metrics.iae_theta:.1f}", f"{paper.iae_theta:.1f}"],
         ["ISE_theta [s]", f"{metrics.ise_theta:.1f}", f"{paper.ise_theta:.1f}"],
@@ -38,9 +45,7 @@ def metrics_table(metrics: Metrics, cost: str, ours: bool = True) -> str:
         ["e_r_ss", _optional(metrics.e_r_ss, ".5f", "-"), f"{paper.e_r_ss:.5f}"],
         ["mean |theta - theta*|, last 30 %", f"{metrics.tail_error:.3f}", "-"],
     ]
-    if ours:
-        return table([f"{cost} cost", "this run", "paper"], rows)
-    return table([f"{cost} cost", "this run"], [row[:2] for row in rows if row[1] != "-"])
+    return table([f"{cost} cost", "this run", "paper" + ", lifted" * (cost not in PAPER)], rows)
 
 
 def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
@@ -51,8 +56,10 @@ def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
             names, metrics.before, metrics.after, metrics.reduction, strict=True
         )
     ]
+    interference = any(name.startswith("true ") for name in names)
     lines = [
         table(["oscillation amplitude", "before", "after", "reduction"], rows),
+        *["as measured, with the interference; 'true': without it"] * interference,
         "sqrt(2) times the standard deviation about a straight line, in windows of "
         f"{metrics.window:g} s; before: {metrics.before_from:g} to {metrics.before_to:g} s, "
         f"after: {metrics.after_from:g} to {metrics.after_to:g} s",

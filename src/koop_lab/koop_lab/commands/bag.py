@@ -17,16 +17,8 @@ def register(commands: Any) -> None:
     _add_run_options(metrics)
     metrics.add_argument("--json", action="store_true", help="print all figures as JSON")
     metrics.add_argument(
-        "--theta-star", type=float, metavar="THETA",
-        help="the best theta, if you know it: adds the paper's metrics",
-    )  # fmt: skip
-    metrics.add_argument(
         "--start", type=float, metavar="S",
-        help="leave out what is before (default: nothing; of the paper's metrics 100 s)",
-    )  # fmt: skip
-    metrics.add_argument(
-        "--tolerance", type=float, metavar="THETA",
-        help="|theta - theta*| that counts as reached (default 0.1)",
+        help="leave out what is before, but for the paper's metrics, which begin at 100 s",
     )  # fmt: skip
     metrics.set_defaults(func=_metrics)
 

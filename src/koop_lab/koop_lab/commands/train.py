@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,11 @@ from koop_core.errors import InputError
 from koop_identify.model.from_bags import BagTraining, train_from_bags
 from koop_lab.cli.source_options import add_reading_options, reading_of
 from koop_lab.cli.tables import mode_table
-from koop_loop import parameters
 from koop_loop.training import TrainingConfig, train
 from koopman_lifter.config import shipped_model
 from koopman_lifter.model import KoopmanModel, load
 from vdp_plant.config import PlantConfig
 
-SIMULATION = ("params_file", "trajectories", "duration", "seed")
 BAGS = ("measured", "commanded", "dt", "gap", "delays")
 LOOP_STATE = "/state:x"
 
@@ -30,7 +29,8 @@ def register(commands: Any) -> None:
         "bags",
         nargs="*",
         metavar="BAG",
-        help="recordings to learn from; also URLs, such as s3://BUCKET/RUN",
+        help="recordings to learn from; also URLs, such as s3://BUCKET/RUN (none: the simulated "
+        "plant is learned)",
     )
     parser.add_argument("--out", type=Path, default=Path("model.npz"), metavar="FILE.npz")
     parser.add_argument(
@@ -54,11 +54,6 @@ def register(commands: Any) -> None:
         "that lag (8 is a good start)",
     )  # fmt: skip
     add_reading_options(group)
-    group = parser.add_argument_group("without a bag: the simulated plant")
-    group.add_argument("--params-file", metavar="FILE", help="ROS 2 parameter file of the plant")
-    group.add_argument("--trajectories", type=int, help=f"default {default.trajectories}")
-    group.add_argument("--duration", type=float, metavar="S", help=f"default {default.duration:g}")
-    group.add_argument("--seed", type=int, help=f"default {default.seed}")
     parser.set_defaults(func=train_main)
 
     parser = commands.add_parser("inspect")
@@ -68,12 +63,8 @@ def register(commands: Any) -> None:
 
 def train_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop train``; returns the exit code."""
-    for name in SIMULATION if args.bags else BAGS:
-        if getattr(args, name) is not None:
-            option = "command" if name == "commanded" else name.replace("_", "-")
-            raise InputError(
-                f"--{option} is for training {'without a bag' if args.bags else 'on bags'}"
-            )
+    if not args.bags and any(getattr(args, name) is not None for name in BAGS):
+        raise InputError("--measured, --command, --dt, --gap, --delays are for training on bags")
     if args.bags:
         reading = reading_of(args, LOOP_STATE)
         assert reading is not None
@@ -86,23 +77,14 @@ def train_main(args: argparse.Namespace) -> int:
         )
         model = train_from_bags([stored_path(bag) for bag in args.bags], training)
     else:
-        model = _simulated(args)
+        config = TrainingConfig(modes=args.modes)
+        if args.degree is not None:
+            config = replace(config, degree=args.degree)
+        model = train(PlantConfig(), config, args.contrast)
     model.save(args.out)
     print(describe(model))
     print(f"written to {args.out}")
     return 0
-
-
-def _simulated(args: argparse.Namespace) -> KoopmanModel:
-    plant = PlantConfig()
-    if args.params_file:
-        plant = parameters.make(parameters.read(args.params_file)).plant
-    options = {
-        name: getattr(args, name)
-        for name in ("degree", "modes", "trajectories", "duration", "seed")
-        if getattr(args, name) is not None
-    }
-    return train(plant, TrainingConfig(**options), args.contrast)
 
 
 def inspect_main(args: argparse.Namespace) -> int:
@@ -142,13 +124,11 @@ def _cost(model: KoopmanModel) -> str:
             "state: the one in which strong and weak oscillation differ most "
             "(docs/explanation/theory.md)"
         )
-    kept, asked = int(model.kept.sum()), model.provenance.get("modes_asked")
-    words = f"cost: lifted, the energy of the {kept} mode{'s' * (kept > 1)} kept, by energy"
-    if asked is not None and asked < kept:
-        words += f"; {asked} were asked for, but no complex pair is split"
-    elif asked is not None and asked > kept:
-        words += f"; {asked} were asked for"
-    return words
+    kept = int(model.kept.sum())
+    return (
+        f"cost: lifted, the energy of the {kept} mode{'s' * (kept > 1)} kept, by energy (no "
+        "complex pair is split)"
+    )
 
 
 def origin(provenance: dict[str, Any]) -> list[str]:

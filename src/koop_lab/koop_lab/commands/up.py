@@ -14,7 +14,8 @@ from koop_bringup.live.monitor import Progress
 from koop_bringup.live.served import add_serve_option, served
 from koop_bringup.plan import ALL_NODES, ARGUMENTS, Plan, plan
 from koop_core.config import parameter_file
-from koop_lab.recorded.report import run_figures
+from koop_core.errors import KoopError
+from koop_lab.recorded.report import describe, read
 from koop_tune.folder import find_controller
 
 STATUS = 10.0  # [s] between two status lines when nothing new is to be said
@@ -76,7 +77,10 @@ def main(args: argparse.Namespace) -> int:
     finally:
         if (folder / "bag").is_dir():
             print(f"recording in {folder}/bag, parameters in {folder}/parameters.yaml", flush=True)
-    print("\n" + run_figures(folder, planned.namespace), flush=True)
+    try:
+        print("\n" + describe(read(folder, namespace=planned.namespace or "/")))
+    except KoopError as error:
+        print(f"no figures of the run: {error}")
     return 1 if nodes.lost else 0
 
 
@@ -122,14 +126,14 @@ class Status:
         if now < self._time + (STATUS if news == self._said else 1.0):
             return
         self._said, self._time = news, now
-        found = "; ".join(progress.findings.values())
+        level = "; ".join(progress.findings.values())
         where = ""
         if progress.step:
             known = [f"step {progress.step}"]
             known += [f"r = {progress.r:.3g}"] * math.isfinite(progress.r)
             known += [f"θ = {progress.theta:+.3f}"] * math.isfinite(progress.theta)
             where = f"{', '.join(known)}, {progress.steps_per_second:.0f} steps/s: "
-            found = found or "ok"
+            level = level or "ok"
         elif progress.values:
-            found = found or "waiting for the first state"
-        print(f"{time.strftime('%H:%M:%S')} {where}{found or 'connecting'}", flush=True)
+            level = level or "waiting for the first state"
+        print(f"{time.strftime('%H:%M:%S')} {where}{level or 'connecting'}", flush=True)

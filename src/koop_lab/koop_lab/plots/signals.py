@@ -1,4 +1,4 @@
-"""State, cost and control input over time: the paper's figure of a run, and part of the page."""
+"""State, cost and control input over time: the paper's figure of a run, and part of a report."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from koop_core.errors import InputError
+from koop_loop.metrics import LOGGING_START
 from koop_loop.thinning import extremes
+from koop_loop.training import STATE_NAMES
 
 POINTS = 4000  # columns of the drawing; more cannot be seen
 Named = Mapping[str, NDArray[np.float64]]
@@ -24,14 +26,13 @@ Named = Mapping[str, NDArray[np.float64]]
 def plot_signals(
     path: Path,
     t: NDArray[np.float64],
-    channels: Named,
-    costs: Named,
-    thetas: Named,
+    states: Named,
+    r: NDArray[np.float64],
+    theta: NDArray[np.float64],
     title: str,
-    theta_star: float | None = None,
-    begin: float = 0.0,
+    theta_star: float,
 ) -> None:
-    """Draw a run as in figures 5 and 6 of the paper.
+    """Draw a run of the simulated plant as in figures 5 and 6 of the paper.
 
     Parameters
     ----------
@@ -39,22 +40,28 @@ def plot_signals(
         File to write; the ending chooses the format.
     t : ndarray, shape (M,)
         Time [s].
-    channels, costs, thetas : mapping of str to ndarray, shape (M,)
-        States, one or two costs, and control inputs by their labels.
+    states : mapping of str to ndarray, shape (M,)
+        By their labels.
+    r, theta : ndarray, shape (M,)
+        Cost and control input.
     title : str
         Heading.
-    theta_star : float, optional
+    theta_star : float
         Optimal control input, a dashed line.
-    begin : float
-        The axes of state and cost fit what comes after it [s]: an initial transient, which the
-        paper leaves out, is orders of magnitude larger.
     """
     figure, axes = plt.subplots(3, 1, sharex=True, figsize=(8, 7), layout="constrained")
     figure.suptitle(title)
-    after = t >= begin if t[-1] > begin else t >= t[0]
-    draw_signals(axes, t, channels, costs, thetas, theta_star, after)
+    # the initial transient, which the paper leaves out, is orders of magnitude larger
+    after = t >= LOGGING_START if t[-1] > LOGGING_START else t >= t[0]
+    cost = {"cost r (arbitrary unit:\nonly its slope counts)": r}
+    draw_signals(axes, t, states, cost, {"theta": theta}, theta_star, after)
     axes[2].set_xlabel("time [s]")
     save(figure, path)
+
+
+def true_states(truth: NDArray[np.float64]) -> Named:
+    """Return the states of our plant, shape (M, 2), by their labels."""
+    return {f"true {name}": x for name, x in zip(STATE_NAMES, truth.T, strict=True)}
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -96,8 +103,6 @@ def draw_signals(
         axis.set_ylabel(label)
     fit(state, np.stack([values[after] for values in channels.values()]))
     state.legend(loc="upper right", ncols=max(4, len(channels)), fontsize="small")
-    if len(thetas) > 1:
-        theta.legend(loc="upper right", fontsize="small")
     if theta_star is not None:
         theta.axhline(theta_star, linestyle="--", color="black", linewidth=1.0)
         theta.annotate(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_core.errors import InputError, KoopError
+from koop_core.errors import InputError
 from koop_identify.recording.loop import LoopRecord
 from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import Signals, loop_signals, read_signals
 from koop_lab.cli.source_options import reading_of
-from koop_lab.cli.tables import metrics_table, rig_table
-from koop_loop.metrics import LOGGING_START, TOLERANCE, Metrics, evaluate
-from koop_loop.parameters import NODES, LoopParameters, make, with_model_beside
+from koop_lab.cli.tables import cost_name, metrics_table, rig_table
+from koop_lab.replay.offline import OfflineLoop
+from koop_loop.metrics import Metrics, evaluate
+from koop_loop.parameters import NODES, LoopParameters, make
 from koop_loop.rig_metrics import RigMetrics, rig_metrics
 from koop_loop.static_map import performance
-from koopman_lifter.model import KoopmanModel, load
+from koopman_lifter.config import LifterConfig
+from koopman_lifter.model import KoopmanModel, load, load_fitting
+from relay_esc.config import EscConfig
 
 WHOLE = 0.99  # of the recorded time: figures that cover less say so
 
@@ -42,8 +47,8 @@ class RecordedRun:
         The loop's own topics; None of a bag of other messages.
     parameters : LoopParameters or None
         Of the loop; None if they were not recorded.
-    simulated : bool
-        Whether the plant was ours, so that its theta* is known.
+    theta_star : float or None
+        The best theta of our plant; None of a rig.
     model : KoopmanModel or None
         The given one, else that of the first cost; None if it is not at hand.
     """
@@ -52,13 +57,34 @@ class RecordedRun:
     signals: Signals
     loop: LoopRecord | None
     parameters: LoopParameters | None
-    simulated: bool
+    theta_star: float | None
     model: KoopmanModel | None
 
     @property
-    def theta_star(self) -> float | None:
-        """The best theta of our plant; None of a rig."""
-        return self.parameters.plant.theta_star if self.simulated and self.parameters else None
+    def cost(self) -> str:
+        """Name of the cost that was answered."""
+        return cost_name(self.parameters.lifter.cost, self.model) if self.parameters else "lifted"
+
+    @cached_property
+    def metrics(self) -> Metrics | None:
+        """The paper's metrics of a run of our plant; None of any other."""
+        parameters, loop, theta_star = self.parameters, self.loop, self.theta_star
+        if parameters is None or loop is None or theta_star is None:
+            return None
+        if not (self.signals.has_theta and loop.counts.get("cost")):
+            return None
+        closed = loop.closed(self.path)
+        t, theta, r = closed.t(self.signals.dt), closed.theta, closed.r
+        lifted = parameters.lifter.cost == "lifted"
+        if lifted and self.model is None:  # without it r* is not known
+            return evaluate(t, theta, r, theta_star)
+        return performance(parameters, self.model if lifted else None, t, theta, r)
+
+    @property
+    def rate(self) -> float:
+        """States a second of wall-clock time; 0 of a bag of other messages."""
+        loop = self.loop
+        return (loop.counts["state"] - 1) / loop.duration if loop and loop.duration > 0.0 else 0.0
 
 
 def read(
@@ -90,10 +116,10 @@ def read(
     koop_core.errors.InputError
         If there is no state in it, or the model file cannot be used.
     """
-    given = load(model) if model is not None else None
+    chosen = load(model) if model is not None else None
     if reading is not None:
-        signals = read_signals(path, reading, given.dt if given else None)
-        return RecordedRun(path, signals, None, None, False, given)
+        signals = read_signals(path, reading, chosen.dt if chosen else None)
+        return RecordedRun(path, signals, None, None, None, chosen)
     with BagReader(path) as bag:
         values = recorded_values(bag, path, namespace, NODES)
     recorded = {
@@ -101,69 +127,71 @@ def read(
         for node, section in values.items()
     }
     parameters = make(recorded) if recorded else None
-    dt = dt or (parameters.lifter.dt if parameters else given.dt if given else None)
-    loop, signals = loop_signals(path, namespace, dt, given.state_names if given else None)
-    used = given
-    if used is None and (model_id := loop.model_id):
+    dt = dt or (parameters.lifter.dt if parameters else chosen.dt if chosen else None)
+    loop, signals = loop_signals(path, namespace, dt, chosen.state_names if chosen else None)
+    used = chosen
+    if used is None and loop.model_id:
         named = str(recorded.get("koopman_lifter", {}).get("model", ""))
-        try:
-            used = Models(path, named).load(model_id)
-        except InputError:
-            used = None
-    return RecordedRun(path, signals, loop, parameters, "vdp_plant" in recorded, used)
-
-
-def metrics_of(
-    run: RecordedRun, theta_star: float | None, start: float, tolerance: float
-) -> Metrics | None:
-    """Return the paper's metrics; None if theta* is not known, or no theta was recorded."""
-    signals, parameters = run.signals, run.parameters
-    if theta_star is None or not signals.has_theta:
-        return None
-    if run.loop is None or not run.loop.counts.get("cost"):
-        rows = np.isfinite(signals.theta)
-        t, theta, r = (x[rows] for x in (signals.t, signals.theta, signals.r))
-        return evaluate(t, theta, r, theta_star, None, start, tolerance)
-    closed = run.loop.closed(run.path)
-    t, theta, r = closed.t(signals.dt), closed.theta, closed.r
-    if parameters is not None and theta_star == run.theta_star:  # r* belongs to the plant's own
-        lifted = parameters.lifter.cost == "lifted"
-        if run.model or not lifted:
-            model = run.model if lifted else None
-            return performance(parameters, model, t, theta, r, start, tolerance)
-    return evaluate(t, theta, r, theta_star, None, start, tolerance)
+        with suppress(InputError):  # it is not at hand
+            used = Models(path, named).load(loop.model_id)
+    theta_star = parameters.plant.theta_star if parameters and "vdp_plant" in recorded else None
+    return RecordedRun(path, signals, loop, parameters, theta_star, used)
 
 
 def rig_metrics_of(
     signals: Signals, start: float | None = None
 ) -> tuple[RigMetrics, tuple[str, ...]]:
     """Return the metrics that need no theta*, and the names of their channels."""
-    true = tuple(f"true {i}" for i in range(signals.ground_truth.shape[1]))
-    if len(true) == len(signals.names):
-        true = tuple(f"true {name}" for name in signals.names)
-    channels = np.hstack((signals.x, signals.ground_truth))
+    true = tuple(f"true {name}" for name in signals.names)
+    true = true if signals.ground_truth.shape[1] == len(true) else ()
+    channels = np.hstack((signals.x, signals.ground_truth[:, : len(true)]))
     theta = signals.theta if signals.has_theta else None
     metrics = rig_metrics(signals.t, channels, theta, signals.limited, start)
     return metrics, signals.names + true
 
 
-def coverage(run: RecordedRun) -> dict[str, Any]:
-    """Return how much of the recorded time the figures cover, in JSON terms."""
-    signals = run.signals
-    return {
+def figures(run: RecordedRun, start: float | None = None) -> dict[str, Any]:
+    """Return all figures of a run, in JSON terms; the rig's leave out what is before ``start``."""
+    signals, loop, metrics = run.signals, run.loop, run.metrics
+    rig, names = rig_metrics_of(signals, start)
+    result: dict[str, Any] = {"steps": int(signals.t.size), "dt": signals.dt}
+    if loop is not None:
+        result |= {"steps": loop.counts["state"], "lost": loop.lost}
+        result |= {"rate_hz": run.rate, "real_time_factor": run.rate * signals.dt}
+    if metrics is not None:
+        result |= {**metrics.as_dict(), "cost": run.cost, "theta_star": run.theta_star}
+    coverage = {
         "covered": signals.covered,
         "recorded": signals.recorded,
-        "whole": bool(signals.covered >= WHOLE * signals.recorded - signals.dt),
-        "runs": run.loop.passes if run.loop else 1,
+        "whole": _is_whole(signals),
+        "runs": loop.passes if loop else 1,
     }
+    return {**result, **rig.as_dict(names), "coverage": coverage, "way": signals.way}
+
+
+def describe(run: RecordedRun, start: float | None = None) -> str:
+    """Return in words and tables what a run achieved."""
+    signals, loop, metrics = run.signals, run.loop, run.metrics
+    rig, names = rig_metrics_of(signals, start)
+    lines = [metrics_table(metrics, run.cost), ""] if metrics is not None else []
+    lines += [rig_table(rig, names), ""]
+    if loop is not None:
+        lost = ", ".join(f"{count} on {topic}" for topic, count in loop.lost.items() if count)
+        lines.append(
+            f"{loop.counts['state']} states, {run.rate:.1f} /s, {run.rate * signals.dt:.1f} x real "
+            f"time; lost: {lost or 'none'}"
+        )
+    else:
+        lines.append(f"{signals.t.size} states, one each {signals.dt:g} s ({signals.way})")
+    return "\n".join([*lines, describe_coverage(run)])
 
 
 def describe_coverage(run: RecordedRun) -> str:
     """Return in words how much of the recorded time the figures cover, and why not all of it."""
-    covers, signals = coverage(run), run.signals
+    signals, loop = run.signals, run.loop
     lines = [
-        f"the figures cover {covers['covered']:.6g} of {covers['recorded']:.6g} s"
-        + ("" if covers["whole"] else " ONLY")
+        f"the figures cover {signals.covered:.6g} of {signals.recorded:.6g} s"
+        + ("" if _is_whole(signals) else " ONLY")
     ]
     has_theta = np.isfinite(signals.theta)
     if signals.has_theta and not has_theta.all():
@@ -171,57 +199,23 @@ def describe_coverage(run: RecordedRun) -> str:
             f"theta is missing for {np.count_nonzero(~has_theta)} of {has_theta.size} states; it "
             f"is there from {signals.t[has_theta][0]:.6g} to {signals.t[has_theta][-1]:.6g} s"
         )
-    if run.loop is not None and run.loop.passes > 1:
+    if loop is not None and loop.passes > 1:
         lines.append(
-            f"the steps begin {run.loop.passes} times: this is the longest run, to step "
-            f"{run.loop.step[-1]}"
+            f"the steps begin {loop.passes} times: this is the longest run, to step {loop.step[-1]}"
         )
     return "\n".join(lines)
 
 
-def run_figures(folder: Path, namespace: str) -> str:
-    """Return what a run achieved in words, for its end; or why that is not known."""
-    try:
-        run = read(folder, namespace=namespace or "/")
-        rig, names = rig_metrics_of(run.signals)
-    except KoopError as error:
-        return f"no figures of the run: {error}"
-    return f"{rig_table(rig, names)}\n{describe_coverage(run)}"
+def _is_whole(signals: Signals) -> bool:
+    return bool(signals.covered >= WHOLE * signals.recorded - signals.dt)
 
 
 def metrics_main(args: argparse.Namespace) -> int:
     """Entry point of ``koop bag metrics``; returns the exit code."""
     run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
-    signals, loop = run.signals, run.loop
-    cost = run.parameters.lifter.cost if run.parameters else "lifted"
-    theta_star = run.theta_star if args.theta_star is None else args.theta_star
-    start = LOGGING_START if args.start is None else args.start
-    tolerance = TOLERANCE if args.tolerance is None else args.tolerance
-    metrics = metrics_of(run, theta_star, start, tolerance)
-    rig, names = rig_metrics_of(signals, args.start)
-    rate = 0.0
-    if loop is not None and loop.duration > 0.0:
-        rate = (loop.counts["state"] - 1) / loop.duration
-    if args.json:
-        figures: dict[str, Any] = {"steps": int(signals.t.size), "dt": signals.dt}
-        if loop is not None:
-            figures |= {"steps": loop.counts["state"], "rate_hz": rate, "lost": loop.lost}
-        if metrics is not None:
-            start = start if signals.t[-1] > start else float(signals.t[0])
-            figures |= {**metrics.as_dict(), "cost": cost, "theta_star": theta_star}
-            figures |= {"tolerance": tolerance, "start": start}
-        figures |= {**rig.as_dict(names), "coverage": coverage(run), "way": signals.way}
-        print(json.dumps(figures, indent=1))
-        return 0
-    if metrics is not None:
-        print(metrics_table(metrics, cost, run.simulated) + "\n")
-    print(rig_table(rig, names) + "\n")
-    if loop is not None:
-        lost = ", ".join(f"{count} on {topic}" for topic, count in loop.lost.items() if count)
-        print(f"{loop.counts['state']} states, {rate:.1f} /s; lost: {lost or 'none'}")
-    else:
-        print(f"{signals.t.size} states, one each {signals.dt:g} s ({signals.way})")
-    print(describe_coverage(run))
+    print(
+        json.dumps(figures(run, args.start), indent=1) if args.json else describe(run, args.start)
+    )
     return 0
 
 
@@ -231,9 +225,9 @@ def plot_main(args: argparse.Namespace) -> int:
     from koop_lab.plots.report import plot_report
 
     run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
-    costs = costs_of(run, args.model)
     folder = args.run if args.run.is_dir() else args.run.parent
     out = args.out or folder / "report.png"
+    costs = costs_of(run, args.model)
     plot_report(out, run.signals, costs, run.model, run.theta_star, f"{args.run}")
     print(f"written to {out}")
     print(describe_coverage(run))
@@ -245,19 +239,18 @@ def costs_of(run: RecordedRun, model: Path | None = None) -> dict[str, NDArray[n
 
     One is computed where a model is given or none was recorded; without a model it is raw.
     """
-    from koop_lab.replay import open_loop
-
-    costs = {"recorded r": run.signals.r} if run.signals.has_r else {}
+    signals, parameters = run.signals, run.parameters
+    costs = {"recorded r": signals.r} if signals.has_r else {}
     if costs and model is None:
         return costs
-    recorded = run.parameters.as_ros() if run.parameters is not None else {}
-    for folder in (run.path.parent, run.path):  # of a bag in its run, or of the run
-        recorded = with_model_beside(folder / "parameters.yaml", recorded)
-    file = str(model) if model else None
-    parameters = open_loop.settings(
-        run.signals.dt, file, recorded=recorded, lifted=run.model is not None
+    fitting = load_fitting(model, signals.dt, signals.x.shape[1]) if model is not None else None
+    lifter = replace(
+        parameters.lifter if parameters is not None else LifterConfig(),
+        cost="raw" if fitting is None else "lifted",
+        dt=signals.dt,
+        measured="",
     )
-    r = open_loop.answer(run.signals, parameters, f"the state in {run.path}").r
-    lifted = parameters.lifter.cost == "lifted" and run.model is not None
-    name = f"r under {run.model.model_id}" if lifted and run.model else "raw r"
-    return {name: r, **costs}
+    esc, held = EscConfig(dt=signals.dt), np.ones(signals.step.size, np.bool_)
+    x = np.ascontiguousarray(signals.x)
+    r, _ = OfflineLoop(esc).answer(lifter, esc, fitting, signals.step, x, held)
+    return {f"r under {fitting.model_id}" if fitting is not None else "raw r": r, **costs}

@@ -6,7 +6,6 @@ depend on the machine's speed. The states go out as the bytes that were recorded
 
 from __future__ import annotations
 
-import math
 import os
 import tempfile
 import time
@@ -17,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from koop_bag.bag.playback import Playback
 from koop_bag.bag.reader import BagReader
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess, uninterrupted
 from koop_bringup.live.turns import taking_turns_with
@@ -95,7 +93,6 @@ class Feeder(Client):
         self._read_cost, self._read_theta = codec(Cost).decode, codec(ControlInput).decode
         self.node.create_subscription(Cost, "cost", self._on_cost, qos, raw=True)
         self.node.create_subscription(ControlInput, "theta", self._on_theta, qos, raw=True)
-        self._controlled = True
         self._question = Resend(TIMEOUT, RESENDS)
         self._cost: tuple[int, float] | None = None
         self._theta: tuple[int, float] | None = None
@@ -128,8 +125,6 @@ class Feeder(Client):
             if recording.hold[k] != held:
                 held = bool(recording.hold[k])
                 self._hold(held)
-            if plan.unheard[k] == self._controlled:
-                self._control(not plan.unheard[k])
             if recording.late[k]:  # has no answer
                 self._publisher.publish(message)
                 r[k] = theta[k] = np.nan
@@ -151,7 +146,7 @@ class Feeder(Client):
         self._publisher.publish(message)
         self._question.ask(time.monotonic())
         while True:
-            cost, theta = self._cost, self._theta if self._controlled else (step, math.nan)
+            cost, theta = self._cost, self._theta
             if cost is not None and theta is not None and cost[0] == theta[0] == step:
                 self._question.close()
                 return cost[1], theta[1]
@@ -172,19 +167,6 @@ class Feeder(Client):
             values = {name: given[name] for name in change.values}
             self.set_parameters(change.node, values, START_TIMEOUT, self._check_nodes)
 
-    def _control(self, controlled: bool) -> None:
-        """Let the controller hear the costs that follow, or not: it is active, or silent."""
-        transition = "activate" if controlled else "deactivate"
-        self.change_state(CONTROLLER[1], transition, START_TIMEOUT, self._check_nodes)
-        listeners = 1 + controlled  # this one, too
-        self.wait_for(
-            lambda: self.node.count_subscribers("cost") == listeners,
-            START_TIMEOUT,
-            f"{CONTROLLER[1]} to {'listen' if controlled else 'be silent'}",
-            self._check_nodes,
-        )
-        self._controlled = controlled
-
     def _hold(self, data: bool) -> None:
         from std_srvs.srv import SetBool
 
@@ -198,12 +180,8 @@ class Feeder(Client):
 
 def _states(recording: Recording) -> Iterator[bytes]:
     """Yield the serialized states of a recording's rows."""
-    rows = iter(recording.message)
-    wanted = next(rows, None)
+    rows = set(recording.message.tolist())
     with BagReader(recording.path) as bag:
-        # in the order of the file, by which the rows are numbered
-        states = Playback.of_bag(bag, [recording.state_topic], window=0)
-        for number, message in enumerate(states):
-            if number == wanted:
+        for number, message in enumerate(bag.messages([recording.state_topic])):
+            if number in rows:
                 yield message.data
-                wanted = next(rows, None)

@@ -11,10 +11,11 @@ from koop_lab.replay.plan import ReplayPlan
 from koop_lab.replay.recording import Recording
 from koop_loop.kernel import Controller, LoopMemory, control, listen
 from koop_loop.loop import controller
-from koop_loop.parameters import LoopParameters
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
+from koopman_lifter.model import KoopmanModel
+from relay_esc.config import EscConfig
 
 
 @njit()
@@ -47,7 +48,7 @@ def replay_kernel(
         Step of each state.
     state_arrivals, cost_arrivals : ndarray, shape (M,)
         What each state is to the lifter and its cost to the controller; LATE for a state that newer
-        ones had overtaken, which has no answer, and for a cost that the controller did not hear.
+        ones had overtaken, which has no answer.
     x : ndarray, shape (M, n)
         Measured states; one that is not finite has no cost.
     hold : ndarray, shape (M,)
@@ -68,13 +69,6 @@ def replay_kernel(
         if state_arrivals[k] == Arrival.LATE:
             r[k] = theta[k] = np.nan
             continue
-        if cost_arrivals[k] == Arrival.LATE:  # the controller did not hear this cost
-            r[k], _, _, detector = cost.answer(
-                source, lifting, detector_params, detector, state_arrivals[k], step[k], states[k],
-                work,
-            )  # fmt: skip
-            theta[k] = np.nan
-            continue
         r[k], detector, relay = control(
             source, lifting, detector_params, relay_params, detector, relay,
             state_arrivals[k], cost_arrivals[k], switched, hold[k], step[k], states[k],
@@ -90,12 +84,12 @@ class OfflineLoop:
 
     Parameters
     ----------
-    parameters : LoopParameters
-        Of the first segment.
+    esc : EscConfig
+        Of the controller when it starts.
     """
 
-    def __init__(self, parameters: LoopParameters) -> None:
-        self._memory = LoopMemory(cost.initial(), parameters.esc.initial())
+    def __init__(self, esc: EscConfig) -> None:
+        self._memory = LoopMemory(cost.initial(), esc.initial())
         self._work: Workspace | None = None
         self._states = self._costs = NOTHING
         self._origin: tuple[int, str] | None = None
@@ -107,31 +101,31 @@ class OfflineLoop:
 
     def answer(
         self,
-        parameters: LoopParameters,
+        lifter: LifterConfig,
+        esc: EscConfig,
+        model: KoopmanModel | None,
         step: NDArray[np.int64],
         x: NDArray[np.float64],
         hold: NDArray[np.bool_],
-        unheard: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Answer states with the same parameters.
 
         Parameters
         ----------
-        parameters : LoopParameters
+        lifter, esc, model
             Of lifter and controller.
         step : ndarray of int64, shape (M,)
             Step of each state.
         x : ndarray, shape (M, n)
             Measured states.
-        hold, unheard : ndarray of bool, shape (M,)
-            Whether the user holds theta, and whether the controller does not hear the cost.
+        hold : ndarray of bool, shape (M,)
+            Whether the user holds theta.
 
         Returns
         -------
         r, theta : ndarray, shape (M,)
             What lifter and controller answer.
         """
-        lifter, esc, model = parameters.lifter, parameters.esc, parameters.load_model()
         made = controller(lifter, esc, model)
         if self._work is None:
             self._work = cost.workspace(made.lifting)
@@ -139,11 +133,11 @@ class OfflineLoop:
         switched, self._origin = origin != self._origin, origin
         states = np.empty(step.size, np.int8)
         self._states = listen(step, lifter.timeout, lifter.dt, self._states, states)
-        heard = (states != Arrival.LATE) & ~unheard
-        arrivals = np.empty(np.count_nonzero(heard), np.int8)
-        self._costs = listen(step[heard], esc.timeout, esc.dt, self._costs, arrivals)
+        answered = states != Arrival.LATE
+        arrivals = np.empty(np.count_nonzero(answered), np.int8)
+        self._costs = listen(step[answered], esc.timeout, esc.dt, self._costs, arrivals)
         costs = np.full_like(states, Arrival.LATE)
-        costs[heard] = arrivals
+        costs[answered] = arrivals
         r, theta = np.empty(step.size), np.empty(step.size)
         self._memory = replay_kernel(
             made, self._memory, self._work, switched, step, states, costs, x, hold, r, theta
@@ -161,25 +155,22 @@ def replay_offline(
     r, theta : ndarray, shape (M,)
         What lifter and controller answer.
     """
-    loop = OfflineLoop(plan.segments[0].parameters)
+    loop = OfflineLoop(plan.segments[0].parameters.esc)
     answers = []
     x: NDArray[np.float64] | None = None
     for segment in plan.segments:
         part, parameters = slice(segment.begin, segment.end), segment.parameters
-        model = parameters.load_model() if parameters.lifter.cost == "lifted" else None
-        n = model.delays.channels if model is not None else 0
+        lifter, model = parameters.lifter, parameters.load_model()
+        n = model.delays.channels if model is not None and lifter.cost == "lifted" else 0
         if x is None or n not in (0, x.shape[1]):
             x = recording.states(n)
         if any({"cost", "model"} & set(change.values) for change in segment.changed):
-            loop.restart_detector(parameters.lifter)
+            loop.restart_detector(lifter)
         answers.append(
             loop.answer(
-                parameters,
-                recording.step[part],
-                x[part],
-                recording.hold[part],
-                plan.unheard[part],
+                lifter, parameters.esc, model,
+                recording.step[part], x[part], recording.hold[part],
             )
-        )
+        )  # fmt: skip
     r, theta = zip(*answers, strict=True)
     return np.concatenate(r), np.concatenate(theta)

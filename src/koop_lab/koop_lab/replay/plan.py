@@ -6,9 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from koop_core.config.parameter import ConfigError
 from koop_identify.recording.recorded_parameters import (
     CONTROLLER,
@@ -17,10 +14,9 @@ from koop_identify.recording.recorded_parameters import (
     known_parameters,
 )
 from koop_lab.replay.recording import Recording
-from koop_lab.replay.unheard import find_join, unheard_costs
 from koop_loop import parameters
 from koop_loop.parameters import LoopParameters
-from koopman_lifter.model import KoopmanModel
+from koopman_lifter.model import load_fitting
 
 Values = dict[str, dict[str, Any]]
 OWN_TOPICS = {"koopman_lifter": {"measured": ""}, "relay_esc": {"command": ""}}
@@ -59,14 +55,11 @@ class ReplayPlan:
         (parameter, recorded, replayed) where the user's choice differs from the recording.
     notes : list of str
         What the user should know about the parameters.
-    unheard : ndarray of bool, shape (M,)
-        States whose costs the controller did not hear.
     """
 
     segments: tuple[ReplaySegment, ...]
     differences: list[tuple[str, Any, Any]]
     notes: list[str]
-    unheard: NDArray[np.bool_]
 
 
 def make_plan(
@@ -88,7 +81,11 @@ def make_plan(
     koop_core.errors.InputError
         If a parameter or a model cannot be used.
     """
-    chosen = given_values(params, model)
+    given = parameters.read(params) if params else {}
+    chosen = {node: dict(given.get(node, {})) for node in CONTROLLER}
+    if model is not None:
+        chosen["koopman_lifter"]["model"] = model
+    parameters.make(chosen)  # names what is wrong
     notes, recorded = _usable_values(recording)
     changes = tuple(_without(change, chosen[change.node]) for change in recording.changes)
     if recording.first_model:
@@ -100,15 +97,8 @@ def make_plan(
             changes = tuple(_with_model(change, recording, models) for change in changes)
     used = {node: {**recorded[node], **chosen[node], **OWN_TOPICS[node]} for node in CONTROLLER}
     segments = _segments(used, changes, recording.step.size)
-    before = parameters.make(recorded)
-    differences = _differences(before, segments[0].parameters, chosen)
-    differences += _model_difference(recording, segments)
-    unheard, joined = _find_unheard(recording, before, segments)
-    if joined is not None:
-        notes.append(
-            f"the controller joined at step {recording.step[joined]}, where its first theta is"
-        )
-    return ReplayPlan(segments, differences, notes, unheard)
+    differences = _differences(recording, parameters.make(recorded), segments, chosen)
+    return ReplayPlan(segments, differences, notes)
 
 
 def _usable_values(recording: Recording) -> tuple[list[str], Values]:
@@ -140,80 +130,27 @@ def _usable_values(recording: Recording) -> tuple[list[str], Values]:
 
 
 def _differences(
-    recorded: LoopParameters, replayed: LoopParameters, chosen: Values
+    recording: Recording,
+    recorded: LoopParameters,
+    segments: tuple[ReplaySegment, ...],
+    chosen: Values,
 ) -> list[tuple[str, Any, Any]]:
-    """Return the user's values that differ from the recorded ones, but for the model."""
-    before, after = recorded.as_ros(), replayed.as_ros()
-    return [
+    """Return the user's values, and the model, where they differ from the recorded ones."""
+    before, after = recorded.as_ros(), segments[0].parameters.as_ros()
+    differences = [
         (f"{node}.{name}", before[node][name], after[node][name])
         for node in CONTROLLER
         for name in chosen[node]
         if name != "model" and after[node][name] != before[node][name]
     ]
-
-
-def _model_difference(
-    recording: Recording, segments: tuple[ReplaySegment, ...]
-) -> list[tuple[str, Any, Any]]:
-    """Return the difference between the recorded model and the replayed one, if there is one."""
-    first, model = recording.first_model, segments[0].parameters.load_model()
+    first, loop = recording.first_model, segments[0].parameters
+    model = loop.load_model()
     model_id = model.model_id if model is not None else "none"
     if model_id == first:
-        return []
+        return differences
     if any(segment.parameters.lifter.cost == "lifted" for segment in segments):
-        check_channels(model, recording.channels, f"the state in {recording.path}")
-    return [("koopman_lifter.model", first, model_id)] if first else []
-
-
-def _find_unheard(
-    recording: Recording, recorded: LoopParameters, segments: tuple[ReplaySegment, ...]
-) -> tuple[NDArray[np.bool_], int | None]:
-    """Return the costs that the controller did not hear, and the row with which it joined."""
-    esc, has_r, has_theta = recorded.esc, recording.has_r, recording.has_theta
-    u = recording.theta if esc.theta_scale == "linear" else np.log(recording.theta)
-    sizes = [segment.parameters.esc.step_size for segment in segments]
-    unheard = unheard_costs(has_r, has_theta, u, max(esc.step_size, *sizes))
-    held = recording.hold | ~np.isfinite(recording.r)
-    joined = find_join(has_r, has_theta, held, recording.theta, esc.params().settling)
-    if joined is not None:
-        unheard[:joined] = has_r[:joined]
-    return unheard, joined
-
-
-def given_values(params: str | None, model: str | None) -> Values:
-    """Return the user's values of the lifter and the controller.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If one cannot be used.
-    """
-    values = parameters.read(params) if params else {}
-    if model is not None:
-        values.setdefault("koopman_lifter", {})["model"] = model
-    chosen = {node: dict(values.get(node, {})) for node in CONTROLLER}
-    parameters.make(chosen)  # names what is wrong
-    return chosen
-
-
-def check_channels(model: KoopmanModel | None, n: int, what: str) -> None:
-    """Raise ConfigError unless a model is for states of n channels; None is for any.
-
-    Parameters
-    ----------
-    model : KoopmanModel or None
-        The model.
-    n : int
-        Channels of the states.
-    what : str
-        Where the states are from.
-    """
-    if model is not None and model.delays.channels != n:
-        channels = model.delays.channels
-        raise ConfigError(
-            f"model {model.model_id} is for {channels} channel{'s' * (channels > 1)} "
-            f"({', '.join(model.state_names)}); {what} has {n}"
-        )
+        load_fitting(loop.model.path, loop.lifter.dt, recording.channels)
+    return [*differences, ("koopman_lifter.model", first, model_id)] if first else differences
 
 
 def _without(change: ParameterChange, chosen: Mapping[str, Any]) -> ParameterChange:

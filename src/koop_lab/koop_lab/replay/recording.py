@@ -27,7 +27,7 @@ from koopman_lifter.config import SOURCES
 
 NO_SOURCE = 255  # none of koop_msgs/Cost
 FIELDS = {
-    "cost": ["step", "r", "settling", "source", "model_id", "publish_time"],
+    "cost": ["step", "r", "source", "model_id", "publish_time"],
     "theta": ["step", "theta", "holding", "publish_time"],
 }
 
@@ -50,8 +50,6 @@ class Recording:
         Whether a newer state had overtaken it, so that it has no answer.
     r, theta : ndarray, shape (M,)
         Recorded answers; NaN where there is none.
-    settling : ndarray of bool, shape (M,)
-        Whether the lifter had joined a run and its filters had not settled.
     has_r, has_theta : ndarray of bool, shape (M,)
         Whether the answer was recorded.
     hold : ndarray of bool, shape (M,)
@@ -77,7 +75,6 @@ class Recording:
     late: NDArray[np.bool_]
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
-    settling: NDArray[np.bool_]
     has_r: NDArray[np.bool_]
     has_theta: NDArray[np.bool_]
     hold: NDArray[np.bool_]
@@ -104,13 +101,6 @@ class Recording:
         """Kind of the first answer, a value of the parameter `cost`; empty if there is none."""
         names = {number: name for name, number in SOURCES.items()}
         return next((names[int(number)] for number in self.source if int(number) in names), "")
-
-    @property
-    def in_progress(self) -> bool:
-        """Whether the recording began in mid-run: the detector's first r is 0, or it settles."""
-        first = np.flatnonzero(self.has_r & np.isfinite(self.r))
-        begun = self.settling[: first[0]].any() if first.size else True
-        return not begun and float(self.r[first[0]]) != 0.0
 
     @property
     def channels(self) -> int:
@@ -198,7 +188,6 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         late,
         r,
         theta.at(key, "theta", np.nan),
-        np.asarray(cost.at(key, "settling", False).astype(np.bool_)),
         cost.hold(key),
         theta.hold(key),
         np.asarray(theta.at(key, "holding", False).astype(np.bool_) & np.isfinite(r)),
