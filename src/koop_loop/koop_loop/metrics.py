@@ -65,10 +65,8 @@ def evaluate(
     r: NDArray[np.float64],
     theta_star: float,
     r_star: float | None = None,
-    start: float = LOGGING_START,
-    tolerance: float = TOLERANCE,
 ) -> Metrics:
-    """Compute the metrics of a run from ``start`` on.
+    """Compute the metrics of a run from 100 s on; a shorter one counts from its begin.
 
     Parameters
     ----------
@@ -80,10 +78,6 @@ def evaluate(
         Optimal control input.
     r_star : float, optional
         Optimal cost, as ``koop_loop.static_map.optimal_cost`` finds it.
-    start : float
-        Time before which the run is left out [s]; a run that is shorter counts from its begin.
-    tolerance : float
-        |theta - theta*| that counts as reached.
 
     Raises
     ------
@@ -92,12 +86,11 @@ def evaluate(
     """
     if not t.size == theta.size == r.size or t.size < 2:
         raise InputError("t, theta and r must have the same length of at least 2")
-    if t[-1] <= start:
-        start = float(t[0])
+    start = LOGGING_START if t[-1] > LOGGING_START else float(t[0])
     logged = slice(int(np.searchsorted(t, start)), None)
     error = np.abs(theta[logged] - theta_star)
     dt = float(t[-1] - t[0]) / (t.size - 1)
-    reached = np.flatnonzero(error < tolerance)
+    reached = np.flatnonzero(error < TOLERANCE)
     tail = slice(-max(1, round(TAIL * error.size)), None)
     logged_r = r[logged][np.isfinite(r[logged])]
     span = float(np.ptp(logged_r)) if logged_r.size else 0.0

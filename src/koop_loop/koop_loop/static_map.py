@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_loop.loop import simulate
-from koop_loop.metrics import LOGGING_START, TOLERANCE, Metrics, evaluate
+from koop_loop.metrics import LOGGING_START, Metrics, evaluate
 from koop_loop.parameters import LoopParameters
 from koopman_lifter.model import KoopmanModel
 from vdp_plant.config import PlantConfig
@@ -45,8 +45,6 @@ def performance(
     t: NDArray[np.float64],
     theta: NDArray[np.float64],
     r: NDArray[np.float64],
-    start: float = LOGGING_START,
-    tolerance: float = TOLERANCE,
 ) -> Metrics:
     """Return the paper's metrics of a run of our plant, with r* of its own loop.
 
@@ -58,8 +56,6 @@ def performance(
         Model of the run; needed for the lifted cost only.
     t, theta, r : ndarray, shape (M,)
         Time [s], control input and cost.
-    start, tolerance : float
-        See :func:`koop_loop.metrics.evaluate`.
     """
     plant = parameters.plant
 
@@ -74,4 +70,4 @@ def performance(
         return simulate(resting, parameters.lifter, esc, model, steps).r
 
     r_star = optimal_cost(plant, cost)
-    return evaluate(t, theta, r, plant.theta_star, r_star, start, tolerance)
+    return evaluate(t, theta, r, plant.theta_star, r_star)

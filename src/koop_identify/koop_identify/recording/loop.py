@@ -24,9 +24,8 @@ FIELDS = {
     "ground_truth": ["step", "x"],
 }
 BY_ROW = (
-    "step", "measured", "ground_truth", "r", "theta", "swing", "saturated", "answered",
+    "step", "measured", "ground_truth", "r", "theta", "saturated", "answered",
 )  # fmt: skip
-SWING = "float64 swing"  # of a ControlInput; older bags lack it
 
 
 @dataclass(frozen=True)
@@ -42,9 +41,8 @@ class LoopRecord:
         Step index, increasing.
     measured, ground_truth : ndarray, shape (M, n)
         x' and, if it was recorded, x; else of shape (M, 0).
-    r, theta, swing : ndarray, shape (M,)
-        Cost, control input, and the controller's step in units of its largest; NaN where there is
-        none.
+    r, theta : ndarray, shape (M,)
+        Cost and control input; NaN where there is none.
     saturated : ndarray of bool, shape (M,)
         Whether theta was at a limit.
     answered : ndarray of bool, shape (M,)
@@ -68,7 +66,6 @@ class LoopRecord:
     ground_truth: NDArray[np.float64]
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
-    swing: NDArray[np.float64]
     saturated: NDArray[np.bool_]
     answered: NDArray[np.bool_]
     model_id: str
@@ -143,8 +140,6 @@ def read_loop(bag: Path, namespace: str = "/") -> LoopRecord:
         for name, names in FIELDS.items():
             topic = f"{base}/{name}"
             if topic in present:
-                if name == "theta" and SWING in reader.topic(topic).definition:
-                    names = [*names, "swing"]
                 columns[name] = _columns(reader, topic, [*names, "log_time"])
     return _align(columns, inactive)
 
@@ -193,7 +188,6 @@ def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
         at("ground_truth", "x") if truth else np.empty((rows.size, 0)),
         at("cost", "r"),
         at("theta", "theta"),
-        at("theta", "swing"),
         messages.get("theta", Messages(None)).at(rows, "saturated", False).astype(np.bool_),
         answered[number == longest],
         str(next((name for name in models if name), "")),

@@ -40,8 +40,6 @@ class Signals:
         Recorded cost and control input; NaN where there is none.
     limited : ndarray of bool, shape (M,), or None
         Whether theta was at a limit; None if the bag does not say.
-    swing : ndarray, shape (M,)
-        Step of the controller in units of its largest; NaN where it was not recorded.
     recorded : float
         Time from the first to the last state, of all runs in the bag [s].
     """
@@ -57,7 +55,6 @@ class Signals:
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
     limited: NDArray[np.bool_] | None
-    swing: NDArray[np.float64]
     recorded: float
 
     @property
@@ -94,7 +91,6 @@ def of_loop(record: LoopRecord, dt: float, names: tuple[str, ...] | None = None)
         record.r,
         record.theta,
         record.saturated if record.counts.get("theta") else None,
-        record.swing,
         record.recorded_steps * dt,
     )
 
@@ -135,7 +131,6 @@ def read_signals(path: Path, reading: BagReading, dt: float | None = None) -> Si
         np.full(size, np.nan),
         np.full(size, np.nan) if loaded.theta is None else loaded.theta,
         None,
-        np.full(size, np.nan),
         loaded.recorded + segmentation.dt,
     )
 
