@@ -43,7 +43,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
     folder = tmp_path / "run"
     file = tmp_path / "my.yaml"
     file.write_text(
-        "vdp_plant: {ros__parameters: {duration: 20, seed: 1}}\n"
+        "vdp_plant: {ros__parameters: {duration: 10, seed: 1}}\n"
         "recorder: {ros__parameters: {queue: 20000, output: /nowhere}}\n"
     )
     process = demo(folder, "--params-file", str(file), "--cost", "raw", "--seed", "2")
@@ -59,7 +59,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
     assert (folder / "plot.png").read_bytes().startswith(b"\x89PNG")
     for name in ("parameters.yaml", "versions.yaml", "model/vdp.npz", "bag/metadata.yaml"):
         assert (folder / name).is_file(), name
-    assert read_run(folder / "bag").step.size == 4000
+    assert read_run(folder / "bag").step.size == 2000
     text = (folder / "parameters.yaml").read_text()
     assert "queue: 20000" in text
     assert "seed: 2" in text
@@ -118,7 +118,7 @@ def assert_whole(folder):
         assert sum(1 for _ in make_reader(stream).iter_messages()) == sum(counts.values())
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])  # SIGTERM is treated as SIGHUP
 def test_a_demo_that_is_stopped_leaves_a_whole_bag_and_no_process(tmp_path, number):
     folder = tmp_path / "run"
     process = demo(folder, "--pace", "realtime", "--duration", "600")

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from koop_lab.replay.compare import compare
+from koop_lab.commands.replay import compare
 
 STEP = np.array([3, 4, 6, 7])
 

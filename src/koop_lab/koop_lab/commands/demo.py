@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,8 @@ def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 if the loop ran, whether or not it converged."""
     parameters, recorder = read_options(args)
     # a model that cannot be used is said before anything is started
-    cost = cost_name(parameters.lifter.cost, parameters.load_model())
+    model = parameters.load_model()
+    cost = cost_name(parameters.lifter.cost, model)
     folder = args.out or default_folder("demo")
     print(f"{parameters.pace.duration:g} s of the {cost} cost at pace {parameters.pace.pace}")
     try:
@@ -68,7 +70,9 @@ def main(args: argparse.Namespace) -> int:
         raise
     from koop_lab.plots.signals import plot_signals, true_states  # matplotlib is slow to import
 
-    run = read(folder)
+    theta_star = parameters.plant.theta_star
+    # the recorder of a very short run does not know all of these
+    run = replace(read(folder), parameters=parameters, theta_star=theta_star, model=model)
     result = {**figures(run), "notes": notes}
     (folder / "metrics.json").write_text(json.dumps(result, indent=1) + "\n")
     signals, truth = run.signals, run.signals.ground_truth
@@ -79,15 +83,16 @@ def main(args: argparse.Namespace) -> int:
         signals.r,
         signals.theta,
         f"Over DDS, {cost} cost, seed {parameters.plant.seed}, {parameters.pace.pace} pace",
-        parameters.plant.theta_star,
+        theta_star,
     )
     print(describe(run))
     if parameters.pace.duration != PAPER_DURATION:
         print(f"(the paper's figures are those of {PAPER_DURATION:g} s)")
-    print(
-        f"\n{'converged' if result['converged'] else 'not converged'}: "
-        f"mean |theta - theta*| = {result['tail_error']:.2f} over the last 30 %"
-    )
+    if run.metrics is not None:
+        print(
+            f"\n{'converged' if run.metrics.converged else 'not converged'}: "
+            f"mean |theta - theta*| = {run.metrics.tail_error:.2f} over the last 30 %"
+        )
     for note in notes:
         print(f"note: {note}")
     print(f"\nrun folder    {folder}/")

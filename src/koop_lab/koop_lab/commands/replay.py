@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from koop_bag.bag.column_diff import column_diff
 from koop_core.text_table import table
-from koop_lab.replay.compare import compare
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import ReplayPlan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
@@ -88,7 +89,8 @@ def describe(recording: Recording, plan: ReplayPlan) -> list[str]:
         lines.append(f"{recording.repeated} states that were sent again are left out")
     if recording.unanswered:
         lines.append(f"{recording.unanswered} states without a recorded cost are left out")
-    if recording.has_theta.any() and (count := (recording.has_r & ~recording.has_theta).sum()):
+    last = max(np.flatnonzero(recording.has_theta), default=0)
+    if count := np.count_nonzero((recording.has_r & ~recording.has_theta)[:last]):
         lines.append(
             f"{count} costs without a recorded theta are replayed as if the controller had been "
             "active"
@@ -104,3 +106,40 @@ def describe(recording: Recording, plan: ReplayPlan) -> list[str]:
         lines += ["what the controller would have answered with other parameters:", ""]
         lines += [table(["parameter", "recorded", "replayed"], rows), ""]
     return lines
+
+
+def compare(
+    name: str,
+    step: NDArray[np.int64],
+    recorded: NDArray[np.float64],
+    replayed: NDArray[np.float64],
+) -> tuple[int, str]:
+    """Compare a signal bit by bit; two values that are not a number are equal.
+
+    Parameters
+    ----------
+    name : str
+        The signal.
+    step : ndarray of int64, shape (M,)
+        Steps of the recorded values.
+    recorded, replayed : ndarray, shape (M,)
+        Values.
+
+    Returns
+    -------
+    different : int
+        How many values differ.
+    text : str
+        The same in words, with the first difference and the largest.
+    """
+    if not step.size:
+        return 0, f"{name:<6} nothing recorded to compare with"
+    difference = column_diff(recorded, replayed, bitwise=True)
+    if difference is None:
+        return 0, f"{name:<6} identical bit for bit in all {step.size} steps"
+    k = difference.first
+    return difference.count, (
+        f"{name:<6} differs in {difference.count} of {step.size} steps, first at step {step[k]}: "
+        f"recorded {float(recorded[k])!r}, replayed {float(replayed[k])!r}; largest difference "
+        f"{difference.largest:.6g} at step {step[difference.largest_at]}"
+    )
