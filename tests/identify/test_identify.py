@@ -294,7 +294,6 @@ def test_inspect_shows_the_residuals_of_a_noisy_bag(tmp_path, capsys):
         (["--measured", "/nowhere:x"], "has no topic /nowhere; it has /joint_states"),
         (["--measured", "/joint_states:speed"], "has no field 'speed'"),
         (["--delays", "0"], "0 delays: at least 1"),
-        (["--seed", "1"], "--seed is for training without a bag"),
         (["--dt", "0.02", "--measured", "/joint_states:position[7],position[1]"], "finite"),
     ],
 )
