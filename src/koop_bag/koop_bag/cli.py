@@ -1,4 +1,4 @@
-"""The command ``koop bag``: information, playing, recovery, comparison, export."""
+"""The command ``koop bag``: information, playing, recovery, export."""
 
 from __future__ import annotations
 
@@ -14,15 +14,7 @@ from koop_bag.errors import BagError
 from koop_bag.player.config import PlayerConfig
 from koop_core.config.parameter import spec_of
 
-_PARAMETERS = {item.name: item for item in dataclasses.fields(PlayerConfig)}
-PLAY_OPTIONS = {
-    "--pace": _PARAMETERS["pace"],
-    "--topics": _PARAMETERS["topics"],
-    "--remap": _PARAMETERS["remap"],
-    "--start": _PARAMETERS["position"],
-    "--loop": _PARAMETERS["loop"],
-    "--clock": _PARAMETERS["clock"],
-}
+PLAY_OPTIONS = [item for item in dataclasses.fields(PlayerConfig) if item.name != "bag"]
 """Options of ``koop bag play``: parameters of the player."""
 
 
@@ -43,34 +35,20 @@ def register(commands: Any) -> None:
 
     play = bag.add_parser("play", help="play a bag to other nodes")
     play.add_argument("bag", type=Path)
-    for name, option in PLAY_OPTIONS.items():
-        spec, default = spec_of(option), option.default
+    for option in PLAY_OPTIONS:
+        spec, default, name = spec_of(option), option.default, f"--{option.name}"
         text = spec.description + (f" [{spec.unit}]" if spec.unit else "")
         if isinstance(default, bool):
-            play.add_argument(name, action="store_true", default=None, dest=option.name, help=text)
+            play.add_argument(name, action="store_true", default=None, help=text)
             continue
-        play.add_argument(
-            name,
-            type=type(default),
-            choices=spec.choices or None,
-            metavar=None if spec.choices else name.strip("-").upper(),
-            dest=option.name,
-            help=text + (f" (default {default})" if default != "" else ""),
-        )
+        text += f" (default {default})" if default != "" else ""
+        play.add_argument(name, type=type(default), metavar=option.name.upper(), help=text)
     play.set_defaults(func=_play)
 
     recover = bag.add_parser("recover", help="make a whole bag of a torn or damaged one")
     recover.add_argument("bag", type=Path)
     recover.add_argument("target", type=Path, nargs="?", help="default: beside it, _recovered")
     recover.set_defaults(func=_recover)
-
-    diff = bag.add_parser("diff", help="compare two bags; exit code 1 if they differ")
-    diff.add_argument("a", type=Path)
-    diff.add_argument("b", type=Path)
-    diff.add_argument("--topic", action="append", help="only this topic; may be repeated")
-    diff.add_argument("--ignore", action="append", default=[], metavar="FIELD")
-    diff.add_argument("--tolerance", type=float, default=0.0, metavar="X")
-    diff.set_defaults(func=_diff)
 
     export = bag.add_parser("export", help="write CSV or Parquet, one file a topic")
     export.add_argument("bag", type=Path)
@@ -122,41 +100,6 @@ def _recover(args: argparse.Namespace) -> int:
     return 0
 
 
-def _diff(args: argparse.Namespace) -> int:
-    from koop_bag.bag.diff import compare
-    from koop_bag.bag.reader import BagReader
-    from koop_bag.bag.topics import is_common
-
-    same = True
-    with BagReader(args.a) as a, BagReader(args.b) as b:
-        for name in args.topic or ():
-            for bag in (a, b):
-                bag.topic(name)
-        for item in compare(a, b, args.topic, ignore=args.ignore, tolerance=args.tolerance):
-            same = same and item.identical
-            key = "step" if item.by_step else "message"
-            if item.problem:
-                print(f"{item.topic}: {item.problem}")
-                continue
-            verdict = "identical" if item.identical else "different"
-            print(f"{item.topic}: {verdict}, {item.compared} messages by {key}", end="")
-            print(f", {item.only_a} only in A" if item.only_a else "", end="")
-            print(f", {item.only_b} only in B" if item.only_b else "")
-            for field in item.fields:
-                left, right = (
-                    getattr(value, "item", lambda v=value: v)() for value in field.values
-                )
-                print(
-                    f"  {field.name}: {field.count} differ, first at {key} {field.first} "
-                    f"({left!r}, {right!r}), largest difference {field.largest:g} at {key} "
-                    f"{field.largest_at}"
-                )
-        skipped = {topic.name for bag in (a, b) for topic in bag.topics if is_common(topic.name)}
-    if skipped and not args.topic:
-        print(f"not compared: {', '.join(sorted(skipped))} (choose them with --topic)")
-    return 0 if same else 1
-
-
 def _export(args: argparse.Namespace) -> int:
     from koop_bag.bag.export import export
     from koop_bag.bag.reader import BagReader
@@ -190,7 +133,7 @@ def _play(args: argparse.Namespace) -> int:
 def player_arguments(args: argparse.Namespace) -> list[str]:
     """Return the options as ROS arguments of the player."""
     values = {"bag": str(args.bag)}
-    values |= {item.name: getattr(args, item.name) for item in PLAY_OPTIONS.values()}
+    values |= {item.name: getattr(args, item.name) for item in PLAY_OPTIONS}
     words = ["--ros-args"]
     for name, value in values.items():
         if value is not None:

@@ -1,5 +1,7 @@
 """Errors of bags. Each message says what happened and how to mend it."""
 
+from pathlib import Path
+
 from koop_core.errors import KoopError
 
 
@@ -13,3 +15,11 @@ class BagWriteError(BagError):
 
 class DiskFullError(BagWriteError):
     """No space, quota or file size left."""
+
+
+def compressed(path: Path) -> BagError:
+    """Return the error of a bag that rosbag2 compressed by message or by file."""
+    return BagError(
+        f"{path} was compressed by rosbag2, by message or by file: unpack it with "
+        "`ros2 bag convert` (MCAP's own compression of chunks is read)"
+    )

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import struct
 import subprocess
 import sys
 
@@ -16,9 +15,7 @@ from koop_bag_ros import Talker
 from rosbags.highlevel import AnyReader
 
 from koop_bag import cli
-from koop_bag.bag.diff import compare
 from koop_bag.bag.losses import early_ends
-from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
 from koop_bag.player.config import PlayerConfig
@@ -43,21 +40,6 @@ def koop(capsys):
         return (code, *capsys.readouterr())
 
     return run
-
-
-@pytest.fixture
-def write(tmp_path, messages):
-    """Return a function that writes a bag of (topic, step, serialized message or None)."""
-
-    def make(name, rows):
-        with BagWriter(tmp_path / name) as writer:
-            channels = {t: writer.add_topic(t, load_schema(kind)) for t, kind in LOOP.items()}
-            for i, (topic, k, data) in enumerate(rows):
-                now = START + i * 1000
-                writer.write(channels[topic], now, now, data or messages.loop(topic, k))
-        return tmp_path / name
-
-    return make
 
 
 # -- info -------------------------------------------------------------------------------------
@@ -116,123 +98,6 @@ def test_a_topic_that_ends_early_is_no_gap_but_still_lacks_something():
         "/a/ground_truth": 9
     }
     assert early_ends({}) == {}
-
-
-# -- diff -------------------------------------------------------------------------------------
-
-
-def test_a_copy_is_identical_whatever_the_times_and_the_order_of_topics(write, koop):
-    by_step = write("a", [(topic, k, None) for k in range(50) for topic in LOOP])
-    by_topic = write("b", [(topic, k, None) for topic in LOOP for k in range(50)])
-    code, text, _ = koop("diff", by_step, by_topic)
-    assert code == 0
-    assert text.splitlines() == [f"{t}: identical, 50 messages by step" for t in LOOP]
-
-
-def test_differences_are_counted_and_the_first_and_the_largest_are_told(write, koop, messages):
-    a = write("a", [("/cost", k, None) for k in range(20)])
-    # cost k says r = 1.5 k, y_out = 2 k
-    other = {8: messages.loop("/cost", 9), 12: messages.loop("/cost", 4)}
-    rows = [("/cost", k, _with_step(other[k], k) if k in other else None) for k in range(18)]
-    b = write("b", rows)
-    code, text, _ = koop("diff", a, b, "--topic", "/cost", "--ignore", "header")
-    assert code == 1
-    assert text.splitlines() == [
-        "/cost: different, 18 messages by step, 2 only in A",
-        "  r: 2 differ, first at step 8 (12.0, 13.5), largest difference 12 at step 12",
-        "  y_out: 2 differ, first at step 8 (16.0, 18.0), largest difference 16 at step 12",
-        "  source: 1 differ, first at step 8 (0, 1), largest difference 1 at step 8",
-    ]
-    with BagReader(a) as first, BagReader(b) as second:
-        (found,) = compare(first, second, ["/cost"], ignore=["header", "source"], tolerance=2.0)
-    assert [(item.name, item.count, item.first) for item in found.fields] == [
-        ("r", 1, 12),
-        ("y_out", 1, 12),
-    ]
-
-
-def _with_step(data, k):
-    return data[:20] + k.to_bytes(8, "little") + data[28:]  # the frame id is empty
-
-
-def test_stamps_of_today_differ_by_a_nanosecond(write, koop, messages):
-    def stamped(nanosec):  # after the encapsulation
-        data = messages.loop("/cost", 0)
-        return data[:4] + struct.pack("<iI", 1_700_000_000, nanosec) + data[12:]
-
-    a, b = (write(name, [("/cost", 0, stamped(n))]) for name, n in (("a", 7), ("b", 8)))
-    code, text, _ = koop("diff", a, b, "--topic", "/cost")
-    assert code == 1
-    assert "header.stamp: 1 differ" in text
-    assert "largest difference 1 at step 0" in text
-
-
-def test_repeated_and_missing_steps_do_not_shift_the_comparison(write, koop):
-    a = write("a", [("/state", k, None) for k in (0, 1, 1, 2, 3, 5, 6)])
-    b = write("b", [("/state", k, None) for k in (1, 2, 3, 3, 4, 5, 6)])
-    code, text, _ = koop("diff", a, b, "--topic", "/state")
-    assert code == 1
-    assert text == "/state: different, 5 messages by step, 1 only in A, 1 only in B\n"
-
-
-def test_text_nan_and_arrays_of_other_lengths(tmp_path, messages):
-    kind = "sensor_msgs/msg/JointState"
-
-    def joints(names, position):
-        made = messages.make(
-            kind,
-            header=messages.header(0),
-            name=names,
-            position=np.array(position),
-            velocity=np.array([]),
-            effort=np.array([]),
-        )
-        return messages.serialize(kind, made)
-
-    sides = (
-        [joints(["a", "b"], [1.0, np.nan]), joints(["a", "b"], [1.0])],
-        [joints(["a", "c"], [1.0, np.nan]), joints(["a", "b"], [1.0, 2.0])],
-    )
-    for name, data in zip("ab", sides, strict=True):
-        with BagWriter(tmp_path / name) as writer:
-            channel = writer.add_topic("/joints", load_schema(kind))
-            for item in data:
-                writer.write(channel, START, START, item)
-    with BagReader(tmp_path / "a") as a, BagReader(tmp_path / "b") as b:
-        (found,) = compare(a, b)
-    assert not found.by_step
-    assert {item.name: item.first for item in found.fields} == {"name[1]": 0, "position[1]": 1}
-    assert found.fields[0].values == ("b", "c")
-
-
-def test_long_arrays_are_compared_as_bytes(tmp_path):
-    kind = "std_msgs/msg/UInt8MultiArray"
-    head = b"\0\1\0\0" + bytes(8) + (5000).to_bytes(4, "little")
-    for name, last in (("a", 1), ("b", 2)):
-        with BagWriter(tmp_path / name) as writer:
-            channel = writer.add_topic("/blob", load_schema(kind))
-            writer.write(channel, START, START, head + bytes(5000))
-            writer.write(channel, START, START, head + bytes(4999) + bytes([last]))
-    with BagReader(tmp_path / "a") as a, BagReader(tmp_path / "b") as b:
-        (found,) = compare(a, b)
-        (same,) = compare(a, a)
-    assert [(item.name, item.count, item.first) for item in found.fields] == [("data", 1, 1)]
-    assert same.identical
-
-
-def test_topics_and_bags_that_are_not_there(write, koop, tmp_path):
-    a = write("a", [("/state", 0, None)])
-    with BagWriter(tmp_path / "b") as writer:
-        writer.add_topic("/state", load_schema(LOOP["/cost"]))
-    code, text, _ = koop("diff", a, tmp_path / "b")
-    assert code == 1
-    assert "/state: types koop_msgs/msg/MeasuredState and koop_msgs/msg/Cost" in text
-    assert "/cost: " in text
-    assert "has no such topic" in text
-    code, _, error = koop("diff", a, tmp_path / "c")
-    assert code == 2
-    assert error == f"there is no bag {tmp_path / 'c'}\n"
-    assert koop("diff", a, a, "--topic", "/nothing")[0] == 2
 
 
 # -- export -----------------------------------------------------------------------------------
@@ -312,7 +177,7 @@ def test_the_memory_of_an_export_does_not_grow_with_the_bag(tmp_path, messages):
     made = messages.make(kind, layout=layout, data=np.arange(400.0))
     data = messages.serialize(kind, made)
     peaks = []
-    for size in (3_000, 30_000):  # 10 and 100 MB
+    for size in (3_000, 20_000):  # 10 and 64 MB
         with BagWriter(tmp_path / f"bag{size}") as writer:
             channel = writer.add_topic("/wide", load_schema(kind))
             writer.write_many((START + k * PERIOD, channel, START, data) for k in range(size))
@@ -329,12 +194,12 @@ def test_the_memory_of_an_export_does_not_grow_with_the_bag(tmp_path, messages):
 def test_the_options_of_play_are_parameters_of_the_player():
     parser = argparse.ArgumentParser()
     cli.register(parser.add_subparsers(dest="command"))
-    words = ["b'ag", "--pace", "2", "--loop", "--topics", "7", "--start", "1.5"]
+    words = ["b'ag", "--pace", "2", "--clock", "--topics", "7", "--start", "1.5"]
     arguments = cli.player_arguments(parser.parse_args(["bag", "play", *words]))
     assert arguments[0] == "--ros-args"
     given = dict(word.split(":=", 1) for word in arguments if word != "-p" and ":=" in word)
     values = {name: yaml.safe_load(text) for name, text in given.items()}
-    assert values == {"bag": "b'ag", "pace": "2", "topics": "7", "loop": True, "position": 1.5}
+    assert values == {"bag": "b'ag", "pace": "2", "topics": "7", "clock": True, "start": 1.5}
     assert PlayerConfig(**values).speed == 2.0
 
 

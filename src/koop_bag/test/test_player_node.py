@@ -3,20 +3,16 @@
 import os
 import signal
 import struct
+import time
 
 import pytest
 import rclpy
 from koop_bag_messages import LOOP, PERIOD, START
-from koop_bag_ros import Player, Recorder, Talker, wait_until
-from rcl_interfaces.msg import Parameter as ParameterMessage
-from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import SetParameters
+from koop_bag_ros import Player, Recorder, Talker
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from std_srvs.srv import SetBool
 
 from koop_bag.bag.metadata import OfferedQos
 from koop_bag.bag.reader import BagReader
@@ -36,22 +32,6 @@ def finish(player, talker):
     """Serve until the player has ended; return its exit code."""
     talker.spin_until(lambda: player.process.poll() is not None, "the player to end")
     return player.process.returncode
-
-
-def set_parameter(talker, name, value):
-    kinds = {
-        float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
-        bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
-        str: (ParameterType.PARAMETER_STRING, "string_value"),
-    }
-    kind, field = kinds[type(value)]
-    parameter = ParameterMessage(name=name, value=ParameterValue(type=kind, **{field: value}))
-    request = SetParameters.Request(parameters=[parameter])
-    return talker.call(SetParameters, "/player/set_parameters", request).results[0]
-
-
-def pause(talker, data):
-    assert talker.call(SetBool, "/player/pause", SetBool.Request(data=data)).success
 
 
 def test_all_bytes_arrive_from_the_first_message_on_and_the_clock_tells_their_times(
@@ -79,7 +59,7 @@ def padded(data):
 
 def test_a_recording_of_a_playback_is_the_recording(write_loop, tmp_path):
     bag = write_loop(n=200)
-    with Recorder(tmp_path / "again") as recorder, Player(bag, listeners="recorder") as player:
+    with Recorder(tmp_path / "again") as recorder, Player(bag) as player:
         assert player.end() == 0, player.output()
         recorder.stop()
     with BagReader(bag) as before, BagReader(tmp_path / "again") as after:
@@ -101,36 +81,18 @@ def test_a_damaged_chunk_ends_the_player_with_one_line(write_loop):
         assert "Traceback" not in player.output()
 
 
-def test_pause_seek_and_resume(write_loop):
+def test_it_starts_later_in_the_bag_keeps_its_pace_and_is_remapped(write_loop):
     bag = write_loop(n=1000)  # 5 s
-    with Player(bag, topics="state ground_truth") as player, Talker() as talker:
-        pause(talker, True)
-        received = listen(talker, ["/state", "/ground_truth"])
-        wait_until(lambda: "playing" in player.output(), "the player to start")
-        refused = set_parameter(talker, "position", 99.0)
-        assert not refused.successful
-        assert "4.995 s long" in refused.reason
-        assert set_parameter(talker, "position", 4.5).successful
-        assert not received["/state"]
-        pause(talker, False)
+    remap = ("-r", "/state:=/old/state")
+    with Player(bag, *remap, topics="state", start=4.5, pace="'5'") as player, Talker() as talker:
+        received = talker.collect("/old/state", LOOP["/state"])
+        talker.spin_until(lambda: received, "the first state")
+        begin = time.monotonic()
         assert finish(player, talker) == 0
-        talker.spin_until(lambda: len(received["/ground_truth"]) == 100, "the rest")
-        talker.spin_until(lambda: len(received["/state"]) == 100, "the rest of the states")
-        assert [step_of(data) for data in received["/state"]] == list(range(900, 1000))
+        talker.spin_until(lambda: len(received) == 100, "the rest of the states")
+        assert time.monotonic() - begin > 0.08  # 0.1 s, less what the first state took to arrive
         assert "Traceback" not in player.output()
-
-
-def test_a_loop_goes_on_until_it_is_told_not_to(write_loop):
-    bag = write_loop(n=40)  # 0.2 s
-    with Player(bag, topics="state", loop=True) as player, Talker() as talker:
-        found = listen(talker, ["/state"])["/state"]
-        talker.spin_until(lambda: len(found) > 90, "two passes")
-        assert "warp" in set_parameter(talker, "pace", "warp").reason
-        assert set_parameter(talker, "pace", "2").successful
-        assert set_parameter(talker, "loop", False).successful
-        assert finish(player, talker) == 0
-        talker.spin_until(lambda: len(found) % 40 == 0, "the rest")
-    assert [step_of(data) for data in found] == list(range(40)) * (len(found) // 40)
+    assert [step_of(data) for data in received] == list(range(900, 1000))
 
 
 def test_a_signal_ends_it_cleanly(write_loop):
@@ -148,37 +110,6 @@ def clock_times(data):
     return [stamp.sec * 1_000_000_000 + stamp.nanosec for stamp in stamps]
 
 
-def test_the_clock_goes_on_where_the_bag_is_silent(tmp_path, messages):
-    with BagWriter(tmp_path / "bag") as writer:
-        channel = writer.add_topic("/state", load_schema(LOOP["/state"]))
-        for k in (0, 200):  # one second of nothing
-            writer.write(channel, START + k * PERIOD, START, messages.loop("/state", k))
-    with Player(tmp_path / "bag", clock=True) as player, Talker() as talker:
-        clock = talker.collect("/clock", "rosgraph_msgs/msg/Clock")
-        listen(talker, ["/state"])
-        assert finish(player, talker) == 0
-    times = clock_times(clock)
-    assert times == sorted(times)
-    # 200 Hz; a busy machine may wake the player less often, but never so that a loop would notice
-    assert len(times) > 60
-
-
-def test_topics_are_remapped_and_started_for_the_number_that_shall_listen(write_loop, messages):
-    bag = write_loop(n=50)
-    options = {"topics": "state", "remap": "state:=/old/state", "listeners": "talker second"}
-    with Player(bag, pace="fast", **options) as player, Talker() as talker:
-        first = talker.collect("/old/state", LOOP["/state"])
-        wait_until(
-            lambda: "waiting for second to listen to /old/state" in player.output(), "waiting"
-        )
-        with Talker("second") as other:
-            second = other.collect("/old/state", LOOP["/state"])
-            assert finish(player, talker) == 0
-            talker.spin_until(lambda: len(first) == 50, "the rest")
-            other.spin_until(lambda: len(second) == 50, "the rest")
-    assert first == second == [messages.loop("/state", k) for k in range(50)]
-
-
 def test_the_offered_qos_is_that_of_the_recorded_publishers(tmp_path, messages):
     profiles = {
         "/map": OfferedQos(durability="transient_local", depth=1),
@@ -189,10 +120,8 @@ def test_the_offered_qos_is_that_of_the_recorded_publishers(tmp_path, messages):
             channel = writer.add_topic(topic, load_schema(LOOP["/state"]), [profile])
             writer.write(channel, START, START, messages.loop("/state", 0))
     with Player(tmp_path / "bag") as player, Talker() as talker:
-        pause(talker, True)
-        reliable = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-        talker.collect("/map", LOOP["/state"], reliable)
-        talker.spin_until(lambda: talker.node.count_publishers("/fast"), "the player")
+        count = talker.node.count_publishers
+        talker.spin_until(lambda: all(map(count, profiles)), "the player")
         found = {t: talker.node.get_publishers_info_by_topic(t)[0].qos_profile for t in profiles}
         player.stop()
         assert player.process.returncode == 0, player.output()
@@ -227,7 +156,7 @@ def configure(capfd):
     ("options", "said"),
     [
         ({"topics": "stat"}, "has no topic /stat; it has /state"),
-        ({"position": 99.0}, "has no messages to play there"),
+        ({"start": 99.0}, "has no messages to play there"),
     ],
 )
 def test_what_cannot_be_played_is_said_and_leaves_nothing_behind(

@@ -51,17 +51,18 @@ def test_a_type_that_is_not_installed_is_named_with_the_remedy():
         load_schema("Thing")
 
 
-def test_a_package_without_type_descriptions_gets_an_empty_hash(tmp_path):
+def test_a_package_without_type_descriptions_gets_an_empty_hash(tmp_path, monkeypatch):
     folder = tmp_path / "share" / "own_msgs" / "msg"
     folder.mkdir(parents=True)
     (folder / "Outer.msg").write_text("Inner inner # own_msgs/Other\nint32 A=3\nstring<=5[<=2] s")
     (folder / "Inner.msg").write_text("float64[3] x")
-    schema = load_schema("own_msgs/Outer", [tmp_path])
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    schema = load_schema("own_msgs/Outer")
     assert schema.type_hash == ""
     assert schema.text.endswith("] s\n" + "=" * 80 + "\nMSG: own_msgs/Inner\nfloat64[3] x")
 
 
-def test_dependencies_stand_in_the_order_of_rosbag2(tmp_path):
+def test_dependencies_stand_in_the_order_of_rosbag2(tmp_path, monkeypatch):
     """By name, each followed by its own (rosbag2_cpp/local_message_definition_source.cpp)."""
     texts = {
         "own_msgs/Outer": "Zeta z\nAlpha[3] a\nodd_msgs/Beta b\nown_msgs/Alpha again\n",
@@ -79,4 +80,5 @@ def test_dependencies_stand_in_the_order_of_rosbag2(tmp_path):
     expected = texts["own_msgs/Outer"]
     for name in order:
         expected += "\n" + "=" * 80 + f"\nMSG: {name}\n{texts[name]}"
-    assert load_schema("own_msgs/Outer", [tmp_path]).text == expected
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert load_schema("own_msgs/Outer").text == expected

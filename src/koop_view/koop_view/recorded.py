@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 from websockets.exceptions import ConnectionClosed
 
-from koop_bag.bag.playback import Playback
+from koop_bag.bag.playback import in_time_order
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
 from koop_view.protocol import ENCODING, ERROR, INFO, AdvertisedChannel
@@ -65,7 +65,7 @@ class RecordedSource(ViewSource):
         numbers = {channel.topic: number for number, channel in wanted.items()}
         try:
             with BagReader(self._path) as bag:
-                for count, message in enumerate(Playback.of_bag(bag, list(numbers))):
+                for count, message in enumerate(in_time_order(bag.messages(list(numbers)))):
                     number = numbers.get(message.topic)
                     if number is None:
                         continue

@@ -1,8 +1,10 @@
 """Fields of a topic as numpy arrays, without decoding one message after the other."""
 
+from __future__ import annotations
+
 import struct
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.definition import leaf_fields, parse_definition
 from koop_bag.cdr.gather import Bytes, Offsets, at_every_byte, decode
-from koop_bag.cdr.layout import LayoutFinder
+from koop_bag.cdr.layout import Layout, LayoutFinder
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, RECORD_HEAD
 from koop_core.cdr import Struct
@@ -77,9 +79,10 @@ def read_tables(
         parts[topic].append(columns)
     joined: dict[str, Columns] = {}
     for topic, fields in tables.items():
-        batches = parts.pop(topic) or [_Table(bag, topic, fields).empty()]
+        names = _table(bag, topic, fields).fields
+        batches = parts.pop(topic) or [{name: np.empty(0) for name in names}]
         joined[topic] = {
-            name: _join(name, [batch.pop(name) for batch in batches]) for name in list(batches[0])
+            name: _join(name, [batch.pop(name) for batch in batches]) for name in names
         }
     return joined
 
@@ -96,19 +99,12 @@ def iter_tables(
     bag: BagReader, tables: Mapping[str, Sequence[str] | None], batch_bytes: int = BATCH_BYTES
 ) -> Iterator[tuple[str, Columns]]:
     """`read_tables` in batches of (topic, columns)."""
-    decoders = {topic: _Table(bag, topic, fields) for topic, fields in tables.items()}
+    decoders = {topic: _table(bag, topic, fields) for topic, fields in tables.items()}
     return iter_decoded(bag, decoders, batch_bytes)
 
 
-class Decoder(Protocol):
-    """Makes something of the messages of one topic that lie in a buffer."""
-
-    def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
-        """Columns of the message records whose content starts at `starts`."""
-
-
 def iter_decoded(
-    bag: BagReader, decoders: Mapping[str, Decoder], batch_bytes: int = BATCH_BYTES
+    bag: BagReader, decoders: Mapping[str, Table], batch_bytes: int = BATCH_BYTES
 ) -> Iterator[tuple[str, Columns]]:
     """Yield (topic, columns) of each decoder, in batches."""
     pending: list[bytes] = []
@@ -127,20 +123,27 @@ def iter_decoded(
         yield from _decode_batch(b"".join(pending), names, decoders)
 
 
-class _Table:
-    """The wanted columns of one topic."""
+class Table:
+    """The wanted columns of one topic.
 
-    def __init__(self, bag: BagReader, topic: str, fields: Sequence[str] | None) -> None:
-        root = definition_of(bag, topic)
-        self.fields = tuple(_names(root) if fields is None else fields)
-        self._finder = LayoutFinder(root, tuple(name for name in self.fields if name not in STORED))
-        self._topic = topic
+    Parameters
+    ----------
+    topic : str
+        Its name, for errors.
+    fields : sequence of str
+        Columns, those that every topic has included.
+    find : callable
+        Finds the layout of a message, with the spans of the other fields.
+    """
+
+    def __init__(self, topic: str, fields: Sequence[str], find: Callable[[bytes], Layout]) -> None:
+        self._topic, self.fields, self._find = topic, fields, find
 
     def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
         """Columns of the message records whose content starts at `starts`."""
         fixed = MESSAGE_HEAD.size
         try:
-            columns = decode(buffer, starts + fixed, sizes - fixed, self._finder)
+            columns = decode(buffer, starts + fixed, sizes - fixed, self._find)
         except BagError as error:
             raise BagError(f"topic {self._topic}: {error}") from error
         for name, (offset, dtype) in STORED.items():
@@ -148,13 +151,16 @@ class _Table:
                 columns[name] = at_every_byte(buffer, np.dtype(dtype))[starts + offset]
         return {name: columns[name] for name in self.fields}
 
-    def empty(self) -> Columns:
-        """The columns of a topic without messages."""
-        return {name: np.empty(0) for name in self.fields}
+
+def _table(bag: BagReader, topic: str, fields: Sequence[str] | None) -> Table:
+    root = definition_of(bag, topic)
+    names = _names(root) if fields is None else fields
+    finder = LayoutFinder(root, tuple(name for name in names if name not in STORED))
+    return Table(topic, names, finder.find)
 
 
 def _decode_batch(
-    records: bytes, names: dict[int, str], tables: Mapping[str, Decoder]
+    records: bytes, names: dict[int, str], tables: Mapping[str, Table]
 ) -> Iterator[tuple[str, Columns]]:
     places: dict[int, list[int]] = {number: [] for number in names}
     # The one loop over messages: opcode, length and channel in one step, no call but the unpacking.

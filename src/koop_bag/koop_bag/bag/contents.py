@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, MetadataIndex, Schema, Statistics
 
-from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, Place, inner_places
+from koop_bag.mcap.file_reader import MESSAGE_HEAD, RECORD_HEAD, McapFile, Place, inner_places
 
 _CHUNK_TIMES = struct.Struct("<QQ")  # of its first and its last message
 
@@ -87,20 +87,14 @@ def _note(contents: FileContents, place: Place, data: bytes) -> None:
 
 
 def message_records(file: McapFile, start: int, end: int) -> Iterator[bytes]:
-    """Records that hold messages: the inside of each chunk, or messages that lie outside of any."""
-    loose = bytearray()
+    """Records that hold messages: the inside of each chunk, or a message outside of any."""
     for place in file.places():
         if place.opcode == Opcode.MESSAGE:
-            loose += struct.pack("<BQ", place.opcode, place.length) + file.content(place)
-        if loose and (len(loose) > 1 << 20 or place.opcode in (Opcode.CHUNK, Opcode.DATA_END)):
-            yield bytes(loose)
-            loose.clear()
-        if place.opcode == Opcode.CHUNK:
+            yield RECORD_HEAD.pack(place.opcode, place.length) + file.content(place)
+        elif place.opcode == Opcode.CHUNK:
             head = file.content(place._replace(length=min(place.length, _CHUNK_TIMES.size)))
             first, last = file.unpack(_CHUNK_TIMES, head, place.start)
             if first < end and last >= start:
                 yield file.chunk_records(place)
         elif place.opcode == Opcode.DATA_END:
             return
-    if loose:
-        yield bytes(loose)

@@ -4,11 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from koop_bag.bag.columns import STORED, Columns, definition_of, iter_decoded
+from koop_bag.bag.columns import STORED, Table, definition_of, iter_decoded
 from koop_bag.bag.reader import BagReader
-from koop_bag.cdr.gather import Bytes, Offsets, decode
 from koop_bag.cdr.layout import Layout, walk
-from koop_bag.mcap.file_reader import MESSAGE_HEAD
 from koop_core.cdr import Array, MessageType, Primitive, Struct, Text
 
 LONGEST = 1000
@@ -34,60 +32,37 @@ class Extent:
 
 
 def measure(bag: BagReader, topic: str) -> Extent:
-    """Find the scalar fields of a topic; reads the topic through if it has arrays."""
+    """Find the scalar fields of a topic; reads it through, for the lengths of its arrays."""
     root = definition_of(bag, topic)
-    lengths = _Lengths(root)
-    for _ in iter_decoded(bag, {topic: lengths}) if _has_sequences(root) else ():
+    longest: dict[str, int] = {}
+
+    def find(message: bytes) -> Layout:
+        return Layout(walk(root, message, _Measured("", longest)), {})
+
+    for _ in iter_decoded(bag, {topic: Table(topic, (), find)}):
         pass
     extent = Extent()
-    _list(root, "", lengths, extent)
+    _list(root, "", longest, extent)
     return extent
 
 
-def _has_sequences(kind: MessageType) -> bool:
-    if isinstance(kind, Array):
-        return kind.count is None or _has_sequences(kind.element)
-    return isinstance(kind, Struct) and any(_has_sequences(inner) for _, inner in kind.fields)
-
-
-def _list(kind: MessageType, path: str, lengths: "_Lengths", extent: Extent) -> None:
+def _list(kind: MessageType, path: str, longest: dict[str, int], extent: Extent) -> None:
     if isinstance(kind, Struct) and not (kind.is_stamp and path):
         for name, inner in kind.fields:
-            _list(inner, f"{path}.{name}" if path else name, lengths, extent)
+            _list(inner, f"{path}.{name}" if path else name, longest, extent)
     elif isinstance(kind, Array):
-        length = lengths.longest(path, kind)
+        length = longest.get(path, kind.count or 0)
         if length > LONGEST:
             extent.left_out.append(path)
             return
         for index in range(length):
-            _list(kind.element, f"{path}[{index}]", lengths, extent)
+            _list(kind.element, f"{path}[{index}]", longest, extent)
     elif isinstance(kind, Text) and kind.wide:
         extent.left_out.append(path)
     else:
         dtype = np.dtype(np.int64) if isinstance(kind, Struct) else np.dtype(object)
         name = f".{path}" if path in STORED else path
         extent.fields[name] = kind.dtype if isinstance(kind, Primitive) else dtype
-
-
-class _Lengths:
-    """Lengths of all arrays in all layouts that the messages of a topic have."""
-
-    def __init__(self, root: Struct) -> None:
-        self._root = root
-        self._longest: dict[str, int] = {}
-
-    def longest(self, path: str, kind: Array) -> int:
-        """Largest length of an array."""
-        return self._longest.get(path, kind.count or 0)
-
-    def decode(self, buffer: Bytes, starts: Offsets, sizes: Offsets) -> Columns:
-        """Look at messages; messages of equal layout are looked at once."""
-        fixed = MESSAGE_HEAD.size
-        return decode(buffer, starts + fixed, sizes - fixed, self)
-
-    def find(self, message: bytes) -> Layout:
-        """Walk one message."""
-        return Layout(walk(self._root, message, _Measured("", self._longest)), {})
 
 
 @dataclass

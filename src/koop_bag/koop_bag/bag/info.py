@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any
 
 from koop_bag.bag.columns import LOG_TIME, iter_tables, list_fields
 from koop_bag.bag.losses import LossCounter, StepReport, complete_from, early_ends
 from koop_bag.bag.metadata import parse_map
-from koop_bag.bag.reader import BagReader, BagTopic
+from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.header import has_step
-from koop_bag.cdr.schema import MessageSchema
 
 
 @dataclass
@@ -33,8 +32,8 @@ class TopicInfo:
     name: str
     type_name: str
     count: int
-    rate: float | None = None
-    steps: StepReport | None = None
+    rate: float | None
+    steps: StepReport | None
 
 
 @dataclass
@@ -51,11 +50,11 @@ class BagInfo:
     start: float
     duration: float
     messages: int
-    index_only: bool = False
-    topics: list[TopicInfo] = field(default_factory=list)
-    complete_from: dict[str, int] = field(default_factory=dict)
-    model_ids: list[str] = field(default_factory=list)
-    custom: dict[str, str] = field(default_factory=dict)
+    index_only: bool
+    topics: list[TopicInfo]
+    complete_from: dict[str, int]
+    model_ids: list[str]
+    custom: dict[str, str]
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -73,23 +72,12 @@ def describe(bag: BagReader, brief: bool = False) -> BagInfo:
 
     The index has no rates, no losses and no models.
     """
-    info = BagInfo(
-        str(bag.path),
-        [str(path) for path in bag.files],
-        bag.size,
-        bag.complete,
-        bag.start_time * 1e-9,
-        bag.duration,
-        bag.message_count,
-        index_only=brief,
-        custom=bag.custom_data(),
-    )
     counters: dict[str, LossCounter] = {}
     fields: dict[str, list[str]] = {}
     for topic in bag.topics:
         if topic.encoding == "cdr" and topic.definition and not brief:
             fields[topic.name] = [LOG_TIME]
-            if has_step(MessageSchema(topic.type_name, topic.definition, "")):
+            if has_step(topic.type_name, topic.definition):
                 fields[topic.name].append("step")
                 counters[topic.name] = LossCounter()
             if "model_id" in list_fields(bag, topic.name):
@@ -103,25 +91,29 @@ def describe(bag: BagReader, brief: bool = False) -> BagInfo:
         if name in counters:
             counters[name].add_many(columns["step"])
         models |= dict.fromkeys(columns.get("model_id", ()))
+    topics = []
     for topic in bag.topics:
-        counter = counters.get(topic.name)
-        steps = counter.report() if counter and topic.count else None
-        if steps is not None and (skipped := min(bag.inactive_steps(topic.name), steps.lost)):
-            steps = replace(steps, lost=steps.lost - skipped, inactive=skipped)
-        info.topics.append(_topic_info(topic, spans.get(topic.name), steps))
-    first = {topic.name: topic.steps.first for topic in info.topics if topic.steps is not None}
-    info.complete_from = complete_from(first)
-    info.model_ids = [model for model in models if model]
-    return info
-
-
-def _topic_info(
-    topic: BagTopic, span: tuple[int, int] | None, steps: StepReport | None
-) -> TopicInfo:
-    rate = None
-    if span is not None and span[1] > span[0]:
-        rate = (topic.count - 1) / ((span[1] - span[0]) * 1e-9)
-    return TopicInfo(topic.name, topic.type_name, topic.count, rate, steps)
+        counter = counters.get(topic.name) if topic.count else None
+        if counter is not None:
+            counter.inactive = min(bag.inactive_steps(topic.name), counter.lost)
+            counter.lost -= counter.inactive
+        begin, end = spans.get(topic.name, (0, 0))
+        rate = (topic.count - 1) / ((end - begin) * 1e-9) if end > begin else None
+        topics.append(TopicInfo(topic.name, topic.type_name, topic.count, rate, counter))
+    return BagInfo(
+        str(bag.path),
+        [str(path) for path in bag.files],
+        bag.size,
+        bag.complete,
+        bag.start_time * 1e-9,
+        bag.duration,
+        bag.message_count,
+        index_only=brief,
+        topics=topics,
+        complete_from=complete_from({t.name: t.steps.first for t in topics if t.steps is not None}),
+        model_ids=[model for model in models if model],
+        custom=bag.custom_data(),
+    )
 
 
 def as_text(info: BagInfo, with_parameters: bool = False) -> str:

@@ -15,7 +15,7 @@ comes from another publisher, or from a clock that gives the steps and that was 
 """
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)
 class StepReport:
     """Losses of one topic, from its steps in the order in which they were received.
 
@@ -51,11 +51,73 @@ class StepReport:
     last: int = -1
 
 
+class LossCounter(StepReport):
+    """A report that grows by one message, or by one column, at a time."""
+
+    __slots__ = ("_aside", "_interrupted", "_patience")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._interrupted = True
+        # the last step before one that went back, while what continues it is expected
+        self._aside = -1
+        self._patience = 0
+
+    def add(self, step: int) -> None:
+        """Count one message."""
+        before, self.last = self.last, step
+        self.count += 1
+        if self._interrupted:
+            self._interrupted = False
+            if self.count == 1:
+                self.first = step
+            else:
+                self.inactive += max(0, step - before - 1)
+            return
+        if self._patience:
+            self._patience -= 1
+            if before < self._aside <= step:  # the interrupted sequence continues
+                before, self._aside = self._aside, before
+                self._patience = ASIDE
+        if step > before + JUMP:
+            self.jumps += 1
+        elif step > before:
+            self.lost += step - before - 1
+        elif step == before:
+            self.duplicates += 1
+        else:
+            self.backward += 1
+            self._aside, self._patience = before, ASIDE
+
+    def add_many(self, steps: ArrayLike) -> None:
+        """Count a column of messages, shape (n,)."""
+        k = np.asarray(steps).astype(np.int64)
+        if k.size == 0:
+            return
+        self.add(int(k[0]))
+        ahead = np.diff(k)
+        if self._patience or (ahead < 0).any():
+            for step in k[1:].tolist():
+                self.add(step)
+            return
+        near = ahead <= JUMP
+        self.count += ahead.size
+        self.lost += int(np.maximum(ahead - 1, 0)[near].sum())
+        self.duplicates += int((ahead == 0).sum())
+        self.jumps += int((~near).sum())
+        self.last = int(k[-1])
+
+    def interrupt(self) -> None:
+        """Do not compare the next message with the last one: none was expected between them."""
+        self._interrupted = True
+        self._patience = 0
+
+
 def count_losses(steps: ArrayLike) -> StepReport:
     """Report on a column of steps, shape (n,)."""
     counter = LossCounter()
     counter.add_many(steps)
-    return counter.report()
+    return counter
 
 
 def early_ends(last: Mapping[str, int]) -> dict[str, int]:
@@ -93,99 +155,3 @@ def complete_from(first: Mapping[str, int]) -> dict[str, int]:
         loop = topic.rpartition("/")[0]
         complete[loop] = max(complete.get(loop, 0), step)
     return complete
-
-
-class LossCounter:
-    """`count_losses`, one message or one column at a time."""
-
-    __slots__ = (
-        "_aside",
-        "_interrupted",
-        "_patience",
-        "backward",
-        "count",
-        "duplicates",
-        "first",
-        "inactive",
-        "jumps",
-        "last",
-        "lost",
-    )
-
-    def __init__(self) -> None:
-        self.count = self.lost = self.duplicates = self.backward = self.jumps = 0
-        self.inactive = 0
-        self.first = self.last = -1
-        self._interrupted = True
-        # the last step before one that went back, while what continues it is expected
-        self._aside = -1
-        self._patience = 0
-
-    def add(self, step: int) -> None:
-        """Count one message."""
-        before, self.last = self.last, step
-        self.count += 1
-        if self._interrupted:
-            self._interrupted = False
-            if self.count == 1:
-                self.first = step
-            else:
-                self.inactive += max(0, step - before - 1)
-            return
-        if self._patience:
-            self._patience -= 1
-            if before < self._aside <= step:  # the interrupted sequence continues
-                before, self._aside = self._aside, before
-                self._patience = ASIDE
-        if step > before + JUMP:
-            self.jumps += 1
-        elif step > before:
-            self.lost += step - before - 1
-        elif step == before:
-            self.duplicates += 1
-        else:
-            self.backward += 1
-            self._aside, self._patience = before, ASIDE
-
-    def add_many(self, steps: ArrayLike) -> None:
-        """Count a column of messages, shape (n,)."""
-        k = np.asarray(steps).astype(np.int64)
-        if k.size == 0:
-            return
-        jump = np.diff(k, prepend=k[0])
-        far = jump > JUMP
-        lost, equal = np.cumsum(np.maximum(jump - 1, 0) * ~far), np.cumsum(jump == 0)
-        jumps = np.cumsum(far)
-        back = np.append(np.flatnonzero(jump < 0), k.size)
-        self.add(int(k[0]))
-        at = 1
-        while at < k.size:
-            end = int(back[np.searchsorted(back, at)])
-            if self._patience or end == at:
-                self.add(int(k[at]))
-                at += 1
-            else:  # up to the next step that goes back all is plain
-                self.count += end - at
-                self.lost += int(lost[end - 1] - lost[at - 1])
-                self.duplicates += int(equal[end - 1] - equal[at - 1])
-                self.jumps += int(jumps[end - 1] - jumps[at - 1])
-                self.last = int(k[end - 1])
-                at = end
-
-    def interrupt(self) -> None:
-        """Do not compare the next message with the last one: none was expected between them."""
-        self._interrupted = True
-        self._patience = 0
-
-    def report(self) -> StepReport:
-        """Return the report up to now."""
-        return StepReport(
-            self.count,
-            self.lost,
-            self.duplicates,
-            self.backward,
-            self.jumps,
-            self.inactive,
-            self.first,
-            self.last,
-        )

@@ -1,13 +1,13 @@
 """The bag's own description: `metadata.yaml`, its copy inside the file, and the offered QoS."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from koop_bag.errors import BagError
+from koop_bag.errors import BagError, compressed
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _LONG = 2**31 - 1  # [s] what Foxy wrote for 'no limit'; nobody waits that long
@@ -157,38 +157,10 @@ def bag_map(
     }
 
 
-@dataclass(frozen=True)
-class Description:
-    """Description of a bag besides its topics; empty where there is none.
+def read_description(notes: Mapping[str, Mapping[str, str]], folder: Path) -> dict[Any, Any]:
+    """Return the inner map of a bag's `metadata.yaml`; empty where there is none.
 
-    Attributes
-    ----------
-    custom_data : dict of str to str
-        Its recorder's own entries.
-    ros_distro : str
-        Distribution that it was recorded with.
-    compression_mode, compression_format : str
-        `FILE`, `MESSAGE` or `NONE`, and the name of the method. Chunks state theirs themselves.
-    """
-
-    custom_data: dict[str, str] = field(default_factory=dict)
-    ros_distro: str = ""
-    compression_mode: str = ""
-    compression_format: str = ""
-
-    @classmethod
-    def from_map(cls, described: Mapping[Any, Any]) -> "Description":
-        """From the inner map of `metadata.yaml`. What is not plain text is left out."""
-        custom = described.get("custom_data")
-        texts = ("ros_distro", "compression_mode", "compression_format")
-        return cls(
-            _plain_texts(custom if isinstance(custom, dict) else {}),
-            **{name: _plain_texts(described).get(name, "") for name in texts},
-        )
-
-
-def read_description(notes: Mapping[str, Mapping[str, str]], folder: Path) -> Description:
-    """The description in a bag's metadata records, or else in the `metadata.yaml` beside it.
+    It is read from the bag's metadata records, or else from the file in its folder.
 
     Raises
     ------
@@ -202,12 +174,20 @@ def read_description(notes: Mapping[str, Mapping[str, str]], folder: Path) -> De
         text = beside.read_text(encoding="utf-8", errors="replace")
         inner = parse_map(text, "metadata.yaml").get("rosbag2_bagfile_information")
         described = inner if isinstance(inner, dict) else {}
-    return Description.from_map(described)
+    return described
 
 
-def _plain_texts(values: Mapping[Any, Any]) -> dict[str, str]:
-    plain = {key: value for key, value in values.items() if isinstance(value, str | int | float)}
-    return {str(key): str(value) for key, value in plain.items()}
+def custom_texts(described: Mapping[Any, Any]) -> dict[str, str]:
+    """Return the `custom_data` of a description, without what is not plain text."""
+    custom = described.get("custom_data")
+    values = custom if isinstance(custom, dict) else {}
+    return {str(k): str(v) for k, v in values.items() if isinstance(v, str | int | float)}
+
+
+def check_messages_plain(described: Mapping[Any, Any], path: Path) -> None:
+    """Raise a BagError if rosbag2 compressed a bag message by message."""
+    if str(described.get("compression_mode")).upper() == "MESSAGE":
+        raise compressed(path)
 
 
 def parse(text: str, what: str) -> Any:

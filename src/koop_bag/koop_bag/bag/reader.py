@@ -1,18 +1,22 @@
 """Reads a bag: a rosbag2 MCAP folder or a single file, whole or torn."""
 
 from collections.abc import Collection, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
 from koop_bag.bag.contents import FileContents, message_records, survey
 from koop_bag.bag.files import find_files
-from koop_bag.bag.message_compression import MessageUnpacker, check_format
-from koop_bag.bag.metadata import Description, parse_map, read_description
+from koop_bag.bag.metadata import (
+    check_messages_plain,
+    custom_texts,
+    parse_map,
+    read_description,
+)
 from koop_bag.errors import BagError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, inner_places
 from koop_bag.mcap.stored_file import stored_path
@@ -79,11 +83,10 @@ class BagReader:
             for file in self.files:
                 self._contents.append(survey(opened.enter_context(closing(McapFile(file)))))
                 self._take_in(self._contents[-1])
-            try:
-                description = self.description()
-            except BagError:
-                description = Description()  # description() raises it again
-            check_format(description, self.path)
+            described: dict[Any, Any] = {}
+            with suppress(BagError):  # description() raises it again
+                described = self.description()
+            check_messages_plain(described, self.path)
             self._files = opened.pop_all()
         self.complete = all(item.file.complete for item in self._contents)
         filled = [item for item in self._contents if any(item.counts.values())]
@@ -99,15 +102,15 @@ class BagReader:
     @property
     def size(self) -> int:
         """Bytes of all files."""
-        return sum(item.file.stored_size for item in self._contents)
+        return sum(item.file.size for item in self._contents)
 
-    def description(self) -> Description:
-        """Return the bag's description."""
+    def description(self) -> dict[Any, Any]:
+        """Return the inner map of the bag's `metadata.yaml`; empty where there is none."""
         return read_description(self.notes, self.files[0].parent)
 
     def custom_data(self) -> dict[str, str]:
         """The bag's `custom_data`."""
-        return self.description().custom_data
+        return custom_texts(self.description())
 
     def inactive_steps(self, topic: str) -> int:
         """Return the steps of a topic that passed while its publisher or the recorder was inactive.
@@ -178,10 +181,8 @@ class BagReader:
             }
             if not any(item.counts.get(number) for number in wanted):
                 continue
-            unpacker = MessageUnpacker(item.file.path)
             for records in message_records(item.file, start, end):
-                for unpacked in unpacker.records(records):
-                    yield unpacked, wanted
+                yield records, wanted
 
     def close(self) -> None:
         """Close the files."""

@@ -4,14 +4,20 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from koop_bag.bag.files import find_files
-from koop_bag.bag.message_compression import MessageUnpacker, check_format
-from koop_bag.bag.metadata import Description, parse_map, parse_qos, read_description
-from koop_bag.bag.writer import BagWriter, WriterOptions
+from koop_bag.bag.metadata import (
+    check_messages_plain,
+    custom_texts,
+    parse_map,
+    parse_qos,
+    read_description,
+)
+from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError, BagWriteError
 from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, Place, inner_places
@@ -36,19 +42,17 @@ class Recovery:
     torn_bytes: int = 0
 
 
-def recover(
-    source: str | Path, target: str | Path, options: WriterOptions | None = None
-) -> Recovery:
+def recover(source: str | Path, target: str | Path) -> Recovery:
     """Copy everything readable of `source` into a new bag `target`; the source is not touched.
 
     Times, sequence numbers, topics, QoS, custom data and notes are kept, so that gaps still show as
-    gaps. What was compressed message by message or as a whole file is unpacked.
+    gaps.
 
     Raises
     ------
     BagError
-        If there is no bag at `source`, if it is compressed in a way that is not known, or if there
-        is a bag at `target` already.
+        If there is no bag at `source`, if rosbag2 compressed it, or if there is a bag at `target`
+        already.
     """
     files = [path for path in find_files(Path(source)) if path.stat().st_size]
     if not files:
@@ -56,18 +60,18 @@ def recover(
     with ExitStack() as stack:
         # refuse before anything is written
         opened = [stack.enter_context(closing(McapFile(path))) for path in files]
-        description = _description(opened)
-        check_format(description, Path(source))
-        copy = _Copy(
-            stack.enter_context(BagWriter(target, options, description.ros_distro or "jazzy"))
-        )
-        copy.writer.custom_data.update(description.custom_data)
+        described = _description(opened)
+        check_messages_plain(described, Path(source))
+        distro = str(described.get("ros_distro") or "jazzy")
+        writer = stack.enter_context(BagWriter(target, ros_distro=distro))
+        writer.custom_data.update(custom_texts(described))
+        report, topics = Recovery(), dict[str, int]()
         for file in opened:
-            copy.take(file)
-    return copy.report
+            _FileCopy(file, writer, topics, report).run()
+    return report
 
 
-def _description(files: Sequence[McapFile]) -> Description:
+def _description(files: Sequence[McapFile]) -> dict[Any, Any]:
     """Return the bag's description: the last undamaged record of it, or `metadata.yaml`."""
     notes: dict[str, dict[str, str]] = {}
     for file in files:
@@ -80,39 +84,7 @@ def _description(files: Sequence[McapFile]) -> Description:
     try:
         return read_description(notes, files[0].path.parent)
     except BagError:
-        return Description()
-
-
-class _Copy:
-    """Copies the files of a bag into a new one."""
-
-    def __init__(self, writer: BagWriter) -> None:
-        self.writer = writer
-        self.report = Recovery()
-        self._topics: dict[str, int] = {}
-
-    def take(self, file: McapFile) -> None:
-        """Copy what is readable of one file."""
-        content = _FileCopy(file, self.writer, self._topics, self.report)
-        end = 0
-        for place in file.places():
-            end = place.start + place.length
-            if place.opcode == Opcode.DATA_END:
-                end = file.size
-                break
-            try:
-                records = list(_records(file, place))
-            except BagError:
-                self.report.damaged_records += 1
-                continue
-            for opcode, data in records:
-                try:
-                    content.copy(opcode, data, place.start)
-                except BagWriteError:
-                    raise
-                except (BagError, KeyError):  # KeyError: of a channel whose record was damaged
-                    self.report.damaged_records += 1
-        self.report.torn_bytes += file.size - end
+        return {}
 
 
 class _FileCopy:
@@ -122,17 +94,36 @@ class _FileCopy:
         self, file: McapFile, writer: BagWriter, topics: dict[str, int], report: Recovery
     ) -> None:
         self._file, self._writer, self._topics, self._report = file, writer, topics, report
-        self._unpacker = MessageUnpacker(file.path)
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, int] = {}  # of the new bag
 
-    def copy(self, opcode: int, data: bytes, where: int) -> None:
-        """Copy one record."""
+    def run(self) -> None:
+        """Copy what is readable."""
+        file, report, end = self._file, self._report, 0
+        for place in file.places():
+            end = place.start + place.length
+            if place.opcode == Opcode.DATA_END:
+                end = file.size
+                break
+            try:
+                records = list(_records(file, place))
+            except BagError:
+                report.damaged_records += 1
+                continue
+            for opcode, data in records:
+                try:
+                    self._copy(opcode, data, place.start)
+                except BagWriteError:
+                    raise
+                except (BagError, KeyError):  # KeyError: of a channel whose record was damaged
+                    report.damaged_records += 1
+        report.torn_bytes += file.size - end
+
+    def _copy(self, opcode: int, data: bytes, where: int) -> None:
         file = self._file
         if opcode == Opcode.MESSAGE:
             old, sequence, log_time, publish_time = file.unpack(MESSAGE_HEAD, data, where)
-            message = self._unpacker.message(data[MESSAGE_HEAD.size :])
-            channel = self._channels[old]
+            message, channel = data[MESSAGE_HEAD.size :], self._channels[old]
             self._writer.write(channel, log_time, publish_time, message, sequence or None)
             self._report.messages += 1
         elif opcode == Opcode.SCHEMA:

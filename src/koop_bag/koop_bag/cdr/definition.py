@@ -8,21 +8,24 @@ import numpy as np
 from koop_bag.errors import BagError
 from koop_core.cdr import Array, MessageType, Primitive, Struct, Text
 
-_PRIMITIVES = {
-    "bool": "?",
-    "byte": "u1",
-    "char": "u1",  # ROS 2's char is an unsigned byte
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "<i2",
-    "uint16": "<u2",
-    "int32": "<i4",
-    "uint32": "<u4",
-    "int64": "<i8",
-    "uint64": "<u8",
-    "float32": "<f4",
-    "float64": "<f8",
-}
+_BUILTIN: dict[str, Primitive | Text] = {
+    name: Primitive(np.dtype(code))
+    for name, code in {
+        "bool": "?",
+        "byte": "u1",
+        "char": "u1",  # ROS 2's char is an unsigned byte
+        "int8": "i1",
+        "uint8": "u1",
+        "int16": "<i2",
+        "uint16": "<u2",
+        "int32": "<i4",
+        "uint32": "<u4",
+        "int64": "<i8",
+        "uint64": "<u8",
+        "float32": "<f4",
+        "float64": "<f8",
+    }.items()
+} | {"string": Text(), "wstring": Text(wide=True)}
 _FIELD = re.compile(
     r"^\s*(?P<type>[A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
@@ -47,7 +50,28 @@ def parse_definition(type_name: str, text: str) -> Struct:
     for part in others:
         head, _, body = part.partition("\n")
         definitions[head.removeprefix("MSG:").strip().replace("/msg/", "/")] = body
-    return _Parser(definitions).struct(f"{package}/{name}")
+    return _Parser(definitions).struct(f"{package}/{name}")[0]
+
+
+def message_types(text: str, package: str) -> Iterator[str]:
+    """The full names of the message types in one definition of a package."""
+    for _, name, _ in _fields(text, package):
+        if name not in _BUILTIN:
+            yield name
+
+
+def _fields(text: str, package: str) -> Iterator[tuple[str, str, str | None]]:
+    """Name, type and brackets of the fields of one definition; a message type by its full name."""
+    for line in text.splitlines():
+        match = _FIELD.match(line)
+        if match is None or match["rest"].startswith("="):  # comment, blank line or constant
+            continue
+        kind = match["type"].replace("/msg/", "/")
+        if kind == "Header":  # the one type that ROS lets stand without its package
+            kind = "std_msgs/Header"
+        elif kind not in _BUILTIN and "/" not in kind:
+            kind = f"{package}/{kind}"
+        yield match["name"], kind, match["array"]
 
 
 class _Parser:
@@ -55,16 +79,13 @@ class _Parser:
 
     def __init__(self, definitions: dict[str, str]) -> None:
         self._definitions = definitions
-        self._known: dict[str, tuple[Struct, int]] = {}  # with the number of its fields
+        self._made: dict[str, tuple[Struct, int]] = {}
         self._open: list[str] = []  # types that are being made: each holds the next one
 
-    def struct(self, name: str) -> Struct:
-        """The type of a full name."""
-        return self._sized(name)[0]
-
-    def _sized(self, name: str) -> tuple[Struct, int]:
-        if name in self._known:
-            return self._known[name]
+    def struct(self, name: str) -> tuple[Struct, int]:
+        """The type of a full name, and the number of its fields."""
+        if name in self._made:
+            return self._made[name]
         if name not in self._definitions:
             raise BagError(f"the bag's message definition lacks {name}")
         if name in self._open or len(self._open) == _MAX_DEPTH:
@@ -72,9 +93,12 @@ class _Parser:
                 f"the bag's message definition is endless: {self._open[0]} nests too deep"
             )
         self._open.append(name)
-        count, fields = 0, []
-        for field, kind, size in self._fields(name.partition("/")[0], self._definitions[name]):
-            fields.append((field, kind))
+        count = 0
+        fields: list[tuple[str, MessageType]] = []
+        for field, kind, brackets in _fields(self._definitions[name], name.partition("/")[0]):
+            builtin = _BUILTIN.get(kind)
+            element, size = (builtin, 1) if builtin else self.struct(kind)
+            fields.append((field, _array(element, brackets)))
             count += size
         if count > _MAX_FIELDS:
             raise BagError(
@@ -82,26 +106,9 @@ class _Parser:
             )
         self._open.pop()
         # A message without fields is serialized as one byte: DDS knows no empty structures.
-        nothing = ("structure_needs_at_least_one_member", Primitive(np.dtype("u1")))
-        made = Struct(name, tuple(fields) or (nothing,))
-        self._known[name] = (made, max(count, 1))
-        return self._known[name]
-
-    def _fields(self, package: str, text: str) -> Iterator[tuple[str, MessageType, int]]:
-        for line in text.splitlines():
-            match = _FIELD.match(line)
-            if match is None or match["rest"].startswith("="):  # comment, blank line or constant
-                continue
-            element, size = self._element(package, match["type"])
-            yield match["name"], _array(element, match["array"]), size
-
-    def _element(self, package: str, name: str) -> tuple[MessageType, int]:
-        if name in _PRIMITIVES:
-            return Primitive(np.dtype(_PRIMITIVES[name])), 1
-        if name in ("string", "wstring"):
-            return Text(wide=name == "wstring"), 1
-        full = "std_msgs/Header" if name == "Header" else name.replace("/msg/", "/")
-        return self._sized(full if "/" in full else f"{package}/{full}")
+        nothing = ("structure_needs_at_least_one_member", _BUILTIN["uint8"])
+        self._made[name] = Struct(name, tuple(fields) or (nothing,)), max(count, 1)
+        return self._made[name]
 
 
 def _array(element: MessageType, brackets: str | None) -> MessageType:

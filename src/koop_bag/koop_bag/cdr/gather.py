@@ -1,6 +1,7 @@
 """Takes fields out of many serialized messages at once."""
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,15 +29,8 @@ def at_every_byte(buffer: Bytes, dtype: "np.dtype[Any]") -> NDArray[Any]:
     return values
 
 
-class Finder(Protocol):
-    """Finds the layout of a message."""
-
-    def find(self, message: bytes) -> Layout:
-        """Walk one message."""
-
-
 def decode(
-    buffer: Bytes, starts: Offsets, sizes: Offsets, finder: "Finder"
+    buffer: Bytes, starts: Offsets, sizes: Offsets, find: Callable[[bytes], Layout]
 ) -> dict[str, NDArray[Any]]:
     """Columns of messages that lie in a buffer.
 
@@ -46,7 +40,7 @@ def decode(
         Holds the messages.
     starts, sizes : ndarray of int64, shape (n,)
         Where each begins, encapsulation included, and its length [B].
-    finder : Finder
+    find : callable
         Finds the layout of a message.
     """
     if (sizes < ENCAPSULATION).any():
@@ -60,7 +54,7 @@ def decode(
         todo = np.flatnonzero(sizes == size)
         while todo.size:
             begin = int(starts[todo[0]])
-            layout = finder.find(buffer[begin : begin + int(size)].tobytes())
+            layout = find(buffer[begin : begin + int(size)].tobytes())
             groups += 1
             same = _matching(buffer, starts, todo, layout) if groups < _MAX_GROUPS else todo[:1]
             # An element beyond the end of its array has no span.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 
 from koop_bag.cdr.definition import parse_definition
-from koop_bag.cdr.schema import MessageSchema
 from koop_core.cdr import Primitive, Struct
 
 _LENGTH = struct.Struct("<I")
@@ -23,9 +22,9 @@ def step_of(message: bytes) -> int:
     return int(step)
 
 
-def has_step(schema: MessageSchema) -> bool:
+def has_step(type_name: str, definition: str) -> bool:
     """Return whether messages of a type begin with `std_msgs/Header` and `uint64 step`."""
-    fields = parse_definition(schema.name, schema.text).fields
+    fields = parse_definition(type_name, definition).fields
     if len(fields) < 2:
         return False
     (_, header), (name, step) = fields[:2]

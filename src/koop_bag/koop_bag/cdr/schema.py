@@ -9,16 +9,13 @@ import json
 import os
 import re
 import sys
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from koop_bag.cdr.definition import message_types
 from koop_bag.errors import BagError
 
 SEPARATOR = "=" * 80
-
-_BUILTIN = re.compile(r"(bool|byte|char|float(32|64)|u?int(8|16|32|64)|w?string)$")
-_FIELD_TYPE = re.compile(r"^\s*([A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
 
 
 @dataclass(frozen=True)
@@ -45,36 +42,32 @@ class MessageSchema:
     encoding: str = "ros2msg"
 
 
-def load_schema(type_name: str, prefixes: Sequence[str | Path] | None = None) -> MessageSchema:
-    """Find the definition of a message type.
+def load_schema(type_name: str) -> MessageSchema:
+    """Find the definition of a message type under AMENT_PREFIX_PATH or the Python environment.
 
     Parameters
     ----------
     type_name : str
         `pkg/msg/Type`, or `pkg/Type` for short.
-    prefixes : sequence of path, optional
-        Install prefixes to search in order. Default: `AMENT_PREFIX_PATH`, then the Python
-        environment's own.
 
     Raises
     ------
     BagError
         If the type or one it depends on is not installed.
     """
-    package, name = _split(type_name)
-    places = _places(prefixes)
-    root = _find(places, package, f"msg/{name}.msg")
+    package, separator, name = type_name.replace("/msg/", "/").partition("/")
+    if not separator or "/" in name:
+        raise BagError(f"'{type_name}' is not a message type: write it as pkg/msg/Type")
+    root = _find(package, f"msg/{name}.msg")
     full_name = f"{package}/msg/{name}"
     return MessageSchema(
         full_name,
-        _with_dependencies(places, package, name, _text(root)),
+        _with_dependencies(f"{package}/{name}", _text(root)),
         _type_hash(root.with_suffix(".json"), full_name),
     )
 
 
-def load_service(
-    type_name: str, prefixes: Sequence[str | Path] | None = None
-) -> tuple[MessageSchema, MessageSchema]:
+def load_service(type_name: str) -> tuple[str, str]:
     """Find the definitions of a service type's request and response; as :func:`load_schema`.
 
     Parameters
@@ -85,60 +78,35 @@ def load_service(
     package, _, name = type_name.partition("/srv/")
     if not name:
         raise BagError(f"'{type_name}' is not a service type: write it as pkg/srv/Type")
-    places = _places(prefixes)
-    request, _, response = re.split(
-        r"^(---)[ \t]*$\n?", _text(_find(places, package, f"srv/{name}.srv")), flags=re.MULTILINE
-    )
-    return (
-        MessageSchema(
-            f"{type_name}_Request", _with_dependencies(places, package, name, request), ""
-        ),
-        MessageSchema(
-            f"{type_name}_Response", _with_dependencies(places, package, name, response), ""
-        ),
-    )
+    text = _text(_find(package, f"srv/{name}.srv"))
+    request, response = re.split(r"^---[ \t]*$\n?", text, flags=re.MULTILINE)
+    root = f"{package}/{name}"
+    return _with_dependencies(root, request), _with_dependencies(root, response)
 
 
-def _with_dependencies(places: Sequence[Path], package: str, name: str, root: str) -> str:
-    """Return a root definition followed by its dependencies."""
+def _with_dependencies(name: str, root: str) -> str:
+    """Return the root definition of `pkg/Type` followed by its dependencies."""
     parts = [root]
-    included = {(package, name)}
+    included = {name}
 
-    def append_dependencies(text: str, inside: str) -> None:
-        for dependency in sorted(set(_dependencies(text, inside))):
-            if dependency in included:
+    def append_dependencies(text: str, package: str) -> None:
+        for name in sorted(set(message_types(text, package))):
+            if name in included:
                 continue
-            included.add(dependency)
-            path = _find(places, dependency[0], f"msg/{dependency[1]}.msg")
-            dependency_text = _text(path)
-            parts.append(f"{SEPARATOR}\nMSG: {'/'.join(dependency)}\n{dependency_text}")
-            append_dependencies(dependency_text, dependency[0])
+            included.add(name)
+            inside, _, short = name.partition("/")
+            definition = _text(_find(inside, f"msg/{short}.msg"))
+            parts.append(f"{SEPARATOR}\nMSG: {name}\n{definition}")
+            append_dependencies(definition, inside)
 
-    append_dependencies(root, package)
+    append_dependencies(root, name.partition("/")[0])
     return "\n".join(parts)
 
 
-def _split(type_name: str) -> tuple[str, str]:
-    parts = type_name.split("/")
-    if len(parts) == 3 and parts[1] == "msg":
-        return parts[0], parts[2]
-    if len(parts) == 2:
-        return parts[0], parts[1]
-    raise BagError(f"'{type_name}' is not a message type: write it as pkg/msg/Type")
-
-
-def _places(prefixes: Sequence[str | Path] | None) -> list[Path]:
-    return _prefixes() if prefixes is None else [Path(prefix) for prefix in prefixes]
-
-
-def _prefixes() -> list[Path]:
-    listed = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
-    return [*listed, Path(sys.prefix)]
-
-
-def _find(prefixes: Sequence[Path], package: str, file: str) -> Path:
-    for prefix in prefixes:
-        path = prefix / "share" / package / file
+def _find(package: str, file: str) -> Path:
+    listed = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    for prefix in [*listed, sys.prefix]:
+        path = Path(prefix) / "share" / package / file
         if path.is_file():
             return path
     kind = "message" if file.startswith("msg") else "service"
@@ -151,18 +119,6 @@ def _find(prefixes: Sequence[Path], package: str, file: str) -> Path:
 
 def _text(path: Path) -> str:
     return path.read_bytes().decode()  # every byte as it lies there
-
-
-def _dependencies(text: str, inside: str) -> Iterator[tuple[str, str]]:
-    for line in text.splitlines():
-        match = _FIELD_TYPE.match(line.partition("#")[0])
-        if match is None or _BUILTIN.match(match[1]):
-            continue
-        parts = match[1].split("/")
-        if match[1] == "Header":  # the one type that ROS lets stand without its package
-            yield "std_msgs", "Header"
-        else:
-            yield (parts[0] if len(parts) > 1 else inside), parts[-1]
 
 
 def _type_hash(path: Path, full_name: str) -> str:

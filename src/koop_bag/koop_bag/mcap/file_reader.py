@@ -20,8 +20,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, McapRecord, Metadata, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
-from koop_bag.errors import BagError
-from koop_bag.mcap.zstd_file import open_unpacked
+from koop_bag.errors import BagError, compressed
+from koop_bag.mcap.stored_file import open_stored
 
 RECORD_HEAD = struct.Struct("<BQ")
 """Opcode, and length of the content that follows."""
@@ -33,6 +33,7 @@ _FOOTER_SIZE = RECORD_HEAD.size + 20 + len(MCAP0_MAGIC)
 MAX_CHUNK = 256 << 20
 """The largest chunk that is unpacked [B]: recorders make chunks of some MB, and a file of a few kB
 could otherwise fill the memory."""
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # begin of a file that rosbag2 compressed as a whole
 _Parsed = TypeVar("_Parsed", Schema, Channel, Statistics, Metadata, Chunk, Footer)
 
 
@@ -45,12 +46,12 @@ class Place(NamedTuple):
 
 
 class McapFile:
-    """A file opened for reading; one that was compressed as a whole is unpacked first.
+    """A file opened for reading.
 
     Attributes
     ----------
-    size, stored_size : int
-        Bytes of the MCAP file, unpacked and on the disk.
+    size : int
+        Its bytes.
     summary_start : int
         Offset of the summary, 0 if there is none.
     complete : bool
@@ -59,8 +60,10 @@ class McapFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._file = open_unpacked(path)
-        self.stored_size = path.stat().st_size
+        try:
+            self._file = open_stored(path)
+        except OSError as error:
+            raise BagError(f"cannot open {path}: {error.strerror}") from error
         self.size = self._file.seek(0, os.SEEK_END)
         self._file.seek(0)
         self._check_magic()
@@ -86,7 +89,7 @@ class McapFile:
     def content(self, place: Place) -> bytes:
         """The bytes of a record."""
         if place.length < 0 or place.start + place.length > self.size:
-            raise BagError(self._damaged(f"it refers to byte {place.start}, where nothing is"))
+            raise self._damaged(f"it refers to byte {place.start}, where nothing is")
         self._file.seek(place.start)
         return self._file.read(place.length)
 
@@ -99,8 +102,8 @@ class McapFile:
         try:
             record: McapRecord = kind.read(ReadDataStream(io.BytesIO(data)))
         except (McapError, ValueError, OverflowError, struct.error) as error:
-            raise BagError(
-                self._damaged(f"the {kind.__name__} record at byte {where} does not parse")
+            raise self._damaged(
+                f"the {kind.__name__} record at byte {where} does not parse"
             ) from error
         assert isinstance(record, kind)
         return record
@@ -108,7 +111,7 @@ class McapFile:
     def unpack(self, form: struct.Struct, data: bytes, where: int) -> tuple[int, ...]:
         """Return the begin of a record; `where` is for the error."""
         if len(data) < form.size:
-            raise BagError(self._damaged(f"the record at byte {where} is cut short"))
+            raise self._damaged(f"the record at byte {where} is cut short")
         return form.unpack_from(data)
 
     def chunk_records(self, place: Place) -> bytes:
@@ -116,11 +119,9 @@ class McapFile:
         chunk = self.parse(Chunk, place)
         size = chunk.uncompressed_size
         if size > MAX_CHUNK:
-            raise BagError(
-                self._damaged(
-                    f"the chunk at byte {place.start} claims to unpack to {size} bytes, "
-                    f"known are up to {MAX_CHUNK}"
-                )
+            raise self._damaged(
+                f"the chunk at byte {place.start} claims to unpack to {size} bytes, "
+                f"known are up to {MAX_CHUNK}"
             )
         try:
             if chunk.compression == "zstd":
@@ -139,17 +140,13 @@ class McapFile:
             if len(data) != size:
                 raise ValueError("another size than the chunk states")
         except (zstandard.ZstdError, RuntimeError, ValueError, EOFError, MemoryError) as error:
-            raise BagError(
-                self._damaged(f"the chunk at byte {place.start} does not decompress")
-            ) from error
+            raise self._damaged(f"the chunk at byte {place.start} does not decompress") from error
         if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
-            raise BagError(
-                self._damaged(f"the chunk at byte {place.start} does not match its checksum")
-            )
+            raise self._damaged(f"the chunk at byte {place.start} does not match its checksum")
         return data
 
-    def _damaged(self, what: str) -> str:
-        return f"{self.path} is damaged: {what}; `koop bag recover` saves the rest"
+    def _damaged(self, what: str) -> BagError:
+        return BagError(f"{self.path} is damaged: {what}; `koop bag recover` saves the rest")
 
     def _check_magic(self) -> None:
         magic = self._file.read(len(MCAP0_MAGIC))
@@ -159,6 +156,8 @@ class McapFile:
             raise BagError(
                 f"{self.path} is empty: its recorder was stopped before it wrote anything"
             )
+        if magic.startswith(ZSTD_MAGIC):
+            raise compressed(self.path)
         if magic.startswith(b"SQLite"):
             raise BagError(
                 f"{self.path} is an SQLite bag: make it an MCAP one with `ros2 bag convert`"

@@ -24,6 +24,7 @@ class PlayerConfig:
     pace: str = parameter(
         REALTIME,
         "realtime; a number: so many times realtime; fast: as fast as the subscribers accept",
+        read_only=True,
     )
     topics: str = parameter(
         "",
@@ -32,30 +33,24 @@ class PlayerConfig:
         "transition_event)",
         read_only=True,
     )
-    remap: str = parameter(
-        "", "other names for topics, each as from:=to, separated by spaces", read_only=True
-    )
-    loop: bool = parameter(False, "begin again after the end")
-    position: float = parameter(
+    start: float = parameter(
         0.0,
-        "time of the bag, from its begin, at which the playback starts; a change is a seek",
+        "time of the bag, from its begin, at which the playback starts",
         unit="s",
         low=0.0,
+        read_only=True,
     )
     clock: bool = parameter(
-        False,
-        "publish /clock: the time of each message in the bag, and at 200 Hz between them",
-        read_only=True,
+        False, "publish /clock: the time of each message in the bag", read_only=True
     )
 
     def __post_init__(self) -> None:
         validate(self)
-        parse_remap(self.remap)
         _ = self.speed
 
     @property
     def speed(self) -> float:
-        """Bag seconds in a second."""
+        """Bag seconds in a second; infinite: without a pace."""
         if self.pace == FAST:
             return math.inf
         try:
@@ -67,18 +62,3 @@ class PlayerConfig:
                 f"pace: '{self.pace}' is not realtime, fast or a number from 0.001 to 1000"
             )
         return speed
-
-
-def parse_remap(text: str) -> dict[str, str]:
-    """Return new names by old ones.
-
-    >>> parse_remap("/state:=/replayed/state")
-    {'/state': '/replayed/state'}
-    """
-    names: dict[str, str] = {}
-    for item in text.split():
-        old, separator, new = item.partition(":=")
-        if not (old and separator and new):
-            raise ConfigError(f"remap: '{item}' is not from:=to")
-        names[old] = new
-    return names

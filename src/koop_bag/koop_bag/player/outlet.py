@@ -36,9 +36,7 @@ class Outlet:
     entities : Entities
         Owner of the publisher.
     topic : BagTopic
-        BagTopic of the bag.
-    name : str
-        Name under which it is published.
+        What it publishes.
 
     Raises
     ------
@@ -47,7 +45,7 @@ class Outlet:
         installed, or one that is installed in another version than the recorded one.
     """
 
-    def __init__(self, entities: Entities, topic: BagTopic, name: str) -> None:
+    def __init__(self, entities: Entities, topic: BagTopic) -> None:
         if topic.encoding != "cdr":
             raise BagError(f"{topic.name} is encoded as '{topic.encoding}', not as cdr")
         installed = load_schema(topic.type_name).type_hash
@@ -59,25 +57,21 @@ class Outlet:
             )
         self.topic = topic.name
         self.count = 0
-        profile = qos_profile(recorded_qos(topic))
-        self.publisher = entities.publisher(message_class(topic.type_name), name, profile)
+        profile = qos_profile(parse_qos(topic.metadata.get("offered_qos_profiles", "")))
+        self.publisher = entities.publisher(message_class(topic.type_name), topic.name, profile)
         self._patience = profile.depth // 2
         """Messages after which a player without a clock waits for its subscribers."""
-        self._unacknowledged = 0
         self._stuck = False
 
-    def publish(self, data: bytes) -> None:
-        """Publish a serialized message."""
+    def publish(self, data: bytes, acknowledged: bool) -> None:
+        """Publish a serialized message.
+
+        If `acknowledged`, wait now and then until the reliable subscribers have everything.
+        """
         self.publisher.publish(data)
         self.count += 1
-
-    def publish_acknowledged(self, data: bytes) -> None:
-        """Publish, and now and then wait until the reliable subscribers have everything."""
-        self.publish(data)
-        self._unacknowledged += 1
-        if self._unacknowledged >= self._patience and not self._stuck:
+        if acknowledged and self.count % self._patience == 0 and not self._stuck:
             self._stuck = not self.wait_for_listeners(STUCK)
-            self._unacknowledged = 0
 
     def wait_for_listeners(self, timeout: float) -> bool:
         """Wait until all that was sent is acknowledged; return whether it is."""
@@ -86,11 +80,6 @@ class Outlet:
             if self.publisher.wait_for_all_acked(Duration(seconds=0.1)):
                 return True
         return False
-
-
-def recorded_qos(topic: BagTopic) -> list[OfferedQos]:
-    """Return the QoS that the recorded publishers offered."""
-    return parse_qos(topic.metadata.get("offered_qos_profiles", ""))
 
 
 def qos_profile(offered: list[OfferedQos]) -> QoSProfile:

@@ -11,7 +11,7 @@ from typing import Any
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import qos_profile_parameter_events
 
-from koop_bag.bag.losses import LossCounter, complete_from, early_ends
+from koop_bag.bag.losses import LossCounter, early_ends
 from koop_bag.bag.metadata import OfferedQos, dump
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.bag.writer import BagWriter
@@ -43,7 +43,6 @@ class RecorderRun(Run):
         self._recording = self._paused = False
         self._refused: set[str] = set()
         self._models: dict[str, str] = {}
-        self._complete_from: dict[str, int] = {}
         chosen = wanted_topics(config.topics) or LOOP_TOPICS | COMMON_TOPICS
         self._awaited = {node.resolve_topic_name(name): kind for name, kind in chosen.items()}
         self._take_all = not config.topics.strip()
@@ -138,7 +137,6 @@ class RecorderRun(Run):
                 self._watched[name] = WatchedNode(self._node, name)
         if self._collector.look():
             self._guarded(self._keep_parameters)
-        self._report_begin()
 
     def _try_topic(self, name: str, type_name: str) -> None:
         try:
@@ -245,7 +243,6 @@ class RecorderRun(Run):
             "versions": dump(self._versions),
             "git_revision": self._versions["git_revision"],
             "models": dump(self._models),
-            "complete_from": dump(self._complete_from),
             "inactive": dump({n: c.inactive for n, c in self._counters().items() if c.inactive}),
         }
 
@@ -255,16 +252,6 @@ class RecorderRun(Run):
     def _counters(self) -> dict[str, LossCounter]:
         """The counters of the topics that have come, by topic."""
         return {t.name: t.losses for t in self._topics.values() if t.losses and t.count}
-
-    def _report_begin(self) -> None:
-        """Log from which step on all topics of a loop are recorded: discovery takes its time."""
-        complete = complete_from({name: c.first for name, c in self._counters().items()})
-        for loop, step in complete.items():
-            if self._complete_from.get(loop) != step:
-                self._node.get_logger().info(
-                    f"the topics of {loop}/ are complete from step {step} on"
-                )
-        self._complete_from = complete
 
     def _guarded(self, action: Callable[[], None]) -> None:
         """Write; a disk that fails ends the recording, not the loop."""

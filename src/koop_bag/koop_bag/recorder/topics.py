@@ -66,7 +66,7 @@ class RecordedTopic:
         """QoS of the publishers that have been there."""
         self.publishers: set[str] = set()
         """Full names of their nodes."""
-        self.losses = LossCounter() if has_step(self.schema) else None
+        self.losses = LossCounter() if has_step(self.schema.name, self.schema.text) else None
         self._announce = announce
         self._node = node
         self._type = message_class(self.schema.name)

@@ -134,7 +134,7 @@ def compare(
     """
     if not step.size:
         return 0, f"{name:<6} nothing recorded to compare with"
-    difference = column_diff(recorded, replayed, bitwise=True)
+    difference = column_diff(recorded, replayed)
     if difference is None:
         return 0, f"{name:<6} identical bit for bit in all {step.size} steps"
     k = difference.first

@@ -34,7 +34,7 @@ ONCE = "std_srvs/srv/Trigger"
 def load(number: int, name: str, type_name: str) -> AdvertisedService:
     """Return a service as it is advertised."""
     request, response = load_service(type_name)
-    return AdvertisedService(number, name, type_name, request.text, response.text)
+    return AdvertisedService(number, name, type_name, request, response)
 
 
 def service_class(type_name: str) -> Any:
