@@ -75,17 +75,13 @@ def control(
 
     Parameters
     ----------
-    source, lifting, detector_params, relay_params
-        What a :class:`Controller` holds.
-    detector, relay_state
-        What a :class:`LoopMemory` holds, after the previous state.
+    source, lifting, detector_params, relay_params, detector, relay_state
+        What a :class:`Controller` and a :class:`LoopMemory` hold.
     state_arrival, cost_arrival : int
         What the state is to the lifter and its cost to the controller: an
         :class:`koop_core.stream.arrival.Arrival` up to JOIN.
-    switched : bool
-        Whether the cost is of another quantity than the one before.
-    hold_asked : bool
-        Whether the user holds theta.
+    switched, hold_asked : bool
+        Whether the cost is of another quantity than the one before, and the user holds theta.
     step : int
         Step index k.
     x : ndarray, shape (channels,)
@@ -115,21 +111,9 @@ def listen(
 ) -> Heard:
     """Say of every message what a node's StreamMonitor would say.
 
-    Parameters
-    ----------
-    steps : ndarray, shape (M,)
-        Steps of the messages in the order in which they came.
-    timeout, dt : float
-        Silence after which the stream resumes and time between two steps [s].
-    heard : Heard
-        The stream before.
-    arrivals : ndarray, shape (M,)
-        Receives an :class:`koop_core.stream.arrival.Arrival` each.
-
-    Returns
-    -------
-    Heard
-        The stream after.
+    ``steps``, shape (M,), are in the order in which the messages came; ``arrivals``, shape (M,),
+    receives an :class:`koop_core.stream.arrival.Arrival` each. The stream resumes after a silence
+    of ``timeout`` [s]; ``dt`` [s] is the time between two steps. Returns the stream after.
     """
     for i in range(steps.shape[0]):
         arrivals[i], heard = classify(heard, steps[i], timeout, dt)

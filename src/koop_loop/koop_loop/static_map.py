@@ -1,8 +1,7 @@
 """The static map r(theta): the cost at a constant control input, and its value at the optimum, r*.
 
-The paper takes r* "from the static map" (section 3.6), which it draws along a ramp of theta. A ramp
-meets every theta at another phase of the drift of the damping, so its least value says more about
-the ramp than about the cost. Here theta rests at theta* for one whole period of the drift.
+The paper takes r* from a ramp of theta, which meets every theta at another phase of the damping's
+drift. Here theta rests at theta* for one whole period of it.
 """
 
 from __future__ import annotations

@@ -1,21 +1,16 @@
 """The ``contrast`` cost: y_out = (w^T X + c)^2, w where the oscillation stands out most.
 
-What the data contain alike everywhere, such as interference, drops out. With C_hi and C_lo the mean
-covariances of windows of strong and of weak oscillation w maximises
-
-    w^T C_hi w / w^T C_lo w,
-
-a generalised eigenvalue problem (common spatial patterns; Koles 1991, Fukunaga 1990). It is
+What the data contain alike everywhere, such as interference, drops out: with C_hi and C_lo the mean
+covariances of windows of strong and of weak oscillation w maximises w^T C_hi w / w^T C_lo w, a
+generalised eigenvalue problem (common spatial patterns; Koles 1991, Fukunaga 1990). It is
 restricted to the linear observables because an interference that is added to the state is additive
-there and nowhere else. With delays w is a filter over the last samples as well. The result is a
-projector of the model file, so that the lifter node runs it unchanged.
+there and nowhere else. The result is a projector of the model file: the lifter runs it unchanged.
 
-Windows are strong or weak by their amplitude, or, where theta of each window is known, by theta: an
-interference or a drift that is stronger than the oscillation comes and goes with time, the
-oscillation with theta. Then windows are put in bins of theta, every pair of bins proposes its
-directions, and the one is taken whose energy (w^T X)^2 theta explains best: the largest ratio of
-the variance of its logarithm between bins to that within them (Fisher's F), directions from one
-half of the windows being judged on the other.
+Windows are strong or weak by their amplitude, or, where theta of each window is known, by theta.
+Then windows are put in bins of theta, every pair of bins proposes its directions, and the one is
+taken whose energy (w^T X)^2 theta explains best: the largest ratio of the variance of its logarithm
+between bins to that within them (Fisher's F), directions from one half of the windows being judged
+on the other.
 """
 
 from __future__ import annotations

@@ -7,19 +7,15 @@
     y_lp,k = a_lp y_lp,k-1 + (1 - a_lp) y_hp,k^2,                a_lp = exp(-omega_l dt)
     r_k    = max(y_lp,k, 0)                     (after Wang and Krstic 2000)
 
-The detector starts from the first measurement, not from zero: the first difference is 0. y_lp
-starts from 0, and r climbs, where a run begins. A detector that joins a run under way does not know
-what was before: a cost that climbs there looks like one that gets worse, and turns the relay for
-nothing. So it has no r (NaN) until both filters have settled, and then takes for y_lp the mean over
-the n samples that it has seen, with the filter's own weights: y_lp / (1 - a_lp^n). Nothing is left
-to climb.
+The detector starts from the first measurement, not from zero: the first difference is 0. A detector
+that joins a run under way would climb from 0, which looks like a cost that gets worse. So it has no
+r (NaN) until both filters have settled, and then takes for y_lp the mean over the n samples that it
+has had, with the filter's own weights: y_lp / (1 - a_lp^n).
 
-Where the model's state is the last samples of the measurement, a delay line holds them, as much a
-part of the lifter's state as the filters. It is reset where they are not continued: at a start, a
-join, a silence. Until it is full there is no cost, which is not a fault (``settling``). One or two
-samples that were lost are interpolated, as ``koop train`` bridges them; after more it is reset: a
-filter over the delays may cancel signals a thousand times its own output, and what is not of one
-piece comes out as a spike.
+Where the model's state is the last samples of the measurement, a delay line holds them. It is reset
+at a start, a join, a silence; until it is full there is no cost (``settling``). One or two lost
+samples are interpolated; after more it is reset: a filter over the delays may cancel signals a
+thousand times its own output, and what is not of one piece comes out as a spike.
 
 Functions that take arrays are inlined before compilation: each call would count references to them,
 which costs as much as the arithmetic. So are those that every sample passes: the whole loop is 8 %
@@ -276,24 +272,7 @@ def energy(
 
 @njit()
 def detect(p: DetectorParams, state: DetectorState, y_out: float) -> tuple[float, DetectorState]:
-    """Process one sample of the amplitude detector.
-
-    Parameters
-    ----------
-    p : DetectorParams
-        Filter coefficients.
-    state : DetectorState
-        State after the previous sample.
-    y_out : float
-        Instantaneous energy; must be finite.
-
-    Returns
-    -------
-    r : float
-        Cost, the low-pass filtered square of the high-pass filtered energy.
-    state : DetectorState
-        State after this sample.
-    """
+    """Return r and the detector after one sample; y_out must be finite."""
     if not state.primed:
         return max(state.y_lp, 0.0), DetectorState(
             y_out, state.y_hp, state.y_lp, True, state.settling
@@ -333,24 +312,7 @@ def follow(
 ) -> tuple[float, DetectorState]:
     """Answer one energy, whatever it is and whatever came before it.
 
-    Parameters
-    ----------
-    p : DetectorParams
-        Filter coefficients and limit.
-    state : DetectorState
-        State after the previous sample.
-    arrival : int
-        What the sample is to the ones before: a
-        :class:`koop_core.stream.arrival.Arrival` up to JOIN.
-    y_out : float
-        Instantaneous energy; anything.
-
-    Returns
-    -------
-    r : float
-        Cost; NaN where the energy is unusable, see :func:`take`, and while the detector settles.
-    state : DetectorState
-        State after this sample.
+    See :func:`answer`; r is NaN where the energy is unusable and while the detector settles.
     """
     if arrival == Arrival.NEXT and state.settling == 0:  # apart: the loop is 5 % faster for it
         return take(p, state, y_out)
@@ -406,7 +368,7 @@ def answer(
     Returns
     -------
     r, y_out : float
-        Cost and instantaneous energy; see :func:`follow` for where r is NaN.
+        Cost and instantaneous energy; r is NaN where y_out is unusable, and while it settles.
     settling : bool
         Whether there is no cost yet: the detector has joined a run and has not settled, or the
         delay line is not full.

@@ -89,17 +89,6 @@ class Gram:
             self.yy += yy
             self.pairs += array.shape[1] - 1
 
-    def __add__(self, other: Gram) -> Gram:
-        if self.observables != other.observables:
-            raise ValueError(f"cannot add Gram sums of {self.observables} and {other.observables}")
-        return Gram(
-            self.observables,
-            self.xx + other.xx,
-            self.yx + other.yx,
-            self.yy + other.yy,
-            self.pairs + other.pairs,
-        )
-
     @property
     def scale(self) -> NDArray[np.float64]:
         """Root mean square of every observable over the data, shape (p,)."""

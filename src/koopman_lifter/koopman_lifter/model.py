@@ -288,12 +288,10 @@ def _entries(raw: bytes) -> dict[str, NDArray[Any]]:
             entries = {name: archive[name] for name in archive.files}
     except ModelError:
         raise
-    except ValueError as error:
-        if "allow_pickle" in str(error):
-            raise ModelError("holds pickled objects, which could run code") from None
-        raise ModelError(f"damaged ({_short(str(error))})") from None
     except Exception as error:  # zipfile and npy headers fail in many ways on arbitrary bytes
         words = _short(str(error))
+        if "allow_pickle" in words:
+            raise ModelError("holds pickled objects, which could run code") from None
         raise ModelError(f"truncated, damaged or not a model file ({words})") from None
     for name, entry in entries.items():
         if not isinstance(entry, np.ndarray):  # numpy hands out an entry without its mark as bytes
@@ -310,8 +308,8 @@ def _parse(entries: dict[str, NDArray[Any]]) -> KoopmanModel:
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise ModelError("is not a Koopman model file")
     if meta.get("version") != VERSION:
-        found = _short(meta.get("version"))
-        raise ModelError(f"has format version {found}, this program reads {VERSION}")
+        version = _short(meta.get("version"))
+        raise ModelError(f"has format version {version}, this program reads {VERSION}")
     stored = {name for name in _ARRAYS if name != _OPTIONAL or name in entries}
     if missing := stored - entries.keys():
         raise ModelError(f"has no entry '{min(missing)}'")

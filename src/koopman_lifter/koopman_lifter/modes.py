@@ -4,10 +4,9 @@ Eigenvalues, energies and the choice by energy are the paper's (section 3.3). Th
 tells whether its eigenvalue is one of the system or of the matrix only (Colbrook, Ayton and Szoke
 2023). With the left eigenvector w, w* K = lambda w*, the eigenfunction is phi(x) = w* g(x), and
 
-    res^2 = sum_k |phi(x_{k+1}) - lambda phi(x_k)|^2 / sum_k |phi(x_k)|^2
-          = w* (L - conj(lambda) A - lambda A^T + |lambda|^2 G) w / w* G w,
+    res^2 = w* (L - conj(lambda) A - lambda A^T + |lambda|^2 G) w / w* G w,
 
-which the sums of ``koopman_lifter.edmd.Gram`` hold: no second pass over the data.
+with the sums of ``koopman_lifter.edmd.Gram``.
 """
 
 from __future__ import annotations
@@ -71,21 +70,9 @@ def decompose(koopman: Koopman, gram: Gram) -> Modes:
 def residuals(
     eigenvalues: NDArray[np.complex128], left: NDArray[np.complex128], gram: Gram
 ) -> NDArray[np.float64]:
-    """Return the residual of every pair of eigenvalue and eigenfunction.
+    """Return the residual of every pair of eigenvalue and eigenfunction, shape (m,).
 
-    Parameters
-    ----------
-    eigenvalues : ndarray of complex, shape (m,)
-        lambda_j.
-    left : ndarray of complex, shape (m, p)
-        Rows w_j*, on observables of unit root mean square over the data of ``gram``.
-    gram : Gram
-        Sums over the data.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        res_j, see the module.
+    ``left``, shape (m, p), has the rows w_j*, on observables of unit root mean square.
     """
     now, cross, after = (
         _quadratic(left, gram.equilibrated(sums)) for sums in (gram.xx, gram.yx, gram.yy)

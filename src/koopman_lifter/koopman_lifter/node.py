@@ -189,13 +189,10 @@ class LifterRun(Run):
     def _use(self, model: KoopmanModel | None) -> None:
         self._loaded = LoadedModel(model)
         self._n = self._loaded.n or self._seen
-        found = "no model: the raw cost needs none"
+        text = "no model: the raw cost needs none"
         if model is not None:
-            found = (
-                f"model {model.model_id}: {model.observables.p} observables, "
-                f"{model.projector.shape[0]} modes kept"
-            )
-        self._node.get_logger().info(found)
+            text = f"model {model.model_id}: {model.observables.p} observables"
+        self._node.get_logger().info(text)
         self._compile()
 
     def _taken(self, x: NDArray[np.float64], arrival: Arrival) -> NDArray[np.float64]:
@@ -225,13 +222,11 @@ class LifterRun(Run):
         )
 
     def _report_unusable(self, x: array[float]) -> None:
-        n, model = self._n, self._loaded.model
-        if len(x) != n:
-            needed = f"the model {self._loaded.id} needs" if model is not None else "the first had"
-            problem = f"state has {len(x)} values, {needed} {n}"
-        elif self._source == cost.LIFTED and model is not None and model.delays.count > 1:
-            past = (model.delays.depth - 1) * model.dt
-            problem = f"a state of the last {past:g} s is not finite or y_out too large"
+        if len(x) != self._n:
+            needed = f"the model {self._loaded.id} needs" if self._loaded.model else "the first had"
+            problem = f"state has {len(x)} values, {needed} {self._n}"
+        elif self._source == cost.LIFTED and len(self._loaded.work.ring) > 1:
+            problem = "a state in the delay line is not finite or y_out too large"
         else:
             problem = f"state {x.tolist()} is not finite or its y_out too large"
         self._input.reject(f"step {self._answer.step}: {problem}")

@@ -72,8 +72,6 @@ class Monomials:
 
     def names(self, state_names: tuple[str, ...]) -> list[str]:
         """Return the monomials in words, for example ``x^2*y``; shape (p,)."""
-        if len(state_names) != self.n:
-            raise ValueError(f"{len(state_names)} state names for {self.n} states")
         return [
             "*".join(
                 name if power == 1 else f"{name}^{power}"

@@ -87,24 +87,12 @@ def _tiles(observables: Monomials, states: NDArray[np.float64]) -> Iterator[NDAr
 
 
 class _Shifts(NamedTuple):
-    """How the observables of a delay line shift in time.
+    """How the observables of a delay line shift in time; indices, see the module."""
 
-    Attributes
-    ----------
-    newest : ndarray of int64
-        N, those with a newest sample in them.
-    older : ndarray of int64
-        S, the others.
-    newer : ndarray of int64, shape (p,)
-        s(i) of those in S.
-    depths : list of ndarray of int64
-        Observables whose newest sample is at least 1, 2, ... steps old, the constant included.
-    """
-
-    newest: NDArray[np.int64]
-    older: NDArray[np.int64]
-    newer: NDArray[np.int64]
-    depths: list[NDArray[np.int64]]
+    newest: NDArray[np.int64]  # N, those with a newest sample in them
+    older: NDArray[np.int64]  # S, the others
+    newer: NDArray[np.int64]  # s(i) of those in S
+    depths: list[NDArray[np.int64]]  # whose newest sample is at least 1, 2, ... steps old
 
 
 @lru_cache(maxsize=8)

@@ -9,14 +9,11 @@ wide leg turns where r rises; g, the dwell time and what is wide are :mod:`relay
 cost of 0 is unusable for it. The control input is theta = u, or theta = exp(u) with
 ``theta_scale: log``.
 
-The first sample only primes the filter: r_{-1} is unknown, so its difference is taken as 0 and
-theta stays. The same holds for the first sample after a hold, so that a cost that jumped in the
-meantime causes no false flip; the filter goes on from where it was.
-
-A cost that follows on no earlier one (another run, another quantity, a long silence) finds the
-filter reset. The dwell time then guards it: right after a start its sign is that of the first
-difference and says nothing. A controller that joins a run under way holds theta first, until what
-the cost did before its time has faded: half of its first turns would be wrong otherwise.
+The first sample only primes the filter: its difference is taken as 0 and theta stays. So it is for
+the first sample after a hold; the filter goes on from where it was. A cost that follows on no
+earlier one (another run, another quantity, a long silence) finds the filter reset, and the dwell
+time begins. A controller that joins a run under way holds theta first, until what the cost did
+before its time has faded: half of its first turns would be wrong otherwise.
 
 Theta that is outside its limits, as where they were narrowed or the rig starts beyond them, goes to
 the nearer one at its limited rate, and the relay waits there.
@@ -146,15 +143,11 @@ def reset(state: RelayState, begin: RelayState) -> RelayState:
 
 @njit()
 def insight(p: RelayParams, state: RelayState) -> tuple[float, float, float]:
-    """Return what the controller knows of the cost besides what it answers.
+    """Return gradient, noise and confidence: what the controller knows besides what it answers.
 
-    Returns
-    -------
-    gradient : float
-        Slope of the cost over u, of log r with the adaptive law; filtered as the rise is. It is
-        the cost's change over theta's step, whatever causes the change.
-    noise, confidence : float
-        Of the cost's level, and of the adaptive law; NaN with the relay, which has none.
+    The gradient is the slope of the cost over u, of log r with the adaptive law; filtered as the
+    rise is. It is the cost's change over theta's step, whatever causes the change. Noise and
+    confidence are those of the adaptive law; NaN with the relay, which has none.
     """
     step_size = p.step_size * gain(state.swing, state.u, state.epsilon)
     gradient = 0.0
@@ -206,22 +199,7 @@ def take(p: RelayParams, state: RelayState, r: float) -> RelayState:
 
 @njit(inline="always")
 def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
-    """Process one cost sample.
-
-    Parameters
-    ----------
-    p : RelayParams
-        Parameters.
-    state : RelayState
-        State after the previous sample.
-    r : float
-        Cost r_k; must be usable (the caller holds on anything else).
-
-    Returns
-    -------
-    RelayState
-        State after this sample; ``u`` is the control input to apply.
-    """
+    """Process one usable cost; ``u`` of the state after it is the control input to apply."""
     after = take(p, state, r)
     if not state.primed:
         return after

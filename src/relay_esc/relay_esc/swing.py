@@ -1,12 +1,9 @@
 """The swing of the adaptive law: how large the relay's steps are, from what the cost shows.
 
 The adaptive law is the relay of :mod:`relay_esc.relay` with its step times a factor in [step_ratio,
-1]. A wide leg turns where r rises, a narrow one where x = log r does. Neither the sign of a rise of
-r nor differences of x know the unit of r, and neither does anything here. A leg is the way from one
-flip to the next. Of every leg the least level m of the cost is kept, the level being x behind a
-low-pass filter; m does not depend on how wide the swing is, as long as the leg passes the optimum.
-Its usual change from leg to leg is the noise s, what m was where the controller was at home the
-reference.
+1]. docs/explanation/adaptive-law.md says what it does and why. A leg is the way from one flip to
+the next; its least level m, the level being log r behind a low-pass filter, is compared with the
+leg before (the noise s) and with the legs at home (the reference):
 
     home:  m <= reference + 3 s      the optimum is where it was: the reference follows m, and after
                                      four legs that ended as soon as they could the step shrinks,
@@ -14,26 +11,8 @@ reference.
     lost:  m > reference + lost s    the step doubles with every leg
     a leg of two dwell times         the same: the optimum is elsewhere
 
-The dip of a leg is how far m is below the level at both of its ends, of the two the lesser: a leg
-on one side of the optimum has none.
-
-Away from home the reference and the noise follow slowly, leg by leg: a cost that stays higher, or
-noisier, is at home in the end. No clock shrinks the step; a swing that has become too small to see
-the optimum loses it, which the level shows.
-
-Noise turns the legs of a narrow swing too early or too late, and where they are would be a random
-walk. So the mean of the middles of the legs at home is kept, the centre c: wide legs, that see the
-optimum well, guide the narrow ones. Steps of a swing that is not at its widest are larger by a
-half towards c and smaller by a half away from it. A lost optimum or a leg of two dwell times
-forgets c.
-
-Far from the optimum the cost of an oscillating rig has a ripple of its own, and a relay of one
-dwell time locks in with it: every leg ends at the same phase of the ripple, wherever the optimum
-is. So the dwell time of wide legs is stretched by 0 to 50 %, as the golden ratio has it. Where the
-ripple is bursts with a decay by decades in between, no dwell time helps: a wide leg, which has its
-way before it, must not turn at each of them. A rise is how far a quantity is above its weighted
-mean. That of r, an arithmetic mean, remembers a large burst over small ones; that of log r, a
-geometric mean, is soon below any. So r rises only where log r does, too.
+No unit of r and no clock stands in a rule: a swing that has become too small to see the optimum
+loses it, which the level shows.
 """
 
 from __future__ import annotations
@@ -161,20 +140,8 @@ def follow(
 ) -> Swing:
     """Take one cost into the level, as x = log r, and into its rise, as r.
 
-    Parameters
-    ----------
-    swing : Swing
-        After the previous cost.
-    alpha_level : float
-        Filter coefficient of the level.
-    x : float
-        log r, its sign changed if r is maximised.
-    alpha : float
-        Filter coefficient of the rise.
-    cost : float
-        r, its inverse if r is maximised.
-    primed : bool
-        Whether there is a cost before it to take the difference from.
+    Where r is maximised, the sign of ``x`` is changed and ``cost`` is 1 / r. ``primed`` says
+    whether there is a cost before it to take the difference from.
     """
     first = swing.lowest == math.inf
     level = x if first else alpha_level * swing.level + (1.0 - alpha_level) * x
@@ -208,20 +175,10 @@ def gain(swing: Swing, u: float, epsilon: int) -> float:
 
 @njit()
 def turn(swing: Swing, length: float, u: float, least: float, lost: float) -> Swing:
-    """End a leg: judge what it showed and set the step of the next one.
+    """End a leg at ``u``, after ``length`` dwell times: judge it and set the step of the next one.
 
-    Parameters
-    ----------
-    swing : Swing
-        At the flip.
-    length : float
-        Of the leg, in dwell times.
-    u : float
-        At the flip.
-    least : float
-        Smallest factor.
-    lost : float
-        Noise above the reference at which the optimum is lost.
+    ``least`` is the smallest factor; the optimum is lost ``lost`` times the noise above the
+    reference.
     """
     factor, reference, noise, short = swing.factor, swing.reference, swing.noise, swing.short
     lowest, dip = swing.lowest, swing.dip

@@ -202,12 +202,7 @@ class PaceConfig:
     def command(self, theta: float, age: float) -> tuple[float, str]:
         """Return the theta to apply at the paces realtime and scaled, and the watchdog's state.
 
-        Parameters
-        ----------
-        theta : float
-            Last theta that was received.
-        age : float
-            Time since it was received [s].
+        ``theta`` was received last, ``age`` [s] ago.
         """
         if 0.0 < self.theta_safe_timeout < age:
             return self.theta_safe, "safe"

@@ -69,23 +69,9 @@ def acceleration(
 
 @njit()
 def step(p: PlantParams, k: int, x: float, y: float, theta: float) -> tuple[float, float]:
-    """Integrate the true state over one step, theta held, without the actuator.
+    """Integrate the true state over step k, theta held, without the actuator.
 
-    Parameters
-    ----------
-    p : PlantParams
-        Plant parameters.
-    k : int
-        Step index; t_k = k dt.
-    x, y : float
-        True state at t_k.
-    theta : float
-        Control input over [t_k, t_{k+1}).
-
-    Returns
-    -------
-    x, y : float
-        True state at t_{k+1}; not finite if the integration diverges.
+    Returns x and y at t_{k+1}; not finite if the integration diverges.
     """
     h = p.dt
     t = k * h
@@ -138,15 +124,6 @@ def actuate(p: PlantParams, applied: float, theta: float) -> float:
     """Return the theta that acts in the next step: within the actuator's bounds and rate.
 
     The controller has limits of its own; these hold for any source of commands.
-
-    Parameters
-    ----------
-    p : PlantParams
-        Plant parameters; ``theta_rate`` is in 1/s, infinite without a limit.
-    applied : float
-        Theta of the step before.
-    theta : float
-        Commanded theta.
     """
     most = p.theta_rate * p.dt
     theta = min(max(theta, p.theta_min), p.theta_max)
@@ -159,28 +136,9 @@ def advance(
 ) -> tuple[float, float, float]:
     """Advance the plant by one step under a commanded theta: actuate, then integrate.
 
-    Parameters
-    ----------
-    p : PlantParams
-        Plant parameters.
-    k : int
-        Step index; t_k = k dt.
-    x, y : float
-        True state at t_k.
-    applied : float
-        Theta that acted in the step before.
-    theta : float
-        Commanded theta.
-    displaced : float
-        How far the optimum is from ``p.theta_star`` in this step. The oscillator sees only
-        theta - theta*, the actuator theta itself.
-
-    Returns
-    -------
-    x, y : float
-        True state at t_{k+1}; not finite if the integration diverges.
-    applied : float
-        Theta that acted, for the next step.
+    ``applied`` is the theta that acted in the step before, ``displaced`` how far the optimum is
+    from ``p.theta_star``: the oscillator sees only theta - theta*, the actuator theta itself.
+    Returns x and y at t_{k+1} and the theta that acted.
     """
     applied = actuate(p, applied, theta)
     x, y = step(p, k, x, y, applied - displaced)

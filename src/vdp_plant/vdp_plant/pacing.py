@@ -14,17 +14,8 @@ class Ticks:
     """Counts the ticks of a timer that came too late to be made up for.
 
     A timer drops periods that are past; a tick this late has taken the place of several. They are
-    never run in a burst: simulated time falls behind instead.
-
-    Parameters
-    ----------
-    period : float
-        Between two ticks [s].
-
-    Attributes
-    ----------
-    behind : float
-        How much later than its time the last tick was [s].
+    never run in a burst: simulated time falls behind instead. ``period`` [s] is the time between
+    two ticks, ``behind`` [s] how much later than its time the last one was.
     """
 
     def __init__(self, period: float) -> None:
@@ -47,10 +38,7 @@ class Ticks:
 class SentStates:
     """When each state was published, so that an answer has the age of what it answers.
 
-    Parameters
-    ----------
-    period : float
-        Shortest time between two states [s].
+    ``period`` [s] is the shortest time between two states.
     """
 
     def __init__(self, period: float) -> None:

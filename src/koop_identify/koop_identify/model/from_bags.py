@@ -14,7 +14,7 @@ from koop_bag.bag.reader import BagReader
 from koop_core.config.fields import Source
 from koop_core.errors import InputError
 from koop_identify.model.windows import cut_windows, period_of, training_windows
-from koop_identify.recording.loaded import Loaded, load_states, load_with_command
+from koop_identify.recording.loaded import Loaded, load_recording
 from koop_identify.recording.samples import batches, sha256, state_names
 from koop_identify.recording.segmentation import BagReading, find_segmentation
 from koop_identify.recording.segments import Segment, Segmentation, Segmenter
@@ -101,7 +101,7 @@ def train_from_bags(paths: Sequence[Path], training: BagTraining) -> KoopmanMode
             for states in join_parts(_segments(bag, measured, segmenter), delays.depth):
                 gram.add_trajectory(delays.embed(states))
             if training.contrast:
-                recordings.append(load_with_command(bag, training.reading, segmentation))
+                recordings.append(load_recording(bag, training.reading, segmentation))
         origin = {"name": path.name, "sha256": sha256(path), "pairs": gram.pairs - before}
         bags.append({**origin, **segmenter.described()})
     assert gram is not None
@@ -140,7 +140,7 @@ def load_bags(paths: Sequence[Path], reading: BagReading) -> tuple[Loaded, BagRe
         with BagReader(path) as bag:
             segmentation, _ = find_segmentation(bag, path, reading)
             reading = replace(reading, dt=segmentation.dt)  # of all bags
-            parts.append(load_with_command(bag, reading, segmentation))
+            parts.append(load_recording(bag, reading, segmentation))
     if len({part.x.shape[0] for part in parts}) > 1:
         raise InputError("the bags hold different numbers of channels")
     return Loaded.joined(parts), reading
@@ -204,7 +204,7 @@ def _find_delays(
         return Delays(n)
     dt, spacing = segmentation.dt, training.spacing
     if spacing is None:
-        loaded = load_states(bag, training.reading.measured, segmentation, None)
+        loaded = load_recording(bag, training.reading, segmentation)
         spacing = spacing_for(period_of(loaded, dt), training.delays)
     return Delays.spaced(n, training.delays, spacing, dt)
 

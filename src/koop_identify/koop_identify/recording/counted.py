@@ -14,37 +14,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter, validate
 from koop_core.kernels import njit
 from koop_identify.recording.samples import Batch
 
 LONG = 1.5  # [periods] between two samples above which a missing one is looked for
 SURE = 0.75  # [periods] that are not made up for and show a missing sample
 SPAN = 1000  # [samples] over which the mean period is found
-
-
-@dataclass(frozen=True)
-class CountSettings:
-    """How far around a long wait the count looks."""
-
-    least: int = parameter(50, "samples looked at before and after a long wait, at least", low=1)
-    most: int = parameter(
-        10_000,
-        "the same at most, and samples that are held back",
-        low=1,
-        origin="twice what a topic of the loop keeps for a link that was cut",
-    )
-
-    def __post_init__(self) -> None:
-        validate(self)
-
-
-DEFAULTS = CountSettings()
+LEAST = 50  # samples looked at before and after a long wait, at least
+MOST = 10_000  # at most, and samples that are held back: twice what a link that was cut holds
 
 
 def mean_period(time: NDArray[np.int64]) -> float:
@@ -57,7 +39,11 @@ def mean_period(time: NDArray[np.int64]) -> float:
 
 
 def recount(
-    batches: Iterable[Batch], period: float, spacing: float, settings: CountSettings = DEFAULTS
+    batches: Iterable[Batch],
+    period: float,
+    spacing: float,
+    least: int = LEAST,
+    most: int = MOST,
 ) -> Iterator[Batch]:
     """Yield consecutive batches with counted times in place of times of reception.
 
@@ -69,8 +55,8 @@ def recount(
         Mean period P of the stream [ns].
     spacing : float
         Time [ns] from one sample to the next in the result, missing ones included.
-    settings : CountSettings
-        How far the count looks.
+    least, most : int
+        Samples that are looked at around a long wait.
     """
     waiting: deque[Batch] = deque()
     times: NDArray[np.int64] = np.empty(0, np.int64)  # of all that is looked at
@@ -81,16 +67,16 @@ def recount(
         batch = waiting.popleft()
         begin, end = numbers.size, numbers.size + batch.time.size
         numbers = np.append(numbers, np.zeros(batch.time.size, np.int64))
-        _number(times - times[0], numbers, begin, period, settings.least, settings.most)
+        _number(times - times[0], numbers, begin, period, least, most)
         counted = np.round(numbers[begin:] * spacing).astype(np.int64)
-        kept = max(0, end - settings.most)
+        kept = max(0, end - most)
         times, numbers = times[kept:], numbers[kept:]
         return replace(batch, time=counted)
 
     for batch in batches:
         waiting.append(batch)
         times = np.append(times, batch.time)
-        while waiting and times.size - numbers.size >= waiting[0].time.size + settings.most:
+        while waiting and times.size - numbers.size >= waiting[0].time.size + most:
             yield count_first()
     while waiting:
         yield count_first()

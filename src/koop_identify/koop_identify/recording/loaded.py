@@ -67,29 +67,19 @@ def pieces(begins: NDArray[np.bool_]) -> list[slice]:
     return [slice(begin, end) for begin, end in pairwise(bounds.tolist())]
 
 
-def load_states(
-    bag: BagReader, measured: Source, segmentation: Segmentation, command: Source | None
-) -> Loaded:
-    """Read a recording.
-
-    Parameters
-    ----------
-    bag : BagReader
-        The recording.
-    measured : Source
-        Measured channels.
-    segmentation : Segmentation
-        How messages become states one dt apart.
-    command : Source or None
-        Control input, one number; None if there is none.
+def load_recording(bag: BagReader, reading: BagReading, segmentation: Segmentation) -> Loaded:
+    """Read a recording with the command of the reading, or the loop's own where the bag has it.
 
     Raises
     ------
     koop_bag.errors.BagError
         If the bag lacks a topic or a field.
     koop_core.errors.InputError
-        If ``command`` is more than one number, or no state is left.
+        If the command is more than one number, or no state is left.
     """
+    measured, command = reading.measured, reading.command
+    if command is None and any(topic.name == LOOP_COMMAND.topic for topic in bag.topics):
+        command = LOOP_COMMAND
     segmenter = Segmenter(segmentation)
     theta = None if command is None else _theta_at(bag, measured, command)
     parts, begins, n, last = [], [], 0, 0.0
@@ -113,14 +103,6 @@ def load_states(
         rows_of[n],
         last,
     )
-
-
-def load_with_command(bag: BagReader, reading: BagReading, segmentation: Segmentation) -> Loaded:
-    """Read a recording with the command of the reading, or the loop's own where the bag has it."""
-    command = reading.command
-    if command is None and any(topic.name == LOOP_COMMAND.topic for topic in bag.topics):
-        command = LOOP_COMMAND
-    return load_states(bag, reading.measured, segmentation, command)
 
 
 def _theta_at(bag: BagReader, measured: Source, command: Source) -> NDArray[np.float64]:

@@ -88,15 +88,12 @@ class Segmenter:
         Number of segments so far.
     gaps : int
         Places so far where the time between two samples, or their steps, ended a segment.
-    used : int
-        Samples so far that have a neighbour in their segment.
     """
 
     def __init__(self, segmentation: Segmentation) -> None:
-        self.samples = self.dropped = self.count = self.gaps = self.used = 0
+        self.samples = self.dropped = self.count = self.gaps = 0
         self.segmentation = segmentation
         self._last: Batch | None = None  # the last sample, as a batch of one
-        self._alone = False  # whether the last segment has one sample
         self._grid = (0, 0)  # beginning of the segment [ns], number of the next grid point
 
     def split(self, batch: Batch) -> Iterator[Segment]:
@@ -121,9 +118,6 @@ class Segmenter:
             begins = begin > 0 or not earlier
             if finite[begin] and end > begin + (not begins):
                 self.count += begins
-                pairs = end - begin - 1
-                self.used += pairs + (pairs > 0 and (begins or self._alone))
-                self._alone = begins and not pairs
                 part = slice(begin, end)
                 states = self._states(time[part], x[part], begins)
                 if states.shape[0]:
@@ -133,7 +127,6 @@ class Segmenter:
         """Return how the samples became segments, for a model's provenance."""
         return {
             "states": self.samples,
-            "used": self.used,
             "segments": self.count,
             "gaps": self.gaps,
             "not_finite": self.dropped,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
-from koop_identify.recording.loaded import load_with_command
+from koop_identify.recording.loaded import load_recording
 from koop_identify.recording.loop import LoopRecord, read_loop
 from koop_identify.recording.samples import state_names
 from koop_identify.recording.segmentation import BagReading, find_segmentation
@@ -117,7 +117,7 @@ def read_signals(path: Path, reading: BagReading, dt: float | None = None) -> Si
     reading = replace(reading, dt=reading.dt or dt)
     with BagReader(path) as bag:
         segmentation, n = find_segmentation(bag, path, reading)
-        loaded = load_with_command(bag, reading, segmentation)
+        loaded = load_recording(bag, reading, segmentation)
     size = loaded.time.size
     return Signals(
         state_names(reading.measured, n),

@@ -142,8 +142,9 @@ def origin(provenance: dict[str, Any]) -> list[str]:
 
 def _recorded(bag: dict[str, Any]) -> str:
     """Return in words how the samples of a bag became segments."""
-    samples = bag["states"] if "used" not in bag else f"{bag['used']} of {bag['states']}"
-    words = f"{samples} samples in {bag['segments']} segments, {bag['pairs']} pairs ({bag['way']}"
+    words = (
+        f"{bag['states']} samples in {bag['segments']} segments, {bag['pairs']} pairs ({bag['way']}"
+    )
     if bag.get("counted_period"):
         words += f"; no stamps: counted, one each {bag['counted_period']:.4g} s"
     if "gaps" in bag:
