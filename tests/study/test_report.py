@@ -78,6 +78,9 @@ def write_small(folder: Path) -> None:
         for table in content.get("tables", ()):
             if table["name"] in ("ablation_trajectories", "ablation_training_duration"):
                 table["values"] = [4, 8]
+        if content["experiment"] == "commission":
+            names = ("usual", "two modes", "no optimum")
+            content["strata"] = {name: content["strata"][name] for name in names}
         if content["experiment"] == "laws":
             quick = content["quick"]
             quick["seeds"]["count"] = 2

@@ -1,11 +1,9 @@
-"""One rig of the family commissioned: excited, tuned, verified, and compared with other ways."""
+"""One rig of the family commissioned: excited, tuned, verified, and compared with the defaults."""
 
 from __future__ import annotations
 
 import functools
-import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
@@ -23,7 +21,7 @@ from koop_study.family.loop import (
     noise_of,
 )
 from koop_study.family.rig import Rig, draw
-from koop_study.family.scaled import PAPER_CONSTANTS, ScaledConstants, scaled_to, unscaled
+from koop_study.family.scaled import unscaled
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
@@ -37,7 +35,6 @@ from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tuning import Tuning, tune
 from koopman_lifter.config import LifterConfig
-from koopman_lifter.model import KoopmanModel
 
 EARLIER, OTHER = 1_000_000, 2_000_000  # to the seed, of the excitation and of the other end's noise
 ENDS = (0, 1)
@@ -46,13 +43,15 @@ Row = dict[str, Any]
 
 
 def commission_plant(
-    family: dict[str, Any], seed: int, rate: float, excitation: float, duration: float,
-    effort: float, grid: dict[str, list[Any]],
+    stratum: str, family: dict[str, Any], seed: int, rate: float, excitation: float,
+    duration: float, effort: float,
 ) -> Row:  # fmt: skip
     """Commission one rig.
 
     Parameters
     ----------
+    stratum : str
+        Name of the family.
     family : dict
         Settings of the family.
     seed : int
@@ -65,8 +64,6 @@ def commission_plant(
         Of a run of verification, in the rig's own time.
     effort : float
         Of the search, in units of the usual one.
-    grid : dict of str to list
-        Values of the constants of which the oracle takes the best combination.
 
     Returns
     -------
@@ -76,10 +73,10 @@ def commission_plant(
     rig = draw(family_of(family), seed)
     file = file_of(rig, rate, excitation)
     recorded = excite(rig, file, seed + EARLIER)
-    row: Row = {**_described(rig), "excited": recorded.progress.elapsed / rig.time}
+    row: Row = {"stratum": stratum, **_described(rig), "damped": False,
+                "excited": recorded.progress.elapsed / rig.time}  # fmt: skip
     after = rig.later(recorded.progress.elapsed)  # while theta was moved the optimum moved too
     loops = _Loops(after, seed, round(duration * rig.time / rig.params.dt))
-    found: Tuning | None = None
     try:
         found = commissioned(rig, file, recorded, loops, seed, effort, row)
         row |= {"verdict": "tuned", "why": found.why, "doubt": found.findings.doubt,
@@ -90,9 +87,7 @@ def commission_plant(
     except ValueError as error:
         row |= {"verdict": "error", "why": str(error)}
     if rig.has_optimum:
-        model = None if found is None else found.chosen.maps.cost.model
-        noises = loops.noises
-        row["runs"] = row.get("runs", {}) | beside(after, model, rate, noises, seed, grid)
+        row["runs"] = row.get("runs", {}) | {"defaults": with_defaults(after, rate, loops.noises)}
     return row
 
 
@@ -128,7 +123,7 @@ def commissioned(
     which = kept_index(rounds)
     found, result = tried[which]
     row |= {"runs": {"first": tried[0][1], "tuned": result}, "rounds": len(rounds),
-            "damped_as_predicted": rounds[which].damped_as_predicted}  # fmt: skip
+            "damped": rounds[which].damped_as_predicted}  # fmt: skip
     return found
 
 
@@ -165,6 +160,7 @@ def _described(rig: Rig) -> Row:
     return {
         "seed": rig.seed,
         "shape": rig.map,
+        "has_optimum": rig.has_optimum,
         "noise_driven": p.kind == oscillator.NOISE_DRIVEN,
         "channels": rig.channels,
         "logarithmic": p.log_scale,
@@ -175,42 +171,11 @@ def _described(rig: Rig) -> Row:
     }
 
 
-def _both(rig: Rig, controller: RigController, noises: list[RunNoise], seed: int) -> Row:
-    runs = [close_from_end(rig, controller, end, noises[end], seed + end * OTHER) for end in ENDS]
-    return {"ratio": [run.ratio for run in runs], "converged": [run.converged for run in runs]}
-
-
-def _worst(row: Row) -> float:
-    return float(max(row["ratio"]))
-
-
-def beside(
-    rig: Rig, model: KoopmanModel | None, rate: float, noises: list[RunNoise], seed: int,
-    grid: dict[str, list[Any]],
-) -> Row:  # fmt: skip
-    """Return how the other controllers did; ``model`` is that of the cost that was chosen.
-
-    The defaults know the rig's limits and dt and take the raw cost; all others the chosen one.
-    """
+def with_defaults(rig: Rig, rate: float, noises: list[RunNoise]) -> Row:
+    """Return how the nodes' defaults do, which know the rig's limits and dt, with the raw cost."""
     p = rig.params
     limit = rate * (p.theta_max - p.theta_min) / rig.time
-
-    def scaled(constants: ScaledConstants) -> Row:
-        return _both(rig, scaled_to(rig, constants, model, limit), noises, seed)
-
-    defaults = RigController(LifterConfig(dt=p.dt), unscaled(rig, limit))
-    tried = [
-        {**scaled(ScaledConstants(**constants)), "constants": constants}
-        for constants in combinations(grid)
-    ]
-    return {
-        "defaults": _both(rig, defaults, noises, seed),
-        "scaled": scaled(PAPER_CONSTANTS),
-        "grid": min(tried, key=_worst),
-    }
-
-
-def combinations(grid: dict[str, list[Any]]) -> Iterator[dict[str, Any]]:
-    """Yield every combination of a grid's values."""
-    for values in itertools.product(*grid.values()):
-        yield dict(zip(grid, values, strict=True))
+    controller = RigController(LifterConfig(dt=p.dt), unscaled(rig, limit))
+    runs = [close_from_end(rig, controller, end, noises[end], rig.seed + end * OTHER)
+            for end in ENDS]  # fmt: skip
+    return {"ratio": [run.ratio for run in runs], "converged": [run.converged for run in runs]}

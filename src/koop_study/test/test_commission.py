@@ -1,0 +1,63 @@
+"""The experiment ``commission``: which rigs it draws, and how it counts what was said of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from koop_core.config.parameter import ConfigError
+from koop_study.experiments import commission
+from koop_study.experiments.commission import CommissionConfig, section
+from koop_study.experiments.spec import Seeds, parse
+
+STRATA = {"usual": {}, "deep": {"depth": [5.0, 100.0], "channels": [1, 4]}}
+CONFIG = CommissionConfig(Seeds(10, 3), STRATA, {"channels": [1, 2]})
+
+
+def row(stratum: str, **changes: Any) -> dict[str, Any]:
+    """Return what is noted of a rig that was damped, and was said to be."""
+    runs = {"tuned": {"ratio": [1.0, 1.2]}, "defaults": {"ratio": [2.0, 1.0]}}
+    usual = {"seed": 1, "stratum": stratum, "shape": "narrow", "has_optimum": True,
+             "verdict": "tuned", "damped": True, "excited": 100.0, "runs": runs}  # fmt: skip
+    return {**usual, **changes}
+
+
+def test_each_stratum_has_its_family_and_fresh_seeds() -> None:
+    drawn = [unit.arguments for unit in commission.units(CONFIG)]
+    assert [(one["stratum"], one["seed"]) for one in drawn] == [
+        ("usual", 10), ("usual", 11), ("usual", 12), ("deep", 13), ("deep", 14), ("deep", 15),
+    ]  # fmt: skip
+    assert drawn[0]["family"] == {"channels": [1, 2]}
+    assert drawn[-1]["family"] == {"depth": [5.0, 100.0], "channels": [1, 2]}
+
+
+def test_a_wrong_stratum_is_refused_by_its_name() -> None:
+    settings = {"rigs": {"first": 0, "count": 1}, "strata": {"odd": {"deep": 1}}}
+    with pytest.raises(ConfigError, match="strata: odd: unknown key 'deep'"):
+        parse(CommissionConfig, settings, "file")
+    with pytest.raises(ConfigError, match="needs at least one"):
+        parse(CommissionConfig, {**settings, "strata": {}}, "file")
+
+
+def test_words_and_truths_are_counted() -> None:
+    far = {"tuned": {"ratio": [1.0, 1.6]}, "defaults": {"ratio": [1.0, 1.0]}}
+    rows = [
+        row("usual", seed=1),
+        row("usual", seed=2, damped=False),  # falsely not
+        row("usual", seed=3, runs=far),  # falsely damped
+        row("usual", seed=4, runs=far, damped=False),
+        row("usual", seed=5, verdict="flat", damped=False, runs={}, excited=400.0),
+        row("deep", seed=6, has_optimum=False, verdict="monotone", damped=False, runs={}),
+        row("deep", seed=7, has_optimum=False, runs={}),  # nothing supports that it is damped
+        row("deep", seed=8, has_optimum=False, verdict="error", damped=False, runs={}),
+    ]
+    summary, mistakes = section(CONFIG, rows).tables
+    counted = {
+        name: [summary.cell(name, column.key) for column in summary.columns[1:]]
+        for name in ("usual", "deep", "all")
+    }
+    assert counted["usual"] == ["5", "5", "1", "40.0", "40.0", "–", "2", "1", "1", "100"]
+    assert counted["deep"] == ["3", "0", "0", "–", "–", "33.3", "1", "1", "0", "100"]
+    assert counted["all"] == ["8", "5", "1", "40.0", "40.0", "33.3", "3", "2", "1", "100"]
+    assert [texts[0] for texts in mistakes.texts()] == ["2", "3", "4", "5", "7", "8"]
