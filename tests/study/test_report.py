@@ -23,7 +23,7 @@ from koop_study.report.page import render
 from koop_study.session import run_all
 from koop_study.simulation.work import runs
 from koop_study.workers.units import Store
-from koop_view.report.document import Figure, Heat, Panel, Section, Series
+from koop_view.report.document import Figure, Panel, Section, Series
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 # What makes an experiment a matter of seconds; the pages and sentences are the same.
@@ -156,7 +156,7 @@ def test_the_page_draws_every_figure_without_an_error(
     assert result["background"] == background
     assert width - 20 <= result["width"] <= width  # less the scroll bar
     assert result["content"] <= result["width"]  # nothing makes the page scroll sideways
-    assert result["plots"] == sum(panel.heat is None for panel in panels)
+    assert result["plots"] == len(panels)
     assert result["empty"] == []
     assert result["wide"] == 0
     assert result["small"] == 0
@@ -183,11 +183,7 @@ def test_an_error_on_the_page_is_noticed(tmp_path: Path) -> None:
 
 
 def test_a_string_cannot_end_the_script() -> None:
-    heat = Heat(["a"], ["b"], [[None]], 1.0, 10.0)
-    panels = (
-        Panel("x", "y", (Series("</script><!--", [1.0], [2.0]),)),
-        Panel("x", "y", heat=heat),
-    )
+    panels = (Panel("x", "y", (Series("</script><!--", [1.0], [2.0]),)),)
     section = Section("s", "S", "<i>", figures=[Figure("f", "c", panels)])
     page = render([section], [], "koop study")
     assert page.count("</script>") == 2  # data, and how to draw them

@@ -130,17 +130,6 @@ class Mark:
 
 
 @dataclass(frozen=True)
-class Heat:
-    """A coloured grid of numbers; ``values[i][j]`` belongs to ``y[i]`` and ``x[j]``."""
-
-    x: Sequence[str]
-    y: Sequence[str]
-    values: Sequence[Sequence[float | None]]
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
 class Panel:
     """One pair of axes; ``ticks`` are the names of the positions 0, 1, 2... on the x axis."""
 
@@ -151,7 +140,6 @@ class Panel:
     log_x: bool = False
     log_y: bool = False
     ticks: tuple[str, ...] = ()
-    heat: Heat | None = None
     marks: tuple[Mark, ...] = ()
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import html
 import json
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
-from koop_view.report.document import Claim, Column, Figure, Heat, Panel, Section, Table
+from koop_view.report.document import Claim, Column, Figure, Section, Table
 
 DIGITS = 5  # significant, of the points of figures
 LONG = 40  # characters of a cell, above which its words are wrapped
@@ -109,34 +108,10 @@ def _figure(figure: Figure, tables: Sequence[Table]) -> str:
     panels = []
     for i, panel in enumerate(figure.panels):
         title = f'<div class="panel-title">{html.escape(panel.title)}</div>' if panel.title else ""
-        content = (
-            _heat_table(panel, panel.heat) if panel.heat
-            else f'<div class="plot" data-figure="{figure.name}" data-panel="{i}"></div>'
-        )  # fmt: skip
-        panels.append(f'<div class="panel">{title}{content}</div>')
+        plot = f'<div class="plot" data-figure="{figure.name}" data-panel="{i}"></div>'
+        panels.append(f'<div class="panel">{title}{plot}</div>')
     return (
         f"<figure><figcaption>{html.escape(figure.caption)}</figcaption>"
         f'<div class="panels columns-{figure.columns}">{"".join(panels)}</div>'
         f"{''.join(table(item) for item in tables)}</figure>"
     )
-
-
-def _heat_table(panel: Panel, heat: Heat) -> str:
-    """Return the grid as HTML, the last row of values on top as on an axis that points up."""
-    head = "".join(f"<th>{html.escape(text)}</th>" for text in heat.x)
-    rows = []
-    for label, values in reversed(list(zip(heat.y, heat.values, strict=True))):
-        cells = "".join(_cell(value, heat) for value in values)
-        rows.append(f"<tr><th>{html.escape(label)}</th>{cells}</tr>")
-    return (
-        f'<table class="heat"><caption>rows: {html.escape(panel.y_label)}, columns: '
-        f"{html.escape(panel.x_label)}</caption><thead><tr><th></th>{head}</tr></thead>"
-        f"<tbody>{''.join(rows)}</tbody></table>"
-    )
-
-
-def _cell(value: float | None, heat: Heat) -> str:
-    if value is None:
-        return "<td>–</td>"
-    share = math.log(value / heat.low) / math.log(heat.high / heat.low)
-    return f'<td style="--share:{min(max(share, 0.0), 1.0):.3f}">{value:.0f}</td>'
