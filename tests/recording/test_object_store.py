@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import subprocess
 import sys
@@ -70,21 +69,6 @@ def test_info_and_train_give_the_same_from_a_store_that_is_asked_for_each_block_
     run(capsys, "train", URL, "--out", tmp_path / "remote.npz")
     assert (tmp_path / "remote.npz").read_bytes() == (tmp_path / "local.npz").read_bytes()
     assert 0 < requests(log()) <= (BAG / "bag_0.mcap").stat().st_size // BLOCK + 1
-
-
-def test_a_brief_info_reads_the_index_only(
-    log: Callable[[], str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    brief = run(capsys, "bag", "info", URL, "--brief")
-    assert 0 < requests(log()) <= 3
-    counts = re.compile(r"^/\S+ +\d+|^messages.*|^time.*", re.MULTILINE)
-    full = run(capsys, "bag", "info", URL)
-    assert len(counts.findall(brief)) > 10
-    assert counts.findall(brief) == counts.findall(full)
-    assert "not read" in brief
-    assert "not read" not in full
-    as_json = run(capsys, "bag", "info", URL, "--brief", "--json")
-    assert json.loads(as_json)["index_only"] is True
 
 
 def test_an_error_of_a_store_is_one_line(

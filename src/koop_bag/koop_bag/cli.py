@@ -24,12 +24,6 @@ def register(commands: Any) -> None:
     info = bag.add_parser("info", help="topics, rates, losses, model, parameters")
     info.add_argument("bag", help="folder, file, or URL such as s3://BUCKET/RUN")
     info.add_argument("--parameters", action="store_true", help="print the nodes' parameters, too")
-    info.add_argument(
-        "--brief",
-        action="store_true",
-        help="read the index only, not the messages: no rates, losses, model. Two or three "
-        "requests for a bag of any size in a store",
-    )
     info.add_argument("--json", action="store_true", help="everything, for a program to read")
     info.set_defaults(func=_info)
 
@@ -78,7 +72,7 @@ def _info(args: argparse.Namespace) -> int:
     from koop_bag.bag.reader import BagReader
 
     with BagReader(args.bag) as reader:
-        info = describe(reader, args.brief)
+        info = describe(reader)
     if args.json:
         print(json.dumps(dataclasses.asdict(info) | {"parameters": info.parameters}, indent=1))
     else:

@@ -223,7 +223,7 @@ def test_columns_come_in_batches_that_add_up(write_loop):
 
 
 def test_several_topics_are_read_in_one_pass(write_loop):
-    with BagReader(write_loop(n=500, split_seconds=0.7)) as reader:
+    with BagReader(write_loop(n=500, split_bytes=8_000)) as reader:
         assert len(reader.files) > 2
         tables = read_tables(reader, {"/theta": ["step", "theta"], "/cost": ["r", "sequence"]})
     assert np.array_equal(tables["/theta"]["theta"], -np.arange(500) / 7)

@@ -93,7 +93,7 @@ def test_a_file_of_another_kind_is_refused_before_anything_is_written(tmp_path):
 
 
 def test_a_bag_of_several_files_is_recovered_as_one(write_loop, tmp_path):
-    folder = write_loop(n=1000, split_seconds=1.0)
+    folder = write_loop(n=1000, split_bytes=16_000)
     report = recover(folder, tmp_path / "saved")
     assert (report.messages, report.torn_bytes) == (4000, 0)
     with BagReader(tmp_path / "saved") as reader:

@@ -38,10 +38,7 @@ class TopicInfo:
 
 @dataclass
 class BagInfo:
-    """One bag; the attributes are those that `koop bag info` prints.
-
-    Rates, losses and models are unknown, not absent, if ``index_only``.
-    """
+    """One bag; the attributes are those that `koop bag info` prints."""
 
     path: str
     files: list[str]
@@ -50,7 +47,6 @@ class BagInfo:
     start: float
     duration: float
     messages: int
-    index_only: bool
     topics: list[TopicInfo]
     complete_from: dict[str, int]
     model_ids: list[str]
@@ -67,15 +63,12 @@ class BagInfo:
         }
 
 
-def describe(bag: BagReader, brief: bool = False) -> BagInfo:
-    """Read a bag through, in memory that does not grow with it; ``brief``: its index only.
-
-    The index has no rates, no losses and no models.
-    """
+def describe(bag: BagReader) -> BagInfo:
+    """Read a bag through, in memory that does not grow with it."""
     counters: dict[str, LossCounter] = {}
     fields: dict[str, list[str]] = {}
     for topic in bag.topics:
-        if topic.encoding == "cdr" and topic.definition and not brief:
+        if topic.encoding == "cdr" and topic.definition:
             fields[topic.name] = [LOG_TIME]
             if has_step(topic.type_name, topic.definition):
                 fields[topic.name].append("step")
@@ -108,7 +101,6 @@ def describe(bag: BagReader, brief: bool = False) -> BagInfo:
         bag.start_time * 1e-9,
         bag.duration,
         bag.message_count,
-        index_only=brief,
         topics=topics,
         complete_from=complete_from({t.name: t.steps.first for t in topics if t.steps is not None}),
         model_ids=[model for model in models if model],
@@ -146,8 +138,6 @@ def as_text(info: BagInfo, with_parameters: bool = False) -> str:
             f"{topic.name:<{width}}  {topic.count:>9}  {rate:>8}  {lost:>6}  "
             f"{topic.type_name}{_remarks(topic.steps, ends.get(topic.name, 0))}"
         )
-    if info.index_only:
-        lines += ["", "rates, losses and models were not read: leave out --brief"]
     if with_parameters:
         lines += ["", info.custom.get("parameters", "no parameters were recorded").rstrip()]
     return "\n".join(lines)

@@ -39,9 +39,6 @@ class WriterOptions:
     split_bytes: int = parameter(
         0, "start the next file when this one is that large; 0: never", unit="B", low=0
     )
-    split_seconds: float = parameter(
-        0.0, "start the next file when this one covers that much; 0: never", unit="s", low=0.0
-    )
 
     def __post_init__(self) -> None:
         validate(self)
@@ -227,15 +224,9 @@ class BagWriter:
         counts = chunk.counts()
         for channel, count in counts.items():
             self.topics[channel - 1].count += count
-        record = self._files[-1]
-        record.cover(file.last_start, file.last_end, sum(counts.values()))
+        self._files[-1].cover(file.last_start, file.last_end, sum(counts.values()))
         chunk.clear()
-        options = self.options
-        too_large = options.split_bytes and file.size >= options.split_bytes
-        too_long = (
-            options.split_seconds and record.end - record.start >= options.split_seconds * 1e9
-        )
-        if too_large or too_long:
+        if self.options.split_bytes and file.size >= self.options.split_bytes:
             self._guarded(self._next_file)
 
     def _next_file(self) -> None:
