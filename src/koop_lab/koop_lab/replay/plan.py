@@ -135,13 +135,16 @@ def _differences(
     segments: tuple[ReplaySegment, ...],
     chosen: Values,
 ) -> list[tuple[str, Any, Any]]:
-    """Return the user's values, and the model, where they differ from the recorded ones."""
+    """Return the user's values, and the model, where they differ from the recorded ones.
+
+    What a node reads once at its start, such as `listeners`, decides no answer.
+    """
     before, after = recorded.as_ros(), segments[0].parameters.as_ros()
     differences = [
         (f"{node}.{name}", before[node][name], after[node][name])
         for node in CONTROLLER
         for name in chosen[node]
-        if name != "model" and after[node][name] != before[node][name]
+        if name in after[node] and name != "model" and after[node][name] != before[node][name]
     ]
     first, loop = recording.first_model, segments[0].parameters
     model = loop.load_model()
