@@ -209,7 +209,8 @@ def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
     for argument in ARGUMENTS:
         if argument.name in arguments and argument.node:
             if argument.node not in values:
-                need = "plant:=true" if argument.node == "vdp_plant" else "record:=true"
+                simulated_plant = "the simulated plant: plant:=true, or a section vdp_plant"
+                need = simulated_plant if argument.node == "vdp_plant" else "record:=true"
                 raise ConfigError(f"{argument.name}:={arguments[argument.name]}: needs {need}")
             values[argument.node] |= _values(argument, arguments[argument.name])
     if recorded and simulated:  # a rig's controller waits for no recorder, which could have failed
