@@ -147,7 +147,10 @@ def test_a_loop_in_a_namespace_takes_what_the_file_says_to_it(mine):
         ({"plant": "maybe"}, "plant:=maybe: must be true or false"),
         ({"record": "2"}, "record:=2: must be true or false"),
         ({"namespace": "a-b"}, "namespace:=a-b: is not a namespace"),
-        ({"plant": "false", "pace": "lockstep"}, "pace:=lockstep: needs the simulated plant: plant:=true"),
+        (
+            {"plant": "false", "pace": "lockstep"},
+            "pace:=lockstep: needs the simulated plant",
+        ),
         ({"output": "x"}, "output:=x: needs record:=true"),
         ({"model": "/nowhere.npz"}, "/nowhere.npz: cannot be read"),
         ({"params": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read"),
