@@ -28,6 +28,8 @@ MODULES = {
     "pytest": ("python3-pytest", "pytest"),
     "rosbags": ("python3-rosbags-pip", "rosbags"),
     "scipy": ("python3-scipy", "scipy"),
+    "sklearn": ("python3-sklearn", "scikit-learn"),
+    "threadpoolctl": ("python3-sklearn", "threadpoolctl"),  # it comes with scikit-learn
     "tqdm": ("python3-tqdm", "tqdm"),
     "websockets": ("python3-websockets", "websockets"),
     "yaml": ("python3-yaml", "PyYAML"),
@@ -45,12 +47,10 @@ OPTIONAL = {
     "pyarrow": "export",
     "pydmd": "bench",
     "pykoop": "bench",
-    "sklearn": "bench",
     "upath": "store",
 }
 PYPI = {
     "dpsimpy": "dpsim",
-    "sklearn": "scikit-learn",
     "upath": "universal-pathlib",
 }  # under another name than the module's
 

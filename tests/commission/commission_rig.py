@@ -22,7 +22,7 @@ RIG = RigFile(
     theta_start=1.5,
     theta_safe=1.0,
     channel_max=(8.0, 8.0),
-    time=30.0,
+    time=120.0,
 )
 
 

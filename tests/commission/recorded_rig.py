@@ -9,7 +9,6 @@ from koop_study.commissioning import excitation
 from koop_study.family.config import FamilyConfig
 from koop_study.family.loop import RigController, close_from_end, noise_of
 from koop_study.family.rig import draw
-from koop_tune.excitation import progress
 from koop_tune.rig.scale import Scale
 from koop_tune.search.run import make_esc, make_lifter
 
@@ -27,11 +26,11 @@ def file_of(rig):
     return excitation.file_of(rig, RATE, 1e5)
 
 
-def excited(rig, seed=0, stay=8.0, windows=8):
+def excited(rig, seed=0, stay=8.0, windows=24):
     """Return theta and x of a staircase up and down, then at random."""
     p = rig.params
     values = Scale(p.theta_min, p.theta_max).divide(9)
-    order = [*progress.staircase(True, 9), *np.random.default_rng(seed).permutation(len(values))]
+    order = [*range(9), *range(7, -1, -1), *np.random.default_rng(seed).permutation(len(values))]
     rest = max(round(stay * rig.time / p.dt), windows * round(4 / rig.frequency / p.dt))
     parts, now = [], values[0]
     for level in order:

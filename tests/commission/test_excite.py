@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_commission.rig.graph import identify_publishers
 from koop_commission.rig.listener import Listener
+from koop_commission.stages.excite import read_holds
 from koop_commission.stages.session import refuse_incomplete_state, refuse_small_disk
 from koop_commission.theta.assignment import Assignment
 from koop_commission.theta.commander_client import CommanderClient, find_theta, note_of
@@ -23,6 +25,7 @@ from koop_core.config.fields import parse_field
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_node.client.client import Client
+from koop_tune.excitation import progress
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import THETA, THETA_TYPE
 
@@ -136,15 +139,16 @@ def whole(bag):
 def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml, koop, tmp_path):
     done = tmp_path / "run" / "excite.json"
 
-    def visits():
-        return len(json.loads(done.read_text())["visits"]) if done.exists() else 0
+    def holds():
+        return len(json.loads(done.read_text())["holds"]) if done.exists() else 0
 
     first = koop("excite", rig_yaml, "--out", "run")
-    wait(lambda: visits() >= 1, "a visit", first)
+    wait(lambda: holds() >= 2, "two holds", first)
     first.send_signal(signal.SIGINT)
     out, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130, error
-    assert "9 values of theta from -1 to 2, up and down, then in random order: at most" in out
+    assert "theta goes from -1 to 2 and back, then to where it tells most: at most" in out
+    assert out.count("(over the range)") == holds()
     assert (
         f"theta is back at 1, or was not moved; to resume: ./koop excite {rig_yaml} --out run"
         in out
@@ -154,19 +158,33 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     assert {"/fast", "/fast/knob", "/state", "/cost", "/theta"} <= topics
     assert (np.diff(theta["step"].astype(int)) >= 0).all()  # said again while the nodes end
     assert theta["theta"][-1] == RIG.theta_safe  # the way home is on record
-    before = visits()
+    before = json.loads(done.read_text())["holds"]
     second = koop("excite", rig_yaml, "--out", "run")
-    wait(lambda: visits() > before, "another visit", second)
-    wait(lambda: fast_rig.theta < 0.9, "theta to be elsewhere", second)
+    wait(lambda: holds() > len(before), "another hold", second)
+    wait(lambda: fast_rig.theta != RIG.theta_safe, "theta to be elsewhere", second)
     second.kill()
     out = second.communicate(timeout=TIMEOUT)[0]
-    assert f"{before} visits were done before" in out
+    assert f"{len(before)} holds were done before" in out
     wait(lambda: fast_rig.theta == RIG.theta_safe, "theta to come home")
     bag = tmp_path / "run/part-2/bag"
     wait(lambda: (bag / "metadata.yaml").exists(), "the bag to be closed")
     whole(bag)
     assert_walked(fast_rig.moved, RIG)
     assert find_theta(note_of(rig_yaml), RIG, ()) == (RIG.theta_safe, "")
+    # the third would know all that the two had recorded
+    state = progress.load(RIG, tmp_path / "run")
+    theta = [hold.theta for hold in state.holds]
+    assert theta[: len(before)] == [hold[0] for hold in before]
+    kept = read_holds(RIG, tmp_path / "run", state)
+    assert RIG.scale.theta(np.array([hold.u for hold in kept])) == pytest.approx(theta, abs=0.01)
+
+
+def test_a_time_that_is_too_short_is_refused_before_theta_moves(fast_rig, koop, tmp_path):
+    rig_file.write(replace(RIG, time=10.0), tmp_path / "short.yaml")
+    out, error = koop("excite", "short.yaml", "--out", "run").communicate(timeout=TIMEOUT)
+    assert "periods of 0.05 s; which of them react" in out
+    assert re.search(r"of time = 10 in the rig file \d+ s are left: set time = \d+ or more", error)
+    assert min(theta for _, theta in fast_rig.moved) == RIG.theta_safe  # on its way from 1.5
 
 
 def test_what_cannot_be_recorded_is_refused_before_theta_moves(tmp_path):

@@ -12,10 +12,11 @@ from recorded_rig import excited, file_of, loaded_of, rig_of, write_bag
 from koop_commission.report import write_report
 from koop_lab.cli.main import main
 from koop_tune.excitation import progress
-from koop_tune.excitation.features import choose_bands, log_amplitudes
-from koop_tune.excitation.visits import Visit, summarise
+from koop_tune.excitation.amplitude import Windows
+from koop_tune.excitation.design import KNOWN, Design
+from koop_tune.excitation.progress import HoldSummary
 from koop_tune.rig import rig_file
-from koop_tune.rig_model.dwells import find_rests
+from koop_tune.rig_model.dwells import find_holds
 
 QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05),
          "optimum": (0.3, 0.7), "channels": (2, 2), "noise_driven": 0.0}  # fmt: skip
@@ -28,19 +29,14 @@ def excitation(folder, rig):
     """Make what `koop excite` leaves."""
     file, (theta, x) = file_of(rig), excited(rig)
     write_bag(folder / "part-1/bag", rig, theta, x)
-    dt, loaded = rig.params.dt, loaded_of(theta, x)
-    bands = choose_bands(x, round(8.0 / rig.frequency / dt), dt)
-    visits = []
-    values = file.scale.divide(9)
-    for level, begin, end, _ in find_rests(loaded, file.scale, bands.length)[1]:
-        series = np.array([log_amplitudes(x[k : k + bands.length], bands)
-                           for k in range(begin, end, bands.length)])  # fmt: skip
-        summary = summarise(series, [0])
-        mean, error = (tuple(figures.tolist()) for figures in (summary.mean, summary.error))
-        settled = summary.skip * bands.length * dt
-        visits.append(Visit(level, mean, error, settled, (end - begin) * dt))
+    windows = Windows(round(8.0 / rig.frequency / rig.params.dt), rig.params.dt)
+    design = Design(file, find_holds(loaded_of(theta, x), file.scale, windows.length), windows)
+    holds = [
+        HoldSummary(file.scale.theta_at(hold.u), level.mean, level.error, 1.0, 10.0, "a reason")
+        for hold, level in zip(design.holds, design.levels(), strict=True)
+    ]
     state = progress.ExcitationProgress(
-        0, values, bands, visits, [], theta.size * dt, ["part-1"], True
+        design.windows, design.amplitude, holds, theta.size * rig.params.dt, ["part-1"], ended=KNOWN
     )
     progress.save(state, file, folder)
     rig_file.write(file, folder / "rig.yaml")
@@ -59,11 +55,11 @@ def verification(folder, rig, file):
         write_bag(folder / bag, rig, way, rig.record(way, number)[0], loop=True)
         runs.append({"start": start, "bag": bag, "time_to_converge": 60.0, "distance": 0.01,
                      "amplitude_before": 3.0, "amplitude": 0.5, "excess": 1.0, "reduction": 6.0,
-                     "theta": best, "swing": 0.0, "error": 0.01,
+                     "theta": best, "low": best, "high": best, "error": 0.01, "doubt": 0.01,
                      "closed": {"seconds": 100.0, "steps": [rest, way.size - 1]}})  # fmt: skip
     tuned = json.loads((folder / "tuned/tune.json").read_text())
     found = {"rounds": [{"round": 1, "runs": runs, "prediction": tuned["predicted"],
-                         "agrees": True, "says": "as predicted"}],
+                         "agrees": True, "damped": True, "says": "damped as predicted"}],
              "damped": True, "feature": "x[0]",
              "verdict": "From 2 starts. It converged. The rig is damped."}  # fmt: skip
     (folder / "verify.json").write_text(json.dumps(found))
@@ -118,14 +114,15 @@ def test_the_page_draws_what_was_recorded(commissioned, width, dark, tmp_path):
     # one amplitude a window; it falls as that of the rig itself does
     amplitude = one(drawn, "run-1-0", 1, "measured")
     closed = round(60.0 / rig.params.dt) + round(40.0 / rig.params.dt)
-    assert amplitude["count"] == closed // tuned["windows"]["length"]
+    assert amplitude["count"] == closed // tuned["amplitude"]["length"]
     fall = amplitude["largest"] / amplitude["least"]
     assert fall == pytest.approx(rig.amplitude(file.theta_min) / rig.amplitude(best), rel=0.3)
-    # nine values of theta in the static map and in that of every cost
-    assert one(drawn, "map", 0, "two standard errors")["count"] == 9
+    # every hold in the static map and in that of every cost
+    bars = one(drawn, "map", 0, "hold, two standard errors")
+    assert bars["count"] == len(tuned["static_map"]["theta"])
     made = [cost for cost in tuned["costs"] if cost["map"]]
     for k, cost in enumerate(made):
-        mean = one(drawn, "costs-figure", k, "mean")
+        mean = one(drawn, "costs-figure", k, "holds")
         assert mean["least"] == pytest.approx(min(cost["map"]["r"]), rel=1e-3)
         assert mean["largest"] == pytest.approx(max(cost["map"]["r"]), rel=1e-3)
 
@@ -146,11 +143,11 @@ def test_the_interference_is_marked_and_the_oscillation_is_not(commissioned):
         assert float(most) == pytest.approx(rig.params.tone_amplitude.max(), rel=0.02)
 
 
-def test_the_best_theta_is_marked_between_what_it_may_be(commissioned):
+def test_the_best_theta_is_marked_in_its_valley(commissioned):
     _, rig, pages = commissioned
     (mark,) = figures_of(pages["tuned"])["map"]["panels"][0]["marks"]
     span = rig.params.theta_max - rig.params.theta_min
-    assert mark["low"] <= mark["x"] <= mark["high"]
+    assert mark["low"] < mark["x"] < mark["high"]
     assert abs(mark["x"] - rig.best()[0]) < 0.1 * span
     assert mark["high"] - mark["low"] < 0.3 * span
 
@@ -180,12 +177,12 @@ def test_a_page_of_a_refusal_shows_the_map_and_what_to_record(tmp_path, capsys):
     first, why, then = verdict_of(page)
     assert "monotone" in why
     assert "limit" in then
-    assert "best near" not in first
+    assert "valley" not in first
     result, errors = browse(page, DESK, tmp_path)
     assert errors == []
     (mark,) = figures_of(page)["map"]["panels"][0]["marks"]
     assert mark["x"] == pytest.approx(rig.best()[0], rel=1e-3)  # a limit
-    drawn = one(result["drawn"], "map", 0, "fit")
+    drawn = one(result["drawn"], "map", 0, "map")
     truth = [rig.amplitude(theta) for theta in (rig.params.theta_min, rig.params.theta_max)]
     assert drawn["largest"] / drawn["least"] == pytest.approx(max(truth) / min(truth), rel=0.3)
 
@@ -193,7 +190,7 @@ def test_a_page_of_a_refusal_shows_the_map_and_what_to_record(tmp_path, capsys):
 def test_what_is_torn_or_gone_is_said(commissioned, tmp_path):
     folder, _, _ = commissioned
     _, state = progress.read(folder)
-    progress.save(replace(state, parts=["part-1", "part-2"], done=False), progress.read(folder)[0],
+    progress.save(replace(state, parts=["part-1", "part-2"], ended=""), progress.read(folder)[0],
                   tmp_path)  # fmt: skip
     (tmp_path / "part-1").symlink_to(folder / "part-1")
     page = write_report(tmp_path).read_text()

@@ -43,7 +43,7 @@ def test_the_tuned_loop_damps_the_rig_as_predicted(seed, family, cost):
     rig = rig_of(seed, **QUICK, **family, noise_driven=0.0, maps={"symmetric": 1.0})
     found = tune(*recorded(rig), settings=TuningSettings(effort=0.1))
     assert found.chosen.name.startswith(cost)
-    best = found.findings.scale.theta_at(found.findings.amplitude.best())
+    best = found.findings.scale.theta_at(found.findings.static_map.best())
     assert abs(best - rig.best()[0]) < 0.1 * (rig.params.theta_max - rig.params.theta_min)
     predicted = found.prediction.excess
     assert 0.9 < predicted.low <= predicted.middle <= predicted.high < 1.5
@@ -60,7 +60,7 @@ def test_the_tuned_loop_damps_the_rig_as_predicted(seed, family, cost):
 def test_a_rig_without_an_optimum_is_refused(name, kind):
     rig = rig_of(2, **QUICK, maps={name: 1.0}, clean=1.0, noise_driven=0.0)
     with pytest.raises(NoOptimum, match=r"record|leave theta there") as no:
-        analyse(*recorded(rig, windows=12))
+        analyse(*recorded(rig))
     assert no.value.kind == kind
     if name == "monotone":
         worst = rig.best()[0] > 0.5 * (rig.params.theta_min + rig.params.theta_max)
@@ -71,8 +71,8 @@ def test_the_time_constant_is_that_of_the_rig():
     rig = rig_of(4, **{**QUICK, "amplitude_time": (20.0, 20.0)}, clean=1.0, noise_driven=0.0)
     loaded, file, training = recorded(rig, stay=5.0)
     seen = analyse(loaded, file, training)
-    times = fit_times(loaded, seen.dwells, seen.amplitude, seen.scale, file.dt)
-    tau = [times.tau(float(a), up) for a in seen.amplitude.mean for up in (True, False)]
+    times = fit_times(loaded, seen.dwells, seen.static_map, seen.scale, file.dt)
+    tau = [times.tau(float(a), up) for a in seen.static_map.mean for up in (True, False)]
     # d a^2/dt = a^2 (1 - a^2 / L^2) / tau: near L the amplitude's own time is tau
     assert 0.4 * rig.slowest < np.median(tau) < 2.0 * rig.slowest
 
@@ -81,7 +81,7 @@ def test_an_optimum_in_doubt_is_tuned_for_and_said():
     """Below the optimum little gets worse, less than the errors; above it much does."""
     rig = rig_of(3, **{**QUICK, "optimum": (0.85, 0.85)}, clean=1.0, noise_driven=0.0,
                  maps={"one-sided": 1.0}, quiet=0.0)  # fmt: skip
-    loaded, file, training = recorded(rig, windows=12)
+    loaded, file, training = recorded(rig)
     noisy = loaded.x + np.random.default_rng(0).normal(0.0, 2.0 * loaded.x.std(), loaded.x.shape)
     found = analyse(replace(loaded, x=noisy), file, training)
     assert "towards theta_min is not certain" in found.doubt

@@ -20,8 +20,9 @@ from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_lab.cli.main import main
 from koop_tune.excitation import progress
-from koop_tune.excitation.features import Bands
-from koop_tune.excitation.visits import Visit
+from koop_tune.excitation.amplitude import Amplitude, Windows
+from koop_tune.excitation.design import KNOWN
+from koop_tune.excitation.progress import HoldSummary
 from koop_tune.folder import find_controller
 from koop_tune.rig import rig_file
 
@@ -29,11 +30,16 @@ pytestmark = pytest.mark.ros
 LONG = 3.0 * TIMEOUT  # [s] for a command that starts four nodes on a busy machine
 ONE = replace(RIG, measured="/fast:data[0]", channel_max=(8.0,), theta_rate=4.0)
 VALUES = RIG.scale.divide(9)
+WINDOWS = Windows(50, DT)  # four periods
+GROUPS = (np.abs(WINDOWS.frequency - 20.0) < 11.0).astype(float)
+AMPLITUDE = Amplitude(WINDOWS, 2.0 * GROUPS[None], 0.0, 1e-3)  # a power is half a square
 TUNED = {
-    "verdict": "tuned", "feature": "data[0]", "theta_best": BEST, "time": 0.2,
-    "windows": {"length": 50, "edges": [1, 3, 6, 10], "dt": DT, "feature": 0},
+    "verdict": "tuned", "feature": "data[0]", "theta_best": BEST, "time": 0.2, "growth": 0.0,
+    "amplitude": AMPLITUDE.as_json(),
+    "best": {"log": np.log(0.31), "error": 0.01, "valley": [0.25, 1.35], "floor": 1e-3},
     "static_map": {"theta": VALUES, "amplitude": [0.31 + (v - BEST) ** 2 for v in VALUES],
-                   "error": [0.01] * 9},
+                   "error": [0.01] * 9,
+                   "curve": {"theta": VALUES, "amplitude": [1.0] * 9, "error": [0.01] * 9}},
     "predicted": {
         "duration": 4.0, "runs": 64,
         "converges": {"low": 0.5, "middle": 1.0, "high": 2.0},
@@ -79,11 +85,9 @@ def tuned(tmp_path):
     folder = tmp_path / "run"
     (folder / "tuned").mkdir(parents=True)
     rig_file.write(ONE, tmp_path / "rig.yaml")
-    bands = Bands(50, (1, 3, 6, 10), DT)
-    visits = [Visit(level, (0.0,) * 4, (0.1,) * 4, 0.2, 1.0) for level in [*range(9), *range(9)]]
-    progress.save(
-        progress.ExcitationProgress(0, VALUES, bands, visits, [], 9.0, [], True), ONE, folder
-    )
+    holds = [HoldSummary(theta, 0.0, 0.1, 0.2, 1.0) for theta in VALUES]
+    state = progress.ExcitationProgress(WINDOWS, AMPLITUDE, holds, 9.0, ended=KNOWN)
+    progress.save(state, ONE, folder)
     progress.write_json(folder / "commission.json", {"fit": True})
     progress.write_json(folder / "tuned/tune.json", TUNED)
     parameter_file.write(CONSTANTS, folder / "tuned/controller.yaml")
@@ -198,14 +202,16 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
     assert not (tmp_path / "new/tuned/controller.yaml").exists()
 
 
-def test_the_best_round_is_kept_where_none_damped_as_predicted(tuned, tmp_path, capsys):
+def test_the_best_round_is_kept_where_none_damped(tuned, tmp_path, capsys):
     run = {"time_to_converge": 1.0, "distance": 0.1, "amplitude_before": 1.0, "amplitude": 0.3,
-           "error": 0.0, "reduction": 3.0, "theta": BEST, "swing": 0.1, "start": 0.0,
+           "error": 0.0, "doubt": 0.0, "reduction": 3.0, "theta": BEST, "low": BEST, "high": BEST,
+           "start": 0.0,
            "bag": "", "closed": {"seconds": 1.0, "steps": [0, 9]}}  # fmt: skip
     rounds = [
-        {"round": i + 1, "agrees": i == 2, "says": "worse", "prediction": TUNED["predicted"],
-         "runs": [{**run, "excess": 1.1}, {**run, "excess": worst}]}
-        for i, worst in enumerate((3.0, 1.45, 2.0))
+        {"round": i + 1, "agrees": i == 2, "damped": False, "says": "worse",
+         "prediction": TUNED["predicted"],
+         "runs": [{**run, "excess": e, "amplitude": 0.31 * e} for e in (1.1, worst)]}
+        for i, worst in enumerate((3.0, 1.8, 2.0))
     ]  # fmt: skip
     verified = {"rounds": rounds, "damped": False, "verdict": ""}
     progress.write_json(tuned / "verify.json", verified)
@@ -219,8 +225,10 @@ def test_the_best_round_is_kept_where_none_damped_as_predicted(tuned, tmp_path, 
         assert main(words) == 1
         assert (tuned / "tuned/mark").read_text() == "the second"
         assert (tuned / "tuned-3/controller.yaml").exists()
-        assert "1.1 and 1.45 times the best" in capsys.readouterr().out
-    assert json.loads((tuned / "verify.json").read_text())["damped"]
+        out = capsys.readouterr().out
+        assert "round 2 damped the rig best: its controller is kept" in out or _
+        assert "is 1.8 times the best of the map. The rig is not damped after 3 rounds" in out
+    assert not json.loads((tuned / "verify.json").read_text())["damped"]
 
 
 def test_a_folder_is_run_by_its_name_and_may_be_moved(tuned, tmp_path):

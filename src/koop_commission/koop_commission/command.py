@@ -16,6 +16,7 @@ from koop_commission.theta.commander_client import note_of
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_tune.excitation import progress
+from koop_tune.excitation.design import FLAT, KNOWN
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
@@ -33,8 +34,8 @@ def register(commands: Any) -> None:
         description="Checks a rig, moves theta over its range and records, tunes a controller, "
         "closes the loop and compares it with the prediction; where they disagree it tunes again "
         "with the new recordings, at most three rounds. Whatever ends it, theta returns to "
-        "theta_safe, and the same command resumes. Exit code 0 only if the rig is damped as "
-        "predicted. With --new it asks for the content of a rig file and proposes topics and "
+        "theta_safe, and the same command resumes. Exit code 0 only if the rig is "
+        "damped. With --new it asks for the content of a rig file and proposes topics and "
         "fields of the live graph; Enter takes the proposal in brackets.",
     )
     parser.add_argument("rig", metavar="RIG.YAML", nargs="?", help="rig file, from --new")
@@ -48,7 +49,7 @@ def register(commands: Any) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code: 0 only if the rig is damped as predicted."""
+    """Entry point; returns the exit code: 0 only if the rig is damped."""
     from koop_commission.report import try_report  # slow to import
 
     if (args.rig is None) == (args.new is None):
@@ -107,7 +108,7 @@ class Commissioning:
         while True:
             rounds = load_verification(self._folder).finished
             number = len(rounds) + 1
-            if rounds and (rounds[-1].damped_as_predicted or number > VERIFICATION.rounds):
+            if rounds and (rounds[-1].damped or number > VERIFICATION.rounds):
                 break
             if rounds:
                 self._set_aside(len(rounds))
@@ -132,18 +133,12 @@ class Commissioning:
     def _excite(self) -> bool:
         self._begin("excite")
         state = progress.load(self._rig, self._folder)
-        if state is not None and (state.done or state.elapsed >= self._rig.time):
+        if state is not None and (state.ended in (KNOWN, FLAT) or state.elapsed >= self._rig.time):
             print("done before")
         else:
             state = excite(self._rig, self._folder, self._note)
-            print(describe_result(self._rig, state))
-        if state.lacks_visits:
-            print(
-                f"\ntheta was not at each dwell point twice in {self._rig.time:g} s: set a longer "
-                "'time' in the rig file and run the same command again"
-            )
-            return False
-        return True
+        print(describe_result(self._rig, state))
+        return state.ended == KNOWN
 
     def _tune(self, number: int) -> bool:
         self._begin(f"tune, round {number}")
@@ -178,8 +173,9 @@ class Commissioning:
             print(f"\nround {index + 1} damped the rig best: its controller is kept")
             self._set_aside(len(rounds))
             old.rename(self._folder / TUNED)
-        print("\n" + verify.judge(self._rig, self._folder, index).verdict)
-        return 0 if rounds[index].damped_as_predicted else 1
+        verification = verify.judge(self._rig, self._folder, index)
+        print("\n" + verification.verdict)
+        return 0 if verification.damped else 1
 
     def _begin(self, stage: str) -> None:
         print(f"\n== {stage}", flush=True)

@@ -50,6 +50,12 @@ def test_a_source_that_is_slower_than_the_file_says_shows_in_the_interval():
     assert measure_rhythm(samples(np.arange(N) * 2.0 * DT), DT).interval == pytest.approx(2.0 * DT)
 
 
+def test_messages_without_stamps_that_come_in_bursts_have_the_interval_at_which_they_were_sent():
+    sent = np.arange(N) * DT
+    bursts = np.ceil(sent / (5.0 * DT)) * 5.0 * DT + 1e-5 * np.arange(N)  # five at once
+    assert measure_rhythm(samples(bursts), DT).interval == pytest.approx(DT, rel=0.01)
+
+
 @pytest.mark.parametrize("kept", [slice(None), slice(3, None, 2)])
 def test_a_rig_at_another_pace_has_its_own_interval_and_the_clocks_rate(kept):
     sent = np.arange(N) * DT / 4.0  # simulated at four times real time

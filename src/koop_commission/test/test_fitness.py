@@ -12,15 +12,14 @@ from koop_commission.fitness.fitness import (
     BAD,
     NOTE,
     OK,
+    Blocks,
     Finding,
     choose_period,
-    compute_block_features,
     describe_lines,
     judge_arrivals,
     judge_channel,
     judge_reaction,
     judge_samples,
-    name_block_features,
 )
 from koop_commission.fitness.reaction import (
     Reaction,
@@ -33,8 +32,8 @@ from koop_commission.fitness.samples import Samples, refuse_dead
 from koop_commission.fitness.settings import CheckSettings
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
+from koop_tune.excitation.amplitude import Windows
 from koop_tune.excitation.channels import ChannelSummary, Line
-from koop_tune.excitation.features import choose_bands
 from koop_tune.rig.rig_file import RigFile
 
 DT = 0.01
@@ -98,8 +97,8 @@ def test_a_dead_sensor_and_a_command_that_is_not_applied_are_a_finding_each():
     assert [(f.name, f.text) for f in findings if f.level == BAD] == [
         ("channel", "y is always 0.5: dead sensor")
     ]
-    bands = choose_bands(noise[0][:, None], 300, DT)
-    features = np.array([compute_block_features(x[:300, None], bands) for x in noise])
+    blocks = Blocks.choose(noise[0][:, None], Windows(300, DT))
+    features = np.array([blocks.features(x[:300, None]) for x in noise])
     reaction = compare_blocks(features, draw_order(8, random.Random(5)))
     finding = judge_reaction(reaction, ["x"], "theta from 0 to 1")
     assert finding.level == BAD
@@ -174,18 +173,19 @@ def test_other_settings_judge_otherwise():
 
 
 def test_a_reaction_is_told_by_its_feature():
-    bands = choose_bands(np.sin(T)[:, None], 300, DT)
-    names = name_block_features(bands, ["x"])
-    assert names[0] == "x"
+    x = np.sin(10.0 * T)[:, None]
+    blocks = Blocks.choose(x, Windows(300, DT))
+    names = blocks.names(["x"])
+    assert names[0].startswith("x from 0.333 to ")  # Hz
     assert names[-1] == "mean x"
-    assert len(names) == compute_block_features(np.sin(T[:300])[:, None], bands).size
+    assert len(names) == blocks.features(x[:300]).size
     level = judge_reaction(Reaction(0.01, len(names) - 1, 0.25), names, "theta from 0 to 1")
     assert (
         level.text
         == "reaches the rig with 99 % confidence; theta from 0 to 1: mean x moves by 0.25"
     )
     halved = judge_reaction(Reaction(0.01, 0, math.log(0.5)), names, "theta from 0 to 1")
-    assert halved.text.endswith("x falls by 50 %")
+    assert halved.text.endswith(" Hz falls by 50 %")
 
 
 def test_further_lines_are_named_as_possible_interference():

@@ -24,9 +24,9 @@ from koop_commission.report.verdict import DONE, MISSING, NO, list_stages, write
 from koop_commission.report.write import try_report, write_report
 from koop_core.config.parameter import ConfigError
 from koop_tune.excitation import progress
-from koop_tune.excitation.features import Bands
-from koop_tune.excitation.progress import ExcitationProgress
-from koop_tune.excitation.visits import Visit
+from koop_tune.excitation.amplitude import Amplitude, Windows
+from koop_tune.excitation.design import FLAT, KNOWN, TIME
+from koop_tune.excitation.progress import ExcitationProgress, HoldSummary
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.spectra import Spectra
 from koop_tune.search.agreement import Measured
@@ -45,48 +45,52 @@ BAND = {
     "excess": {"low": 1.0, "middle": 1.02, "high": 1.05},
     "reduction": {"low": 3.5, "middle": 3.8, "high": 4.0},
 }  # fmt: skip
-CURVE = {"theta": THETA, "amplitude": [4.0, 1.0, 3.0]}
+CURVE = {"theta": THETA, "amplitude": [4.0, 1.0, 3.0], "error": [0.1, 0.2, 0.1]}
+WINDOWS = Windows(200, DT)
+AMPLITUDE = Amplitude(WINDOWS, np.eye(1, len(WINDOWS.edges) - 1, 3), 0.0, 0.01)  # of x at 2 Hz
 PATH = {"start": -1.0, "time": [1.0, 2.0],
         "theta": {"low": [-1.0, 0.8], "middle": [-0.9, 0.9], "high": [-0.8, 1.0]},
         "amplitude": {"low": [3.0, 1.0], "middle": [3.5, 1.1], "high": [4.0, 1.2]}}  # fmt: skip
 COST = {"name": "raw", "evidence": 1234.0, "score": 1.2, "problem": "",
-        "map": {"theta_best": 0.9, "theta": THETA, "r": [8.0, 0.5, 5.0], "error": [0.1] * 3,
-                "visits": [[8.0], [0.5, 0.6], [5.0]]}}  # fmt: skip
+        "map": {"theta_best": 0.9, "theta": THETA, "r": [8.0, 0.5, 5.0],
+                "error": [0.1] * 3}}  # fmt: skip
 BLIND = {**COST, "name": "lifted", "problem": "no model", "map": None, "score": None}
 TUNED = {
-    "verdict": "tuned", "feature": "x", "theta_best": 0.9, "theta_best_band": [0.8, 1.1],
-    "windows": {"length": 200, "edges": [1, 3, 5, 9], "dt": DT, "feature": 0},
+    "verdict": "tuned", "feature": "x", "theta_best": 0.9,
+    "best": {"log": math.log(0.95), "error": 0.1, "valley": [0.8, 1.1], "floor": 0.01},
+    "amplitude": AMPLITUDE.as_json(), "modes": [],
     "static_map": {"theta": THETA, "amplitude": [4.0, 1.0, 3.0], "error": [0.1] * 3,
-                   "curve": CURVE, "visits": [[4.0, 4.1], [1.0], [3.0]]},
+                   "curve": CURVE},
     "cost": "raw", "constants": {"law": "adaptive"}, "doubt": "", "why": "as good as any",
     "costs": [COST, BLIND], "predicted": BAND, "paths": [PATH, {**PATH, "start": 3.0}],
     "parameters": [{"name": "dwell", "value": 0.25, "unit": "s", "reason": "search",
                     "node": "relay_esc"}],
 }  # fmt: skip
-FLAT = {**TUNED, "verdict": "flat", "why": "the amplitude varies by 3 % with errors of 4 %"}
-MEASURED = Measured(50.0, 0.02, 4.0, 1.1, 0.01, 1.1, 3.6, 0.9, 0.2)
+REFUSED = {**TUNED, "verdict": "flat", "why": "the amplitude varies by 3 % with errors of 4 %"}
+MEASURED = Measured(50.0, 0.02, 4.0, 1.1, 0.01, 0.01, 1.1, 3.6, 0.9, 0.8, 1.0)
 
 
-def excitation(visits=(), done=True):
-    bands = Bands(200, (1, 3, 5, 9), DT)
-    return ExcitationProgress(0, THETA, bands, list(visits), [], 60.0, [], done)
+def excitation(holds=(), ended=KNOWN, elapsed=60.0):
+    return ExcitationProgress(WINDOWS, AMPLITUDE, list(holds), elapsed, ended=ended)
 
 
-def visits():
-    return [Visit(level, (math.log(a),) * 4, (0.1,) * 4, 2.0, 8.0)
-            for level, a in enumerate((4.0, 1.0, 3.0)) for _ in range(2)]  # fmt: skip
+def holds():
+    return [HoldSummary(theta, math.log(a), 0.1, 2.0, 8.0, "over the range")
+            for theta, a in zip(THETA, (4.0, 1.0, 3.0), strict=True)]  # fmt: skip
 
 
 def contents(tuned=None, rounds=(), verdict="", **changes):
     """Return the contents of a folder that holds no file."""
-    state = changes.pop("excitation", excitation(visits()))
+    state = changes.pop("excitation", excitation(holds()))
     verification = Verification(tuple(rounds), False, "x", verdict)
     return Contents(Path("run"), replace(RIG, **changes), state, tuned or {}, verification)
 
 
 def round_of(number=1, agrees=True, excess=1.1):
     runs = (LoopRun(-1.0, replace(MEASURED, excess=excess), "verify-1/start-1/bag", 90.0, (0, 9)),)
-    return Round(number, Prediction.from_json(BAND), runs, agrees, "as predicted, or better")
+    return Round(
+        number, Prediction.from_json(BAND), runs, agrees, bool(agrees), "damped as predicted"
+    )
 
 
 def states(c):
@@ -94,38 +98,42 @@ def states(c):
 
 
 def test_each_stage_has_its_state_and_the_command_that_makes_it():
-    new = contents(excitation=excitation(done=False))
+    new = contents(excitation=excitation(ended=""))
     assert states(new) == {"Rig": DONE, "Excite": MISSING, "Tune": MISSING, "Verify": MISSING}
     texts = [stage.text for stage in list_stages(new)]
     assert texts[0] == "x measured; theta on /b"
-    assert texts[1] == (
-        "0 visits of 0 of 3 dwell points; to resume: ./koop excite RIG.YAML --out run"
-    )
+    assert texts[1] == ("0 holds in 60 s; to resume: ./koop excite RIG.YAML --out run")
     assert states(contents(TUNED)) == {"Rig": DONE, "Excite": DONE, "Tune": DONE, "Verify": MISSING}
-    assert states(contents(FLAT))["Tune"] == NO
+    assert states(contents(REFUSED))["Tune"] == NO
     assert states(contents(TUNED, [round_of()]))["Verify"] == DONE
     assert states(contents(TUNED, [round_of(agrees=False)]))["Verify"] == NO
     assert states(contents(TUNED, [round_of(), round_of(2, None)]))["Verify"] == MISSING
 
 
-def test_an_excitation_whose_time_is_over_is_done_and_says_so():
-    state = replace(excitation(visits(), done=False), elapsed=2000.0)
-    stage = list(list_stages(contents(excitation=state)))[1]
-    assert (stage.state, stage.text) == (
-        DONE, "6 visits of 3 of 3 dwell points; the 1800 s were over"
-    )  # fmt: skip
+@pytest.mark.parametrize(
+    ("ended", "elapsed", "state", "why"),
+    [
+        (KNOWN, 60.0, DONE, "the map is known"),
+        (FLAT, 60.0, NO, "nothing reacts"),
+        (TIME, 1801.0, NO, "the 1800 s were over before the map was known"),
+        (TIME, 60.0, NO, "the map is not known, and more holds would not help"),
+    ],
+)
+def test_an_excitation_that_ended_says_why(ended, elapsed, state, why):
+    stage = list(list_stages(contents(excitation=excitation(holds(), ended, elapsed))))[1]
+    assert (stage.state, stage.text) == (state, f"3 holds in {elapsed:.0f} s: {why}")
 
 
 def test_three_sentences_say_what_is_known_and_what_comes_next():
-    rig, controller, following = write_sentences(contents(excitation=excitation(done=False)))
+    rig, controller, following = write_sentences(contents(excitation=excitation(ended="")))
     assert rig == "The oscillation over theta from -1 to 3 is not known yet."
     assert controller == "Cost and constants are not chosen yet."
     assert following.endswith("to resume: ./koop excite RIG.YAML --out run.")
     rig, _, following = write_sentences(contents())
-    assert rig.endswith("the amplitude of x is between 1 at 1 and 4 at -1.")
+    assert rig.endswith("the amplitude of x at 2 Hz is between 1 at 1 and 4 at -1.")
     assert following == "Next: ./koop tune RIG.YAML run."
     rig, controller, following = write_sentences(contents({**TUNED, "doubt": "a limit"}))
-    assert rig.endswith("; it is best near 0.9 (0.8 to 1.1).")
+    assert rig.endswith("; its valley is from 0.8 to 1.1.")
     assert "converge in 40 (30 to 60) s and to stay within a factor of 1.02" in controller
     assert controller.endswith("In doubt: a limit.")
     assert "not verified on the rig yet: ./koop verify RIG.YAML run" in following
@@ -137,11 +145,12 @@ def test_the_largest_amplitude_is_the_best_where_it_is_maximised():
 
 
 @pytest.mark.parametrize(
-    ("verdict", "hint"), [("flat", "koop check"), ("monotone", "limit"), ("drowned", "longer")]
+    ("verdict", "hint"),
+    [("flat", "koop check"), ("monotone", "limit"), ("drowned", "longer"), ("undamped", "closer")],
 )
 def test_a_refusal_gives_its_reason_and_what_to_do(verdict, hint):
-    _, controller, following = write_sentences(contents({**FLAT, "verdict": verdict}))
-    assert controller == f"No controller ({verdict}): {FLAT['why']}."
+    _, controller, following = write_sentences(contents({**REFUSED, "verdict": verdict}))
+    assert controller == f"No controller ({verdict}): {REFUSED['why']}."
     assert hint in following
 
 
@@ -154,7 +163,7 @@ def test_the_verdict_of_a_verification_is_split_into_its_sentences():
 
 def test_sections_follow_how_far_the_commissioning_has_come():
     names = [[part.name for part in make_sections(c)]
-             for c in (contents(), contents(FLAT), contents(TUNED))]  # fmt: skip
+             for c in (contents(), contents(REFUSED), contents(TUNED))]  # fmt: skip
     assert names[0] == ["rig-section", "map-section", "spectra", "recordings"]
     assert names[1] == ["rig-section", "map-section", "spectra", "costs", "recordings"]
     assert names[2][3:] == ["costs", "loop", "constants-section", "recordings"]
@@ -169,23 +178,26 @@ def test_the_rig_file_is_a_table_with_the_meaning_of_each_key():
     assert "least theta" in table.cell("theta_min", "meaning")
 
 
-def test_the_static_map_has_visits_fit_errors_and_the_best_theta_with_its_band():
+def test_the_static_map_has_holds_fit_errors_and_the_best_theta_with_its_valley():
     section = make_static_map(contents(TUNED))
     (panel,) = section.figures[0].panels
-    assert [s.name for s in panel.series] == ["each visit"] * 2 + ["fit", "two standard errors"]
-    assert panel.series[1].x == [-1.0]  # the only value that was visited twice
+    assert [s.kind for s in panel.series] == ["band", "line", "bars"]
+    assert panel.series[0].upper == pytest.approx(
+        np.array([4.0, 1.0, 3.0]) * np.exp([0.2, 0.4, 0.2])
+    )
     bars = panel.series[-1]
     assert bars.y == pytest.approx(np.array([4.0, 1.0, 3.0]) / math.exp(0.2))
     assert bars.upper == pytest.approx(np.array([4.0, 1.0, 3.0]) * math.exp(0.2))
     (mark,) = panel.marks
     assert (mark.x, mark.low, mark.high) == (0.9, 0.8, 1.1)
-    monotone = make_static_map(contents({**FLAT, "verdict": "monotone", "theta_best": 2.9}))
+    monotone = make_static_map(contents({**REFUSED, "verdict": "monotone", "theta_best": 2.9}))
     assert monotone.figures[0].panels[0].marks[0].x == 3.0  # the limit
     assert "Refused (monotone)" in monotone.intro
     own = make_static_map(contents())  # of the excitation, before it is tuned
     assert [row[:2] for row in own.tables[0].rows] == [
         pytest.approx(row) for row in ((-1.0, 4.0), (1.0, 1.0), (3.0, 3.0))
     ]
+    assert own.tables[1].cell(2, "why") == "over the range"
     assert make_static_map(contents(excitation=excitation())).figures == []
 
 
@@ -196,7 +208,7 @@ def test_costs_are_compared_and_the_chosen_one_is_named():
     assert table.cell("lifted", "problem") == "no model"
     assert [panel.title for panel in figure.panels] == ["raw (chosen)"]  # the other has no map
     assert section.intro.endswith("Chosen: raw. As good as any.")
-    assert "None was tried" in make_costs(contents({**FLAT, "costs": []})).intro
+    assert "None was tried" in make_costs(contents({**REFUSED, "costs": []})).intro
 
 
 def test_constants_are_listed_with_their_reasons():
@@ -218,7 +230,7 @@ def test_a_round_is_compared_with_its_prediction_also_without_its_bag():
     never = replace(round_of(), runs=(LoopRun(2.5, replace(MEASURED, time_to_converge=None)),))
     section = make_loop(contents(TUNED, [never]))
     (table,), (figure,) = section.tables, section.figures
-    assert table.title == "round 1: as predicted, or better"
+    assert table.title == "round 1: damped as predicted"
     assert table.cell("measured", "time_to_converge") == "never"
     assert table.cell("measured", "reduction") == "3.6"
     assert "from theta = 2.5: not drawn" in figure.caption
@@ -273,7 +285,7 @@ def test_a_folder_is_read_and_written_as_a_page(tmp_path):
     with pytest.raises(ConfigError, match=r"has no excite.json: name a folder of 'koop excite'"):
         read_contents(tmp_path)
     assert try_report(tmp_path).startswith("no report: ")
-    progress.save(excitation(visits()), RIG, tmp_path)
+    progress.save(excitation(holds()), RIG, tmp_path)
     (tmp_path / "tuned").mkdir()
     (tmp_path / "tuned/tune.json").write_text(json.dumps(TUNED))
     read = read_contents(tmp_path)

@@ -15,10 +15,10 @@ from koop_identify.recording.loaded import LOOP_COMMAND
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_tune.excitation import progress
-from koop_tune.excitation.features import Bands
+from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.folder import CONTROLLER, FIGURES, MODEL
 from koop_tune.result import as_json, as_text
-from koop_tune.rig.rig_file import STATE, RigFile
+from koop_tune.rig.rig_file import STATE, THETA, RigFile
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.settings import TUNING, TuningSettings
 from koop_tune.search.tuning import tune
@@ -51,7 +51,7 @@ def tune_folders(
         If there are results already, or the recordings cannot be used.
     """
     began = time.monotonic()
-    bags, bands = find_bags(folders, rig)
+    bags, excitation = find_bags(folders, rig)
     if (out / CONTROLLER).exists():
         raise ConfigError(f"{out / CONTROLLER} exists already: choose another --out")
     loaded, reading = load_bags(bags, reading_of(bags[0], rig))
@@ -60,6 +60,7 @@ def tune_folders(
             f"{bags[0]}: {reading.measured} has {loaded.x.shape[0]} channels, the rig file "
             f"{len(rig.names)}"
         )
+    loaded = loaded.after(int(excitation.since / rig.dt))
     out.mkdir(parents=True, exist_ok=True)
     with tqdm(total=100, bar_format=BAR, leave=False, disable=None) as bar:
 
@@ -68,12 +69,13 @@ def tune_folders(
             bar.update(100.0 * share)
 
         try:
-            tuning = tune(loaded, rig, BagTraining(reading), bands, settings, report)
+            tuning = tune(loaded, rig, BagTraining(reading), excitation.amplitude, settings, report)
         except NoOptimum as refusal:
             bar.close()
             progress.write_json(out / FIGURES, as_json.of_refusal(refusal))
-            print(as_text.as_table(refusal.findings))
-            print(f"\nno optimum ({refusal.kind}): {refusal}")
+            if refusal.findings:
+                print(as_text.as_table(refusal.findings))
+            print(f"\nno controller ({refusal.kind}): {refusal}")
             return False
     model = None
     if tuning.chosen.maps.cost.training is not None:
@@ -104,8 +106,26 @@ def reading_of(bag: Path, rig: RigFile) -> BagReading:
     return BagReading(measured, command, rig.dt)
 
 
-def find_bags(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands | None]:
-    """Return the bags of folders, and the frequency bands of the excitation.
+def list_bags(folder: Path, rig: RigFile, state: ExcitationProgress) -> list[Path]:
+    """Return the recordings of an excitation; of a part that was killed early, none.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If a bag cannot be read.
+    """
+    bags = []
+    for bag in (folder / part / "bag" for part in state.parts):
+        if bag.is_dir():
+            with BagReader(bag) as reader:
+                topics = {topic.name for topic in reader.topics if topic.count}
+            if topics & {STATE, rig.state.topic} and topics & {THETA, rig.knob.topic}:
+                bags.append(bag)
+    return bags
+
+
+def find_bags(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], ExcitationProgress]:
+    """Return the bags of folders, and the progress of the excitation; a new one without any.
 
     Raises
     ------
@@ -113,7 +133,7 @@ def find_bags(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands 
         If there are none.
     """
     bags: list[Path] = []
-    bands = None
+    excitation = ExcitationProgress()
     for folder in folders:
         if not folder.exists():
             raise ConfigError(f"{folder}: does not exist")
@@ -121,10 +141,10 @@ def find_bags(folders: Sequence[Path], rig: RigFile) -> tuple[list[Path], Bands 
         if state is None:
             bags.append(folder / "bag" if (folder / "bag").is_dir() else folder)
             continue
-        bands = state.bands
-        bags += [folder / part / "bag" for part in state.parts if (folder / part / "bag").is_dir()]
-        if not state.done:
+        excitation = state
+        bags += list_bags(folder, rig, state)
+        if not state.ended:
             print(f"note: {folder}: the excitation is not finished")
     if not bags:
         raise ConfigError(f"{folders[0]}: no recording found: run 'koop excite' first")
-    return bags, bands
+    return bags, excitation

@@ -1,11 +1,11 @@
-"""Surrogates and findings of which the map is an analytic function."""
+"""Surrogates, amplitudes, maps and findings of which the truth is an analytic function."""
 
 import math
 
 import numpy as np
 
 from koop_identify.model.compare import Cost
-from koop_tune.excitation.features import Bands
+from koop_tune.excitation.amplitude import Amplitude, Mode, Windows
 from koop_tune.excitation.static_map import GRID, StaticMap
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwells, Rest
@@ -16,6 +16,17 @@ from koop_tune.search.run import Task
 from koop_tune.search.settings import SearchSettings
 
 DT, FREQUENCY = 0.02, 2.0
+
+
+def make_amplitude(length=50, dt=DT, floor=1e-6):
+    """Return the amplitude of one channel that sums all frequencies: 1 is a sine of amplitude 1."""
+    windows = Windows(length, dt)
+    return Amplitude(windows, np.full((1, windows.frequency.size), 2.0), 0.0, floor)
+
+
+def make_dwells(rests, logs, length=50, dt=DT, count=9):
+    """Return rests at evenly spaced values of theta."""
+    return Dwells(np.linspace(0.0, 1.0, count), rests, make_amplitude(length, dt), logs)
 
 
 def make_surrogate(level, tau=2.0, low=0.0, high=1.0, logarithmic=False, noise=0.0, every=0):
@@ -52,27 +63,31 @@ def make_task(level, rate=1e3, sense=1.0, settings=SearchSettings(), time=3.0, *
     return Task(fine, coarse, Scale(low, high), sense, time, DT, rate, low, high, settings)
 
 
-def make_map(level, error=0.05, sense=1.0):
-    """Return the map of a function of the position, each value visited twice."""
-    u = np.linspace(0.0, 1.0, 9)
+def make_map(level, error=0.05, sense=1.0, u=None):
+    """Return the map of a function of the position, with a hold at each of some positions."""
+    u = np.linspace(0.0, 1.0, 9) if u is None else np.asarray(u, float)
     y = np.asarray(level(u), float) + 0.0 * u
-    visits = [np.array([v - error, v + error]) for v in y]
-    return StaticMap(u, y, np.full(9, error), sense, visits)
+    return StaticMap(u, y, np.full(u.size, error), sense)
 
 
-def make_cost(name, level, error=0.05, near=0.2, sense=1.0):
-    """Return a cost with one map, or one that cannot be made."""
+def make_cost(name, level, error=0.05, near=0.1, sense=1.0, reference=None):
+    """Return a cost with one map, or one that cannot be made.
+
+    The amplitude's map is ``reference``, or that of the same function.
+    """
     y_out = None if level is None else np.ones(10)
     maps = {} if level is None else {4.0: make_map(level, error, sense)}
     problem = "too few windows" if level is None else ""
-    return CostMaps(Cost(name, None, None, y_out, problem), maps, near)
+    amplitude = make_map(reference or level or (lambda u: 0.0 * u), error, sense)
+    return CostMaps(Cost(name, None, None, y_out, problem), maps, amplitude, near)
 
 
 def make_findings(level, costs=(), error=0.05, wander=0.01, sense=1.0, scale=Scale(0.0, 1.0)):  # noqa: B008
     """Return what a recording of such a map shows."""
-    amplitude = [np.random.default_rng(i).normal(0.0, wander, 100) for i in range(9)]
+    logs = [np.random.default_rng(i).normal(0.0, wander, 100) for i in range(9)]
     rests = [Rest(i, 100 * i, 100 * (i + 1), 0) for i in range(9)]
-    dwells = Dwells(np.linspace(0.0, 1.0, 9), rests, Bands(50, (1, 2), DT), 0, amplitude)
-    found = make_map(level, error, sense)
     limits = ThetaLimits(scale.low, scale.high)
-    return Findings(scale, dwells, found, 1 / FREQUENCY, "x", list(costs), limits)
+    return Findings(
+        scale, make_dwells(rests, logs), make_map(level, error, sense), 1 / FREQUENCY, "x",
+        ("x",), list(costs), limits, [Mode(0, 1.0, 3.0, 1.0, 1.0)],
+    )  # fmt: skip

@@ -13,7 +13,6 @@ from koop_tune.excitation.channels import (
     should_listen,
     strongest_period,
 )
-from koop_tune.excitation.features import bridge_gaps, choose_bands, log_amplitudes, window_length
 
 DT = 0.01
 T = np.arange(6000) * DT
@@ -59,38 +58,6 @@ def test_listening_ends_after_some_periods_or_at_the_limit():
     assert wanted(4.0)  # of ten periods of 0.5 s
     assert not wanted(5.5)
     assert not wanted(20.0, 1000.0, 10.0)
-
-
-def test_features_are_the_logarithms_of_amplitudes_in_all_and_in_bands():
-    x = np.column_stack([2.0 * np.sin(2 * np.pi * 5.0 * T), 0.5 * np.sin(2 * np.pi * 1.5 * T)])
-    bands = choose_bands(x, 400, DT)
-    found = np.exp(log_amplitudes(x[:400], bands)).reshape(2, -1)
-    assert found[:, 0] == pytest.approx([2.0, 0.5], rel=0.01)
-    inside = [a <= 5.0 * 4.0 < b for a, b in zip(bands.edges, bands.edges[1:], strict=False)]
-    assert found[0, 1:][inside] == pytest.approx([2.0], rel=0.05)
-    assert found[0, 1:][~np.array(inside)].max() < 0.4
-    assert len(bands.names(["x", "y"])) == found.size
-    assert bands.names(["x"])[1].startswith("x from 0.25 to ")
-
-
-def test_windows_are_looked_at_one_by_one_or_all_at_once():
-    x = np.random.default_rng(0).normal(size=(1200, 2))
-    x[500, 1] = math.nan
-    bands = choose_bands(bridge_gaps(x), 400, DT)
-    at_once = log_amplitudes(x.reshape(3, 400, 2), bands)
-    assert at_once == pytest.approx(
-        np.array([log_amplitudes(part, bands) for part in np.split(x, 3)])
-    )
-    assert np.isfinite(at_once).all()
-
-
-def test_what_is_missing_is_bridged_by_a_straight_line():
-    x = np.column_stack([np.arange(6.0), np.full(6, math.nan)])
-    x[2:4, 0] = math.nan
-    assert bridge_gaps(x)[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    assert not bridge_gaps(x)[:, 1].any()
-    assert window_length(2.0, 4.0, DT) == 800
-    assert window_length(0.02, 4.0, DT) == 64
 
 
 def test_lines_are_picked_from_a_spectrum_that_stand_out_from_what_is_around():

@@ -4,13 +4,20 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from surrogate_rigs import make_dwells
 
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded
-from koop_tune.excitation.features import choose_bands
+from koop_tune.excitation.amplitude import Windows, choose_amplitude
 from koop_tune.rig.scale import Scale
-from koop_tune.rig_model.dwells import DwellSettings, find_dwells, find_rests
-from koop_tune.rig_model.spectra import find_period, spectra_by_theta
+from koop_tune.rig_model.dwells import (
+    DwellSettings,
+    Rest,
+    find_dwells,
+    find_holds,
+    find_rests,
+)
+from koop_tune.rig_model.spectra import spectra_by_theta
 
 DT = 0.02
 UNIT = Scale(0.0, 1.0)
@@ -80,21 +87,11 @@ def oscillating(theta, frequency, amplitude, seed=0):
     return amplitude(theta) * np.sin(2.0 * np.pi * frequency * t) + noise
 
 
-def test_a_rest_that_lost_messages_cut_short_does_not_hide_the_period():
+def test_a_rest_that_lost_messages_cut_short_is_left_out_of_the_spectra():
     theta = np.repeat([0.0, 1.0, 2.0, 3.0, 4.0, 1.5], [1600] * 5 + [64])
     x = oscillating(theta, 1.0, lambda theta: 1.0 + (theta - 2.0) ** 2)
-    found = find_period(recording(theta, x[:, None]), Scale(0.0, 4.0), DT)
-    assert found == pytest.approx(1.0, rel=0.1)
-
-
-def test_the_period_is_that_of_what_theta_changes_not_of_what_is_strongest():
-    theta = staircase(np.linspace(0.0, 1.0, 9), 1600, 2)
-    t = np.arange(theta.size) * DT
-    comes = np.repeat(np.random.default_rng(3).uniform(1.0, 5.0, 18), 1600)  # and goes by itself
-    x = oscillating(theta, 1.0, lambda theta: 0.5 + theta) + comes * np.sin(2 * np.pi * 4.0 * t)
-    assert find_period(recording(theta, x[:, None]), UNIT, DT) == pytest.approx(1.0, rel=0.1)
-    alone = 5.0 * np.sin(2 * np.pi * 4.0 * t) + oscillating(theta, 1.0, lambda theta: 0.0)
-    assert find_period(recording(theta, alone[:, None]), UNIT, DT) is None
+    found = spectra_by_theta(recording(theta, x[:, None]), Scale(0.0, 4.0), DT)
+    assert found.u == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0])
 
 
 def test_spectra_hold_the_power_of_the_oscillation():
@@ -108,21 +105,36 @@ def test_spectra_hold_the_power_of_the_oscillation():
     assert found.sure[0, int(np.argmax(found.power[8, 0]))]
 
 
-def test_the_channel_that_theta_changes_counts_and_its_levels_are_the_amplitudes():
+def test_the_map_of_a_recording_is_that_of_what_reacts():
     theta = staircase(np.linspace(0.0, 1.0, 9), 1600, 2)
     x = np.column_stack([
         oscillating(theta, 1.0, lambda theta: 3.0 + 0.0 * theta, 1),
         oscillating(theta, 1.0, lambda theta: 0.5 + 4.0 * (theta - 0.5) ** 2, 2),
     ])  # fmt: skip
     loaded = recording(theta, x)
-    bands = choose_bands(x, 200, DT)
-    found = find_dwells(loaded, UNIT, bands, 1.0)
-    assert bands.names(["a", "b"])[found.feature].startswith("b")
-    truth = np.log(0.5 + 4.0 * (found.u - 0.5) ** 2)
-    amplitude = found.static_map(found.amplitude, 1.0)
-    assert np.abs(amplitude.mean - truth).max() < 0.15  # noise of 0.3 adds to the weakest
-    assert [levels.size for levels in amplitude.visits] == [2] * 9
+    windows = Windows(200, DT)
+    holds = find_holds(loaded, UNIT, windows.length)
+    assert [hold.u for hold in holds] == pytest.approx([*np.linspace(0.0, 1.0, 9)] * 2)
+    assert [hold.side for hold in holds[:2]] == [0, 1]
+    assert (holds[3].begin, holds[3].size) == (3 * 1600, 1600)
+    assert holds[3].x.tolist() == x[4800:6400].tolist()
+    amplitude = choose_amplitude(windows, [hold.powers(windows) for hold in holds])
+    assert not amplitude.weight[0].any()
+    found = find_dwells(loaded, UNIT, amplitude)
+    static_map = found.static_map(found.logs, 1.0)
+    truth = np.log((0.5 + 4.0 * (static_map.u - 0.5) ** 2) / 1.5)
+    assert np.abs(static_map.mean - truth).max() < 0.1
+    assert static_map.best() == 0.5
     whole = found.window_levels(x[:, 0])
     assert np.exp(np.concatenate(whole)) == pytest.approx(
         np.full(8 * 18, np.sqrt(4.5 + 0.09)), rel=0.1
     )
+
+
+@pytest.mark.parametrize(("level", "growth"), [(0.0, 0.0), (2.0, 6.0)])
+def test_the_longest_growth_is_the_longest_rest_of_which_the_beginning_was_less(level, growth):
+    logs = [np.zeros(20) for _ in range(9)]
+    logs[4][:3] -= level  # 3 windows of 2 s
+    logs[5][:9] += 3.0  # falls
+    rests = [Rest(i, 0, 2000, skip) for i, skip in enumerate([0, 0, 0, 0, 3, 9, 0, 0, 0])]
+    assert make_dwells(rests, logs, 100).longest_growth(0.5) == pytest.approx(growth)

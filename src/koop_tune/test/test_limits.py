@@ -1,70 +1,130 @@
-"""Limits of the controller's theta, on maps of which the good part is known."""
+"""Limits of the controller's theta: what holds on every map, and known ones."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from surrogate_rigs import make_map
 
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.rig.scale import Scale
 from koop_tune.search.limits import limit_theta
-from koop_tune.search.settings import TuningSettings
+from koop_tune.search.settings import TUNING, TuningSettings
 
 WIDE = RigFile(
     "/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.01, 0.5, 60.0, 0.5, 1.0, 1.0
 )  # fmt: skip
 EVEN = replace(WIDE, theta_min=-5.0, theta_max=5.0, theta_start=2.0, theta_safe=2.0)
-VALUES = [0.5, 0.91, 1.66, 3.01, 5.48, 9.97, 11.6, 13.4, 18.1, 33.0, 60.0]
+RANGES = [(0.5, 60.0), (-5.0, 5.0), (1000.0, 1001.0), (-1e-4, 3e-4), (0.0, 1000.0), (0.5, 1.6)]
 
 
-def cliff_map(values, edge, calm_once=False):
-    """The map of a rig that gets better up to an edge and oscillates beyond it."""
-    u = Scale(0.5, 60.0).u(np.array(values))
-    visits = [np.full(2, -2.0 * own if theta < edge else 4.0)
-              for own, theta in zip(u, values, strict=True)]  # fmt: skip
-    if calm_once:  # the first value beyond, when it was come to from below
-        i = int(np.argmax(np.array(values) >= edge))
-        visits[i] = np.array([-2.0 * u[i], 4.0])
-    mean = np.array([own.mean() for own in visits])
-    return StaticMap(u, mean, np.full(u.size, 0.05), 1.0, visits)
+def bowl(u, place, width, depth):
+    """Return a smooth valley."""
+    return depth * (1.0 - 1.0 / np.hypot(1.0, (u - place) / width))
 
 
-@pytest.mark.parametrize("calm_once", [False, True])
-def test_theta_is_kept_away_from_a_cliff_that_is_known(calm_once):
-    found = cliff_map(VALUES, 13.0, calm_once)
-    limits = limit_theta(found, found, WIDE)
-    assert "all at once" in limits.why_high
-    assert "theta_max" in limits.why_high
-    inner = WIDE.scale.u(np.array(11.6))
-    assert WIDE.scale.u(np.array(limits.high)) == pytest.approx(inner - 0.06, abs=0.005)
-    narrow = limit_theta(found, found, WIDE, TuningSettings(margin=0.2))
-    assert WIDE.scale.u(np.array(narrow.high)) == pytest.approx(inner - 0.2, abs=0.005)
+def notch(u, place, width, depth):
+    """Return a narrow valley of a depth, as a tuned absorber has, with steep sides."""
+    return np.log(np.hypot(math.exp(-depth), np.minimum(np.abs(u - place) / width, 1.0))) + depth
 
 
-def test_a_cliff_that_is_not_there_or_not_known_keeps_theta_from_nothing():
-    none = cliff_map(VALUES, 70.0)
-    assert "all at once" not in limit_theta(none, none, WIDE).why
-    coarse = cliff_map([v for v in VALUES if v not in (11.6, 13.4)], 13.0)
-    limits = limit_theta(coarse, coarse, WIDE)  # the optimum may be anywhere before it
-    assert "all at once" not in limits.why
-    assert limits.high > 13.0
+def cliff(u, place, width, depth):
+    """Return what gets better up to a cliff."""
+    return np.where(u < place, width * (1.0 - u), depth)
+
+
+def two(u, place, width, depth):
+    """Return two valleys, of which the deeper one is narrow."""
+    other = place + 0.4 if place < 0.5 else place - 0.4
+    return np.minimum(notch(u, place, 0.2 * width, depth), 0.3 + bowl(u, other, width, depth))
+
+
+@st.composite
+def maps(draw):
+    """Return the map of some holds of a random rig: some even ones, others where it is good."""
+    shape = draw(st.sampled_from([bowl, notch, cliff, two]))
+    place, width = draw(st.floats(0.02, 0.98)), draw(st.floats(0.01, 0.3))
+    depth, noise = draw(st.floats(0.3, 4.5)), draw(st.floats(0.003, 0.3))
+    rng = np.random.default_rng(draw(st.integers(0, 10_000)))
+    mirrored = draw(st.booleans())
+    near = place + rng.normal(0.0, width, draw(st.integers(0, 12)))
+    u = np.clip(np.r_[np.linspace(0.0, 1.0, 5), rng.uniform(size=4), near], 0.0, 1.0)
+    y = shape(1.0 - u if mirrored else u, place, width, depth) + rng.normal(0.0, noise, u.size)
+    error = noise * rng.uniform(0.5, 1.5, u.size)
+    sense = draw(st.sampled_from([1.0, -1.0]))
+    return StaticMap(u, sense * y, error, sense)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(maps(), st.sampled_from(RANGES))
+def test_the_limits_contain_the_best_with_room_on_both_sides(static_map, bounds):
+    low, high = bounds
+    rig = replace(
+        EVEN, theta_min=low, theta_max=high, theta_start=low, theta_safe=low,
+        objective="minimise" if static_map.sense > 0.0 else "maximise",
+    )  # fmt: skip
+    limits = limit_theta(static_map, rig)
+    assert low <= limits.low < limits.high <= high
+    best = static_map.best()
+    u_low, u_high = (float(rig.scale.u(np.array(v))) for v in (limits.low, limits.high))
+    # as is room, unless the range ends; half of it may be between the best and a cliff
+    room = 0.9 * TUNING.least_room
+    assert u_low <= max(best - room, 0.0)
+    assert u_high >= min(best + room, 1.0)
+    for limit, end, why in (
+        (limits.low, low, limits.why_low), (limits.high, high, limits.why_high)
+    ):  # fmt: skip
+        assert (why == "") == (limit == end)
+    assert limits.why.count("instead of") == (limits.low > low) + (limits.high < high)
+
+
+CLOSE = np.linspace(0.35, 0.59, 5)
+BEYOND = np.sort(np.r_[np.linspace(0.0, 1.0, 9), CLOSE, 0.61])
+
+
+def rising(u):
+    """Return what is good up to 0.6, best at 0.47, and oscillates beyond."""
+    return np.where(u < 0.6, 0.5 * np.abs(u - 0.47), math.log(20.0))  # a factor of 20
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_theta_is_kept_away_from_a_cliff_but_not_from_the_best(side):
+    u = BEYOND if side > 0 else 1.0 - BEYOND
+    found = make_map(lambda v: rising(v if side > 0 else 1.0 - v), 0.01, u=u)
+    assert found.cliff(side) is not None
+
+    def inside(margin):
+        limits = limit_theta(found, EVEN, TuningSettings(margin=margin))
+        limit, why = (limits.high, limits.why_high) if side > 0 else (limits.low, limits.why_low)
+        assert "all at once" in why
+        assert ("theta_max" if side > 0 else "theta_min") in why
+        u = float(EVEN.scale.u(np.array(limit)))
+        return u if side > 0 else 1.0 - u
+
+    assert inside(0.03) == pytest.approx(0.59 - 0.03, abs=1e-3)
+    best = found.best() if side > 0 else 1.0 - found.best()
+    # never nearer to the best than half way to the cliff
+    assert inside(0.5) == pytest.approx(best + 0.5 * (0.61 - best), abs=1e-3)
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
-def test_theta_is_kept_where_the_map_is_good_and_has_room_there(sense):
-    u = np.linspace(0.0, 1.0, 21)
+def test_theta_is_kept_in_the_valley(sense):
+    u = np.linspace(0.0, 1.0, 31)
 
-    def limits(slope, error):
-        mean = sense * slope * np.abs(u - 0.4)
-        found = StaticMap(u, mean, np.full(u.size, error), sense, [np.full(2, y) for y in mean])
-        return limit_theta(found, found, EVEN)
+    def limits(slope, rig=EVEN):
+        level = make_map(lambda v: sense * slope * np.abs(v - 0.4), 0.01, sense, u)
+        rig = replace(rig, objective="minimise" if sense > 0.0 else "maximise")
+        return limit_theta(level, rig)
 
-    found = limits(5.0, 0.01)  # 1.5 times the best at 0.4 +- log(1.5) / 5, and a little for errors
+    found = limits(5.0)
     for limit, side in ((found.low, -1), (found.high, 1)):
-        assert EVEN.scale.u(np.array(limit)) == pytest.approx(0.4 + side * (0.081 + 0.1), abs=0.02)
-    assert "instead of 5" in found.why
-    unsure = limits(5.0, 0.2)  # what may be good is not left out
-    assert unsure.low < found.low
-    assert unsure.high > found.high
-    assert limits(0.5, 0.01) == (-5.0, 5.0, "", "")  # good everywhere
+        expected = 0.4 + side * math.log(TUNING.limits) / 5.0  # that many times the best
+        assert float(EVEN.scale.u(np.array(limit))) == pytest.approx(expected, abs=0.01)
+    assert "instead of 5" in found.why_high
+    assert f"{TUNING.limits:g} times the best or worse" in found.why_low
+    assert limits(0.4) == (-5.0, 5.0, "", "")  # good everywhere
+    far = limits(5.0, WIDE)  # positions are those of log theta
+    assert float(WIDE.scale.u(np.array(far.high))) == pytest.approx(expected, abs=0.01)

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from surrogate_rigs import make_findings, make_task
+from surrogate_rigs import make_dwells, make_findings, make_task
 
-from koop_tune.excitation.features import Bands
-from koop_tune.rig_model.dwells import Dwells, Rest
+from koop_tune.excitation.static_map import GRID
+from koop_tune.rig_model.dwells import Rest
 from koop_tune.search.prediction import Band, Prediction, find_wander, predict
 from koop_tune.search.search import Trial, search
 
@@ -37,15 +37,15 @@ def noise_driven(tau, rest, count, rng, length=50, dt=0.02):
         z = lfilter([1.0], [1.0, -keep], white, axis=1)[:, 200:]
         amplitude.append(0.5 * np.log((z**2).sum(axis=0)))
     rests = [Rest(i % 9, i * rest * length, (i + 1) * rest * length, 0) for i in range(count)]
-    return Dwells(np.linspace(0.0, 1.0, 9), rests, Bands(length, (1, 2), dt), 0, amplitude)
+    return make_dwells(rests, amplitude, length, dt)
 
 
 def test_how_much_an_amplitude_differs_by_itself_is_the_spread_over_that_time():
     rng, tau, rest = np.random.default_rng(0), 6.0, 400
     dwells = noise_driven(tau, rest, 18, rng)
     levels = [0.5 * math.log(np.exp(2.0 * a).mean())
-              for a in noise_driven(tau, rest, 600, rng).amplitude]  # fmt: skip
-    samples = rest * dwells.bands.length
+              for a in noise_driven(tau, rest, 600, rng).logs]  # fmt: skip
+    samples = rest * dwells.length
     assert find_wander(dwells, samples) == pytest.approx(np.std(levels), rel=0.35)
     assert find_wander(dwells, 4 * samples) == pytest.approx(0.5 * find_wander(dwells, samples))
 
@@ -58,12 +58,17 @@ def test_the_error_of_the_best_amplitude_widens_the_bands():
     best = search(task, 0.125, 0)[0]
 
     def excess(error, wander):
+        """Return the width of the band, and the deviation of the map at its best."""
         seen = make_findings(level, error=error, wander=wander)
         prediction, runs = predict(task, Trial(best.constants, [], 0.0, 90.0), seen, 1, 16)
         assert (len(runs), prediction.runs) == (16, 16)
         assert prediction.duration == task.steps * task.dt
         assert prediction.converges.high == max(run.converged for run in runs)
-        return math.log(prediction.excess.high / prediction.excess.low)
+        width = math.log(prediction.excess.high / prediction.excess.low)
+        at = round(seen.static_map.best() * (GRID - 1))
+        return width, float(seen.static_map.deviation[at])
 
-    assert excess(0.5, 1e-6) == pytest.approx(2.0 * 1.645 * 0.5, rel=0.6)
-    assert excess(1e-6, 1e-6) < 0.3
+    width, deviation = excess(0.5, 1e-6)
+    assert deviation > 0.1
+    assert width == pytest.approx(2.0 * 1.645 * deviation, rel=0.6)
+    assert excess(1e-6, 1e-6)[0] < 0.8 * width

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
+from surrogate_rigs import make_dwells
 
 from koop_core.stream.arrival import Arrival
 from koop_identify.recording.loaded import Loaded
-from koop_tune.excitation.features import Bands
 from koop_tune.excitation.static_map import GRID, StaticMap
 from koop_tune.rig.scale import Scale
-from koop_tune.rig_model.dwells import Dwells, Rest
+from koop_tune.rig_model.dwells import Rest
 from koop_tune.rig_model.fluctuation import estimate_autocovariance, fit_fluctuation
 from koop_tune.rig_model.surrogate import (
     BLOCKS,
@@ -43,8 +43,7 @@ def test_the_time_constant_of_what_noise_drives_is_that_of_its_process(tau):
         power = (z**2).sum(axis=0).reshape(-1, per).mean(axis=1) * (1.0 + 0.2 * level)
         amplitude.append(0.5 * np.log(power + 0.05 * rng.chisquare(2, power.size)))
         rests.append(Rest(level, 0, steps, 0))
-    bands = Bands(per, (1, 2), window / per)
-    found = fit_fluctuation(Dwells(np.linspace(0.0, 1.0, 9), rests, bands, 0, amplitude))
+    found = fit_fluctuation(make_dwells(rests, amplitude, per, window / per))
     assert 0.6 * tau < found.time < 1.4 * tau
     assert found.share > 0.3
 
@@ -108,11 +107,11 @@ def test_the_time_constant_is_found_in_how_the_windows_follow_theta():
     per = rest // window
     rests = [Rest(i, k * rest, (k + 1) * rest, per // 2) for k, i in enumerate(order)]
     amplitude = [windows[k * per : (k + 1) * per] for k in range(len(order))]
-    dwells = Dwells(values, rests, Bands(window, (1, 2), DT), 0, amplitude)
+    dwells = make_dwells(rests, amplitude, window, DT)
     begins = np.arange(theta.size) == 0
     loaded = Loaded(a[None], begins, theta, np.arange(theta.size) * DT)
     y = 2.0 * (values - 0.4) ** 2
-    found = StaticMap(values, y, np.full(9, 0.01), 1.0, [np.full(2, v) for v in y])
+    found = StaticMap(values, y, np.full(9, 0.01), 1.0)
     times = fit_times(loaded, dwells, found, scale, DT)
     for up in (True, False):
         assert times.tau(float(np.mean(y)), up) == pytest.approx(tau, rel=0.25)

@@ -6,15 +6,15 @@ from dataclasses import fields, replace
 import pytest
 
 from koop_core.config.parameter import ConfigError, spec_of
+from koop_tune.excitation.amplitude import AMPLITUDE
 from koop_tune.excitation.channels import CHANNELS
-from koop_tune.excitation.optimum_test import OptimumTest
+from koop_tune.excitation.design import DESIGN
 from koop_tune.excitation.static_map import MAP
-from koop_tune.excitation.survey import SURVEY
 from koop_tune.rig_model.dwells import DWELLS
 from koop_tune.rig_model.fluctuation import FLUCTUATION
 from koop_tune.search.settings import CONVERGENCE, SEARCH, TUNING, VERIFICATION
 
-ALL = (CHANNELS, OptimumTest(), MAP, SURVEY, DWELLS, FLUCTUATION, CONVERGENCE, SEARCH, TUNING,
+ALL = (AMPLITUDE, CHANNELS, DESIGN, MAP, DWELLS, FLUCTUATION, CONVERGENCE, SEARCH, TUNING,
        VERIFICATION)  # fmt: skip
 FIELDS = [(settings, item) for settings in ALL for item in fields(settings)
           if "spec" in item.metadata]  # fmt: skip
@@ -37,6 +37,6 @@ def test_a_setting_says_what_it_means_and_refuses_what_it_may_not_be(settings, i
 
 def test_what_a_study_has_chosen_says_so():
     origins = {spec_of(item).origin for _, item in FIELDS}
-    assert {"koop study commission", "JSBSim's aircraft", "3 sigma"} <= origins
+    assert {"koop study commission", "JSBSim's aircraft"} <= origins
     chosen = [item for _, item in FIELDS if spec_of(item).origin]
     assert len(chosen) > 0.6 * len(FIELDS)

@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from surrogate_rigs import DT, make_cost, make_findings, make_map
+from surrogate_rigs import DT, make_cost, make_dwells, make_findings, make_map
 
 from koop_identify.recording.loaded import Loaded
-from koop_tune.excitation.features import Bands
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.rig_model.dwells import Dwells, Rest
+from koop_tune.rig_model.dwells import Rest
 from koop_tune.rig_model.surrogate import Times
 from koop_tune.search.settings import TuningSettings
 from koop_tune.search.task import Recorded, block_rms, cut_pieces, draw_surrogates, make_task
@@ -28,7 +27,7 @@ def test_pieces_are_the_settled_part_of_each_rest_by_theta_without_their_mean():
     values = np.arange(400.0)
     values[250] = math.nan
     rests = [Rest(1, 0, 100, 2), Rest(0, 200, 300, 0), Rest(1, 300, 400, 1)]
-    dwells = Dwells(np.array([0.0, 0.5, 1.0]), rests, Bands(20, (1, 2), DT), 0, [])
+    dwells = make_dwells(rests, [], 20, count=3)
     parts, first = cut_pieces(values, dwells)
     assert [part.size for part in parts] == [99, 60, 80]  # without the one that is unusable
     assert first.tolist() == [0, 1, 3, 3]  # the last value has none
@@ -56,7 +55,7 @@ def test_the_first_rig_is_as_it_was_measured_and_the_others_differ_as_its_errors
     first, *others = drawn
     assert len(drawn) == 200
     assert first.times == TIMES
-    assert first.levels == pytest.approx(make_map(valley, 0.2).curve(make_map(valley, 0.2).mean))
+    assert first.levels == pytest.approx(make_map(valley, 0.2).curve, abs=0.01)
     shifts = [s.times.usual - TIMES.usual for s in others]
     assert np.std(shifts) == pytest.approx(settings.tau_spread, rel=0.15)
     assert abs(np.mean(shifts)) < 0.1
@@ -73,8 +72,7 @@ def test_a_task_holds_every_usable_corner_frequency_sample_by_sample_and_in_bloc
     y = 2.0 + lfilter([1.0], [1.0, -0.5], noise)
     loaded = Loaded(y[None], np.arange(y.size) == 0, theta, y)
     rests = [Rest(i, i * length * per, (i + 1) * length * per, 2) for i in range(9)]
-    dwells = Dwells(np.linspace(0.0, 1.0, 9), rests, Bands(length, (1, 2), DT), 0,
-                    [np.zeros(per)] * 9)  # fmt: skip
+    dwells = make_dwells(rests, [np.zeros(per)] * 9, length)
     cost = make_cost("raw", valley)
     maps = {4.0: make_map(valley), 9.0: make_map(lambda u: u)}
     cost = replace(cost, cost=cost.cost._replace(y_out=y), maps=maps)

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from surrogate_rigs import make_amplitude
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_tune.excitation import progress
-from koop_tune.excitation.features import Bands
+from koop_tune.excitation.amplitude import Windows
 from koop_tune.folder import CONTROLLER, TUNED, find_controller
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.tune_folders import find_bags, reading_of, tune_folders
@@ -65,25 +66,24 @@ def test_the_loops_own_topics_are_read_where_the_bag_has_them(tmp_path):
 
 
 def test_the_bags_of_an_excitation_are_those_of_its_parts(tmp_path, capsys):
-    state = progress.begin(0, RIG)
-    state.bands = Bands(64, (1, 2, 5), 0.01)
+    state = progress.ExcitationProgress(Windows(64, 0.01), make_amplitude(64, 0.01))
     state.parts = ["part-1", "part-2", "part-3"]  # the second one got no message
     progress.save(state, RIG, tmp_path)
     for part in ("part-1", "part-3"):
         write(tmp_path / part / "bag", ["/knob"])
     loop = write(tmp_path / "verify-1" / "bag", ["/theta"])
-    bags, bands = find_bags([tmp_path, tmp_path / "verify-1"], RIG)
+    bags, read = find_bags([tmp_path, tmp_path / "verify-1"], RIG)
     assert bags == [tmp_path / "part-1/bag", tmp_path / "part-3/bag", loop]
-    assert bands == state.bands
+    assert read.amplitude.as_json() == state.amplitude.as_json()
     assert "not finished" in capsys.readouterr().out
-    bags, bands = find_bags([loop], RIG)
-    assert (bags, bands) == ([loop], None)
+    bags, read = find_bags([loop], RIG)
+    assert (bags, read.amplitude) == ([loop], None)
 
 
 def test_folders_without_a_recording_are_refused(tmp_path):
     with pytest.raises(ConfigError, match="does not exist"):
         find_bags([tmp_path / "no"], RIG)
-    progress.save(progress.begin(0, RIG), RIG, tmp_path)
+    progress.save(progress.ExcitationProgress(), RIG, tmp_path)
     with pytest.raises(ConfigError, match="no recording found: run 'koop excite' first"):
         find_bags([tmp_path], RIG)
     with pytest.raises(ConfigError, match="was begun with theta_max"):

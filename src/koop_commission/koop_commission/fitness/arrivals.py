@@ -33,7 +33,8 @@ class Rhythm(NamedTuple):
     rate : float
         Messages per second, on arrival [1/s].
     interval : float
-        Median time between two measurements [s], of the rig's own time.
+        Time between two measurements [s], of the rig's own time: the median; of messages without
+        stamps the mean if that is nearer to dt, as of those that come in bursts.
     jitter : float
         99 % of the intervals on arrival differ from their median by at most this [s].
     lost : int
@@ -93,7 +94,8 @@ def measure_rhythm(
         source, lost = "stamps", _count_missing(steps)
         interval = float(np.median(np.diff(samples.stamp)))
     else:
-        source, interval = "arrival", float(np.median(gaps))
+        source = "arrival"
+        interval = min(float(np.median(gaps)), float(gaps.mean()), key=lambda v: abs(v - dt))
         lost = count_lost_by_arrival(arrival * pace, dt, settings.rise)
     return Rhythm(
         received=arrival.size,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -14,11 +15,12 @@ from koop_commission.fitness.reaction import STAGES, Reaction, describe_change
 from koop_commission.fitness.samples import Samples
 from koop_commission.fitness.settings import DEFAULTS, CheckSettings
 from koop_core.errors import InputError
+from koop_tune.excitation.amplitude import Windows, bridge_gaps
 from koop_tune.excitation.channels import ChannelSummary, Line, describe_channel, find_lines
-from koop_tune.excitation.features import Bands, bridge_gaps, log_amplitudes
 from koop_tune.rig.rig_file import RigFile
 
 OK, NOTE, BAD = "ok", "note", "BAD"
+BANDS, KEPT = 6, 0.999  # of a channel's spectrum in a block; share of the power in them
 BLIND = 64.0  # samples that count as a period where the spectrum shows none
 COUNTED = {
     "steps": "counted by steps",
@@ -141,14 +143,40 @@ def judge_reaction(reaction: Reaction, names: Sequence[str], between: str) -> Fi
     return Finding(OK, "theta", f"{confidence}; {between}: {name} {how}")
 
 
-def compute_block_features(x: NDArray[np.float64], bands: Bands) -> NDArray[np.float64]:
-    """Return the features of a block, shape (M, n): of the oscillation, and each channel's mean."""
-    return np.r_[log_amplitudes(x, bands), bridge_gaps(x).mean(axis=0)]
+class Blocks(NamedTuple):
+    """How blocks of samples are looked at: as one window, its groups of frequencies in few bands.
 
+    ``starts`` are the first group of each band, and the one beyond the last.
+    """
 
-def name_block_features(bands: Bands, channels: Sequence[str]) -> list[str]:
-    """Return the name of each feature of a block."""
-    return [*bands.names(channels), *(f"mean {name}" for name in channels)]
+    windows: Windows
+    starts: tuple[int, ...]
+
+    @classmethod
+    def choose(cls, x: NDArray[np.float64], windows: Windows) -> Blocks:
+        """Choose bands that hold nearly all of the power of samples, shape (M, n)."""
+        short = windows._replace(length=min(windows.length, x.shape[0]))
+        power = short.powers(x).mean(axis=0)
+        share = np.cumsum(
+            (power / np.maximum(power.sum(axis=1, keepdims=True), 1e-300)).sum(axis=0)
+        )
+        top = short.frequency[int(np.searchsorted(share, KEPT * share[-1]))]
+        count = int(np.searchsorted(windows.frequency, top)) + 1
+        starts = np.unique(np.round(np.linspace(0, count, BANDS + 1)).astype(int))
+        return cls(windows, tuple(int(start) for start in starts))
+
+    def features(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the log amplitude in each band of each channel of a block, and each mean."""
+        power = self.windows.powers(x)[0]
+        bands = np.add.reduceat(power, self.starts[:-1], axis=1)
+        return np.r_[0.5 * np.log(bands + 1e-24).ravel(), bridge_gaps(x).mean(axis=0)]
+
+    def names(self, channels: Sequence[str]) -> list[str]:
+        """Return the name of each feature."""
+        edges = np.array(self.windows.edges) / self.windows.seconds
+        spans = [f"{edges[a]:.3g} to {edges[b]:.3g} Hz" for a, b in itertools.pairwise(self.starts)]
+        bands = [f"{name} from {span}" for name in channels for span in spans]
+        return [*bands, *(f"mean {name}" for name in channels)]
 
 
 def choose_period(rig: RigFile, samples: Samples) -> float:

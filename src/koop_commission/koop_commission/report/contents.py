@@ -15,12 +15,11 @@ from koop_core.errors import InputError
 from koop_identify.model.from_bags import load_bags
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation import progress
-from koop_tune.excitation.features import Bands
-from koop_tune.excitation.progress import MOST_ERROR, ExcitationProgress
+from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.folder import FIGURES, TUNED
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.rounds import Round, Verification, load_verification
-from koop_tune.tune_folders import reading_of
+from koop_tune.tune_folders import list_bags, reading_of
 
 RIG = "rig.yaml"
 
@@ -67,17 +66,13 @@ class Contents:
     @cached_property
     def loaded(self) -> Loaded | str:
         """The excitation's recordings; the reason why they cannot be used."""
-        if not self.bags:
-            return "no recording yet"
         try:
-            return load_bags(self.bags, reading_of(self.bags[0], self.rig))[0]
+            bags = list_bags(self.folder, self.rig, self.excitation)
+            if not bags:
+                return "no recording yet"
+            return load_bags(bags, reading_of(bags[0], self.rig))[0]
         except (BagError, InputError) as error:
             return str(error)
-
-    @property
-    def bands(self) -> Bands | None:
-        """How windows are looked at."""
-        return bands_of(self.tuned) if self.tuned else self.excitation.bands
 
     def tuned_for(self, item: Round) -> dict[str, Any]:
         """Return the ``tune.json`` of a round; a later round sets it aside."""
@@ -92,7 +87,7 @@ class Contents:
     @property
     def is_excited(self) -> bool:
         """Whether the map is known, or the time over."""
-        return self.excitation.done or self.excitation.elapsed >= self.rig.time
+        return bool(self.excitation.ended)
 
     @property
     def has_controller(self) -> bool:
@@ -107,18 +102,16 @@ class Contents:
     @property
     def static_map(self) -> MapPoints | None:
         """The static map of the tuning, else of the excitation; None without a dwell point."""
-        if self.tuned:
+        if "static_map" in self.tuned:
             figures = self.tuned["static_map"]
-            columns = (figures[name] for name in ("theta", "amplitude", "error"))
-            return MapPoints(self.tuned["feature"], *columns)
+            rows = zip(*(figures[name] for name in ("theta", "amplitude", "error")), strict=True)
+            return MapPoints(self.tuned["feature"], *map(list, zip(*sorted(rows), strict=True)))
         state = self.excitation
-        if not state.visits or state.bands is None:
+        if not state.holds or state.amplitude is None:
             return None
-        names = state.bands.names(self.rig.names)
-        feature, points = state.map_of(range(len(names)))
-        theta = [state.values[level] for level in state.reached]
-        errors = np.where(points.error < MOST_ERROR, points.error, 0.0).tolist()
-        return MapPoints(names[feature], theta, np.exp(points.mean).tolist(), errors)
+        theta, levels, errors, *_ = map(list, zip(*sorted(state.holds), strict=True))
+        amplitudes = np.exp(levels).tolist()
+        return MapPoints(state.amplitude.name(self.rig.names), theta, amplitudes, errors)
 
 
 def read_contents(folder: Path) -> Contents:
@@ -134,9 +127,3 @@ def read_contents(folder: Path) -> Contents:
     rig, state = progress.read(folder)
     tuned = progress.read_json(folder / TUNED / FIGURES)
     return Contents(folder, rig, state, tuned, load_verification(folder))
-
-
-def bands_of(tuned: dict[str, Any]) -> Bands:
-    """Return how the windows of a ``tune.json`` are looked at."""
-    windows = tuned["windows"]
-    return Bands(windows["length"], tuple(windows["edges"]), windows["dt"])

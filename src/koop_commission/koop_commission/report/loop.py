@@ -9,9 +9,10 @@ import numpy as np
 
 from koop_bag.errors import BagError
 from koop_commission.report.colors import BEST, MEASURED
-from koop_commission.report.contents import Contents, bands_of
+from koop_commission.report.contents import Contents
 from koop_commission.report.runs import RecordedRun, read_run
 from koop_core.errors import InputError
+from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.rounds import Round
 from koop_view.report.document import Cell, Column, Figure, Panel, Section, Series, Table
@@ -54,8 +55,8 @@ def make_loop(c: Contents) -> Section:
         for i, run in enumerate(item.runs):
             caption, recorded = f"Round {item.number}, from theta = {run.start:.4g}", None
             try:
-                feature = tuned["windows"]["feature"]
-                recorded = read_run(c.folder / run.bag, bands_of(tuned), feature, run.steps)
+                amplitude = Amplitude.from_json(tuned["amplitude"])
+                recorded = read_run(c.folder / run.bag, amplitude, run.steps)
             except (BagError, InputError) as error:
                 caption = f"{caption}: not drawn: {error}"
             paths = tuned["paths"]
@@ -95,7 +96,7 @@ def _draw(
     panels = (
         Panel("time [s]", "theta", make_series(path["theta"], "theta", tuned["theta_best"], theta),
               log_y=c.rig.scale.logarithmic),
-        Panel("time [s]", f"amplitude of {tuned['feature']}",
+        Panel("time [s]", "amplitude",
               make_series(path["amplitude"], "amplitude", best, amplitude)),
     )  # fmt: skip
     return Figure(name, caption, panels, columns=2)

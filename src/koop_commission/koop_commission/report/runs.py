@@ -13,7 +13,7 @@ from koop_core.errors import InputError
 from koop_identify.recording.loaded import pieces
 from koop_identify.recording.signals import loop_signals
 from koop_loop.thinning import extremes
-from koop_tune.excitation.features import Bands, log_amplitudes
+from koop_tune.excitation.amplitude import Amplitude
 
 POINTS = 400  # of a curve; theta has twice as many
 
@@ -35,17 +35,15 @@ class RecordedRun(NamedTuple):
     amplitude: NDArray[np.float64]
 
 
-def read_run(bag: Path, bands: Bands, feature: int, steps: Sequence[int]) -> RecordedRun:
+def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RecordedRun:
     """Read a recording.
 
     Parameters
     ----------
     bag : Path
         The recording.
-    bands : Bands
-        How windows are looked at.
-    feature : int
-        The amplitude that counts.
+    amplitude : Amplitude
+        What is summed.
     steps : sequence of int
         First and last step with the loop closed.
 
@@ -56,20 +54,20 @@ def read_run(bag: Path, bands: Bands, feature: int, steps: Sequence[int]) -> Rec
     koop_core.errors.InputError
         If it holds no theta.
     """
-    _, signals = loop_signals(bag, "/", bands.dt)
+    _, signals = loop_signals(bag, "/", amplitude.windows.dt)
     closed = (signals.step >= steps[0]) & (signals.step <= steps[1])
     controlled = closed & np.isfinite(signals.theta)
     if not controlled.any():
         raise InputError(f"{bag}: holds no theta")
     t = signals.t - signals.t[controlled][0]
-    length, middles, amplitudes = bands.length, [], []
+    (length, dt), middles, amplitudes = amplitude.windows, [], []
     for piece in pieces(signals.begins):
         for first in range(piece.start, piece.stop - length + 1, length):
             window = slice(first, first + length)
             x = signals.x[window]
             if closed[window].all() and np.isfinite(x).any(axis=0).all():
-                middles.append(float(t[first]) + 0.5 * length * bands.dt)
-                amplitudes.append(float(np.exp(log_amplitudes(x, bands)[feature])))
+                middles.append(float(t[first]) + 0.5 * length * dt)
+                amplitudes.append(float(np.exp(amplitude.logs(x)[0])))
     every = max(-(-len(middles) // POINTS), 1)
     return RecordedRun(
         *thin(t[controlled], signals.theta[controlled]),

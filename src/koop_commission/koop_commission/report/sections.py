@@ -66,29 +66,39 @@ def make_static_map(c: Contents) -> Section:
     series: list[Series] = []
     marks: tuple[Mark, ...] = ()
     intro = (
-        "The amplitude to which the rig settled at each value of theta: each visit, their mean "
-        "with two standard errors, and the smoothest curve that fits."
+        "The amplitude to which the rig settled at each hold of theta, with two standard errors; 1 "
+        "is the strongest motion seen. Curve and band: the map that fits, within two standard "
+        "errors; where the band is wide nobody has looked."
     )
-    if c.tuned:
-        figures, best = c.tuned["static_map"], c.tuned["theta_best"]
-        curve = figures["curve"]
-        series += _scatter(figures["theta"], figures["visits"], OTHER)
-        series.append(Series("fit", curve["theta"], curve["amplitude"], color=MEASURED))
+    if "static_map" in c.tuned:
+        curve, best = c.tuned["static_map"]["curve"], c.tuned["theta_best"]
+        low, high = (
+            [y * math.exp(side * ERRORS * e) for y, e in
+             zip(curve["amplitude"], curve["error"], strict=True)]
+            for side in (-1.0, 1.0)
+        )  # fmt: skip
+        series.append(Series("map", curve["theta"], low, "band", high, FAINT))
+        series.append(Series("map", curve["theta"], curve["amplitude"], color=MEASURED))
         if c.has_controller:
-            low, high = c.tuned["theta_best_band"]
-            marks = (Mark(best, f"best {best:.3g}", low, high, BEST),)
+            low_end, high_end = c.tuned["best"]["valley"]
+            marks = (Mark(best, f"best {best:.4g}", low_end, high_end, BEST),)
             intro += (
-                " Nine of ten maps drawn from the visits have their best theta in the shaded band;"
-                " between two values it is the vertex of a parabola through three of them."
+                " Shaded: the valley, where the amplitude is at most 1.5 times the best, which is "
+                f"{math.exp(c.tuned['best']['log']):.3g}; below {c.tuned['best']['floor']:.2g} "
+                "nothing can be told."
             )
+            if len(modes := c.tuned["modes"]) > 1:
+                intro += f" Shares in the amplitude's square over theta: {'; '.join(modes[:6])}."
         elif c.tuned["verdict"] == "monotone":
             limit = min((c.rig.theta_min, c.rig.theta_max), key=lambda limit: abs(limit - best))
             marks = (Mark(limit, f"limit {limit:.3g}: best here", color=INTERFERENCE),)
         if c.is_refused:
             intro += f" Refused ({c.tuned['verdict']}): {c.tuned['why']}."
-    series.append(_bars(static.theta, static.amplitude, static.error, MEASURED))
+    series.append(_bars(_step_apart(static.theta), static.amplitude, static.error, MEASURED))
     caption = f"amplitude of {static.feature}"
-    panel = Panel("theta", caption, tuple(series), log_x=c.rig.scale.logarithmic, marks=marks)
+    panel = Panel(
+        "theta", "amplitude", tuple(series), log_x=c.rig.scale.logarithmic, log_y=True, marks=marks
+    )
     columns = (
         Column("theta", "theta"),
         Column("amplitude", "amplitude"),
@@ -96,9 +106,29 @@ def make_static_map(c: Contents) -> Section:
     )
     errors = [100.0 * error for error in static.error]
     rows: Rows = list(zip(static.theta, static.amplitude, errors, strict=True))
-    table = Table("map", "The same in numbers", columns, rows, detail=True)
+    tables = [Table("map", "The same in numbers", columns, rows, detail=True)]
+    if c.excitation.holds:
+        tables.append(_list_holds(c))
     figure = Figure("map", f"Static map of the {caption}", (panel,))
-    return Section("map-section", title, intro, [table], [figure])
+    return Section("map-section", title, intro, tables, [figure])
+
+
+def _list_holds(c: Contents) -> Table:
+    """Return where theta was held, in order, and why there."""
+    columns = (
+        Column("hold", "hold"),
+        Column("theta", "theta"),
+        Column("amplitude", "amplitude", ".3g"),
+        Column("error", "standard error [%]", ".2g"),
+        Column("settled", "settled after [s]", ".3g"),
+        Column("seconds", "held [s]", ".3g"),
+        Column("why", "why there", words=True),
+    )
+    rows: Rows = [
+        (k, h.theta, math.exp(h.level), 100.0 * h.error, h.settled, h.seconds, h.why)
+        for k, h in enumerate(c.excitation.holds, 1)
+    ]
+    return Table("holds", "Holds of the excitation, in order", columns, rows, detail=True)
 
 
 def make_costs(c: Contents) -> Section:
@@ -115,11 +145,13 @@ def make_costs(c: Contents) -> Section:
         rows.append((cost["name"], best, cost["evidence"], cost["score"], cost["problem"] or ""))
         if not figures:
             continue
-        theta, r, color = figures["theta"], figures["r"], MEASURED if chosen else OTHER
+        points = sorted(zip(*(figures[key] for key in ("theta", "r", "error")), strict=True))
+        at, r, error = zip(*points, strict=True)
+        theta = _step_apart(at)
+        color = MEASURED if chosen else OTHER
         series = (
-            *_scatter(theta, figures["visits"], FAINT),
-            Series("mean", theta, r, color=color),
-            _bars(theta, r, figures["error"], color),
+            Series("holds", theta, r, "points", color=color),
+            _bars(theta, r, error, color),
         )
         marks = () if best is None else (Mark(best, f"least {best:.3g}", color=BEST),)
         title = cost["name"] + " (chosen)" * chosen
@@ -137,7 +169,7 @@ def make_costs(c: Contents) -> Section:
         Column("problem", "problem", words=True),
     )
     title = (
-        "Candidates. Evidence: by how much curves without an interior optimum fit worse; score: 1 "
+        "Candidates. Evidence: by how many standard errors, squared, both ends are worse; score: 1 "
         "is perfect"
     )
     figure = Figure("costs-figure", "r against theta", tuple(panels), columns=2)
@@ -168,14 +200,12 @@ def _words(*names: str) -> tuple[Column, ...]:
     return tuple(Column(name, name, words=True) for name in names)
 
 
-def _scatter(theta: Sequence[float], visits: Sequence[Sequence[float]], color: int) -> list[Series]:
-    """Return the visits as points: the first ones of all values, the second ones, and so on."""
-    series = []
-    for k in range(max(map(len, visits))):
-        pairs = [(t, y[k]) for t, y in zip(theta, visits, strict=True) if len(y) > k]
-        x, y = (list(column) for column in zip(*pairs, strict=True))
-        series.append(Series("each visit", x, y, "points", color=color))
-    return series
+def _step_apart(theta: Sequence[float]) -> list[float]:
+    """Return rising values with those that are equal a little apart: each is drawn."""
+    step, result = 1e-4 * (theta[-1] - theta[0]), list(theta)
+    for k in range(1, len(result)):
+        result[k] = max(result[k], result[k - 1] + step)
+    return result
 
 
 def _bars(
@@ -185,4 +215,4 @@ def _bars(
     factors = [math.exp(min(ERRORS * e, LONGEST)) for e in error]
     low = [y / factor for y, factor in zip(level, factors, strict=True)]
     high = [y * factor for y, factor in zip(level, factors, strict=True)]
-    return Series("two standard errors", theta, low, "bars", high, color)
+    return Series("hold, two standard errors", theta, low, "bars", high, color)

@@ -62,7 +62,8 @@ def make_spectra(c: Contents) -> Section:
     if isinstance(c.loaded, str):
         return Section(name, title, f"None: {c.loaded}.")
     try:
-        length = c.bands.length if c.bands else SHORTEST
+        windows = c.excitation.windows
+        length = windows.length if windows else SHORTEST
         spectra = spectra_by_theta(c.loaded, c.rig.scale, c.rig.dt, length, 1)
     except InputError as error:
         return Section(name, title, f"None: {error}.")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
 from koop_commission.report.contents import Contents
+from koop_tune.excitation.design import FLAT, KNOWN
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.rounds import kept_index
 
@@ -19,6 +21,8 @@ NEXT = {
     "longer (a larger 'time' in the rig file).",
     "drowned": "Record longer (a larger 'time' in the rig file), or measure where the oscillation "
     "is stronger.",
+    "undamped": "Leave theta at the best value, or set theta_min and theta_max closer around the "
+    "valley and record again.",
 }
 
 
@@ -32,15 +36,17 @@ class Stage(NamedTuple):
 
 def list_stages(c: Contents) -> Iterator[Stage]:
     """Yield all stages in order."""
-    folder, rig, visits = c.folder, c.rig_file, c.excitation.visits
+    folder, rig, state = c.folder, c.rig_file, c.excitation
     yield Stage("Rig", DONE, f"{', '.join(c.rig.names)} measured; theta on {c.rig.knob.topic}")
-    reached = len({visit.level for visit in visits})
-    text = f"{len(visits)} visits of {reached} of {len(c.excitation.values)} dwell points"
+    text = f"{len(state.holds)} holds in {state.elapsed:.0f} s"
     if not c.is_excited:
         yield Stage("Excite", MISSING, f"{text}; to resume: ./koop excite {rig} --out {folder}")
     else:
-        over = "" if c.excitation.done else f"; the {c.rig.time:g} s were over"
-        yield Stage("Excite", DONE, text + over)
+        late = f"the {c.rig.time:g} s were over before the map was known"
+        if state.elapsed < c.rig.time:
+            late = "the map is not known, and more holds would not help"
+        over = {KNOWN: "the map is known", FLAT: "nothing reacts"}.get(state.ended, late)
+        yield Stage("Excite", DONE if state.ended == KNOWN else NO, f"{text}: {over}")
     if c.has_controller:
         yield Stage("Tune", DONE, f"cost {c.tuned['cost']}, law {c.tuned['constants']['law']}")
     elif c.is_refused:
@@ -55,8 +61,7 @@ def list_stages(c: Contents) -> Iterator[Stage]:
         yield Stage("Verify", MISSING, f"round {rounds[-1].number}: not finished")
     else:
         kept = finished[kept_index(finished)]
-        state = DONE if kept.damped_as_predicted else NO
-        yield Stage("Verify", state, f"round {kept.number}: {kept.summary}")
+        yield Stage("Verify", DONE if kept.damped else NO, f"round {kept.number}: {kept.summary}")
 
 
 def write_sentences(c: Contents) -> list[str]:
@@ -74,13 +79,15 @@ def _describe_rig(c: Contents) -> str:
     sense = 1.0 if rig.objective == "minimise" else -1.0
     order = sorted(zip(static.amplitude, static.theta, strict=True), key=lambda p: sense * p[0])
     (best, at), (worst, far) = order[0], order[-1]
+    if c.has_controller:  # of the map: the least hold is that by chance
+        best, at = math.exp(c.tuned["best"]["log"]), c.tuned["theta_best"]
     text = (
         f"Over {span} the amplitude of {static.feature} is between {best:.3g} at {at:.4g} and "
         f"{worst:.3g} at {far:.4g}"
     )
     if c.has_controller:
-        low, high = c.tuned["theta_best_band"]
-        text += f"; it is best near {c.tuned['theta_best']:.4g} ({low:.4g} to {high:.4g})"
+        low, high = c.tuned["best"]["valley"]
+        text += f"; its valley is from {low:.4g} to {high:.4g}"
     return text + "."
 
 

@@ -19,12 +19,11 @@ from koop_commission.fitness.fitness import (
     BAD,
     NOTE,
     OK,
+    Blocks,
     Finding,
     choose_period,
-    compute_block_features,
     judge_reaction,
     judge_samples,
-    name_block_features,
 )
 from koop_commission.fitness.reaction import SERIES, compare_blocks, draw_order
 from koop_commission.fitness.recording import check_recording
@@ -36,13 +35,13 @@ from koop_commission.rig.graph import (
     refuse_missing_topics,
 )
 from koop_commission.rig.listener import Listener
-from koop_commission.stages.session import Session
+from koop_commission.stages.session import Session, spell_time
 from koop_commission.theta.commander_client import note_of
 from koop_core.errors import LiveError
 from koop_node.client.client import Client
 from koop_node.process.domain import current_domain
+from koop_tune.excitation.amplitude import Windows, bridge_gaps
 from koop_tune.excitation.channels import should_listen
-from koop_tune.excitation.features import Bands, bridge_gaps, choose_bands
 from koop_tune.rig.rig_file import RigFile, read
 
 
@@ -166,25 +165,25 @@ def _move_theta(
         counts = [count for count, _ in stages]
         if finding is not None and sum(counts) * seconds > rig.time:
             break  # the rig file does not allow it
-        least, most = (n * seconds / rig.pace for n in (counts[0], sum(counts)))
+        least, most = (spell_time(n * seconds, rig.pace) for n in (counts[0], sum(counts)))
         print(
-            f"      moving theta between {theta:.4g} and {other:.4g}: {least:.0f} s, at most "
-            f"{most:.0f} s; Ctrl-C ends it, theta returns to {rig.theta_safe:g}",
+            f"      moving theta between {theta:.4g} and {other:.4g}: {least}, at most {most}; "
+            f"Ctrl-C ends it, theta returns to {rig.theta_safe:g}",
             flush=True,
         )
         x = bridge_gaps(session.listener.samples().x)
-        bands = choose_bands(x, min(observe, x.shape[0]), rig.dt)._replace(length=observe)
+        blocks = Blocks.choose(x, Windows(observe, rig.dt))
         features: list[NDArray[np.float64]] = []
         moved: list[bool] = []
         for (count, alpha), done in zip(stages, itertools.count(1), strict=False):
             for up in draw_order(count, rng):
-                features.append(_observe(rig, session, other if up else theta, settle, bands))
+                features.append(_observe(rig, session, other if up else theta, settle, blocks))
                 moved.append(up)
             reaction = compare_blocks(np.array(features), moved, counts[:done])
             if reaction.p <= alpha:
                 break
         between = f"theta from {theta:.4g} to {other:.4g}, {len(moved)} blocks of {seconds:.3g} s"
-        finding = judge_reaction(reaction, name_block_features(bands, rig.names), between)
+        finding = judge_reaction(reaction, blocks.names(rig.names), between)
         if finding.level != BAD:
             break
     assert finding is not None
@@ -192,14 +191,14 @@ def _move_theta(
 
 
 def _observe(
-    rig: RigFile, session: Session, theta: float, settle: int, bands: Bands
+    rig: RigFile, session: Session, theta: float, settle: int, blocks: Blocks
 ) -> NDArray[np.float64]:
     """Move theta, let the rig settle, and return the features of the block that follows."""
     session.commander.go(theta)
     session.wait_until(lambda: session.commander.arrived)
     session.wait_for_states(settle, "settling")
     begin = session.listener.count
-    session.wait_for_states(bands.length, "observing")
-    x = session.listener.samples(begin, begin + bands.length).x
+    session.wait_for_states(blocks.windows.length, "observing")
+    x = session.listener.samples(begin, begin + blocks.windows.length).x
     refuse_dead(rig.names, x)
-    return compute_block_features(x, bands)
+    return blocks.features(x)

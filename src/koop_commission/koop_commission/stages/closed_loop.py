@@ -13,16 +13,17 @@ from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
 from koop_bringup.plan import plan
 from koop_commission.rig.listener import Listener
-from koop_commission.stages.session import Session, open_session
+from koop_commission.stages.session import Session, open_session, spell_time
 from koop_core.config.fields import parse_field
 from koop_tune.excitation import progress
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig.rig_file import THETA, THETA_TYPE, RigFile
-from koop_tune.search.agreement import Aim, may_yet_agree, measure
+from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure
 from koop_tune.search.rounds import LoopRun
 
 THETA_ASKED = "/koop_verify/theta"  # what the controller asks for; the commander passes it on
 BEFORE = 8  # windows before the loop is closed, and after it at the theta that it reached
+LINES, QUIET = 8, 5.0  # lines about a closed loop at most, and time between two at least [s]
 LONGER = 2.0  # factor by which a loop that may agree yet is closed for longer
 ESC = "relay_esc"
 
@@ -55,7 +56,13 @@ class ClosedLoop:
     def settling(self) -> float:
         """Time that the rig needs to settle [s]: as its excitation showed, else its own time."""
         state = progress.load(self.rig, self.folder)
-        return max([self.aim.time, *(visit.settled for visit in (state.visits if state else ()))])
+        return max(
+            [
+                self.aim.time,
+                self.aim.growth,
+                *(hold.settled for hold in (state.holds if state else ())),
+            ]
+        )
 
     def record(self, start: float) -> LoopRun:
         """Drive theta to a start, close the loop, and return its figures."""
@@ -88,9 +95,15 @@ class ClosedLoop:
         aim, dt, states = self.aim, self.rig.dt, session.listener
         fields = (parse_field("theta"), parse_field("epsilon"))
         answers = Listener(session.client, THETA, THETA_TYPE, fields, reliable=True)
-        rest = BEFORE * aim.bands.length
-        session.still = aim.bands.length
+        rest = BEFORE * aim.amplitude.windows.length
+        session.still = aim.amplitude.windows.length
         session.client.change_state(f"/{ESC}", "configure", START_TIMEOUT, session.check)
+        quiet = self.settling + rest * dt
+        print(
+            f"theta = {start:.4g}, the loop open: {spell_time(quiet, self.rig.pace)} until the rig "
+            "has settled there and its amplitude is known",
+            flush=True,
+        )
         session.go(start)
         session.wait_for_states(math.ceil(self.settling / dt), "settling")
         begin = states.count
@@ -100,21 +113,49 @@ class ClosedLoop:
         session.client.change_state(f"/{ESC}", "activate", START_TIMEOUT, session.check)
         session.wait_until(lambda: _has_direction(answers))
         closed, first = states.count, answers.count
-        seconds = aim.duration
+        seconds, how = aim.duration, "the loop is closed"
         while True:
-            left = math.ceil(seconds / dt) - (states.count - closed)
-            session.wait_for_states(left, "closed loop")
+            print(f"{how}: {spell_time(seconds, self.rig.pace)} in all", flush=True)
+            self._wait(session, closed, seconds)
             loop = states.samples(closed)
             theta = answers.samples(first).x[:, 0]
             measured = measure(aim, before, loop.x, theta)
-            if seconds >= aim.longest or not may_yet_agree(aim, measured):
+            lacks = find_faults(aim, [measured]) or find_disagreements(aim, measured)
+            if seconds >= aim.longest or not lacks:
                 break
+            # an adaptive law arrives with a large step and takes its time to make it small
             seconds = min(LONGER * seconds, aim.longest)
+            how = f"not yet, {lacks[0]}: the loop stays closed"
         # theta is held where the loop ended: a later tuning learns from dwell points
+        print(
+            f"theta is held at {measured.theta:.4g}, where the loop ended: "
+            f"{spell_time(rest * dt, self.rig.pace)}",
+            flush=True,
+        )
         session.go(measured.theta)
         session.wait_for_states(rest, "after")
         session.client.change_state(f"/{ESC}", "deactivate", START_TIMEOUT, session.check)
         return LoopRun(start, measured, bag, seconds, (int(loop.step[0]), int(loop.step[-1])))
+
+    def _wait(self, session: Session, closed: int, seconds: float) -> None:
+        """Wait until the loop was closed for a time [s]; say now and then how far it is."""
+        states, dt, amplitude = session.listener, self.rig.dt, self.aim.amplitude
+        every = math.ceil(max(seconds / LINES, QUIET * self.rig.pace) / dt)
+        end, tail = closed + math.ceil(seconds / dt), BEFORE * amplitude.windows.length
+        while (count := states.count) < end:
+            due = min(count + every, end)
+            session.show = lambda: session.draw("loop", (states.count - closed) * dt, seconds)
+            _wait_for(session, due)
+            x = states.samples(max(closed, due - tail), due).x
+            if x.shape[0] >= amplitude.windows.length:
+                level = math.exp(float(amplitude.logs(x).mean()))
+                theta = session.commander.theta
+                at = (due - closed) * dt
+                print(f"{at:6.0f} s  theta {theta:<9.4g} amplitude {level:.3g}", flush=True)
+
+
+def _wait_for(session: Session, count: int) -> None:
+    session.wait_until(lambda: session.listener.count >= count)
 
 
 def _has_direction(answers: Listener) -> bool:

@@ -5,29 +5,44 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveNodes
-from koop_commission.stages.session import Session, open_session, refuse_small_disk, resumable
+from koop_commission.stages.session import (
+    Session,
+    open_session,
+    refuse_small_disk,
+    resumable,
+    spell_time,
+)
 from koop_commission.theta.commander_client import note_of
 from koop_commission.theta.limits import compute_return_time
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError, LiveError
+from koop_identify.model.from_bags import load_bags
 from koop_tune.excitation import progress as progress_file
-from koop_tune.excitation.progress import ExcitationProgress
-from koop_tune.excitation.survey import SURVEY, Survey
+from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, SAME, TIME, Design, Move
+from koop_tune.excitation.holds import Hold
+from koop_tune.excitation.progress import ExcitationProgress, HoldSummary
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
+from koop_tune.rig_model.dwells import DWELLS, find_holds
+from koop_tune.tune_folders import list_bags, reading_of
+
+ANY = replace(DWELLS, values=1)  # what an interrupted excitation holds
 
 
 def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     parser = commands.add_parser(
         "excite",
-        description="Moves theta over its range, up, down and in random order, with the lifter "
-        "running, and records everything. theta is held at each dwell point until the rig has "
+        description="Moves theta over its range and then to where it tells most about the least "
+        "amplitude and its surroundings, and records everything. theta is held until the rig has "
         "settled and the amplitude is known; the command ends when the static map is. Whatever "
         "ends it, theta returns to theta_safe at the permitted rate. The same command with the "
         "same --out resumes an interrupted one.",
@@ -41,7 +56,7 @@ def register(commands: Any) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code: 0 if theta was at every dwell point at least twice."""
+    """Entry point; returns the exit code: 0 if the static map is known."""
     from koop_commission.report import try_report  # slow to import
 
     rig = rig_file.read(args.rig)
@@ -50,26 +65,34 @@ def main(args: argparse.Namespace) -> int:
         progress = excite(rig, folder, note_of(args.rig))
     print("\n" + describe_result(rig, progress))
     print(try_report(folder))
-    print(f"next: ./koop tune {args.rig} {folder}")
-    return 1 if progress.lacks_visits else 0
+    if progress.ended == KNOWN:
+        print(f"next: ./koop tune {args.rig} {folder}")
+        return 0
+    return 1
 
 
 def describe_result(rig: RigFile, progress: ExcitationProgress) -> str:
     """Return in words why an excitation ended, and how much of it is known."""
-    reason = (
-        "the static map is known well enough" if progress.done
-        else f"the {rig.time:g} s of the rig file are over"
-    )  # fmt: skip
-    reached = f"{len(progress.reached)} of {len(progress.values)} dwell points"
+    reason = {
+        KNOWN: "the static map is known well enough",
+        FLAT: "nothing reacts to theta beyond the errors: 'koop check' tells whether theta reaches "
+        "the rig",
+        TIME: f"the {rig.time:g} s of the rig file were over before the static map was known: set "
+        "a longer 'time' in it and run the same command again",
+    }[progress.ended or TIME]
+    if progress.ended == TIME and progress.elapsed < rig.time:  # as many holds as there may be
+        reason = (
+            "the static map is not known yet, and more holds would not help: noise hides the "
+            "oscillation, or the rig changes while theta rests; measure where it is stronger, or "
+            "set narrower limits of theta, and choose another --out"
+        )
     return (
-        f"{reason}: {len(progress.visits)} visits of {reached} in {progress.elapsed:.0f} s; theta "
-        f"is back at {rig.theta_safe:g}"
+        f"{reason}; {len(progress.holds)} holds in {progress.elapsed:.0f} s of the rig's time; "
+        f"theta is back at {rig.theta_safe:g}"
     )
 
 
-def excite(
-    rig: RigFile, folder: Path, note: Path | None = None, seed: int = 0
-) -> ExcitationProgress:
+def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationProgress:
     """Move theta over its range and record, until the static map is known or the time is over.
 
     Parameters
@@ -80,8 +103,6 @@ def excite(
         Folder of the recordings; an excitation that was begun there is resumed.
     note : Path, optional
         File that notes where theta was left.
-    seed : int
-        Seed of the random order.
 
     Raises
     ------
@@ -91,10 +112,15 @@ def excite(
     koop_core.config.parameter.ConfigError
         If the folder holds the recordings of another rig, or a finished excitation.
     """
-    state = progress_file.load(rig, folder) or progress_file.begin(seed, rig)
-    if state.done:
+    state = progress_file.load(rig, folder) or ExcitationProgress()
+    if state.ended in (KNOWN, FLAT):
         raise ConfigError(f"{folder}: the static map is known already: choose another --out")
+    if state.elapsed >= rig.time:
+        raise ConfigError(
+            f"{folder}: the {rig.time:g} s of the rig file are over: set a longer 'time' in it"
+        )
     refuse_small_disk(rig, folder, rig.time - state.elapsed)
+    holds, state.ended = read_holds(rig, folder, state), ""
     number = len(state.parts) + 1
     while (folder / (part := f"part-{number}")).exists():  # of one killed before it was noted
         number += 1
@@ -105,7 +131,7 @@ def excite(
     nodes = LiveNodes(folder / part, parameters, rig=True)
     with open_session("koop_excite", rig, nodes, note) as session:
         state.parts.append(part)
-        Excitation(rig, folder, state, session).run()
+        Excitation(rig, folder, state, holds, session).run()
     return state
 
 
@@ -120,21 +146,22 @@ class Excitation:
         Folder of all parts.
     state : ExcitationProgress
         Done so far; it grows.
+    holds : list of Hold
+        The same, as recorded.
     session : Session
         With the rig.
     """
 
     def __init__(
-        self, rig: RigFile, folder: Path, state: ExcitationProgress, session: Session
-    ) -> None:
+        self, rig: RigFile, folder: Path, state: ExcitationProgress, holds: list[Hold],
+        session: Session,
+    ) -> None:  # fmt: skip
         self._rig, self._folder, self._state, self._session = rig, folder, state, session
         self._listener = session.listener
-        self._survey = Survey(rig, state)
-        self._first, self._before, self._began = (
-            self._listener.count,
-            state.elapsed,
-            time.monotonic(),
-        )
+        self._first, self._before = self._listener.count, state.elapsed
+        self._began = time.monotonic()
+        self._design = Design(rig, holds, state.windows)
+        self._whys = recall_reasons(rig, state, holds)
         session.show = self._show
 
     @property
@@ -146,69 +173,139 @@ class Excitation:
 
     def run(self) -> None:
         """Move theta until the map is known or the time is over."""
-        state = self._state
-        self._save()
-        if state.bands is None:
+        progress_file.save(self._state, self._rig, self._folder)
+        if self._state.holds:
+            print(f"{len(self._state.holds)} holds were done before", flush=True)
+        if self._design.amplitude is None:
             self._listen()
-        assert state.bands is not None
-        self._session.still = state.bands.length
-        self._print_forecast()
-        while (value := self._survey.next_value()) is not None and self._dwell(value):
+        self._forecast()
+        while (move := self._design.next()) is not None and self._hold(move):
+            self._whys.append(move.why)
+            self._report_hold(move)
             self._save()
+        self._state.ended = self._design.ended or TIME
         self._save()
 
     def _save(self) -> None:
-        self._state.elapsed = self._elapsed
-        progress_file.save(self._state, self._rig, self._folder)
+        state, design, scale = self._state, self._design, self._rig.scale
+        state.since = max(state.since, design.since)
+        state.elapsed, state.windows, state.amplitude = (
+            self._elapsed,
+            design.windows,
+            design.amplitude,
+        )
+        seconds, dt = design.windows.seconds, self._rig.dt
+        state.holds = [
+            HoldSummary(
+                scale.theta_at(hold.u), level.mean, min(level.error, 10.0), level.skip * seconds,
+                hold.x.shape[0] * dt, why,
+            )
+            for hold, level, why in zip(design.holds, design.levels(), self._whys, strict=True)
+        ]  # fmt: skip
+        progress_file.save(state, self._rig, self._folder)
 
     def _listen(self) -> None:
-        """Choose the windows from the oscillation before theta moves."""
-        dt = self._rig.dt
-        while self._survey.listens(x := self._listener.samples(self._first).x):
-            self._session.wait_for_states(math.ceil(0.2 * SURVEY.shortest / dt))
+        """Choose the first windows from the oscillation before theta moves."""
+        dt, theta = self._rig.dt, self._session.commander.theta
+        print(f"listening before theta moves, at theta = {theta:.4g}", flush=True)
+        while self._design.listens(x := self._listener.samples(self._first).x):
+            self._session.wait_for_states(math.ceil(0.2 * DESIGN.shortest / dt), "listening")
         try:
-            periods = self._survey.look(x)
+            shortest, longest = self._design.look(x)
         except KoopError as error:
             raise LiveError(str(error)) from None
-        assert self._state.bands is not None
+        span = " to ".join(dict.fromkeys(f"{period:.3g}" for period in (shortest, longest)))
+        print(f"periods of {span} s; which of them react shows as theta moves", flush=True)
+
+    def _forecast(self) -> None:
+        """Say how long it takes at least, before theta moves.
+
+        Raises
+        ------
+        koop_core.config.parameter.ConfigError
+            If the time of the rig file is too short for that.
+        """
+        rig, needed = self._rig, self._design.needed
+        left = max(rig.time - self._elapsed, 0.0)
+        if needed > left:
+            raise ConfigError(
+                f"the first holds alone need {needed:.0f} s, and of time = {rig.time:g} in the rig "
+                f"file {left:.0f} s are left: set time = "
+                f"{round_up(2.0 * (self._elapsed + needed)):g} or more"
+            )
+        back = compute_return_time(rig, rig.theta_max)
         print(
-            f"periods from {min(periods):.3g} to {periods.slowest:.3g} s: amplitudes are taken in "
-            f"windows of {self._state.bands.length * dt:.3g} s",
+            f"theta goes from {rig.theta_min:g} to {rig.theta_max:g} and back, then to where it "
+            f"tells most: at most {spell_time(left, rig.pace)}, less if only what is fast reacts; "
+            f"Ctrl-C ends it, theta returns to {rig.theta_safe:g} in up to {back:.0f} s\n"
+            "[s] of the rig's time; amplitude 1 is the strongest motion seen so far",
             flush=True,
         )
 
-    def _dwell(self, value: float) -> bool:
-        """Hold theta at a dwell point as long as it needs; return False if the time is over."""
-        survey, bands, listener = self._survey, self._state.bands, self._listener
-        assert bands is not None
-        self._session.go(value)
+    def _hold(self, move: Move) -> bool:
+        """Hold theta as long as it needs; return False if the time is over."""
+        design, listener, scale = self._design, self._listener, self._rig.scale
+        for u in (move.via, move.u):
+            if u is not None:
+                self._session.go(scale.theta_at(u))
         begin = end = listener.count
-        survey.arrive(self._elapsed)
+        design.arrive(move, self._elapsed, begin)
 
         def is_over() -> bool:
             return listener.count >= end or self._elapsed > self._rig.time
 
         while True:
-            end = begin + (survey.windows + 1) * bands.length
+            end = begin + design.windows.length
+            self._session.still = design.windows.length
+            self._session.show = self._show
             self._session.wait_until(is_over)
             self._session.refuse_dead()
             if self._elapsed > self._rig.time:
                 return False
-            if survey.take(listener.samples(end - bands.length, end).x):
+            if design.take(listener.samples(begin, end).x):
                 return True
+            begin = end
 
-    def _print_forecast(self) -> None:
-        rig, done = self._rig, len(self._state.visits)
-        resumed = f"; {done} visits were done before" if done else ""
-        most = max(rig.time - self._elapsed, 0.0) / rig.pace / 60.0
-        back = compute_return_time(rig, rig.theta_max)
-        print(
-            f"{len(self._state.values)} values of theta from {rig.theta_min:g} to "
-            f"{rig.theta_max:g}, up and down, then in random order{resumed}: at most {most:.0f} "
-            f"min, and up to {back:.0f} s back to {rig.theta_safe:g}; Ctrl-C returns theta there",
-            flush=True,
-        )
+    def _report_hold(self, move: Move) -> None:
+        """Say what a hold showed, and what reacts once that is known or changes."""
+        design, rig = self._design, self._rig
+        hold, amplitude = design.holds[-1], design.amplitude
+        theta, seconds = rig.scale.theta_at(hold.u), hold.x.shape[0] * rig.dt
+        said = f"{self._elapsed:6.0f} s  theta {theta:<9.4g} held {seconds:4.0f} s  amplitude "
+        if amplitude is None:
+            print(f"{said}unknown: nothing reacts yet  ({move.why})", flush=True)
+            return
+        level = design.levels()[-1]
+        doubt = f"{100.0 * level.error:.2g} %" if level.error < 1.0 else "unknown"
+        print(f"{said}{math.exp(level.mean):<7.3g} +- {doubt:<6}  ({move.why})", flush=True)
 
     def _show(self) -> None:
-        visits = f"{len(self._state.visits)} visits, {self._survey.visits_left} or more to go"
-        self._session.draw("exciting", self._elapsed, self._rig.time, visits)
+        holds = f"{len(self._design.holds)} holds, {self._design.left} or more to go"
+        self._session.draw("exciting", self._elapsed, self._rig.time, holds)
+
+
+def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[Hold]:
+    """Return the holds that an interrupted excitation recorded."""
+    if not state.holds or state.windows is None:
+        return []
+    bags = list_bags(folder, rig, state)
+    loaded, _ = load_bags(bags, reading_of(bags[0], rig))
+    done = rig.scale.u(np.array([hold.theta for hold in state.holds]))
+    holds = find_holds(loaded, rig.scale, state.windows.length, ANY)
+    return [hold for hold in holds if np.abs(done - hold.u).min() < SAME]
+
+
+def recall_reasons(rig: RigFile, state: ExcitationProgress, holds: list[Hold]) -> list[str]:
+    """Return why theta was held at each of some holds, as was noted."""
+    done = rig.scale.u(np.array([hold.theta for hold in state.holds]))
+    return [state.holds[int(np.argmin(np.abs(done - hold.u)))].why for hold in holds]
+
+
+def round_up(seconds: float) -> float:
+    """Return a time of two digits that is not shorter.
+
+    >>> round_up(1234.0)
+    1300.0
+    """
+    digit = 10.0 ** (math.floor(math.log10(seconds)) - 1)
+    return math.ceil(seconds / digit) * digit

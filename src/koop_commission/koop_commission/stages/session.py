@@ -234,6 +234,19 @@ def resumable(rig: RigFile, command: str) -> Iterator[None]:
         raise
 
 
+def spell_time(seconds: float, pace: float) -> str:
+    """Return a time of the rig in words, and how long it takes here where that differs.
+
+    >>> spell_time(40.0, 1.0), spell_time(600.0, 1.0), spell_time(1200.0, 4.0)
+    ('40 s', '600 s (10 min)', "1200 s of the rig's time (5 min here)")
+    """
+    here = seconds / pace
+    wait = f"{here:.0f} s" if here < 120.0 else f"{here / 60.0:.2g} min"
+    if pace != 1.0:
+        return f"{seconds:.0f} s of the rig's time ({wait} here)"
+    return f"{seconds:.0f} s" + f" ({wait})" * (here >= 120.0)
+
+
 def refuse_incomplete_state(rig: RigFile) -> None:
     """Refuse a rig that publishes the loop's own topic, and a rig file that names only a part.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_commission.stages.closed_loop import BEFORE, ClosedLoop
-from koop_commission.stages.session import refuse_small_disk, resumable
+from koop_commission.stages.session import refuse_small_disk, resumable, spell_time
 from koop_commission.theta.commander_client import note_of
 from koop_core.text_table import table
 from koop_tune.folder import FIGURES, TUNED
@@ -16,6 +16,7 @@ from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
     find_disagreements,
+    find_faults,
     read_aim,
     verdict,
 )
@@ -35,7 +36,7 @@ def register(commands: Any) -> None:
         description="Closes the loop with the controller of 'koop tune', from both ends of "
         "theta's range, records it, and compares it with the prediction. A commander keeps theta "
         "within its limits and rate and returns it to theta_safe, as in 'koop excite'. The same "
-        "command resumes an interrupted one. Exit code 0 only if the rig is damped as predicted.",
+        "command resumes an interrupted one. Exit code 0 only if the rig is damped.",
     )
     parser.add_argument("rig", metavar="RIG.YAML", help="rig file, from 'koop commission --new'")
     parser.add_argument(
@@ -45,7 +46,7 @@ def register(commands: Any) -> None:
 
 
 def main(args: argparse.Namespace) -> int:
-    """Entry point; returns the exit code: 0 only if the rig is damped as predicted."""
+    """Entry point; returns the exit code: 0 only if the rig is damped."""
     from koop_commission.report import try_report  # slow to import
 
     rig = rig_file.read(args.rig)
@@ -53,7 +54,7 @@ def main(args: argparse.Namespace) -> int:
         verification = verify(rig, args.folder, note_of(args.rig))
     print("\n" + format_round(verification.rounds[-1]) + "\n\n" + verification.verdict)
     print(try_report(args.folder))
-    return 0 if verification.rounds[-1].damped_as_predicted else 1
+    return 0 if verification.damped else 1
 
 
 def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification:
@@ -86,20 +87,22 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     besides = loop.settling + 2 * BEFORE * aim.window + 1.5 * rig.span / rig.theta_rate
     refuse_small_disk(rig, folder, len(left) * (besides + aim.longest))
     least, most = (
-        len(left) * (besides + closed) / rig.pace / 60.0 for closed in (aim.duration, aim.longest)
+        spell_time(len(left) * (besides + closed), rig.pace)
+        for closed in (aim.duration, aim.longest)
     )
     print(
         f"closing the loop from theta = {' and '.join(f'{start:.4g}' for start in left)}: "
-        f"{aim.duration:.4g} s each, up to {aim.longest:.4g} s where theta settles more slowly; "
-        f"in all about {least:.1f} min, at most {most:.1f} min; "
-        f"Ctrl-C ends it, theta returns to {rig.theta_safe:g}",
+        f"{aim.duration:.0f} s each, up to {aim.longest:.0f} s where theta settles more slowly; "
+        f"in all {least}, at most {most}; Ctrl-C ends it, theta returns to {rig.theta_safe:g}",
         flush=True,
     )
     for start in left:
         current = replace(current, runs=(*current.runs, loop.record(start)))
         save_verification(Verification((*rounds, current)), folder)
     worse = [text for run in current.runs for text in find_disagreements(aim, run.measured)]
-    current = replace(current, agrees=not worse, summary="; ".join(worse) or current.agreement)
+    faults = find_faults(aim, [run.measured for run in current.runs])
+    summary = "; ".join(faults or worse) or "damped as predicted"
+    current = replace(current, agrees=not worse, damped=not faults, summary=summary)
     save_verification(Verification((*rounds, current)), folder)
     return judge(rig, folder, len(rounds))
 
@@ -117,12 +120,13 @@ def judge(rig: RigFile, folder: Path, index: int) -> Verification:
         Round in which that controller was verified; the first is 0.
     """
     verification, aim = load_verification(folder), read_aim(folder / TUNED / FIGURES, rig)
-    runs = [run.measured for run in verification.rounds[index].runs]
+    chosen = verification.rounds[index].runs
+    runs, starts = [run.measured for run in chosen], [run.start for run in chosen]
     verification = replace(
         verification,
-        damped=all(run.damped for run in runs),
+        damped=not find_faults(aim, runs),
         feature=aim.name,
-        verdict=verdict(aim, runs, len(verification.rounds), str(folder)),
+        verdict=verdict(aim, runs, starts, len(verification.rounds), str(folder)),
     )
     save_verification(verification, folder)
     return verification

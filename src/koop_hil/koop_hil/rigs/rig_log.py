@@ -3,7 +3,7 @@
 
 What it says about a recording, to judge a verdict by:
 
-    python rig.py absorber --scale 20 --log rig.csv
+    python rig.py absorber --scale 10 --log rig.csv
     python rig_log.py rig.csv mine/verify-1/start-1
 """
 

@@ -48,6 +48,17 @@ class Loaded:
     time: NDArray[np.float64]
     recorded: float = 0.0
 
+    def after(self, first: int) -> Loaded:
+        """Return the recording from a sample on."""
+        theta = None if self.theta is None else self.theta[first:]
+        return replace(
+            self,
+            x=self.x[:, first:],
+            begins=self.begins[first:],
+            theta=theta,
+            time=self.time[first:],
+        )
+
     @classmethod
     def joined(cls, parts: Sequence[Loaded]) -> Loaded:
         """Return several recordings as one; theta only if each has it."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,10 @@ from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_study.family import oscillator
 from koop_study.family.rig import Rig
-from koop_tune.excitation import progress
-from koop_tune.excitation.progress import ExcitationProgress
-from koop_tune.excitation.survey import SURVEY, Survey
+from koop_tune.excitation.design import DESIGN, Design
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
 
+LONGER = (1.0, 2.0, 4.0)  # times of the rig file, one after the other
 PERIODS = 10.0  # windows are as long as the slowest oscillation asks, an interference's too
 OFTEN = 0.1  # of the samples so far, after which their number is judged again
 
@@ -33,22 +32,25 @@ class Excitation:
         Control input of each sample.
     x : ndarray, shape (M, n)
         Measured channels.
-    progress : ExcitationProgress
-        Finished part of the excitation.
+    design : Design
+        Its decisions.
+    elapsed : float
+        Time [s].
     """
 
     theta: NDArray[np.float64]
     x: NDArray[np.float64]
-    progress: ExcitationProgress
+    design: Design
+    elapsed: float
 
     @property
     def loaded(self) -> Loaded:
         """The recording as it is loaded from a bag."""
         size = self.theta.size
         begins = np.arange(size) == 0
-        assert self.progress.bands is not None
-        time = np.asarray(np.arange(size) * self.progress.bands.dt, np.float64)
-        return Loaded(np.ascontiguousarray(self.x.T), begins, self.theta, time)
+        time = np.asarray(np.arange(size) * self.design.windows.dt, np.float64)
+        whole = Loaded(np.ascontiguousarray(self.x.T), begins, self.theta, time)
+        return whole.after(int(self.design.since / self.design.windows.dt))
 
 
 def file_of(rig: Rig, rate: float, time: float) -> RigFile:
@@ -143,21 +145,28 @@ def excite(rig: Rig, file: RigFile, seed: int) -> Excitation:
     ValueError
         If no channel moves.
     """
-    state = progress.begin(seed, file)
-    survey, running = Survey(file, state), Running(rig, file.theta_rate, seed)
-    heard = running.stay(math.ceil(SURVEY.shortest / file.dt))
-    while survey.listens(heard):
-        more = max(0.2 * SURVEY.shortest / file.dt, OFTEN * heard.shape[0])
+    design, running = Design(file), Running(rig, file.theta_rate, seed)
+    heard = running.stay(math.ceil(DESIGN.shortest / file.dt))
+    while design.listens(heard):
+        more = max(0.2 * DESIGN.shortest / file.dt, OFTEN * heard.shape[0])
         heard = np.concatenate([heard, running.stay(math.ceil(more))])
-    survey.look(heard)
-    assert state.bands is not None
-    while (value := survey.next_value()) is not None:
-        running.go(value)
-        survey.arrive(running.elapsed)
-        over = False
-        while not over and not survey.take(running.stay(state.bands.length)):
-            over = running.elapsed > file.time
-        if over or running.elapsed > file.time:
+    design.look(heard)
+    for factor in LONGER:  # an engineer does as the command says
+        design.rig = replace(file, time=factor * file.time)
+        if _go_on(design, running):
             break
-    state.elapsed = running.elapsed
-    return Excitation(*running.recorded(), state)
+    return Excitation(*running.recorded(), design, running.elapsed)
+
+
+def _go_on(design: Design, running: Running) -> bool:
+    """Excite until enough is known; return False if the time is over."""
+    scale, time = design.rig.scale, design.rig.time
+    while (move := design.next()) is not None:
+        for u in (move.via, move.u):
+            if u is not None:
+                running.go(scale.theta_at(u))
+        design.arrive(move, running.elapsed, running.steps)
+        while not design.take(running.stay(design.windows.length)):
+            if running.elapsed > time:
+                return False
+    return True

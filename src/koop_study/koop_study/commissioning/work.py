@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from koop_study.commissioning.excitation import Excitation, excite, file_of, training_of
 from koop_study.family import oscillator
@@ -25,7 +26,9 @@ from koop_study.family.scaled import unscaled
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
+    Aim,
     find_disagreements,
+    find_faults,
     make_aim,
     measure,
 )
@@ -38,7 +41,7 @@ from koopman_lifter.config import LifterConfig
 
 EARLIER, OTHER = 1_000_000, 2_000_000  # to the seed, of the excitation and of the other end's noise
 ENDS = (0, 1)
-BEFORE = 8  # windows of a loop, with whose amplitude it is compared
+BEFORE = 8  # windows before a loop, or times of the rig
 Row = dict[str, Any]
 
 
@@ -74,10 +77,12 @@ def commission_plant(
     file = file_of(rig, rate, excitation)
     recorded = excite(rig, file, seed + EARLIER)
     row: Row = {"stratum": stratum, **_described(rig), "damped": False,
-                "excited": recorded.progress.elapsed / rig.time}  # fmt: skip
-    after = rig.later(recorded.progress.elapsed)  # while theta was moved the optimum moved too
+                "excited": recorded.elapsed / rig.time}  # fmt: skip
+    after = rig.later(recorded.elapsed)  # while theta was moved the optimum moved too
     loops = _Loops(after, seed, round(duration * rig.time / rig.params.dt))
     try:
+        if not recorded.design.ended:
+            raise NoOptimum("time", "the time was over before the map was known")
         found = commissioned(rig, file, recorded, loops, seed, effort, row)
         row |= {"verdict": "tuned", "why": found.why, "doubt": found.findings.doubt,
                 "cost": found.chosen.name, "constants": asdict(found.best.constants),
@@ -101,29 +106,30 @@ def commissioned(
     """
     rounds: list[Round] = []
     tried: list[tuple[Tuning, Row]] = []
-    while len(rounds) < VERIFICATION.rounds and not (rounds and rounds[-1].damped_as_predicted):
+    while len(rounds) < VERIFICATION.rounds and not (rounds and rounds[-1].damped):
         settings = TuningSettings(
             seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
         )
-        bands = recorded.progress.bands
-        found = tune(recorded.loaded, file, training_of(rig), bands, settings)
+        amplitude = recorded.design.amplitude
+        found = tune(recorded.loaded, file, training_of(rig), amplitude, settings)
         if not rig.has_optimum:
             return found
         closed = loops.close(found)
         aim = make_aim(as_json.of_tuning(found, file, None), file)
         runs = tuple(
-            LoopRun(start, measure(aim, loop.x[: BEFORE * aim.bands.length], loop.x, loop.theta))
-            for start, loop in zip((file.theta_min, file.theta_max), closed, strict=True)
+            LoopRun(start, measure(aim, loops.before(end, aim), loop.x, loop.theta))
+            for end, start, loop in zip(ENDS, (file.theta_min, file.theta_max), closed, strict=True)
         )
         agrees = not any(find_disagreements(aim, run.measured) for run in runs)
-        rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees))
+        damped = not find_faults(aim, [run.measured for run in runs])
+        rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees, damped))
         result = {"ratio": [loop.ratio for loop in closed],
                   "converged": [loop.converged for loop in closed]}  # fmt: skip
         tried.append((found, result))
     which = kept_index(rounds)
     found, result = tried[which]
     row |= {"runs": {"first": tried[0][1], "tuned": result}, "rounds": len(rounds),
-            "damped": rounds[which].damped_as_predicted}  # fmt: skip
+            "damped": rounds[which].damped}  # fmt: skip
     return found
 
 
@@ -138,6 +144,13 @@ class _Loops:
         """From each end."""
         return [noise_of(from_end(self._rig, end), self._steps, self._seed + end * OTHER)
                 for end in ENDS]  # fmt: skip
+
+    def before(self, end: int, aim: Aim) -> NDArray[np.float64]:
+        """Return what is measured at rest at an end before the loop is closed there."""
+        windows = aim.amplitude.windows
+        steps = BEFORE * max(windows.length, round(aim.time / windows.dt))
+        rig = from_end(self._rig, end)
+        return rig.record(np.full(steps, rig.theta_initial), self._seed + 3 * OTHER + end)[0]
 
     def close(self, found: Tuning) -> list[ClosedRun]:
         """Close it with the tuned controller."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import parameter, validate
-from koop_tune.excitation.features import bridge_gaps
+from koop_tune.excitation.amplitude import bridge_gaps
 
 FEWEST = 128  # samples, before which there is no spectrum to speak of
 WIDTH = 2  # bins to each side that belong to a line under a Hann window

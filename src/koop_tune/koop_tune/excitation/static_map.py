@@ -1,209 +1,284 @@
-"""A static map with its errors: has it an optimum inside, and what is it between its points?"""
+"""A static map: the logarithm of a level over theta, with what is not known of it.
+
+Holds of theta gave levels with errors; a Gaussian process (Rasmussen and Williams, Gaussian
+Processes for Machine Learning, 2006) with a Matern kernel is conditioned on them. Its white part is
+what holds at one theta differ by beyond their errors: drift, memory of where theta came from.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import warnings
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
+from scipy.stats import norm
 
-from koop_tune.excitation.optimum_test import Evidence, OptimumTest, clarity, nearest_valley, weigh
-from koop_tune.origin import jsbsim, studied
+from koop_core.config.parameter import parameter, validate
+from koop_tune.origin import studied
 
-GRID = 257  # points of a curve between 0 and 1
+GRID = 1025  # points of a curve between 0 and 1
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class MapSettings(OptimumTest):
-    """How errors, curve, optimum and cliffs of a static map are found."""
+class MapSettings:
+    """How a static map is fitted and judged."""
 
-    least_error: float = studied(0.003, "least standard error of a log amplitude", low=1e-6)
-    outlying: float = studied(10.0, "most that a point's variance counts, over the median", low=1.0)
-    single: float = studied(2.0, "chi-squared of a point of a curve with one optimum", low=0.0)
-    good: float = studied(2.0, "amplitude over the best one of a good value's visits", low=1.0)
-    cliff: float = jsbsim(8.0, "factor to a neighbour; less is a steep side of a valley", low=1.0)
+    least_error: float = studied(0.003, "least standard error of a log level", low=1e-6)
+    smoothness: float = parameter(
+        1.5, "nu of the Matern kernel", low=0.5,
+        origin="random maps: half the holds of 0.5, and not blind to a narrow valley as 2.5",
+    )  # fmt: skip
+    shortest: float = parameter(0.02, "shortest length scale, in ranges", low=1e-3)
+    scatter: float = studied(0.2, "largest deviation of holds at one theta", low=0.0)
+    good: float = studied(1.5, "level over the best of the valley", low=1.0)
+    ends: float = studied(2.0, "standard errors by which an end is worse", low=0.0)
+    slight: float = studied(0.03, "the same as a log level, at least", low=0.0)
+    flat: float = studied(25.0, "chi-squared about a constant of 9 holds of nothing", low=0.0)
+    jump: float = parameter(8.0, "factor of a cliff", low=1.0)
+    cliff: float = parameter(0.5, "width of a cliff over the one of the valley beside", low=0.0)
+
+    def __post_init__(self) -> None:
+        validate(self)
 
 
 MAP = MapSettings()
 
 
-class Cliff(NamedTuple):
-    """A jump beside good values: the last good point, the first one beyond, difference of logs."""
+class Interval(NamedTuple):
+    """Positions from ``low`` to ``high``."""
 
-    inner: int
-    outer: int
+    low: float
+    high: float
+
+    @property
+    def width(self) -> float:
+        """Its length."""
+        return self.high - self.low
+
+
+class Cliff(NamedTuple):
+    """A jump beside good holds: last good position, first bad one, difference of logs."""
+
+    inner: float
+    outer: float
     height: float
 
 
 @dataclass(frozen=True)
 class StaticMap:
-    """Logarithm of a level, a root mean square, at each value of theta.
+    """Logarithm of a level at holds of theta.
 
     Attributes
     ----------
     u : ndarray, shape (N,)
-        Positions of theta, rising.
+        Position of theta at each hold, 0 to 1.
     mean, error : ndarray, shape (N,)
-        Its standard error counts that visits differ.
+        Logarithm of the level, and its standard error.
     sense : float
         +1 if little is wanted, else -1.
-    visits : list of ndarray
-        Levels of the visits of each value.
     settings : MapSettings
         How it is judged.
     """
 
-    u: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    error: NDArray[np.float64]
-    sense: float
-    visits: list[NDArray[np.float64]]
+    u: Array
+    mean: Array
+    error: Array
+    sense: float = 1.0
     settings: MapSettings = MAP
 
-    @classmethod
-    def from_visits(
-        cls,
-        u: NDArray[np.float64],
-        visits: Sequence[tuple[int, float, float]],
-        sense: float,
-        settings: MapSettings = MAP,
-    ) -> StaticMap:
-        """Return the map of visits.
+    @cached_property
+    def _fit(self) -> tuple[Any, float]:
+        """The conditioned process of y, less the mean of y."""
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.gaussian_process import GaussianProcessRegressor
+        from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+        from threadpoolctl import threadpool_limits
 
-        Parameters
-        ----------
-        u : ndarray, shape (N,)
-            Positions of theta, rising; each was visited.
-        visits : sequence of (int, float, float)
-            Number of the position, level and standard error of each visit.
-        sense, settings
-            See the class.
-        """
-        levels: list[list[float]] = [[] for _ in u]
-        errors: list[list[float]] = [[] for _ in u]
-        for place, level, error in visits:
-            levels[place].append(level)
-            errors[place].append(error)
-        groups = [np.array(group) for group in levels]
-        variances = [float(v.var(ddof=1)) for v in groups if v.size > 1]
-        most = settings.outlying * float(np.median(variances)) if variances else 0.0
-        spare = sum(v.size - 1 for v in groups)
-        squares = [min(float(v.var(ddof=1)), most) * (v.size - 1) for v in groups if v.size > 1]
-        pooled = sum(squares) / max(spare, 1)
-        total = []
-        for v, e in zip(groups, errors, strict=True):
-            within = float(np.sqrt((np.array(e) ** 2).sum())) / v.size
-            alone = float(v.var(ddof=1)) if v.size > 1 else pooled
-            between = math.sqrt(0.5 * (pooled + alone) / v.size)
-            total.append(max(within, between, settings.least_error))
-        mean = np.array([v.mean() for v in groups])
-        return cls(u, mean, np.array(total), sense, groups, settings)
+        s = self.settings
+        kernel = ConstantKernel(1.0, (0.01, 30.0)) * Matern(
+            0.3, (s.shortest, 3.0), nu=s.smoothness
+        ) + WhiteKernel(1e-4, (1e-6, s.scatter**2))
+        middle = float(self.y.mean())
+        error = np.maximum(np.minimum(self.error, 3.0), s.least_error)
+        process = GaussianProcessRegressor(
+            kernel, alpha=error**2, n_restarts_optimizer=1, random_state=0
+        )
+        # threads only wait for each other over matrices as small as these: five times the time
+        with threadpool_limits(1, "blas"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # a bound is an answer here
+            process.fit(self.u[:, None], self.y - middle)
+        return process, middle
 
     @property
-    def y(self) -> NDArray[np.float64]:
+    def y(self) -> Array:
         """Levels, the least of which is the best."""
         return np.asarray(self.sense * self.mean)
 
-    @property
-    def evidence(self) -> Evidence:
-        """Evidence for an optimum inside."""
-        return weigh(self.y, self.error)
+    def predict(self, u: Array) -> tuple[Array, Array]:
+        """Return y and its standard error at positions, shape (M,)."""
+        process, middle = self._fit
+        y, deviation = process.predict(u[:, None], return_std=True)
+        white = float(process.kernel_.k2.noise_level)
+        return y + middle, np.sqrt(np.maximum(deviation**2 - white, 1e-12))
+
+    def difference(self, a: float, b: float) -> tuple[float, float]:
+        """Return y(a) - y(b) and its standard error."""
+        process, _ = self._fit
+        y, covariance = process.predict(np.array([[a], [b]]), return_cov=True)
+        covariance -= float(process.kernel_.k2.noise_level) * np.eye(2)
+        variance = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
+        return float(y[0] - y[1]), math.sqrt(max(float(variance), 1e-12))
+
+    @cached_property
+    def grid(self) -> Array:
+        """Positions of the curve, shape (GRID,)."""
+        return np.asarray(np.linspace(0.0, 1.0, GRID))
+
+    @cached_property
+    def _curve(self) -> tuple[Array, Array]:
+        """Prediction on the grid."""
+        return self.predict(self.grid)
 
     @property
-    def interior(self) -> bool:
-        """Whether there is an optimum inside."""
-        return self.evidence.gain > self.settings.gain and 0.0 < self.best() < 1.0
+    def curve(self) -> Array:
+        """The map on the grid: logarithm of the level."""
+        return np.asarray(self.sense * self._curve[0])
+
+    @property
+    def deviation(self) -> Array:
+        """Standard error of the curve."""
+        return self._curve[1]
+
+    def draw(self, normal: Array) -> Array:
+        """Return maps that the holds allow, shape (K, GRID), of normal numbers, shape (K, GRID).
+
+        The same numbers give two maps the same side of their errors.
+        """
+        process, middle = self._fit
+        coarse = np.linspace(0.0, 1.0, 129)
+        places = np.unique(np.r_[coarse, self.u])
+        y, covariance = process.predict(places[:, None], return_cov=True)
+        covariance -= float(process.kernel_.k2.noise_level) * np.eye(places.size)
+        values, vectors = np.linalg.eigh(covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+        at = np.round(places * (GRID - 1)).astype(int)
+        drawn = y + middle + normal[:, at] @ root
+        return np.array([self.sense * np.interp(self.grid, places, row) for row in drawn])
+
+    @cached_property
+    def _best(self) -> tuple[float, float]:
+        """Position of the best hold, and y there."""
+        y = self.predict(self.u)[0]
+        i = int(np.argmin(y))
+        return float(self.u[i]), float(y[i])
+
+    def best(self) -> float:
+        """Return the position of the optimum among the holds: nothing else was seen."""
+        return self._best[0]
+
+    @property
+    def least(self) -> float:
+        """y at the best hold."""
+        return self._best[1]
+
+    @property
+    def chi_squared(self) -> float:
+        """Chi-squared of the holds about a constant."""
+        w = 1.0 / np.maximum(self.error, self.settings.least_error) ** 2
+        return float((w * (self.mean - np.average(self.mean, weights=w)) ** 2).sum())
 
     @property
     def flat(self) -> bool:
-        """Whether the points show nothing at all."""
-        return self.settings.is_flat(self.mean, self.error)
+        """Whether the holds show nothing at all."""
+        return self.chi_squared < self.settings.flat * max(1.0, (self.u.size - 1) / 8.0)
+
+    def worse_by(self, end: float) -> tuple[float, float]:
+        """Return by how much an end is worse than the best, and in standard errors."""
+        best = self.best()
+        if best == end:
+            return 0.0, 0.0
+        step, error = self.difference(end, best)
+        return step, step / error
+
+    @cached_property
+    def interior(self) -> bool:
+        """Whether there is an optimum inside: both ends are worse."""
+        s, ends = self.settings, [self.worse_by(end) for end in (0.0, 1.0)]
+        return all(step > s.slight and sure > s.ends for step, sure in ends)
+
+    @cached_property
+    def evidence(self) -> float:
+        """Evidence for an optimum inside (chi-squared)."""
+        return min(max(sure, 0.0) ** 2 for _, sure in map(self.worse_by, (0.0, 1.0)))
 
     @property
-    def clarity(self) -> float:
-        """How much the map stands out from its errors, in chi-squared."""
-        return clarity(self.mean, self.error)
+    def best_end(self) -> float | None:
+        """The end, 0 or 1, that is better than all inside beyond doubt; None if none is."""
+        best = self.best()
+        for end, inner in ((0.0, 0.125), (1.0, 0.875)):
+            if best == end:
+                step, error = self.difference(inner, end)
+                if step > 1.5 * error:
+                    return end
+        return None
 
-    @property
-    def best_end(self) -> int | None:
-        """The end, 0 or N - 1, that is the best beyond doubt; None if none is."""
-        return self.settings.best_end(self.y, self.error)
+    def valley(self, factor: float | None = None) -> Interval:
+        """Return the positions around the best up to where the curve is ``factor`` times it."""
+        good = self._curve[0] <= self.least + math.log(factor or self.settings.good)
+        i = round(self.best() * (GRID - 1))
+        below, above = np.flatnonzero(~good[:i]), np.flatnonzero(~good[i + 1 :])
+        low = self.grid[below[-1] + 1] if below.size else 0.0
+        high = self.grid[i + above[0]] if above.size else 1.0
+        best = self.best()
+        return Interval(min(float(low), best), max(float(high), best))
 
-    @property
-    def undecided(self) -> list[int]:
-        """Points that leave open whether there is an optimum inside."""
-        return self.settings.undecided(self.y, self.error)
+    def basin(self) -> Interval:
+        """Return the positions around the best from which the curve leads to it.
 
-    def best(self) -> float:
-        """Return the position of the optimum."""
-        curve = self.curve(self.mean)
-        grid = np.linspace(0.0, 1.0, GRID)
-        return float(grid[int(np.argmin(self.sense * curve))])
-
-    def curve(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the map through points, shape (GRID,); as smooth as their errors allow.
-
-        The smoothest (Whittaker 1923) of chi-squared up to the number of points; between them
-        PCHIP, which does not overshoot. A map is taken to have one optimum, unless its points
-        say otherwise: in a dip that errors made a simulated loop would be caught.
+        A ripple that the errors explain is no ridge.
         """
-        n, w = self.u.size, 1.0 / self.error**2
-        h = np.diff(self.u)
-        bend = np.zeros((n - 2, n))
-        for i in range(n - 2):
-            bend[i, i : i + 3] = [1 / h[i], -1 / h[i] - 1 / h[i + 1], 1 / h[i + 1]]
-        smooth = mean
-        for strength in np.geomspace(1e4, 1e-4, 33):
-            smooth = np.linalg.solve(
-                np.diag(w) + strength * np.median(w) * bend.T @ bend * float(h.mean()) ** 2,
-                w * mean,
-            )
-            if float((w * (smooth - mean) ** 2).sum()) <= n:
-                break
-        else:
-            smooth = mean
-        single = self.sense * nearest_valley(self.sense * smooth, self.error)
-        if float((w * (single - mean) ** 2).sum()) < self.settings.single * n:
-            smooth = single
-        grid = np.clip(np.linspace(0.0, 1.0, GRID), self.u[0], self.u[-1])
-        return np.asarray(PchipInterpolator(self.u, smooth)(grid))
+        y, deviation = self._curve
+        ends = []
+        i = round(self.best() * (GRID - 1))
+        for side in (-1, 1):
+            top, edge = i, 0 if side < 0 else GRID - 1
+            for k in range(i, edge + side, side):
+                if y[k] > y[top]:
+                    top = k
+                elif y[top] - y[k] > 2.0 * math.hypot(deviation[top], deviation[k]) + 0.1:
+                    edge = top
+                    break
+            ends.append(float(self.grid[edge]))
+        return Interval(*ends)
 
     def cliff(self, side: int) -> Cliff | None:
-        """Return the cliff beside the good values on a side, -1 or 1, if there is one.
+        """Return the cliff beside the good holds on a side, -1 or 1, if there is one.
 
-        What a rig does beside a cliff may depend on where it comes from: good is a value of which
-        every visit was, beyond the cliff is one of which any was.
+        A cliff has a good and a bad side, the valley of a narrow optimum two bad ones: the jump of
+        a cliff is narrow beside the valley.
         """
-        y = self.y
-        worst = [float((self.sense * levels).max()) for levels in self.visits]
-        inner = best = int(np.argmin(y))
-        while 0 <= inner + side < y.size and (
-            worst[inner + side] - y[best] < math.log(self.settings.good)
-        ):
-            inner += side
-        outer = inner + side
-        if not 0 <= outer < y.size:
+        s = self.settings
+        order = np.argsort(side * self.u)
+        u, y = self.u[order], self.y[order]
+        best = float(self.least)
+        beyond = np.flatnonzero((side * (u - self.best()) > 0.0) & (y - best > math.log(s.jump)))
+        if not beyond.size:
             return None
-        height = worst[outer] - float(y[inner])
-        return Cliff(inner, outer, height) if height > math.log(self.settings.cliff) else None
+        outer = float(u[beyond[0]])
+        inside = side * (u - outer) < 0.0
+        good = np.flatnonzero(inside & (y - best < math.log(2.0)))
+        inner = float(u[good[-1]]) if good.size else self.best()
+        if abs(outer - inner) > s.cliff * self.valley(2.0).width:
+            return None
+        return Cliff(inner, outer, float(y[beyond[0]]) - best)
 
-    def draw_weights(self, rng: np.random.Generator) -> list[NDArray[np.float64]]:
-        """Return random weights of each value's visits (the Bayesian bootstrap; Rubin 1981)."""
-        return [rng.dirichlet(np.ones(v.size)) for v in self.visits]
-
-    def reweigh(self, weights: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the points as other visits might have given them.
-
-        ``weights``, of each value's visits, sum to 1; see :meth:`draw_weights`.
-        """
-        points = self.mean.copy()
-        for i, (levels, weight) in enumerate(zip(self.visits, weights, strict=True)):
-            spread = float(levels.std()) / math.sqrt(levels.size)
-            shift = float(weight @ levels - levels.mean())
-            # visits that happen to agree know no more than their errors say
-            points[i] += shift * self.error[i] / spread if spread > 1e-12 else 0.0
-        return points
+    def expected_improvement(self, u: Array) -> Array:
+        """Return by how much a hold at positions is expected to be better than the best so far."""
+        y, deviation = self.predict(u)
+        z = (self.least - y) / deviation
+        return np.asarray(deviation * (z * norm.cdf(z) + norm.pdf(z)))

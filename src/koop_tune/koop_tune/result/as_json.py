@@ -21,13 +21,13 @@ from koop_tune.search.findings import CostMaps, Findings, NoOptimum
 from koop_tune.search.prediction import PERCENTILES
 from koop_tune.search.tuning import Tuning
 
-DRAWS = 200  # of the static map, that tell between which values the best theta lies
 EVERY = 4  # points of a curve that are kept, one of so many
 
 
 def of_refusal(no: NoOptimum) -> dict[str, Any]:
     """Return the findings, and why nothing was chosen."""
-    return {"verdict": no.kind, "why": str(no), **of_seen(no.findings)}
+    seen = of_seen(no.findings) if no.findings else {}
+    return {"verdict": no.kind, "why": str(no), **seen}
 
 
 def of_tuning(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any]:
@@ -50,65 +50,43 @@ def of_tuning(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any
 
 def of_seen(findings: Findings, tuning: Tuning | None = None) -> dict[str, Any]:
     """Return the findings."""
-    maps = findings.amplitude
-    curve = np.exp(maps.curve(maps.mean))[::EVERY]
-    grid = np.asarray(np.linspace(0.0, 1.0, GRID)[::EVERY], np.float64)
-    low, high = best_band(maps)
+    maps, scale = findings.static_map, findings.scale
+    grid, valley = maps.grid[::EVERY], maps.valley()
+    limits, dwells, at = findings.limits, findings.dwells, round(maps.best() * (GRID - 1))
     return {
-        "feature": findings.feature,
+        "feature": findings.name,
+        "amplitude": dwells.amplitude.as_json(),
         "period": findings.period,
-        "windows": {**findings.dwells.bands._asdict(), "feature": findings.dwells.feature},
-        "theta_best": findings.scale.theta_at(maps.best()),
-        "theta_best_band": [findings.scale.theta_at(low), findings.scale.theta_at(high)],
+        "growth": findings.growth,
+        "modes": [mode.describe(findings.channels) for mode in findings.modes],
+        "theta_best": scale.theta_at(maps.best()),
+        "best": {
+            "log": maps.sense * maps.least,
+            "error": float(maps.deviation[at]),
+            "valley": [
+                min(scale.theta_at(valley.low), limits.low),
+                max(scale.theta_at(valley.high), limits.high),
+            ],
+            "floor": dwells.amplitude.floor,
+        },
         "static_map": {
             **_points(findings, maps, 1.0, "amplitude"),
             "curve": {
-                "theta": findings.scale.theta(grid).tolist(),
-                "amplitude": curve.tolist(),
+                "theta": scale.theta(grid).tolist(),
+                "amplitude": np.exp(maps.curve[::EVERY]).tolist(),
+                "error": maps.deviation[::EVERY].tolist(),
             },
         },
         "costs": [_cost(candidate, findings, tuning) for candidate in findings.costs],
     }
 
 
-def best_band(maps: StaticMap) -> tuple[float, float]:
-    """Return the positions between which nine of ten resampled maps have their optimum.
-
-    Between the values of theta nobody was: the optimum is taken once from the curve, which has its
-    least at one of them, and once from a parabola through the best one and its neighbours.
-    """
-    rng = np.random.default_rng(0)
-    grid = np.linspace(0.0, 1.0, GRID)
-    positions = []
-    for _ in range(DRAWS):
-        mean = maps.sense * maps.reweigh(maps.draw_weights(rng))
-        positions.append(float(grid[int(np.argmin(maps.sense * maps.curve(maps.sense * mean)))]))
-        positions.append(vertex(maps.u, mean))
-    low, high = np.percentile(positions, [PERCENTILES[0], PERCENTILES[-1]])
-    return float(low), float(high)
-
-
-def vertex(u: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Return where the parabola through the least point and its neighbours is least.
-
-    >>> u = np.array([0.0, 1.0, 3.0, 4.0])
-    >>> round(vertex(u, (u - 1.4) ** 2), 9)
-    1.4
-    """
-    i = int(np.argmin(y))
-    if i in (0, u.size - 1):
-        return float(u[i])
-    a, b, _ = np.polyfit(u[i - 1 : i + 2] - u[i], y[i - 1 : i + 2], 2)
-    return float(u[i] - b / (2.0 * a)) if a > 0.0 else float(u[i])
-
-
 def _points(findings: Findings, maps: StaticMap, power: float, name: str) -> dict[str, Any]:
-    """Return a map's points, errors (of the logarithm) and visits; exp(power * mean)."""
+    """Return a map's holds and errors (of the logarithm); exp(power * mean)."""
     return {
-        "theta": findings.scale.theta(findings.dwells.u).tolist(),
+        "theta": findings.scale.theta(maps.u).tolist(),
         name: np.exp(power * maps.mean).tolist(),
         "error": (power * maps.error).tolist(),
-        "visits": [np.exp(power * levels).tolist() for levels in maps.visits],
     }
 
 

@@ -21,21 +21,25 @@ Parameters = dict[str, tuple[Any, str]]  # value and reason by name
 
 def as_table(findings: Findings, tuning: Tuning | None = None) -> str:
     """Return the static map and what each cost shows of it."""
-    theta = findings.scale.theta(findings.dwells.u)
+    maps = findings.static_map
     rows = [
-        [f"{value:.4g}", f"{math.exp(mean):.4g}", f"{100 * error:.2g} %", str(levels.size)]
-        for value, mean, error, levels in zip(
-            theta,
-            findings.amplitude.mean,
-            findings.amplitude.error,
-            findings.amplitude.visits,
-            strict=True,
+        [f"{theta:.4g}", f"{math.exp(mean):.4g}", f"{100 * error:.2g} %" if error < 1.0 else "?"]
+        for theta, mean, error in sorted(
+            zip(findings.scale.theta(maps.u), maps.mean, maps.error, strict=True)
         )
     ]
+    valley = findings.scale.theta(np.array(maps.valley()))
     lines = [
-        f"amplitude of {findings.feature}; the oscillation's period is {findings.period:.3g} s",
-        table(["theta", "amplitude", "error", "visits"], rows),
+        f"amplitude of {findings.name}; 1 is the strongest seen, "
+        f"{findings.dwells.amplitude.floor:.2g} the least that can be told; the oscillation's "
+        f"period is {findings.period:.3g} s",
+        table(["theta", "amplitude", "error"], rows),
+        f"best at {findings.scale.theta_at(maps.best()):.4g}; within {maps.settings.good:g} times "
+        f"that from {valley[0]:.4g} to {valley[1]:.4g}",
     ]
+    if len(findings.modes) > 1:
+        shares = "; ".join(mode.describe(findings.channels) for mode in findings.modes[:6])
+        lines.append(f"share in the amplitude's square over theta: {shares}")
     if findings.costs:
         scores = {s.name: math.exp(s.score) for s in tuning.searched} if tuning else {}
         rows = []
@@ -51,7 +55,7 @@ def as_table(findings: Findings, tuning: Tuning | None = None) -> str:
                 else "none inside"
             )
             score = f"{scores[name]:.3g}" if name in scores else "-"
-            rows.append([name, where, f"{clearest_map.evidence.gain:.3g}", score])
+            rows.append([name, where, f"{clearest_map.evidence:.3g}", score])
         lines += ["", table(["cost", "best at theta", "evidence (Δχ²)", "score"], rows)]
         lines += [f"{c.cost.name}: {c.cost.problem}" for c in findings.costs if c.cost.problem]
     return "\n".join(lines)
@@ -117,7 +121,7 @@ def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
 
 def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
     c, findings, time = tuning.best.constants, tuning.findings, tuning.time
-    best = findings.amplitude.best()
+    best = findings.static_map.best()
     theta_best, logarithmic = findings.scale.theta_at(best), findings.scale.logarithmic
     ratio = rig.theta_max / rig.theta_min if rig.theta_min else math.nan
     reasons = {

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from koop_core.config.describe import WIDTH, allowed
 from koop_core.config.fields import Source, check_type, format_field, parse_source
 from koop_core.config.parameter import (
@@ -68,6 +70,9 @@ class RigFile:
     channel_max: tuple[float, ...] = parameter(
         (), "largest value of each channel, above which theta returns to theta_safe; []: any"
     )
+    weights: tuple[float, ...] = parameter(
+        (), "how much each channel counts in the amplitude, in units of its own motion; []: alike"
+    )
     objective: str = parameter(
         "minimise", "what is wanted of the oscillation", choices=("minimise", "maximise")
     )
@@ -105,9 +110,11 @@ class RigFile:
                     f"{name} = {value:g}: must lie within [theta_min, theta_max] = "
                     f"[{self.theta_min:g}, {self.theta_max:g}]"
                 )
-        for name in ("channel_min", "channel_max"):
+        for name in ("channel_min", "channel_max", "weights"):
             if (count := len(getattr(self, name))) not in (0, n):
                 raise ConfigError(f"{name} has {count} values: one for each of {n} channels, or []")
+        if self.weights and not (min(self.weights) >= 0.0 < max(self.weights)):
+            raise ConfigError(f"weights = {list(self.weights)}: none is below 0, one is above 0")
         for low, high in zip(self.channel_min, self.channel_max, strict=False):
             if low >= high:
                 raise ConfigError(
@@ -156,6 +163,11 @@ class RigFile:
     def scale(self) -> Scale:
         """Positions in theta's range."""
         return Scale(self.theta_min, self.theta_max)
+
+    @property
+    def u_start(self) -> float:
+        """Position of theta before any command."""
+        return float(self.scale.u(np.array(self.theta_start)))
 
     @property
     def sense(self) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -13,9 +12,9 @@ from numpy.typing import NDArray
 from koop_core.config.parameter import parameter, validate
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded, pieces
-from koop_tune.excitation.features import Bands, log_amplitudes
+from koop_tune.excitation.amplitude import Amplitude
+from koop_tune.excitation.holds import Hold, find_level, mean_level, usual_wander
 from koop_tune.excitation.static_map import StaticMap
-from koop_tune.excitation.visits import mean_level, summarise
 from koop_tune.origin import studied
 from koop_tune.rig.scale import Scale
 
@@ -26,11 +25,11 @@ class DwellSettings:
 
     fewest: int = studied(4, "windows of a rest", low=2)
     settled: int = studied(2, "windows of it that count at least", low=2)
-    values: int = parameter(5, "values of a map", low=3, origin="a valley and both of its sides")
+    values: int = parameter(5, "values of a map", low=1, origin="a valley and both of its sides")
     still: float = studied(2e-3, "motion in a window at rest, in ranges", low=0.0, high=0.1)
-    same: float = studied(0.02, "distance of two rests at one value, in ranges", low=0.0, high=0.1)
+    same: float = studied(2e-3, "distance of two rests at one value, in ranges", low=0.0, high=0.1)
     part: float = parameter(
-        0.25, "shortest rest over the usual one", low=0.0, high=1.0,
+        0.1, "shortest rest over the usual one", low=0.0, high=1.0,
         origin="the rest before an excitation is a short one",
     )  # fmt: skip
     part_of_spectra: float = parameter(
@@ -76,19 +75,21 @@ class Dwells:
         Positions of the values of theta, rising.
     rests : list of Rest
         In the order of the recording.
-    bands : Bands
-        How windows are looked at.
-    feature : int
-        The amplitude that theta shows most in.
-    amplitude : list of ndarray
+    amplitude : Amplitude
+        What is summed.
+    logs : list of ndarray
         Its logarithm in each window of each rest.
     """
 
     u: NDArray[np.float64]
     rests: list[Rest]
-    bands: Bands
-    feature: int
-    amplitude: list[NDArray[np.float64]]
+    amplitude: Amplitude
+    logs: list[NDArray[np.float64]]
+
+    @property
+    def length(self) -> int:
+        """Samples of a window."""
+        return self.amplitude.windows.length
 
     def settled(self, windows: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Return the windows after settling, rest by rest."""
@@ -96,19 +97,27 @@ class Dwells:
 
     def static_map(self, windows: list[NDArray[np.float64]], sense: float) -> StaticMap:
         """Return the map of a quantity from its logarithm in the windows of each rest."""
-        visits = []
-        for rest, values in zip(self.rests, self.settled(windows), strict=True):
-            mean, error = (float(part[0]) for part in mean_level(values[:, None]))
-            visits.append(
-                (rest.level, mean, error if math.isfinite(error) else float(np.ptp(values)))
-            )
-        return StaticMap.from_visits(self.u, visits, sense)
+        late = self.settled(windows)
+        mean, error = np.array([mean_level(np.exp(2.0 * values)) for values in late]).T
+        size = np.array([values.size for values in late])
+        wander = usual_wander((error**2 * size).tolist())
+        error = np.maximum(np.where(np.isfinite(error), error, 1.0), np.sqrt(wander / size))
+        return StaticMap(self.u[[rest.level for rest in self.rests]], mean, error, sense)
+
+    def longest_growth(self, least: float) -> float:
+        """Return the longest time [s] in which a log amplitude rose by ``least`` or more."""
+        rises = [
+            rest.skip * self.amplitude.windows.seconds
+            for rest, logs in zip(self.rests, self.logs, strict=True)
+            if logs[rest.skip :].mean() - logs[0] > least
+        ]
+        return max(rises, default=0.0)
 
     def window_levels(self, values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """Return half the logarithm of the mean square of a signal, shape (M,), in each window."""
-        length, tiny = self.bands.length, 1e-300
         return [
-            0.5 * np.log((values[d.begin : d.end].reshape(-1, length) ** 2).mean(axis=1) + tiny)
+            0.5
+            * np.log((values[d.begin : d.end].reshape(-1, self.length) ** 2).mean(axis=1) + 1e-300)
             for d in self.rests
         ]
 
@@ -169,41 +178,42 @@ def leave_out_short(
 
 
 def find_dwells(
-    loaded: Loaded, scale: Scale, bands: Bands, period: float, settings: DwellSettings = DWELLS
+    loaded: Loaded, scale: Scale, amplitude: Amplitude, settings: DwellSettings = DWELLS
 ) -> Dwells:
-    """Return the rests in a recording of an oscillation of a period [s].
-
-    The amplitude that counts is that of a channel, or of its band about the oscillation's
-    frequency, whichever theta changes most, beyond doubt: what an interference adds changes less.
+    """Return the rests in a recording, with the amplitude in each window.
 
     Raises
     ------
     koop_core.errors.InputError
         If theta rested at too few values.
     """
-    length, n = bands.length, loaded.x.shape[0]
-    u, rests = leave_out_short(*find_rests(loaded, scale, length, settings), settings.part)
-    series = [
-        log_amplitudes(loaded.x[:, a:b].T.reshape(-1, length, n), bands) for _, a, b, _ in rests
+    u, rests = find_rests(loaded, scale, amplitude.windows.length, settings)
+    u, rests = leave_out_short(u, rests, settings.part)
+    squares = [
+        amplitude.squares(amplitude.windows.powers(loaded.x[:, a:b].T)) for _, a, b, _ in rests
     ]
-    each = series[0].shape[1] // n
-    guides = [i * each for i in range(n)]
-    line = round(length * bands.dt / period)  # bin of the oscillation
-    inside = [b for b, (low, high) in enumerate(pairwise(bands.edges)) if low <= line < high]
-    candidates = [i + 1 + b for i in guides for b in inside[:1]] + guides
-
-    def change(feature: int) -> float:
-        """Return the change of a feature with theta, less what its errors may explain."""
-        visits = [(rest.level, float(s.mean[feature]), float(min(s.error[feature], 1e3)))
-                  for rest, s in zip(rests, summaries, strict=True)]  # fmt: skip
-        static_map = StaticMap.from_visits(u, visits, 1.0)
-        return float(static_map.mean.std()) - settings.doubt * float(np.median(static_map.error))
-
-    for _ in range(2):  # with all channels first, then with what theta shows most in
-        summaries = [summarise(windows, guides) for windows in series]
-        guides = [max(candidates, key=change)]
     rests = [
-        rest._replace(skip=min(s.skip, windows.shape[0] - settings.settled))
-        for rest, s, windows in zip(rests, summaries, series, strict=True)
+        rest._replace(skip=min(find_level(amplitude, part).skip, part.size - settings.settled))
+        for rest, part in zip(rests, squares, strict=True)
     ]
-    return Dwells(u, rests, bands, guides[0], [windows[:, guides[0]] for windows in series])
+    return Dwells(u, rests, amplitude, [amplitude.log(part) for part in squares])
+
+
+def find_holds(
+    loaded: Loaded, scale: Scale, length: int, settings: DwellSettings = DWELLS
+) -> list[Hold]:
+    """Return the rests of a recording as the holds of an excitation.
+
+    Raises
+    ------
+    koop_core.errors.InputError
+        If theta rested at too few values.
+    """
+    u, rests = leave_out_short(*find_rests(loaded, scale, length, settings), settings.part)
+    before = [float(u[rests[0].level]), *(float(u[rest.level]) for rest in rests)]
+    return [
+        Hold(
+            float(u[r.level]), int(np.sign(u[r.level] - b)), loaded.x[:, r.begin : r.end].T, r.begin
+        )
+        for r, b in zip(rests, before, strict=False)
+    ]

@@ -73,7 +73,7 @@ def fit_fluctuation(dwells: Dwells, settings: FluctuationSettings = FLUCTUATION)
     windows = 1.0
     if np.isfinite(misfits).any():
         windows = 2.0 * float(decays[int(np.argmax(misfits <= settings.as_good * misfits.min()))])
-    return Fluctuation(windows * dwells.bands.length * dwells.bands.dt, float(fit[0]))
+    return Fluctuation(windows * dwells.amplitude.windows.seconds, float(fit[0]))
 
 
 def _misfit(
@@ -88,7 +88,7 @@ def _misfit(
 
 def relative_power(dwells: Dwells) -> list[NDArray[np.float64]]:
     """Return the power in the windows of each rest over the mean one at its theta, less 1."""
-    settled = dwells.settled(dwells.amplitude)
+    settled = dwells.settled(dwells.logs)
     top = max(float(values.max()) for values in settled)
     power = [np.exp(2.0 * (values - top)) for values in settled]
     levels = np.array([rest.level for rest in dwells.rests])

@@ -92,16 +92,3 @@ def _means_by(
     level: NDArray[np.int64], values: NDArray[np.float64], count: int
 ) -> NDArray[np.float64]:
     return np.array([values[level == i].mean(axis=0) for i in range(count)])
-
-
-def find_period(loaded: Loaded, scale: Scale, dt: float) -> float | None:
-    """Return the period [s] of what theta changes most of the spectrum; None if of nothing.
-
-    An interference may be much stronger, and may come and go: it does not go with theta.
-    """
-    spectra = spectra_by_theta(loaded, scale, dt)
-    change = np.where(spectra.sure, np.ptp(spectra.power, axis=0), 0.0)
-    change /= np.maximum(loaded.x.var(axis=1, keepdims=True), 1e-300)
-    if not spectra.sure.any():
-        return None
-    return float(spectra.seconds / (2 + int(np.argmax(change.sum(axis=0)))))

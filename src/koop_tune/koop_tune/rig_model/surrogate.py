@@ -117,7 +117,7 @@ def high_pass(
 
 
 def fit_times(
-    loaded: Loaded, dwells: Dwells, amplitude: StaticMap, scale: Scale, dt: float
+    loaded: Loaded, dwells: Dwells, static_map: StaticMap, scale: Scale, dt: float
 ) -> Times:
     """Fit the time constants to the amplitude's logarithm in the windows of all rests.
 
@@ -125,25 +125,24 @@ def fit_times(
     and goes by itself tells the time constant far better than how it follows theta does.
     """
     assert loaded.theta is not None
-    every = max(1, dwells.bands.length // 4)
-    curve = amplitude.curve(amplitude.mean)
+    every = max(1, dwells.length // 4)
+    curve = static_map.curve
     position = np.nan_to_num(scale.u(loaded.theta), nan=0.5)
     target = np.interp(position[::every], np.linspace(0.0, 1.0, GRID), curve)
     jumps = loaded.begins[: target.size * every]
     begins = np.zeros(target.size, np.bool_)
     begins[np.flatnonzero(jumps) // every] = True
     starts = (
-        np.concatenate([np.arange(s.begin, s.end, dwells.bands.length) for s in dwells.rests])
-        // every
+        np.concatenate([np.arange(s.begin, s.end, dwells.length) for s in dwells.rests]) // every
     )
-    measured = np.concatenate(dwells.amplitude)
+    measured = np.concatenate(dwells.logs)
     middle = float(np.mean(curve))
-    usual = 0.02 + float(np.median([v.std() for v in dwells.settled(dwells.amplitude)]))
+    usual = 0.02 + float(np.median([v.std() for v in dwells.settled(dwells.logs)]))
     process = fit_fluctuation(dwells)
     if process.share > FLUCTUATION.wanders:
         return Times(math.log(process.time), 0.0, 0.0, middle)
     longest = max(s.end - s.begin for s in dwells.rests) * dt
-    shortest = 0.05 * dwells.bands.length * dt
+    shortest = 0.05 * dwells.length * dt
     path = np.empty(target.size)
 
     def loss(c: NDArray[np.float64]) -> float:

@@ -1,9 +1,12 @@
-"""A measured closed loop, compared with its prediction.
+"""A measured closed loop: what was predicted of it, and whether it damped the rig.
 
-The amplitude is that of the channel or band in which theta shows most, in the windows of the
-excitation; converged, distance and excess are those of :mod:`koop_tune.search.run`. The
-prediction's band is widened by what the measured amplitudes do not know: two standard errors.
-Better than predicted agrees.
+The amplitude is the excitation's (:mod:`koop_tune.excitation.amplitude`), in the same windows. A
+loop is damped if, over its second half, which is at least as long as an oscillation was seen to
+need to grow,
+
+- the amplitude is within 1.5 of the best of the final map, to which the loops themselves belong;
+- all of theta's swing lies in the valley of that map;
+- and, from the worse start, the amplitude fell by more than its error explains.
 """
 
 from __future__ import annotations
@@ -19,13 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
-from koop_tune.excitation.features import Bands, log_amplitudes
-from koop_tune.excitation.visits import standard_error
+from koop_tune.excitation.amplitude import Amplitude
+from koop_tune.excitation.holds import mean_level
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.surrogate import BLOCKS
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
+
+Array = NDArray[np.float64]
+UNKNOWN = 3.0  # error of a log amplitude of which too few windows tell one
 
 
 @dataclass(frozen=True)
@@ -34,63 +40,58 @@ class Aim:
 
     Attributes
     ----------
-    bands : Bands
-        How windows are looked at.
-    feature : int
-        The amplitude that counts.
+    amplitude : Amplitude
+        What is summed.
     name : str
-        Its name.
+        It in words.
     scale : Scale
         Theta's range.
     sense : float
         +1 if little is wanted, else -1.
     theta : float
         The best theta.
-    best, bound : float
-        Logarithms of the best amplitude, and of that at which a loop counts as converged.
-    time : float
-        The rig's own time [s].
+    valley : tuple of float
+        Thetas between which the map is within 1.5 of the best.
+    best, error, bound : float
+        Logarithm of the best amplitude, its error, and that at which a loop counts as converged.
+    time, growth : float
+        The rig's own time, and the longest that its oscillation was seen to grow [s].
     predicted : Prediction
         The tuning's.
     settings : VerificationSettings
         How a loop is compared with it.
     """
 
-    bands: Bands
-    feature: int
+    amplitude: Amplitude
     name: str
     scale: Scale
     sense: float
     theta: float
+    valley: tuple[float, float]
     best: float
+    error: float
     bound: float
     time: float
+    growth: float
     predicted: Prediction
     settings: VerificationSettings = VERIFICATION
 
     @property
     def window(self) -> float:
         """Length of a window [s]."""
-        return self.bands.length * self.bands.dt
+        return self.amplitude.windows.seconds
 
     @property
     def longest(self) -> float:
-        """Duration of the predicted runs [s]; the figures describe their second half."""
-        return self.predicted.duration
+        """Longest duration of a closed loop [s]; the figures describe its second half."""
+        return max(self.predicted.duration, 2.0 * self.growth)
 
     @property
     def duration(self) -> float:
         """Shortest duration of a closed loop that can confirm the prediction [s]."""
         whole, late = self.longest, self.predicted.converges.high
-        return min(max(self.settings.twice * late, self.settings.least * whole), whole)
-
-    def amplitudes(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the logarithm of the amplitude in each whole window of samples, shape (M, n)."""
-        length = self.bands.length
-        starts = range(0, x.shape[0] - length + 1, length)
-        return np.array(
-            [log_amplitudes(x[k : k + length], self.bands)[self.feature] for k in starts]
-        )
+        least = max(self.settings.least * self.predicted.duration, 2.0 * self.growth)
+        return min(max(self.settings.twice * late, least), whole)
 
 
 def make_aim(figures: dict[str, Any], rig: RigFile) -> Aim:
@@ -101,15 +102,13 @@ def make_aim(figures: dict[str, Any], rig: RigFile) -> Aim:
     KeyError
         If it is not that of a controller.
     """
-    windows = figures["windows"]
-    sense = rig.sense
+    sense, best = rig.sense, figures["best"]
     levels = sense * np.log(figures["static_map"]["amplitude"])
-    best, worst = float(levels.min()), float(levels.max())
-    bound = best + CONVERGENCE.bound(worst - best)
+    bound = sense * best["log"] + CONVERGENCE.bound(float(levels.max()) - sense * best["log"])
     return Aim(
-        Bands(windows["length"], tuple(windows["edges"]), windows["dt"]),
-        windows["feature"], figures["feature"], rig.scale, sense,
-        figures["theta_best"], sense * best, sense * bound, figures["time"],
+        Amplitude.from_json(figures["amplitude"]), figures["feature"], rig.scale, sense,
+        figures["theta_best"], (best["valley"][0], best["valley"][1]), best["log"], best["error"],
+        sense * bound, figures["time"], figures["growth"],
         Prediction.from_json(figures["predicted"]),
     )  # fmt: skip
 
@@ -142,14 +141,14 @@ class Measured:
         Mean of abs(u - u*) over the second half, in ranges of theta.
     amplitude_before, amplitude : float
         Before the loop was closed, and over the second half.
-    error : float
-        Standard error of the logarithm of their ratio.
+    error, doubt : float
+        Standard error of the logarithm of their ratio, and of that of ``amplitude``.
     excess : float
         Amplitude over the best one (its inverse where it is to be large).
     reduction : float
         Amplitude before over that of the second half (its inverse).
-    theta, swing : float
-        Mean and range of theta over the second half.
+    theta, low, high : float
+        Mean of theta over the second half, and its least and largest.
     """
 
     time_to_converge: float | None
@@ -157,20 +156,20 @@ class Measured:
     amplitude_before: float
     amplitude: float
     error: float
+    doubt: float
     excess: float
     reduction: float
     theta: float
-    swing: float
+    low: float
+    high: float
 
     @property
-    def damped(self) -> bool:
-        """Whether the amplitude ended near the best one."""
-        return self.excess <= CONVERGENCE.good
+    def swing(self) -> float:
+        """Range of theta over the second half."""
+        return self.high - self.low
 
 
-def measure(
-    aim: Aim, before: NDArray[np.float64], x: NDArray[np.float64], theta: NDArray[np.float64]
-) -> Measured:
+def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     """Measure a run.
 
     Parameters
@@ -184,29 +183,34 @@ def measure(
     theta : ndarray, shape (K,)
         Its theta, evenly over the same time.
     """
-    logs, first = aim.amplitudes(x), aim.amplitudes(before)
-    late, end = logs[logs.size // 2 :], theta[theta.size // 2 :]
-    amplitude, began = _root_mean_square(late), _root_mean_square(first)
-    k = min(max(aim.settings.smoothed, math.ceil(logs.size / BLOCKS)), logs.size)
-    smooth = [_root_mean_square(logs[i : i + k]) for i in range(logs.size - k + 1)]
-    inside = np.flatnonzero(aim.sense * (np.array(smooth) - aim.bound) <= 0.0)
-    errors = [float(standard_error(part[:, None])[0]) for part in (late, first)]
-    u = aim.scale.u(end)
+    amplitude = aim.amplitude
+    squares, first = (amplitude.squares(amplitude.windows.powers(part)) for part in (x, before))
+    late, path = squares[squares.size // 2 :], theta[theta.size // 2 :]
+    # neither part of the second half may be worse than it
+    parts = [late, *np.array_split(late, 2)] if late.size >= 4 else [late]
+    level = max(
+        (mean_level(part, amplitude.floor)[0] for part in parts), key=lambda v: aim.sense * v
+    )
+    began = mean_level(first, amplitude.floor)[0]
+    k = min(max(aim.settings.smoothed, math.ceil(squares.size / BLOCKS)), squares.size)
+    smooth = np.asarray(np.convolve(squares, np.ones(k) / k, "valid"), np.float64)
+    inside = np.flatnonzero(aim.sense * (amplitude.log(smooth) - aim.bound) <= 0.0)
+    errors = [mean_level(part, amplitude.floor)[1] for part in (late, first)]
+    errors = [min(error, UNKNOWN) for error in errors]
+    u = aim.scale.u(path)
     return Measured(
         (int(inside[0]) + k) * aim.window if inside.size else None,
         float(np.abs(u - aim.scale.u(np.array(aim.theta))).mean()),
         math.exp(began),
-        math.exp(amplitude),
-        math.hypot(*(error if math.isfinite(error) else 0.0 for error in errors)),
-        math.exp(aim.sense * (amplitude - aim.best)),
-        math.exp(aim.sense * (began - amplitude)),
+        math.exp(level),
+        math.hypot(*errors),
+        errors[0],
+        math.exp(aim.sense * (level - aim.best)),
+        math.exp(aim.sense * (began - level)),
         aim.scale.theta_at(float(u.mean())),
-        float(np.ptp(end)),
+        float(path.min()),
+        float(path.max()),
     )
-
-
-def _root_mean_square(logs: NDArray[np.float64]) -> float:
-    return 0.5 * math.log(float(np.exp(2.0 * logs).mean()))
 
 
 def find_disagreements(aim: Aim, run: Measured) -> list[str]:
@@ -214,35 +218,13 @@ def find_disagreements(aim: Aim, run: Measured) -> list[str]:
 
     A prediction that allows almost anything is not confirmed by anything.
     """
-    return _lasting(aim, run) + _passing(aim, run)
-
-
-def may_yet_agree(aim: Aim, run: Measured) -> bool:
-    """Return whether a longer run of the same loop may still agree.
-
-    An adaptive law arrives with a large step and takes its time to make it small.
-    """
-    short = bool(_passing(aim, run)) or not run.damped
-    return short and not _lasting(aim, run)
-
-
-def _lasting(aim: Aim, run: Measured) -> list[str]:
     p, worse = aim.predicted, []
-    if p.excess.high > aim.settings.blurred:
-        worse.append(
-            f"the prediction, {p.excess.low:.3g} to {p.excess.high:.3g} times the best "
-            "amplitude, is too wide to be confirmed"
-        )
+    widened = math.exp(aim.settings.errors * run.error)
     late, took = p.converges.high, run.time_to_converge
     limit = aim.settings.later * late + aim.settings.smoothed * aim.window
     if (math.inf if took is None else took) > limit:
         outcome = "did not converge" if took is None else f"took {took:.4g} s to converge"
         worse.append(f"{outcome}, at most {late:.4g} s were predicted")
-    return worse
-
-
-def _passing(aim: Aim, run: Measured) -> list[str]:
-    p, widened, worse = aim.predicted, math.exp(aim.settings.errors * run.error), []
     if run.excess > p.excess.high * widened:
         worse.append(
             f"ended at {run.excess:.3g} times the best amplitude, at most "
@@ -256,8 +238,40 @@ def _passing(aim: Aim, run: Measured) -> list[str]:
     return worse
 
 
-def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
-    """Return the verdict of a verification in three sentences.
+def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
+    """Return why the rig is not damped by the loops from all starts, in words; empty if it is."""
+    faults, good = [], CONVERGENCE.good
+    # the final map: the loops belong to it
+    final = min(
+        [aim.sense * aim.best] + [aim.sense * math.log(run.amplitude) + run.doubt for run in runs]
+    )
+    slack = 0.02 * (aim.valley[1] - aim.valley[0])
+    for run in runs:
+        doubt = aim.settings.sure * math.hypot(run.doubt, aim.error)
+        excess = math.exp(aim.sense * math.log(run.amplitude) - final + doubt)
+        if excess > good:
+            faults.append(
+                f"near theta = {run.theta:.4g} the amplitude may be {excess:.3g} times the best of "
+                f"the final map, {good:g} is the most"
+            )
+        elif run.low < aim.valley[0] - slack or run.high > aim.valley[1] + slack:
+            faults.append(
+                f"theta swings from {run.low:.4g} to {run.high:.4g}, the valley reaches from "
+                f"{aim.valley[0]:.4g} to {aim.valley[1]:.4g}"
+            )
+    gains = [math.log(run.reduction) - aim.settings.errors * run.error for run in runs]
+    if max(gains) <= 0.0:
+        faults.append("from neither start the amplitude changes by more than its error")
+    for run in runs:
+        if math.log(run.reduction) < -aim.settings.errors * run.error - math.log(good):
+            faults.append(f"the amplitude is worse than before by {1.0 / run.reduction:.3g}")
+    return faults
+
+
+def verdict(
+    aim: Aim, runs: Sequence[Measured], starts: Sequence[float], rounds: int, where: str
+) -> str:
+    """Return the verdict of a verification in words.
 
     Parameters
     ----------
@@ -265,45 +279,39 @@ def verdict(aim: Aim, runs: Sequence[Measured], rounds: int, where: str) -> str:
         What was predicted.
     runs : sequence of Measured
         Runs of the last round.
+    starts : sequence of float
+        Theta at which each began.
     rounds : int
-        How many there were.
+        How many rounds there were.
     where : str
         Folder that ``koop up`` runs.
     """
+    lines = [describe_run(aim, run, start) for run, start in zip(runs, starts, strict=True)]
+    faults = find_faults(aim, runs)
     worse = [text for run in runs for text in find_disagreements(aim, run)]
-    damped = all(run.damped for run in runs)
-    fell = "falls" if aim.sense > 0 else "rises"
-    first = (
-        f"From {_each(len(runs), 'start')} theta ends at {_list(run.theta for run in runs)}, and "
-        f"the amplitude of {aim.name} {fell} by a factor of "
-        f"{_list(run.reduction for run in runs)} to {_list(run.excess for run in runs)} times the "
-        "best of the static map"
-    )
-    took = _list(run.time_to_converge for run in runs)
-    second = f"It converged after {took} s; {aim.predicted.converges.as_text()} s were predicted"
-    if damped and not worse:
-        third = f"The rig is damped as predicted: ./koop up {where} runs it"
-    elif damped:
-        third = (
-            f"The rig is damped, but after {_each(rounds, 'round')} not as predicted: {worse[0]}"
+    if faults:
+        last = (
+            f"The rig is not damped after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; run "
+            "the same command with a longer 'time' in the rig file"
         )
+    elif worse:
+        last = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"
     else:
-        third = (
-            f"The rig is not damped after {_each(rounds, 'round')}: "
-            f"{worse[0] if worse else 'the static map is not known well enough'}; record it again "
-            "with longer rests (increase 'time')"
-        )
-    return f"{first}. {second}. {third}."
+        last = f"The rig is damped as predicted: ./koop up {where} runs it"
+    return " ".join([*lines, last + "."])
 
 
-def _each(count: int, what: str) -> str:
-    """Return a count with its noun.
-
-    >>> _each(2, "start")
-    '2 starts'
-    """
-    return f"{count} {what}{'s' if count != 1 else ''}"
-
-
-def _list(values: Any) -> str:
-    return " and ".join("never" if value is None else f"{value:.3g}" for value in values)
+def describe_run(aim: Aim, run: Measured, start: float) -> str:
+    """Return what a loop did to the amplitude, in a sentence."""
+    change, doubt = math.log(run.reduction), aim.settings.errors * run.error
+    if abs(change) <= doubt:
+        how = "does not change beyond its error"
+    else:
+        falls = (change > 0.0) == (aim.sense > 0.0)
+        how = f"{'falls' if falls else 'rises'} by a factor of {math.exp(abs(change)):.3g}"
+    took = run.time_to_converge
+    when = "never near the best" if took is None else f"near the best after {took:.3g} s"
+    return (
+        f"From theta = {start:.4g} the loop comes to {run.theta:.4g}, {when}; the amplitude of "
+        f"{aim.name} {how} and is {run.excess:.3g} times the best of the map."
+    )

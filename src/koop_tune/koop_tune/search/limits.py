@@ -1,14 +1,14 @@
-"""Limits of the controller's theta: where the static map is good, with some room."""
+"""Limits of the controller's theta: the valley of the best value seen, with room on both sides."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
-import numpy as np
-
-from koop_tune.excitation.static_map import GRID, Cliff, StaticMap
+from koop_tune.excitation.static_map import Cliff, StaticMap
 from koop_tune.rig.rig_file import RigFile
+from koop_tune.rig.scale import Scale
 from koop_tune.search.settings import TUNING, TuningSettings
 
 
@@ -35,70 +35,54 @@ class ThetaLimits(NamedTuple):
 
 
 def limit_theta(
-    amplitude: StaticMap, reference: StaticMap, rig: RigFile, settings: TuningSettings = TUNING
+    static_map: StaticMap, rig: RigFile, settings: TuningSettings = TUNING
 ) -> ThetaLimits:
-    """Return limits of the controller's theta: where the map is good, and some room.
+    """Return limits of the controller's theta: they contain the best value seen, with room.
 
-    What is far from any good value was seen once and need not be seen again: a swing that is wide
-    while the optimum is sought, or a loop that noise leads astray, ends at a limit where the rig
-    still oscillates little. Beyond the outermost value that may be good theta has some room, for an
-    optimum that moves.
+    What is bad was seen once and need not be seen again: a swing that is wide while the optimum is
+    sought, or a loop that noise leads astray, ends where the rig still oscillates little.
 
     A cliff wants more care. A loop goes a little beyond the optimum again and again; beyond a cliff
     the cost is so large that the filters forget it only slowly, and while they do theta moves on,
     whatever it does. So there theta stays a margin inside the last good value.
-
-    Parameters
-    ----------
-    amplitude, reference : StaticMap
-        The oscillation's; what shows it most clearly, which may be the same.
-    rig : RigFile
-        Its limits.
-    settings : TuningSettings
-        Margin and room.
     """
-    scale, limits, why = rig.scale, [rig.theta_min, rig.theta_max], ["", ""]
+    scale, ends, why = rig.scale, [rig.theta_min, rig.theta_max], ["", ""]
+    best, valley = static_map.best(), static_map.valley(settings.limits)
+    least = max(settings.least_room, 0.1 * valley.width)
     for end, side in ((0, -1), (1, 1)):
-        cliff = known_cliff(amplitude, side, settings.cliff_width)
+        edge = valley[end]
+        cliff = static_map.cliff(side)
         if cliff is not None:
-            inner, outer = (float(amplitude.u[i]) for i in (cliff.inner, cliff.outer))
-            limits[end] = float(f"{scale.theta_at(inner - side * settings.margin):.3g}")
-            verb = "rises" if amplitude.sense > 0 else "falls"
-            reason = (
-                f"from {scale.theta_at(inner):.3g} to {scale.theta_at(outer):.3g} the "
-                f"amplitude {verb} by a factor of {math.exp(cliff.height):.2g} all at once"
+            inside = side * (cliff.inner - best)
+            u = best + side * max(
+                inside - settings.margin, 0.5 * inside, 0.5 * abs(cliff.outer - best)
             )
+            reason = _describe_cliff(cliff, static_map.sense, scale.theta_at)
         else:
-            good = settings.search.convergence.good
-            edge = outermost_good(reference, side, good, settings.doubt)
-            if not 0.0 < edge + side * settings.room < 1.0:
-                continue
-            limits[end] = float(f"{scale.theta_at(edge + side * settings.room):.3g}")
-            reason = (
-                f"beyond {scale.theta_at(edge):.3g} the oscillation is {good:g} times the best or "
-                "worse"
+            u = edge
+            reason = f"beyond {scale.theta_at(edge):.4g} the oscillation is " + (
+                f"{settings.limits:g} times the best or worse"
             )
-        name = f"theta_{'max' if end else 'min'}"
-        limit = rig.theta_max if end else rig.theta_min
-        why[end] = f"{name} {limits[end]:.3g} instead of {limit:g}: {reason}"
-    return ThetaLimits(limits[0], limits[1], why[0], why[1])
+        u = max(u, best + least) if end else min(u, best - least)
+        if not 0.0 < u < 1.0:
+            continue
+        name, limit = ("theta_max", rig.theta_max) if end else ("theta_min", rig.theta_min)
+        theta = min(max(_round(scale.theta_at(u), scale), rig.theta_min), rig.theta_max)
+        if theta != limit:
+            ends[end], why[end] = theta, f"{name} {theta:.10g} instead of {limit:g}: {reason}"
+    return ThetaLimits(ends[0], ends[1], why[0], why[1])
 
 
-def known_cliff(static_map: StaticMap, side: int, width: float) -> Cliff | None:
-    """Return the cliff on a side (-1 or 1) if it is known within a width, in ranges."""
-    cliff = static_map.cliff(side)
-    if cliff is None or abs(static_map.u[cliff.outer] - static_map.u[cliff.inner]) > width:
-        return None
-    return cliff
+def _round(theta: float, scale: Scale) -> float:
+    """Return theta in four digits of its range, which may be narrow beside its values."""
+    if scale.logarithmic:
+        return float(f"{theta:.4g}")
+    return round(theta, 4 - math.floor(math.log10(scale.high - scale.low)))
 
 
-def outermost_good(static_map: StaticMap, side: int, good: float, doubt: float) -> float:
-    """Return the position furthest out on a side (-1 or 1) that may be good.
-
-    That is ``good`` times the best one, less ``doubt`` standard errors.
-    """
-    curve = static_map.sense * static_map.curve(static_map.mean)
-    grid = np.linspace(0.0, 1.0, GRID)
-    error = np.interp(grid, static_map.u, static_map.error)
-    inside = grid[curve - doubt * error < float(curve.min()) + math.log(good)]
-    return float(inside[0] if side < 0 else inside[-1])
+def _describe_cliff(cliff: Cliff, sense: float, theta_at: Callable[[float], float]) -> str:
+    verb = "rises" if sense > 0 else "falls"
+    return (
+        f"from {theta_at(cliff.inner):.4g} to {theta_at(cliff.outer):.4g} the amplitude {verb} by "
+        f"a factor of {math.exp(cliff.height):.2g} all at once"
+    )

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from koop_tune.excitation.visits import mean_level
+from koop_tune.excitation.holds import mean_level
+from koop_tune.excitation.static_map import GRID
 from koop_tune.rig_model.dwells import Dwells
 from koop_tune.search.findings import Findings
 from koop_tune.search.run import Outcome, Task, try_out
@@ -111,7 +112,7 @@ def predict(
     """
     runs = [try_out(task, trial.constants, n, seed) for n in range(count)]
     wander = find_wander(findings.dwells, 0.5 * task.steps)
-    error = float(findings.amplitude.error[int(np.argmin(findings.amplitude.y))])
+    error = float(findings.static_map.deviation[round(findings.static_map.best() * (GRID - 1))])
     rng = np.random.default_rng(seed)
     noise = np.exp(math.hypot(wander, error) * rng.standard_normal(count)).tolist()
     prediction = Prediction(
@@ -128,8 +129,8 @@ def predict(
 def find_wander(dwells: Dwells, samples: float) -> float:
     """Return the spontaneous deviation of the log amplitude over some samples."""
     errors = []
-    for values in dwells.settled(dwells.amplitude):
-        error = float(mean_level(values[:, None])[1][0])
+    for values in dwells.settled(dwells.logs):
+        error = float(mean_level(np.exp(2.0 * values))[1])
         if math.isfinite(error):
-            errors.append(error * math.sqrt(values.size * dwells.bands.length / samples))
+            errors.append(error * math.sqrt(values.size * dwells.length / samples))
     return float(np.median(errors)) if errors else 0.0

@@ -13,7 +13,7 @@ from koop_core.config.parameter import ConfigError
 from koop_tune.excitation.progress import write_json
 from koop_tune.search.agreement import Measured
 from koop_tune.search.prediction import Prediction
-from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
+from koop_tune.search.settings import VERIFICATION, VerificationSettings
 
 VERIFIED = "verify.json"
 
@@ -70,6 +70,8 @@ class Round:
         One from each start.
     agrees : bool or None
         Whether no run was worse than predicted; None until all were made.
+    damped : bool
+        Whether the rig was damped.
     summary : str
         The figures that were worse, or that none was.
     """
@@ -78,6 +80,7 @@ class Round:
     prediction: Prediction
     runs: tuple[LoopRun, ...] = ()
     agrees: bool | None = None
+    damped: bool = False
     summary: str = ""
 
     @classmethod
@@ -85,7 +88,14 @@ class Round:
         """Return the round in a JSON object."""
         runs = tuple(map(LoopRun.from_json, values["runs"]))
         prediction = Prediction.from_json(values["prediction"])
-        return cls(int(values["round"]), prediction, runs, values["agrees"], values["says"])
+        return cls(
+            int(values["round"]),
+            prediction,
+            runs,
+            values["agrees"],
+            values["damped"],
+            values["says"],
+        )
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON."""
@@ -94,6 +104,7 @@ class Round:
             "prediction": self.prediction.as_json(),
             "runs": [run.as_json() for run in self.runs],
             "agrees": self.agrees,
+            "damped": self.damped,
             "says": self.summary,
         }
 
@@ -106,19 +117,6 @@ class Round:
     def worst_excess(self) -> float:
         """Amplitude over the best one, from the worse start."""
         return max(run.measured.excess for run in self.runs)
-
-    @property
-    def damped_as_predicted(self) -> bool:
-        """Whether the rig was damped, and not worse than predicted."""
-        return bool(self.agrees) and self.worst_excess <= CONVERGENCE.good
-
-    @property
-    def agreement(self) -> str:
-        """Summary of a round that agrees with its prediction."""
-        text = "as predicted, or better"
-        if self.worst_excess <= CONVERGENCE.good:
-            return text
-        return f"{text}, but {self.worst_excess:.3g} times the best of the static map: not damped"
 
 
 @dataclass(frozen=True)
@@ -185,10 +183,10 @@ def find_slowdown(rounds: Sequence[Round], settings: VerificationSettings = VERI
 def kept_index(rounds: Sequence[Round]) -> int:
     """Return the index of the finished round whose controller is kept.
 
-    The last one's if it damped the rig as predicted, which ends the rounds; else that of the round
-    which damped the rig best from its worse start.
+    The last one's if it damped the rig, which ends the rounds; else that of the round which came
+    nearest to the best from its worse start.
     """
-    if rounds[-1].damped_as_predicted:
+    if rounds[-1].damped:
         return len(rounds) - 1
     return min(range(len(rounds)), key=lambda k: rounds[k].worst_excess)
 

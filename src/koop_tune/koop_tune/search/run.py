@@ -209,7 +209,9 @@ def judge_run(
 ) -> Outcome:
     """Judge a run of a time [s]."""
     maps = task.sense * s.amplitudes
-    i = int(np.argmin(maps))
+    low, high = task.scale.u(np.array([task.low, task.high])) * (maps.size - 1)
+    first = math.ceil(low)
+    i = first + int(np.argmin(maps[first : math.floor(high) + 1]))
     best, worst = float(maps[i]), float(maps.max())
     logs = 0.5 * task.sense * np.log(power) - best  # above 0, more or less
     half = BLOCKS // 2

@@ -75,23 +75,15 @@ class TuningSettings:
     effort: float = parameter(1.0, "search budget (1 = default)", low=1e-3, high=1e3)
     slowdown: float = parameter(1.0, "by which a loop showed the rig to be slower", low=1.0)
     workers: int = parameter(0, "threads of the search; 0: one for each processor", low=0)
-    periods: float = studied(4.0, "window, in periods of the oscillation", low=1.0)
     highpass: tuple[float, ...] = studied(
         (1.0, 3.0, 10.0, 30.0), "omega_h that are tried, over the oscillation's"
     )
     learned: int = parameter(65536, "samples that models are learned from", low=1024)
     slight: float = studied(0.1, "change of log amplitude that is treated as flat", low=0.0)
-    clearer: float = studied(
-        2.0, "clarity over the amplitude's from which a contrast's map decides", low=1.0
-    )
-    decides: float = studied(
-        3.0, "evidence over the usual with which a cost decides an amplitude in doubt", low=1.0
-    )
-    near: float = studied(0.2, "distance of a cost's optimum from the amplitude's, in ranges")
-    cliff_width: float = jsbsim(0.08, "width of a cliff that is known, in ranges", low=0.0)
+    near: float = studied(0.1, "distance of a cost's optimum from the amplitude's, in ranges")
     margin: float = jsbsim(0.06, "distance of theta from a cliff, in ranges", low=0.0)
-    room: float = studied(0.1, "way beyond the outermost good value, in ranges", low=0.0)
-    doubt: float = studied(2.0, "standard errors by which a value may be better", low=0.0)
+    limits: float = studied(1.3, "amplitude over the best at the limits of theta", low=1.0)
+    least_room: float = studied(0.005, "way beyond the best, in ranges", low=0.0)
     surrogates: int = studied(6, "rigs that are drawn from a recording", low=1)
     tau_spread: float = studied(0.35, "deviation of the logarithm of their times", low=0.0)
     blocks: int = studied(100, "blocks of a coarse surrogate in T", low=10)
@@ -118,8 +110,11 @@ class VerificationSettings:
 
     smoothed: int = studied(3, "windows in whose mean an amplitude counts as converged", low=1)
     errors: float = studied(2.0, "standard errors that a band is widened by", low=0.0)
+    sure: float = parameter(
+        1.64, "standard errors by which an amplitude may be larger than measured", low=0.0,
+        origin="one in twenty",
+    )  # fmt: skip
     later: float = studied(1.2, "time to converge, over the band", low=1.0)
-    blurred: float = studied(3.0, "excess that is too wide to be confirmed", low=1.0)
     least: float = studied(0.25, "time that a loop is closed, over the prediction's", low=0.0)
     twice: float = studied(2.0, "the same over the time to converge, if more", low=1.0)
     most_slower: float = studied(4.0, "slowdown that one round may show", low=1.0)

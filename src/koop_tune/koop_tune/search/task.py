@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_identify.recording.loaded import Loaded
-from koop_tune.excitation.static_map import StaticMap
+from koop_tune.excitation.static_map import GRID, StaticMap
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import Dwells
 from koop_tune.rig_model.surrogate import Surrogate, Times, high_pass
@@ -64,7 +64,7 @@ def cut_pieces(
     by_level = sorted(dwells.rests, key=lambda d: d.level)
     parts = []
     for rest in by_level:
-        part = values[rest.begin + rest.skip * dwells.bands.length : rest.end]
+        part = values[rest.begin + rest.skip * dwells.length : rest.end]
         part = part[np.isfinite(part)]
         parts.append(part - part.mean() if part.size else np.zeros(2))
     return parts, np.searchsorted([d.level for d in by_level], np.arange(dwells.u.size + 1))
@@ -86,19 +86,17 @@ def draw_surrogates(
 ) -> list[Surrogate]:
     """Return models of the rig; the first one is as it was measured."""
     rng = np.random.default_rng(settings.seed)
-    drawn = []
-    for i in range(settings.surrogates):
-        weights = static_map.draw_weights(rng)
-        shift = float(rng.normal(0.0, settings.tau_spread))
-        if i == 0:
-            weights, shift = [np.full(v.size, 1.0 / v.size) for v in static_map.visits], 0.0
-        drawn.append(
-            Surrogate(
-                static_map.curve(static_map.reweigh(weights)),
-                findings.amplitude.curve(findings.amplitude.reweigh(weights)),
-                findings.dwells.u, static_map.mean, recorded.y, recorded.begins, recorded.first,
-                times._replace(usual=times.usual + shift), recorded.dt, findings.scale.low,
-                findings.scale.high, findings.scale.logarithmic, False,
-            )
-        )  # fmt: skip
-    return drawn
+    normal = rng.standard_normal((settings.surrogates, GRID))
+    normal[0] = 0.0
+    shifts = np.r_[0.0, rng.normal(0.0, settings.tau_spread, settings.surrogates - 1)]
+    u = findings.dwells.u
+    levels, amplitudes = static_map.draw(normal), findings.static_map.draw(normal)
+    return [
+        Surrogate(
+            level, amplitude, u, static_map.sense * static_map.predict(u)[0],
+            recorded.y, recorded.begins, recorded.first,
+            times._replace(usual=times.usual + float(shift)), recorded.dt, findings.scale.low,
+            findings.scale.high, findings.scale.logarithmic, False,
+        )
+        for level, amplitude, shift in zip(levels, amplitudes, shifts, strict=True)
+    ]  # fmt: skip

@@ -12,14 +12,14 @@ import numpy as np
 
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.recording.loaded import Loaded
-from koop_tune.excitation.features import Bands
+from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.surrogate import Times, fit_times
-from koop_tune.search.findings import CostMaps, Findings, analyse
+from koop_tune.search.findings import CostMaps, Findings, NoOptimum, analyse
 from koop_tune.search.prediction import Prediction, predict
 from koop_tune.search.run import Outcome, Task
 from koop_tune.search.search import Trial, confirm, search
-from koop_tune.search.settings import TUNING, TuningSettings
+from koop_tune.search.settings import CONVERGENCE, TUNING, TuningSettings
 from koop_tune.search.task import make_task
 
 Report = Callable[[str, float], None]
@@ -105,7 +105,7 @@ def tune(
     loaded: Loaded,
     rig: RigFile,
     training: BagTraining,
-    bands: Bands | None = None,
+    amplitude: Amplitude | None = None,
     settings: TuningSettings = TUNING,
     report: Report = lambda step, share: None,
 ) -> Tuning:
@@ -119,8 +119,8 @@ def tune(
         Limits, rate, objective, dt.
     training : BagTraining
         How models are learned.
-    bands : Bands, optional
-        How the excitation looked at its windows.
+    amplitude : Amplitude, optional
+        The one of the excitation; chosen from the recording without.
     settings : TuningSettings
         Budget and thresholds.
     report : callable
@@ -134,9 +134,9 @@ def tune(
         If the recording cannot be used.
     """
     report("costs", 0.0)
-    findings = analyse(loaded, rig, training, bands, settings)
-    times = fit_times(loaded, findings.dwells, findings.amplitude, findings.scale, rig.dt)
-    slowest = max(times.tau(float(a), up) for a in findings.amplitude.mean for up in (False, True))
+    findings = analyse(loaded, rig, training, amplitude, settings)
+    times = fit_times(loaded, findings.dwells, findings.static_map, findings.scale, rig.dt)
+    slowest = max(times.tau(float(a), up) for a in findings.static_map.mean for up in (False, True))
     slowdown = limit_slowdown(slowest, rig.time, settings)
     times = times._replace(usual=times.usual + math.log(slowdown))
     time = slowdown * slowest + 2.0 * findings.period
@@ -160,8 +160,32 @@ def tune(
     assert chosen.maps.cost.y_out is not None
     largest = float(np.nanmax(chosen.maps.cost.y_out))
     prediction = predict(chosen.task, best, findings, settings.seed + 1, settings.runs)
+    refuse_undamped(prediction[0], findings)
     return Tuning(
         findings, searched, chosen, best, times, settings.y_out_max * largest, *prediction, why
+    )
+
+
+def refuse_undamped(prediction: Prediction, findings: Findings) -> None:
+    """Refuse a controller whose prediction is not a damped rig.
+
+    Raises
+    ------
+    NoOptimum
+        If it is not.
+    """
+    excess, late = prediction.excess, prediction.converges
+    if excess.middle <= CONVERGENCE.good and math.isfinite(late.middle):
+        return
+    low, high = findings.scale.theta(np.array(findings.static_map.valley()))
+    best = findings.scale.theta_at(findings.static_map.best())
+    raise NoOptimum(
+        "undamped",
+        f"with the best constants of the search the loop is predicted to end at {excess.as_text()} "
+        f"times the best amplitude and to converge in {late.as_text()} s, on the rig that the "
+        f"recording shows; the valley reaches from {low:.4g} to {high:.4g}: leave theta at "
+        f"{best:.4g}, or set theta_min and theta_max closer around the valley and record again",
+        findings,
     )
 
 
@@ -224,5 +248,6 @@ def choose(searched: list[SearchedCost], as_good: float) -> tuple[SearchedCost, 
         return best, f"raw does not show the optimum (score, 1 is perfect: {scores})"
     worse = math.exp(raw.score - best.score)
     if worse <= as_good:
-        return raw, f"raw is as good as any (score, 1 is perfect: {scores}) and needs no model"
+        how = "is the best" if raw is best else f"is worse by {100 * (worse - 1):.0f} % only"
+        return raw, f"raw {how} (score, 1 is perfect: {scores}) and needs no model"
     return best, f"raw is worse by {100 * (worse - 1):.0f} % (score, 1 is perfect: {scores})"

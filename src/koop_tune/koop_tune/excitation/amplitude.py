@@ -1,0 +1,330 @@
+"""The amplitude of the oscillation: of all that reacts to theta, in every channel and frequency.
+
+A window of samples is cut into groups of frequencies. A group reacts if its power differs between
+two holds beyond what its errors explain; a line that does not react is interference. With P_cg the
+power of group g in channel c, F_cg the background there (what the quiet groups beside it have,
+which theta does not change) and s_c^2 the most that channel c was seen to move,
+
+    A^2 = sum_c w_c sum_{g reacts} (P_cg - F_cg) / s_c^2  /  sum_c w_c
+
+so that 1 is the strongest motion seen. What the background hides is told as a floor:
+
+    A^2 >= sum_c w_c doubt sum_g F_cg / s_c^2  /  sum_c w_c
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.config.parameter import parameter, validate
+from koop_tune.origin import studied
+
+TINY = 1e-12  # share of a power that rounding leaves
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AmplitudeSettings:
+    """When a group of frequencies reacts, and how sure its background is."""
+
+    change: float = studied(0.3, "change of a log power that theta makes", low=0.0)
+    errors: float = studied(4.0, "standard errors that are subtracted from it", low=0.0)
+    ratio: float = parameter(1.12, "width of a group of frequencies", low=1.01, high=2.0)
+    single: int = parameter(16, "lowest bins that are groups of their own", low=1)
+    lowest: int = parameter(2, "lowest bins that count for nothing", low=0)
+    beside: int = parameter(4, "quiet groups to each side that tell a background", low=1)
+    doubt: float = studied(0.1, "share of a background that is not known", low=0.0, high=1.0)
+    hidden: float = studied(0.3, "background over motion of a channel that is left out", low=0.0)
+    slow: float = studied(
+        0.1, "share of the power at the lowest frequencies that is left out", low=0.0
+    )
+    minor: float = parameter(0.02, "share of the power of a mode that is named", low=0.0, high=1.0)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+AMPLITUDE = AmplitudeSettings()
+
+
+class Windows(NamedTuple):
+    """How samples are cut: samples of a window, and time between two [s]."""
+
+    length: int
+    dt: float
+
+    @property
+    def seconds(self) -> float:
+        """Length of a window [s]."""
+        return self.length * self.dt
+
+    @property
+    def edges(self) -> tuple[int, ...]:
+        """Bins of the spectrum at which groups begin, and the one beyond the last group."""
+        return _edges(self.length // 2 + 1, AMPLITUDE.single, AMPLITUDE.ratio)
+
+    @property
+    def frequency(self) -> Array:
+        """Frequency in the middle of each group [Hz], shape (G,)."""
+        edges = np.array(self.edges)
+        return np.asarray(0.5 * (edges[:-1] + edges[1:] - 1) / self.seconds)
+
+    def powers(self, x: Array) -> Array:
+        """Return the power in each group of each whole window.
+
+        Parameters
+        ----------
+        x : ndarray, shape (M, n)
+            Samples; those that are not finite are bridged.
+
+        Returns
+        -------
+        ndarray, shape (W, n, G)
+            In squared units of the channel; the sum over the groups is about the variance.
+        """
+        count = x.shape[0] // self.length
+        parts = bridge_gaps(x[: count * self.length]).reshape(count, self.length, x.shape[1])
+        taper = np.blackman(self.length)[:, None]
+        spectrum = np.abs(np.fft.rfft(_detrended(parts) * taper, axis=1)) ** 2
+        spectrum *= 2.0 / (self.length * float((taper**2).sum()))
+        groups = np.add.reduceat(spectrum, self.edges[:-1], axis=1)
+        return np.asarray(np.swapaxes(groups, 1, 2))
+
+
+@lru_cache
+def _edges(bins: int, single: int, ratio: float) -> tuple[int, ...]:
+    edges = list(range(1, min(single, bins) + 1))
+    while edges[-1] < bins:
+        edges.append(min(max(edges[-1] + 1, round(edges[-1] * ratio)), bins))
+    return tuple(edges)
+
+
+class Mode(NamedTuple):
+    """Neighbouring frequencies of a channel that react: first and last [Hz], shares of A^2.
+
+    ``least`` and ``most`` are the shares at the holds at which it has the least and the most.
+    """
+
+    channel: int
+    low: float
+    high: float
+    least: float
+    most: float
+
+    def describe(self, channels: Sequence[str]) -> str:
+        """Return it in words."""
+        span = (
+            f"{self.low:.3g} to {self.high:.3g} Hz"
+            if self.high > self.low
+            else f"{self.low:.3g} Hz"
+        )
+        share = f"{100.0 * self.least:.2g} to {100.0 * self.most:.2g} %"
+        return f"{channels[self.channel]} at {span}: {share}"
+
+
+@dataclass(frozen=True)
+class Amplitude:
+    """What is summed: see the module.
+
+    Attributes
+    ----------
+    windows : Windows
+        How samples are cut.
+    weight : ndarray, shape (n, G)
+        w_c / s_c^2 / sum w of each group; 0 where it does not react.
+    background : float
+        Weighted sum of F.
+    floor : float
+        Least A that can be told.
+    """
+
+    windows: Windows
+    weight: Array
+    background: float
+    floor: float
+
+    def squares(self, powers: Array) -> Array:
+        """Return A^2 of windows, shape (W,), from their powers; below 0 where it is background."""
+        return np.asarray(np.tensordot(powers, self.weight, axes=2) - self.background)
+
+    def log(self, squares: Array) -> Array:
+        """Return log A, not below the floor's."""
+        return np.asarray(0.5 * np.log(np.maximum(squares, self.floor**2)))
+
+    def logs(self, x: Array) -> Array:
+        """Return log A of each whole window of samples, shape (M, n)."""
+        return self.log(self.squares(self.windows.powers(x)))
+
+    def period(self, holds: Sequence[Array], settings: AmplitudeSettings = AMPLITUDE) -> float:
+        """Return the period [s] below which nearly all of A^2 is, in each of some holds."""
+        shares = np.array([np.cumsum((self.weight * power).sum(axis=0)) for power in holds])
+        shares /= np.maximum(shares[:, -1:], 1e-300)
+        first = int((shares > settings.slow).argmax(axis=1).min())
+        return 1.0 / float(self.windows.frequency[first])
+
+    @property
+    def ranges(self) -> list[tuple[int, int, int]]:
+        """Channel, first group and last group of neighbours that react."""
+        rows = []
+        for channel, row in enumerate(self.weight > 0.0):
+            steps = np.flatnonzero(np.diff(np.r_[False, row, False].astype(np.int8)))
+            rows += [(channel, int(a), int(b) - 1) for a, b in steps.reshape(-1, 2)]
+        return rows
+
+    def modes(self, holds: Sequence[Array], settings: AmplitudeSettings = AMPLITUDE) -> list[Mode]:
+        """Return what reacts, without minor parts, from mean powers of holds, shape (n, G)."""
+        edges, seconds = self.windows.edges, self.windows.seconds
+        rows = []
+        for channel, first, last in self.ranges:
+            part = slice(first, last + 1)
+            shares = [
+                float((self.weight[channel, part] * power[channel, part]).sum())
+                / max(float((self.weight * power).sum()), 1e-300)
+                for power in holds
+            ]
+            if max(shares) >= settings.minor:
+                low, high = edges[first] / seconds, (edges[last + 1] - 1) / seconds
+                rows.append(Mode(channel, low, high, min(shares), max(shares)))
+        return sorted(rows, key=lambda mode: -mode.most)
+
+    def name(self, channels: Sequence[str]) -> str:
+        """Return in words what is summed."""
+        edges, seconds = self.windows.edges, self.windows.seconds
+        parts: dict[str, list[str]] = {}
+        for channel, first, last in self.ranges:
+            low, high = edges[first] / seconds, (edges[last + 1] - 1) / seconds
+            text = f"{low:.3g} Hz" if low == high else f"{low:.3g} to {high:.3g} Hz"
+            parts.setdefault(channels[channel], []).append(text)
+        named: dict[str, list[str]] = {}  # channels that react alike are named together
+        for channel_name, texts in parts.items():
+            more = [f"{len(texts) - 3} more bands"] if len(texts) > 3 else []
+            named.setdefault(", ".join([*texts[:3], *more]), []).append(channel_name)
+        return " and ".join(f"{' and '.join(names)} at {text}" for text, names in named.items())
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as JSON."""
+        return {
+            "length": self.windows.length,
+            "dt": self.windows.dt,
+            "weight": self.weight.tolist(),
+            "background": self.background,
+            "floor": self.floor,
+        }
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> Amplitude:
+        """Return the amplitude in a JSON object."""
+        return cls(
+            Windows(values["length"], values["dt"]), np.array(values["weight"]),
+            values["background"], values["floor"],
+        )  # fmt: skip
+
+
+def choose_amplitude(
+    windows: Windows,
+    holds: Sequence[Array],
+    importance: Sequence[float] = (),
+    settings: AmplitudeSettings = AMPLITUDE,
+) -> Amplitude | None:
+    """Choose what is summed, from the powers of holds once each had settled.
+
+    Parameters
+    ----------
+    windows : Windows
+        How samples are cut.
+    holds : sequence of ndarray, shape (W, n, G)
+        Powers of the windows of each hold, W at least 2.
+    importance : sequence of float, optional
+        w_c of each channel; alike unless given.
+    settings : AmplitudeSettings
+        Thresholds.
+
+    Returns
+    -------
+    Amplitude or None
+        None if nothing reacts.
+    """
+    mean = np.array([hold.mean(axis=0) for hold in holds])
+    mean = np.maximum(mean, TINY * mean.sum(axis=(0, 2), keepdims=True) / mean.shape[0] + 1e-300)
+    # of a few windows a spread is small by chance: at least what most holds show
+    spread = np.array([hold.std(axis=0) for hold in holds]) / mean
+    spread = np.maximum(spread, np.quantile(spread, 0.5, axis=0, method="lower"))
+    count = np.array([max(hold.shape[0] - 1, 1) for hold in holds])[:, None, None]
+    error = np.minimum(spread * np.sqrt(2.0 / count), 2.0)  # neighbouring windows are alike
+    doubt = settings.errors / math.sqrt(2.0) * error  # of two holds alike: errors of the change
+    level = np.log(mean)
+    reacts = (level - doubt).max(axis=0) - (level + doubt).min(axis=0) > settings.change
+    reacts[:, : settings.lowest] = False  # a window has too little of a slow interference
+    background = _background(windows, mean, reacts, settings)
+    motion = np.maximum(mean - background, 0.0)
+    size = (motion * reacts).sum(axis=2).max(axis=0)
+    hides = (background * reacts).sum(axis=1)
+    use = (size > 0.0) & (
+        hides < max(settings.hidden, float((hides / np.maximum(size, 1e-300)).min()) * 2.0) * size
+    )
+    if not use.any():
+        return None
+    w = np.where(use, np.array(importance or [1.0] * size.size), 0.0)
+    weight = reacts * np.where(use, w / np.where(use, size, 1.0), 0.0)[:, None] / w.sum()
+    hidden = float((weight * background).sum())
+    return Amplitude(windows, weight, hidden, math.sqrt(settings.doubt * hidden + TINY))
+
+
+def whole_amplitude(windows: Windows, powers: Array) -> Amplitude:
+    """Return the amplitude of everything, from powers (W, n, G): what reacts is unknown."""
+    variance = np.maximum(powers.mean(axis=0).sum(axis=1), 1e-300)
+    weight = np.repeat(1.0 / variance[:, None], powers.shape[2], axis=1) / variance.size
+    return Amplitude(windows, weight, 0.0, math.sqrt(TINY))
+
+
+def _background(
+    windows: Windows, mean: Array, reacts: NDArray[np.bool_], settings: AmplitudeSettings
+) -> Array:
+    """Return F, shape (n, G): the density of the quietest of the quiet groups beside.
+
+    Not of most of them: lines of interference are quiet groups too, and reach over several.
+    """
+    width = np.diff(np.array(windows.edges))
+    density, result = mean.mean(axis=0) / width, np.zeros(reacts.shape)
+    for c, g in zip(*np.nonzero(reacts), strict=True):
+        quiet = np.flatnonzero(~reacts[c])
+        sides = (quiet[quiet < g][-settings.beside :], quiet[quiet > g][: settings.beside])
+        levels = [float(density[c, side].min()) for side in sides if side.size]
+        result[c, g] = min([*levels, math.inf]) * width[g] if levels else 0.0
+    return np.asarray(np.minimum(result, mean.min(axis=0)))
+
+
+def bridge_gaps(x: Array) -> Array:
+    """Return samples, shape (M, n), with those that are not finite taken from their neighbours."""
+    if np.isfinite(x).all():
+        return x
+    places, result = np.arange(x.shape[0]), x.copy()
+    for j in range(x.shape[1]):
+        finite = np.isfinite(x[:, j])
+        result[:, j] = np.interp(places, places[finite], x[finite, j]) if finite.any() else 0.0
+    return result
+
+
+def _detrended(x: Array) -> Array:
+    """Return windows, shape (W, length, n), less their straight line."""
+    t = np.linspace(-1.0, 1.0, x.shape[1])
+    centred = x - x.mean(axis=1, keepdims=True)
+    slope = np.einsum("t,wtn->wn", t, centred) / (t @ t)
+    return np.asarray(centred - t[:, None] * slope[:, None, :])
+
+
+def window_length(period: float, periods: float, dt: float) -> int:
+    """Return the samples of a window of some periods; at least 64."""
+    return max(64, math.ceil(periods * period / dt))
+
+
+def mean_powers(holds: Iterable[Array]) -> list[Array]:
+    """Return the mean over the windows of each hold."""
+    return [hold.mean(axis=0) for hold in holds]

@@ -1,0 +1,469 @@
+"""What an excitation decides: where theta goes next, how long it is held, when enough is known.
+
+A few positions come first, both ends among them, up and down. Then a Gaussian process on the holds'
+log amplitudes (:mod:`koop_tune.excitation.static_map`) says where a hold tells most:
+
+1. where the least amplitude may be: the largest expected improvement (Jones, Schonlau and Welch,
+   Journal of Global Optimization 13 (1998) 455-492);
+2. at an end of the range that may be as good as the best;
+3. where the valley ends: the largest  1.96 s(u) - |y(u) - bound|  (Bryan et al., NIPS 2005);
+4. at the best again, from either side, for as long as an oscillation was seen to need to grow.
+
+:class:`Design` is told what the rig said, window by window, and says what is next; who moves theta
+and who listens is another's, be it ``koop excite`` with a rig or a study with a simulated one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.config.parameter import parameter, validate
+from koop_core.errors import InputError
+from koop_tune.excitation.amplitude import (
+    Amplitude,
+    Windows,
+    choose_amplitude,
+    whole_amplitude,
+    window_length,
+)
+from koop_tune.excitation.channels import find_lines, should_listen
+from koop_tune.excitation.holds import Hold, Level, usual_wander
+from koop_tune.excitation.static_map import MAP, MapSettings, StaticMap
+from koop_tune.origin import studied
+from koop_tune.rig.rig_file import RigFile
+
+Array = NDArray[np.float64]
+KNOWN, FLAT, TIME = "known", "flat", "time"
+SAME = 2e-3  # distance of two positions that are one, in ranges
+
+
+@dataclass(frozen=True)
+class DesignSettings:
+    """When enough was heard, how long theta is held, and when the map is known."""
+
+    window: float = studied(8.0, "window, in periods of the lowest frequency that reacts", low=4.0)
+    before: float = studied(4.0, "the same of the slowest line, before that is known", low=1.0)
+    clear: float = studied(1.5, "factor of the amplitude between two holds that tells", low=1.0)
+    fast: float = studied(12.0, "the same of the fastest line, if less", low=4.0)
+    listen: float = studied(40.0, "periods before theta moves", low=1.0)
+    shortest: float = parameter(3.0, "time of that at least", unit="s", low=0.1)
+    longest: float = parameter(120.0, "time of that at most", unit="s", low=1.0)
+    longest_share: float = parameter(0.02, "the same over the rig file's time, if more", low=0.0)
+    first: int = studied(6, "positions on the way up; one fewer between them down", low=3)
+    fewest: int = studied(6, "windows of a hold", low=4)
+    lag: float = studied(0.3, "share of the slope by which levels lag", low=0.0)
+    patience: float = parameter(16.0, "longest first holds, in the usual ones", low=1.0)
+    brief: int = studied(4, "the same of one that only looks into a gap", low=4)
+    usual: float = studied(0.75, "quantile of what holds show that the next one may need")
+    reserve: float = studied(1.5, "hold, in times that the rig was seen to need", low=1.0)
+    growth: float = studied(2.0, "hold at the best, in the longest growth seen", low=1.0)
+    grown: float = studied(0.5, "rise of a log amplitude that is a growth", low=0.0)
+    most_share: float = parameter(0.1, "longest hold, over the rig file's time", low=0.01)
+    soon: float = parameter(0.02, "share of a hold after which it is judged again", low=0.0)
+    error: float = studied(0.03, "standard error that is good enough", low=1e-3)
+    error_of_span: float = studied(0.05, "the same over the map's span, if more", low=0.0)
+    error_of_worse: float = studied(0.15, "the same over what it is worse than the best, if more")
+    often: int = studied(3, "holds at a place after which no better value is expected", low=1)
+    improvement: float = studied(0.03, "expected improvement that is none", low=1e-3)
+    steep: float = studied(1.3, "amplitude over the best of a neighbour that is too far", low=1.0)
+    gap: float = studied(0.055, "widest gap between two holds, in ranges", low=0.0)
+    edge: float = studied(0.5, "width of the valley that may be unknown, over its own", low=0.0)
+    rounds: int = studied(3, "times at the first positions if nothing reacts", low=1)
+    finest: float = parameter(0.004, "the same in ranges, if more", low=1e-4)
+    same: float = studied(0.25, "distance of two holds at one place, over the valley", low=0.0)
+    beside: float = studied(0.05, "distance of a hold from an end that is the best", low=0.0)
+    ends: int = studied(5, "holds at an end that may be the best", low=1)
+    most: int = parameter(48, "holds of an excitation", low=9)
+    overshoot: float = parameter(0.1, "way beyond, to come back from the other side", low=0.0)
+    map: MapSettings = MAP
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+DESIGN = DesignSettings()
+
+
+class Move(NamedTuple):
+    """Where theta goes: the position of the next hold, one to pass on the way, and why."""
+
+    u: float
+    via: float | None = None
+    why: str = ""
+
+
+class Design:
+    """The decisions of an excitation.
+
+    Parameters
+    ----------
+    rig : RigFile
+        The rig.
+    holds : list of Hold
+        Done before.
+    windows : Windows, optional
+        How samples were cut before.
+    settings : DesignSettings
+        Thresholds.
+
+    Attributes
+    ----------
+    rig : RigFile
+        The rig; its time may be set longer.
+    holds : list of Hold
+        Finished.
+    amplitude : Amplitude or None
+        What is summed; None until something reacts.
+    windows : Windows
+        How samples are cut.
+    since : float
+        Time [s] before which holds do not count: they were too short for the rig.
+    ended : str
+        Why there is no next position: ``known`` or ``flat``; empty before.
+    """
+
+    def __init__(
+        self,
+        rig: RigFile,
+        holds: Sequence[Hold] = (),
+        windows: Windows | None = None,
+        settings: DesignSettings = DESIGN,
+    ) -> None:
+        self.rig, self._settings = rig, settings
+        self.holds = list(holds)
+        self.windows = windows or Windows(64, rig.dt)
+        self.amplitude: Amplitude | None = None
+        self.period = math.inf
+        self.ended = ""
+        self.since = 0.0
+        self._heard: Hold | None = None
+        self._hold = Hold(rig.u_start, 0, np.empty((0, len(rig.names))))
+        self._growth = self._brief = False
+        self._usual, self._target, self._best = 0.0, settings.error, math.inf
+        self._least = self._most = self._next = settings.fewest
+        up = rig.u_start <= 0.5
+        held = np.array([hold.u for hold in self.holds])
+        self._queue = [
+            u for u in first_positions(settings.first, up) if not (np.abs(held - u) < SAME).any()
+        ]
+        self._rounds, self._patience, self._elapsed = 1, 1.0, 0.0
+        self._check_lag = len(self._queue) == 2 * settings.first - 1
+        self._choose()
+
+    # -- before theta moves ---------------------------------------------------------------------
+
+    def listens(self, x: Array) -> bool:
+        """Return whether more must be heard than x, shape (M, n), before theta moves."""
+        s = self._settings
+        longest = max(s.longest, s.longest_share * self.rig.time)
+        return should_listen(x, self.rig.dt, s.shortest, s.listen, longest)
+
+    def look(self, x: Array) -> tuple[float, float]:
+        """Choose the first windows from what was heard, shape (M, n).
+
+        Returns
+        -------
+        tuple of float
+            Periods of the fastest and the slowest line [s].
+
+        Raises
+        ------
+        koop_core.errors.InputError
+            If no channel moves.
+        """
+        dt = self.rig.dt
+        lines = [line for column in x.T for line in find_lines(column, dt)]
+        if not lines:
+            raise InputError("no channel moves: dead sensors, or other fields")
+        periods = [1.0 / line.frequency for line in lines]
+        s = self._settings
+        longest = min(s.before * max(periods), s.fast * min(periods))  # the slowest may not react
+        length = window_length(longest, 1.0, dt)
+        self.windows = Windows(min(length, max(64, x.shape[0] // 4)), dt)
+        self._heard = Hold(self.rig.u_start, 0, x)
+        return min(periods), max(periods)
+
+    @property
+    def needed(self) -> float:
+        """Time that the first positions need at least [s], if what reacts is what was heard."""
+        way = 2.0 * self.rig.span / self.rig.theta_rate
+        return len(self._queue) * self._settings.fewest * self.windows.seconds + way
+
+    # -- where theta goes -----------------------------------------------------------------------
+
+    def next(self) -> Move | None:
+        """Return where theta goes next; None once enough is known."""
+        move = self._choose_move()
+        if move is None:
+            self.ended = self.ended or KNOWN
+            return None
+        if len(self.holds) >= self._settings.most:
+            self.ended = TIME  # nothing more is learned
+            return None
+        return move
+
+    def _choose_move(self) -> Move | None:
+        s = self._settings
+        self._growth = self._brief = False
+        if not self._queue and self._check_lag and self._lags():
+            self._begin_again()
+        if self._queue:
+            return Move(self._queue[0], why="over the range")
+        if self.amplitude is None or self.static_map().flat:
+            if self._rounds >= s.rounds:
+                self.ended = FLAT
+                return None
+            self._rounds += 1
+            self._queue = first_positions(s.first, self.holds[-1].u < 0.5)
+            return Move(self._queue[0], why="again: nothing reacted")
+        static_map = self.static_map()
+        grid = static_map.grid[::4]
+        held = (np.abs(static_map.u[:, None] - grid) < s.finest).sum(axis=0)
+        gain = np.where(held < s.often, static_map.expected_improvement(grid), 0.0)
+        if float(gain.max()) > self._tolerance(static_map):
+            return Move(float(grid[int(np.argmax(gain))]), why="a better value may be there")
+        if (between := self._bracket(static_map)) is not None:
+            return Move(between, why="between the best and a neighbour that is far worse")
+        if (gap := self._gap(static_map)) is not None:
+            self._brief = True
+            return Move(gap, why="a gap in which a narrow valley would hide")
+        if (end := self._doubtful_end(static_map)) is not None:
+            return end._replace(why="whether an end is the best")
+        if (edge := self._unknown_edge(static_map)) is not None:
+            return Move(edge, why="where the valley ends")
+        return self._confirm(static_map)
+
+    def _lags(self) -> bool:
+        """Return whether the rig was still on its way at the first positions: it is slow.
+
+        On the way back the levels are then those of positions further on: they differ from the
+        means of their neighbours on the way there by a share of the slope.
+        """
+        self._check_lag = False
+        levels = [level.mean for level in self.levels()[-(2 * self._settings.first - 1) :]]
+        order = np.argsort([hold.u for hold in self.holds[-len(levels) :]])
+        y = np.array(levels)[order]
+        slope, beyond = y[2::2] - y[:-2:2], y[1::2] - 0.5 * (y[2::2] + y[:-2:2])
+        way = 1.0 if self.holds[-1].side < 0 else -1.0
+        squares = max(float(slope @ slope), 1e-12)
+        share = float(slope @ beyond) / squares
+        rest = beyond - share * slope
+        error = math.sqrt(float(rest @ rest) / (rest.size - 1) / squares)
+        lags = way * share - 2.0 * error > self._settings.lag
+        return lags and self._patience < self._settings.patience
+
+    def _begin_again(self) -> None:
+        """Go to the first positions again, with twice the patience."""
+        self._patience *= 2.0
+        self._check_lag = True
+        self._queue = first_positions(self._settings.first, self.holds[-1].u < 0.5)
+        self.since, self.holds = self._elapsed, []
+
+    def _tolerance(self, static_map: StaticMap) -> float:
+        return max(self._settings.improvement, 0.5 * float(np.median(static_map.error)))
+
+    def _bracket(self, static_map: StaticMap) -> float | None:
+        """Return a position between the best and a neighbour that is far worse."""
+        s, best = self._settings, static_map.best()
+        y = static_map.predict(static_map.u)[0] - static_map.least
+        for side in (-1.0, 1.0):
+            beyond = side * (static_map.u - best)
+            if not (beyond > 0.0).any():
+                continue
+            i = int(np.argmin(np.where(beyond > 0.0, beyond, np.inf)))
+            if y[i] > math.log(s.steep) and beyond[i] > s.finest:
+                return 0.5 * (best + float(static_map.u[i]))
+        return None
+
+    def _gap(self, static_map: StaticMap) -> float | None:
+        """Return the middle of a gap in which a narrow valley would hide, the nearest first."""
+        best, places = static_map.best(), np.unique([hold.u for hold in self.holds])
+        middles = 0.5 * (places[1:] + places[:-1])[np.diff(places) > self._settings.gap]
+        return float(min(middles, key=lambda u: abs(u - best))) if middles.size else None
+
+    def _doubtful_end(self, static_map: StaticMap) -> Move | None:
+        """Return an end that may be as good as the best, or the best if that is known less well."""
+        s, best = self._settings, static_map.best()
+        for end, inner in ((0.0, s.beside), (1.0, 1.0 - s.beside)):
+            count = sum(hold.u == end for hold in self.holds)
+            step, sure = static_map.worse_by(end)
+            if best == end:
+                if not any(abs(hold.u - inner) < 0.5 * s.beside for hold in self.holds):
+                    return Move(inner)
+                if count < (3 if static_map.best_end is not None else s.ends):
+                    return self._visit(end)
+            elif step < 0.5 and sure < s.map.ends + 1.0 and count < s.ends:
+                deviations = static_map.predict(np.array([end, best]))[1]
+                return self._visit(end if deviations[0] >= deviations[1] else best)
+        return None
+
+    def _unknown_edge(self, static_map: StaticMap) -> float | None:
+        """Return where the valley may end, if that is not known well enough."""
+        s, basin = self._settings, static_map.basin()
+        valley = static_map.valley()
+        y, deviation = static_map.predict(static_map.grid)
+        bound = static_map.least + math.log(s.map.good)
+        doubt = 1.96 * deviation - np.abs(y - bound)
+        inside = (static_map.grid >= basin.low) & (static_map.grid <= basin.high)
+        unknown = float(np.mean((doubt > 0.0) & inside))
+        if unknown <= max(s.edge * valley.width, 2.0 * s.finest):
+            return None
+        u = float(static_map.grid[int(np.argmax(np.where(inside, doubt, -np.inf)))])
+        near = min(abs(hold.u - u) for hold in self.holds)
+        return u if near > 0.25 * s.finest else None
+
+    def _confirm(self, static_map: StaticMap) -> Move | None:
+        """Return the best again from a side from which it was not come to."""
+        best, valley = static_map.best(), static_map.valley()
+        near = max(self._settings.same * valley.width, self._settings.finest)
+        sides = {h.side for h in self.holds if h.confirms and abs(h.u - best) <= near}
+        self._growth = True
+        for side in (1, -1):
+            inner = 0.0 < best < 1.0
+            if inner and side not in sides:
+                via = min(max(best - side * self._settings.overshoot, 0.0), 1.0)
+                return Move(best, via, "the best again, from the other side")
+        return None
+
+    def _visit(self, u: float) -> Move:
+        """Return a move to a position at which theta may be already: a hold is an arrival."""
+        if self.holds and self.holds[-1].u == u:
+            away = self._settings.overshoot * (1.0 if u < 0.5 else -1.0)
+            return Move(u, u + away)
+        return Move(u)
+
+    def static_map(self) -> StaticMap:
+        """Return the map of the finished holds."""
+        assert self.amplitude is not None, "nothing reacts"
+        levels = self.levels()
+        return StaticMap(
+            np.array([hold.u for hold in self.holds]),
+            np.array([level.mean for level in levels]),
+            np.array([level.error for level in levels]),
+            self.rig.sense,
+            self._settings.map,
+        )
+
+    def levels(self) -> list[Level]:
+        """Return the level of each finished hold."""
+        amplitude, wander = self._summed, self._wander()
+        return [hold.level(amplitude, wander) for hold in self.holds]
+
+    def _wander(self) -> float:
+        """Return how slowly the amplitude comes and goes, as most holds show it."""
+        return usual_wander([hold.level(self._summed).wander for hold in self.holds])
+
+    @property
+    def _summed(self) -> Amplitude:
+        """What reacts; everything until that is known."""
+        if self.amplitude is not None:
+            return self.amplitude
+        assert self._heard is not None, "look first"
+        return whole_amplitude(self.windows, self._heard.powers(self.windows))
+
+    # -- how long theta is held -----------------------------------------------------------------
+
+    def arrive(self, move: Move, elapsed: float, begin: int = -1) -> None:
+        """Begin a hold, after so much of the rig's time [s], with sample ``begin``."""
+        s = self._settings
+        before = self._hold.u if move.via is None else move.via
+        self._hold = Hold(
+            move.u, int(np.sign(move.u - before)), np.empty((0, len(self.rig.names))), begin
+        )
+        self._next, self._usual, self._target = 0, self._wander(), self._target_error()
+        levels = [self.rig.sense * level.mean for level in self.levels()]
+        self._best = min(levels, default=math.inf)
+        self._elapsed = elapsed
+        left = max(self.rig.time - elapsed, 0.0)
+        share = 2.0 * left / max(len(self._queue) + 4, 1)
+        fair = min(s.most_share * self.rig.time, share)
+        self._most = max(s.fewest, int(fair / self.windows.seconds))
+        self._least = min(self._needed_windows(), self._most)
+
+    def _needed_windows(self) -> int:
+        """Return for how many windows theta is held at least: the rig was seen to be slow."""
+        s = self._settings
+        least = round(self._patience * (s.brief if self._brief else s.fewest))
+        if not self.holds or self._brief:
+            return least
+        levels = self.levels()
+        settling = float(np.quantile([level.skip for level in levels], s.usual)) * s.reserve
+        if self._growth:
+            grown = [level.skip for level in levels if level.rise > s.grown]
+            settling = max([settling, *(s.growth * skip for skip in grown)])
+        return math.ceil(settling) + least
+
+    def take(self, x: Array) -> bool:
+        """Take the samples of a window; return whether theta may go on."""
+        s, hold = self._settings, self._hold
+        hold.append(x)
+        count = hold.size // self.windows.length
+        if count < max(self._least, self._next):
+            return False
+        self._next = count + 1 + int(s.soon * count)
+        if count < self._most:
+            level = hold.level(self._summed, self._usual)
+            worse = self.rig.sense * level.mean - self._best
+            if not level.settled or level.error > max(self._target, worse * s.error_of_worse):
+                return False
+        hold.confirms = self._growth
+        self.holds.append(hold)
+        if self._queue:
+            self._queue.pop(0)
+        self._choose()
+        return True
+
+    def _target_error(self) -> float:
+        """Return the standard error at which a hold is known well enough."""
+        s = self._settings
+        means = [level.mean for level in self.levels()]
+        return max(s.error, s.error_of_span * float(np.ptp(means)) if means else 0.0)
+
+    def _choose(self) -> None:
+        """Choose what is summed, and the windows for it, from all holds so far."""
+        holds = [*([self._heard] if self._heard else []), *self.holds]
+        if len(holds) < 2:
+            return
+        s = self._settings
+        for last in (False, False, True):
+            powers = [hold.late(self.windows) for hold in holds]
+            self.amplitude = choose_amplitude(self.windows, powers, self.rig.weights)
+            if self.amplitude is None or last:
+                return
+            self.period = self.amplitude.period([p.mean(axis=0) for p in powers])
+            squares = [float(self.amplitude.squares(p).mean()) for p in powers]
+            if max(squares) < s.clear**2 * max(min(squares), 0.0):
+                return  # of what reacts a little the frequency is not known
+            length = window_length(self.period, s.window, self.rig.dt)
+            longest = min(hold.x.shape[0] for hold in holds) // 4
+            length = min(length, max(longest, 64, self.windows.length))
+            if 0.7 < length / self.windows.length < 1.5:
+                return
+            self.windows = self.windows._replace(length=length)
+
+    @property
+    def held(self) -> int:
+        """How many windows this hold has."""
+        return self._hold.size // self.windows.length
+
+    @property
+    def left(self) -> int:
+        """How many holds are to come at least."""
+        return len(self._queue)
+
+
+def first_positions(count: int, up: bool) -> list[float]:
+    """Return positions from end to end, and those between on the way back.
+
+    >>> first_positions(3, True)
+    [0.0, 0.5, 1.0, 0.75, 0.25]
+    """
+    way = [i / (count - 1) for i in range(count)]
+    back = [(i + 0.5) / (count - 1) for i in range(count - 1)]
+    return [*way, *back[::-1]] if up else [*way[::-1], *back]

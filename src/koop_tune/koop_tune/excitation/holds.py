@@ -1,0 +1,198 @@
+"""A hold of theta: when the rig has settled, its level and the error.
+
+What comes before the rig has settled is left out: the d windows for which the marginal standard
+error of the rest is least (White, Simulation 69 (1997) 323-334),
+
+    d = argmin_{d <= m/2} var(a_d .. a_m) / (m - d)
+
+and as long as d is at that end, the rig is still settling.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_tune.excitation.amplitude import Amplitude, Windows
+
+Array = NDArray[np.float64]
+TREND, SLIGHT = 2.5, 0.01  # from one half to the other: standard errors; of a log amplitude
+
+
+class Hold:
+    """Theta at one position.
+
+    Parameters
+    ----------
+    u : float
+        The position, 0 to 1.
+    side : int
+        1 if theta came from below, -1 from above.
+    x : ndarray, shape (M, n)
+        Samples since theta arrived.
+    begin : int
+        Number of the first one in the recording; -1 where it is not known.
+
+    Attributes
+    ----------
+    size : int
+        Number of samples.
+    """
+
+    def __init__(self, u: float, side: int, x: Array, begin: int = -1) -> None:
+        self.u, self.side, self.begin = u, side, begin
+        self.size = x.shape[0]
+        self.confirms = False
+        self._parts = [x]
+        self._known: tuple[Windows, Array] | None = None
+
+    @property
+    def x(self) -> Array:
+        """Samples, shape (M, n)."""
+        if len(self._parts) > 1:
+            self._parts = [np.concatenate(self._parts)]
+        return self._parts[0]
+
+    def append(self, x: Array) -> None:
+        """Add samples; whole windows of the same length as before are looked at alone."""
+        whole = self.size % self._known[0].length == 0 if self._known else False
+        self._parts.append(x)
+        self.size += x.shape[0]
+        if self._known is not None:
+            windows, powers = self._known
+            if not whole or x.shape[0] != windows.length:
+                self._known = None
+            else:
+                self._known = windows, np.concatenate([powers, windows.powers(x)])
+
+    def powers(self, windows: Windows) -> Array:
+        """Return the powers of its windows, shape (W, n, G)."""
+        if self._known is None or self._known[0] != windows:
+            self._known = windows, windows.powers(self.x)
+        return self._known[1]
+
+    def late(self, windows: Windows) -> Array:
+        """Return the powers of the second half, once it had settled in all likelihood."""
+        powers = self.powers(windows)
+        return powers[powers.shape[0] // 2 :]
+
+    def level(self, amplitude: Amplitude, wander: float = 0.0) -> Level:
+        """Return its level; see :func:`find_level`."""
+        return find_level(amplitude, amplitude.squares(self.powers(amplitude.windows)), wander)
+
+
+@dataclass(frozen=True)
+class Level:
+    """Level of a hold.
+
+    Attributes
+    ----------
+    mean, error : float
+        Logarithm of the amplitude, and its standard error.
+    skip, count : int
+        Windows in which the rig settled, and all.
+    settled : bool
+        Whether it has.
+    rise : float
+        Logarithm of the level over the first window: above 0 where the oscillation grew.
+    wander : float
+        error^2 times the windows that count: the larger, the slower the amplitude comes and goes.
+    """
+
+    mean: float
+    error: float
+    skip: int
+    count: int
+    settled: bool
+    rise: float
+    wander: float
+
+
+def find_level(amplitude: Amplitude, squares: Array, wander: float = 0.0) -> Level:
+    """Return the level of the windows of one hold.
+
+    Parameters
+    ----------
+    amplitude : Amplitude
+        What is summed.
+    squares : ndarray, shape (W,)
+        A^2 in each window; W at least 2.
+    wander : float
+        What other holds showed of it: a short hold does not see how slowly it comes and goes.
+    """
+    logs = amplitude.log(squares)
+    most = squares.size // 2
+    skip = int(np.argmin(_marginal_error(logs, most)))
+    mean, error = mean_level(squares[skip:], amplitude.floor)
+    count = squares.size - skip
+    own = error * error * count
+    error = math.sqrt(max(own, wander) / count)
+    half = squares.size - count // 2
+    late, early = (
+        mean_level(part, amplitude.floor)[0] for part in (squares[half:], squares[skip:half])
+    )
+    trend = late - early
+    return Level(
+        mean, error, skip, squares.size, skip < most and abs(trend) < max(TREND * error, SLIGHT),
+        mean - float(logs[0]), own,
+    )  # fmt: skip
+
+
+def _marginal_error(values: Array, most: int) -> Array:
+    """Return var(a_d .. a_m) / (m - d) for d up to ``most``."""
+    backwards = values[::-1] - values.mean()
+    count = np.arange(1, values.size + 1)
+    mean = np.cumsum(backwards) / count
+    variance = np.maximum(np.cumsum(backwards**2) / count - mean**2, 0.0)
+    return np.asarray((variance / count)[::-1][: most + 1])
+
+
+def mean_level(squares: Array, floor: float = 0.0) -> tuple[float, float]:
+    """Return the logarithm of the root of the mean, not below ``floor``, and its standard error.
+
+    The mean of the logarithm would be lower the more an amplitude comes and goes in a window, and
+    less sure: by a third for the one of a noise-driven oscillation.
+    """
+    mean = max(float(squares.mean()), floor**2)
+    return 0.5 * math.log(mean), 0.5 * float(standard_error(squares[:, None])[0]) / mean
+
+
+def usual_wander(values: Sequence[float], usual: float = 0.75) -> float:
+    """Return how slowly an amplitude comes and goes, as most holds show it."""
+    finite = [value for value in values if math.isfinite(value)]
+    return float(np.quantile(finite, usual)) if finite else 0.0
+
+
+def standard_error(values: Array) -> Array:
+    """Return the standard error of the mean of each column; neighbours may be alike.
+
+    se^2 = var s / (m - s),   s of :func:`count_alike`
+    """
+    m = values.shape[0]
+    if m < 3:
+        return np.full(values.shape[1], math.inf)
+    count = count_alike(values)
+    return np.asarray(np.sqrt(values.var(axis=0) * count / (m - count)))
+
+
+def count_alike(values: Array) -> Array:
+    """Return how many neighbouring windows of each column know no more than one.
+
+        s = 1 + 2 sum_k rho_k
+
+    The sum of the autocorrelation ends where two neighbours of it are no longer positive together
+    (Geyer, Statistical Science 7 (1992) 473-483), and s is at most a third of the windows.
+    """
+    m = values.shape[0]
+    centred = values - values.mean(axis=0)
+    size = 1 << (2 * m - 1).bit_length()
+    spectrum = np.abs(np.fft.rfft(centred, size, axis=0)) ** 2
+    rho = np.fft.irfft(spectrum, size, axis=0)[: m // 2 + 1]
+    power = np.maximum((centred**2).sum(axis=0), 1e-300)
+    pairs = rho[: rho.shape[0] // 2 * 2].reshape(-1, 2, values.shape[1]).sum(axis=1) / power
+    positive = np.cumprod(pairs > 0.0, axis=0)  # up to the first that is not
+    return np.asarray(np.clip(2.0 * (pairs * positive).sum(axis=0) - 1.0, 1.0, m / 3.0))

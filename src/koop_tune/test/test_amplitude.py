@@ -1,0 +1,185 @@
+"""The amplitude of what reacts to theta, against sines and noise that are known exactly."""
+
+import json
+
+import numpy as np
+import pytest
+
+from koop_tune.excitation.amplitude import (
+    AMPLITUDE,
+    Amplitude,
+    Windows,
+    bridge_gaps,
+    choose_amplitude,
+    mean_powers,
+    whole_amplitude,
+)
+
+DT, LENGTH, COUNT = 0.01, 800, 40
+WINDOWS = Windows(LENGTH, DT)
+U = np.linspace(0.0, 1.0, 7)
+
+
+def hold(rng, *channels, noise=0.02):
+    """Return powers of a hold, of channels that are sines: (frequency [Hz], amplitude) each."""
+    t = np.arange(COUNT * LENGTH) * DT
+    columns = [
+        sum(a * np.sin(2 * np.pi * f * t + rng.uniform(0.0, 2 * np.pi)) for f, a in sines)
+        + noise * rng.normal(size=t.size)
+        for sines in channels
+    ]
+    return WINDOWS.powers(np.column_stack(columns))
+
+
+def levels(amplitude, holds):
+    return np.array([np.sqrt(max(amplitude.squares(p).mean(), 0.0)) for p in holds])
+
+
+def weighs_at(amplitude, channel, frequency):
+    """Return whether the group of a frequency counts."""
+    group = int(np.argmin(np.abs(WINDOWS.frequency - frequency)))
+    return bool(amplitude.weight[channel, group] > 0.0)
+
+
+@pytest.mark.parametrize("frequency", [0.5, 2.03, 17.4])
+def test_the_power_of_a_sine_is_half_its_square_and_lies_at_its_frequency(frequency):
+    t = np.arange(3 * LENGTH) * DT
+    x = 5.0 + 0.01 * t + 3.0 * np.sin(2 * np.pi * frequency * t)
+    powers = WINDOWS.powers(x[:, None])
+    assert powers.shape == (3, 1, WINDOWS.frequency.size)
+    # a taper weighs the crests of few periods as it happens to meet them
+    assert powers.sum(axis=2) == pytest.approx(np.full((3, 1), 4.5), rel=0.05)
+    # the lobe of a Blackman window is three bins to each side
+    near = np.abs(WINDOWS.frequency - frequency) < 3.0 / WINDOWS.seconds + 0.07 * frequency
+    assert powers[:, 0, near].sum(axis=1) == pytest.approx(powers[:, 0].sum(axis=1), rel=1e-3)
+
+
+def test_the_sum_over_the_groups_is_the_variance():
+    x = np.random.default_rng(0).normal(0.0, 2.0, (200 * LENGTH, 1))
+    # but for the trend and the mean that are taken out: two degrees of freedom of 800
+    assert WINDOWS.powers(x).sum(axis=2).mean() == pytest.approx(4.0, rel=0.01)
+
+
+def test_a_mode_that_reacts_counts_in_every_channel_and_a_line_that_does_not_is_left_out():
+    rng = np.random.default_rng(1)
+    size = 0.2 + U
+    holds = [
+        hold(rng, [(2.0, a), (9.0, 5.0)], [(2.0, 30.0 * a), (0.4, 70.0)], noise=0.02) for a in size
+    ]
+    amplitude = choose_amplitude(WINDOWS, holds)
+    for channel in (0, 1):
+        assert weighs_at(amplitude, channel, 2.0)
+        for line in (0.4, 9.0):
+            assert not weighs_at(amplitude, channel, line)
+    # alike in units of each channel's own motion: 1 is the strongest seen
+    assert levels(amplitude, holds) == pytest.approx(size / size.max(), rel=0.02)
+    for channel, scale in ((0, 1.0), (1, 30.0)):
+        peak = np.argmin(np.abs(WINDOWS.frequency - 2.0))
+        s_squared = 0.5 * (scale * size.max()) ** 2
+        assert amplitude.weight[channel, peak] == pytest.approx(0.5 / s_squared, rel=0.02)
+    assert amplitude.name(["a", "b"]).startswith("a and b at ")  # both react alike
+    assert amplitude.period(mean_powers(holds)) == pytest.approx(0.5, rel=0.2)
+
+
+def test_nothing_that_reacts_is_no_amplitude():
+    rng = np.random.default_rng(2)
+    holds = [hold(rng, [(2.0, 1.0), (9.0, 5.0)], noise=0.3) for _ in U]
+    assert choose_amplitude(WINDOWS, holds) is None
+    whole = whole_amplitude(WINDOWS, np.concatenate(holds))
+    assert levels(whole, holds) == pytest.approx(np.ones(U.size), rel=0.05)
+
+
+def test_the_background_is_subtracted_and_the_floor_is_what_of_it_is_not_known():
+    rng, noise = np.random.default_rng(3), 1.0
+    size = np.array([0.0, 0.1, 0.5, 1.0, 2.0])
+    holds = [hold(rng, [(2.0, a)], noise=noise) for a in size]
+    amplitude = choose_amplitude(WINDOWS, holds)
+    counts = amplitude.weight[0] > 0.0
+    # white noise: its variance spread over length / 2 bins
+    bins = np.diff(WINDOWS.edges)[counts].sum()
+    share = noise**2 * bins / (LENGTH / 2) / (0.5 * size.max() ** 2)
+    assert amplitude.background == pytest.approx(share, rel=0.25)  # of few groups beside
+    assert amplitude.floor == pytest.approx(np.sqrt(AMPLITUDE.doubt * share), rel=0.15)
+    squares, exact = np.array([amplitude.squares(p).mean() for p in holds]), (size / 2.0) ** 2
+    # noise in phase with the sine: its deviation over the windows of a hold
+    chance = 2.0 * np.sqrt(exact * share / COUNT)
+    assert np.all(np.abs(squares - exact) < 3.0 * (chance + AMPLITUDE.doubt * share))
+    assert amplitude.log(squares)[0] == pytest.approx(np.log(amplitude.floor), abs=0.7)
+    assert amplitude.log(np.array([-1.0]))[0] == pytest.approx(np.log(amplitude.floor))
+
+
+def test_two_modes_that_trade_off_are_both_in_and_named_with_their_shares():
+    rng = np.random.default_rng(4)
+    falls, rises = np.exp(-3.0 * U), np.exp(3.0 * (U - 1.0))
+    holds = [
+        hold(rng, [(0.75, a), (3.5, b)], [(0.75, a)]) for a, b in zip(falls, rises, strict=True)
+    ]
+    amplitude = choose_amplitude(WINDOWS, holds)
+    # by hand: channel 0 moves most at either end, channel 1 with the falling mode
+    most = (falls**2 + rises**2).max()
+    expected = np.sqrt(0.5 * ((falls**2 + rises**2) / most + falls**2 / falls.max() ** 2))
+    assert levels(amplitude, holds) == pytest.approx(expected, rel=0.03)
+    modes = amplitude.modes(mean_powers(holds))
+    slow = next(m for m in modes if m.channel == 0 and m.low <= 0.75 <= m.high)
+    fast = next(m for m in modes if m.channel == 0 and m.low <= 3.5 <= m.high)
+    share = 0.5 * rises**2 / most / expected**2
+    assert (fast.least, fast.most) == pytest.approx((share.min(), share.max()), abs=0.02)
+    assert slow.least < 0.01 < slow.most
+    assert "0.75" in amplitude.name(["a", "b"]) or "to" in amplitude.name(["a", "b"])
+
+
+def test_importance_weighs_the_channels():
+    rng = np.random.default_rng(5)
+    holds = [hold(rng, [(2.0, 1.0 + u)], [(3.0, 2.0 - u)], noise=0.002) for u in U]
+    ratio = np.array([((1.0 + U) / 2.0) ** 2, ((2.0 - U) / 2.0) ** 2])
+    for importance in ((1.0, 1.0), (3.0, 1.0), (0.0, 1.0)):
+        amplitude = choose_amplitude(WINDOWS, holds, importance)
+        expected = np.sqrt(np.average(ratio, axis=0, weights=importance))
+        assert levels(amplitude, holds) == pytest.approx(expected, rel=0.02)
+    assert choose_amplitude(WINDOWS, holds, ()).weight.tolist() == (
+        choose_amplitude(WINDOWS, holds, (1.0, 1.0)).weight.tolist()
+    )
+
+
+def test_a_channel_in_which_the_oscillation_is_hidden_is_left_out():
+    rng = np.random.default_rng(6)
+    size = 0.2 + U
+    holds = [np.concatenate([hold(rng, [(2.0, a)]), hold(rng, [(2.0, a)], noise=20.0)], axis=1)
+             for a in size]  # fmt: skip
+    amplitude = choose_amplitude(WINDOWS, holds)
+    assert not amplitude.weight[1].any()
+    assert levels(amplitude, holds) == pytest.approx(size / size.max(), rel=0.02)
+
+
+def test_gaps_are_bridged_and_hardly_change_a_level():
+    t = np.arange(10 * LENGTH) * DT
+    x = np.column_stack([np.sin(2 * np.pi * 2.0 * t), np.full(t.size, 7.0)])
+    torn = x.copy()
+    torn[100:103, 0] = np.nan
+    torn[:, 1] = np.nan
+    bridged = bridge_gaps(torn)
+    assert bridged[99:104, 0] == pytest.approx(np.linspace(x[99, 0], x[103, 0], 5))
+    assert bridged[:, 1].tolist() == [0.0] * t.size  # nothing to take it from
+    whole, gaps = (WINDOWS.powers(v).sum(axis=2) for v in (x, torn))
+    assert gaps == pytest.approx(whole, rel=0.01, abs=1e-9)
+    assert bridge_gaps(x) is x
+
+
+def test_an_amplitude_is_read_as_it_was_written():
+    rng = np.random.default_rng(7)
+    holds = [hold(rng, [(2.0, 0.2 + u)], noise=0.5) for u in U]
+    written = choose_amplitude(WINDOWS, holds)
+    read = Amplitude.from_json(json.loads(json.dumps(written.as_json())))
+    assert read.windows == written.windows
+    assert (read.background, read.floor) == (written.background, written.floor)
+    assert read.squares(holds[0]).tolist() == written.squares(holds[0]).tolist()
+
+
+def test_noise_that_is_alike_in_two_windows_by_chance_does_not_react():
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        holds = [hold(rng, [(2.0, 1.0 + u)], noise=1.0) for u in np.linspace(0.0, 1.0, 30)]
+        brief = [part[: 2 + i % 3] for i, part in enumerate(holds)]
+        amplitude = choose_amplitude(WINDOWS, brief)
+        reacts = WINDOWS.frequency[amplitude.weight[0] > 0.0]
+        assert np.all(np.abs(reacts - 2.0) < 0.5)

@@ -1,0 +1,235 @@
+"""An excitation's decisions, on simulated rigs of which map, settling time and noise are known."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from koop_core.errors import InputError
+from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, Design, Move, first_positions
+from koop_tune.excitation.holds import Hold
+from koop_tune.rig.rig_file import RigFile
+
+DT, PERIOD = 0.02, 0.5
+COUNT = 2 * DESIGN.first - 1  # first positions, up and down
+RIG = RigFile(
+    "/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, -1.0, 3.0, 0.5, 0.0, 0.5, time=3000.0
+)  # fmt: skip
+
+
+def absorber(width, depth, place):
+    """Return log A(u) of a valley that is ``width`` wide at 1.5 times its floor, 1 / ``depth``.
+
+    A = hypot(floor, k d), at most 1: as a tuned absorber, with sides that rise like the distance.
+    """
+    floor = 1.0 / depth
+    k = floor * math.sqrt(1.5**2 - 1.0) / (0.5 * width)
+    return lambda u: math.log(min(math.hypot(floor, k * abs(u - place)), 1.0))
+
+
+def wide(u):
+    """Return log A(u) of a valley that is half the range wide."""
+    return 3.0 * (u - 0.4) ** 2
+
+
+class Simulated:
+    """A sine of 2 Hz whose log amplitude follows level(u, side) at once, or with a time constant.
+
+    Every half second its power is drawn from a gamma distribution, of a deviation ``noise`` of the
+    log amplitude; a line of 0.4 Hz, slower than the oscillation, does not react.
+    """
+
+    def __init__(self, level, noise=0.05, tau=0.0, interference=0.0, sides=None, seed=0):
+        self.level, self.noise, self.tau, self.line = level, noise, tau, interference
+        self.sides, self.rng = sides, np.random.default_rng(seed)
+        self.u, self.side, self.seconds = RIG.u_start, 0, 0.0
+        self.value, self.drawn = self.target, np.empty(0)
+
+    @property
+    def target(self):
+        return self.level(self.u) + (self.sides(self.u, self.side) if self.sides else 0.0)
+
+    def go(self, u):
+        if u != self.u:
+            self.side, self.u = (1 if u > self.u else -1), u
+
+    def stay(self, samples):
+        span = np.arange(1, samples + 1) * DT
+        t = self.seconds + span
+        self.seconds = t[-1]
+        keep = np.exp(-span / self.tau) if self.tau else 0.0 * span
+        value = self.target + keep * (self.value - self.target)
+        self.value = value[-1]
+        shape = 0.25 / self.noise**2
+        more = max(int(t[-1] / PERIOD) + 2 - self.drawn.size, 0)
+        self.drawn = np.r_[self.drawn, np.sqrt(self.rng.gamma(shape, size=more) / shape)]
+        comes = np.interp(t / PERIOD, np.arange(self.drawn.size), self.drawn)
+        x = np.exp(value) * comes * np.sin(2.0 * np.pi * t / PERIOD)
+        x += self.line * np.sin(2.0 * np.pi * 0.4 * t) + 1e-3 * self.rng.normal(size=samples)
+        return x[:, None]
+
+
+def excite(rig, file=RIG, holds=(), settings=DESIGN, most=None):
+    """Excite a rig as `koop excite` does."""
+    design = Design(file, holds, settings=settings)
+    heard = rig.stay(round(settings.shortest / DT))
+    while design.listens(heard):
+        heard = np.concatenate([heard, rig.stay(100)])
+    design.look(heard)
+    moves = []
+    while (most is None or len(moves) < most) and (move := design.next()) is not None:
+        moves.append(move)
+        for u in (move.via, move.u):
+            if u is not None:
+                rig.go(u)
+        design.arrive(move, rig.seconds)
+        while not design.take(rig.stay(design.windows.length)):
+            assert rig.seconds < 2.0 * file.time
+    return design, moves
+
+
+def test_a_narrow_deep_valley_is_found_within_twice_the_holds_of_a_wide_one():
+    usual = np.mean([len(excite(Simulated(wide, seed=s))[1]) for s in range(2)])
+    counts = []
+    for seed, place in enumerate((0.31, 0.62, 0.87)):
+        level = absorber(0.02, 50.0, place)
+        design, moves = excite(Simulated(level, seed=seed))
+        best = design.static_map().best()
+        assert level(best) < math.log(1.5 / 50.0)  # the floor is seen, not its side
+        valley = design.static_map().valley()
+        assert valley.width < 0.06
+        counts.append(len(moves))
+    assert np.mean(counts) <= 2.0 * usual
+
+
+def test_the_map_is_that_of_the_rig_and_both_sides_of_the_best_are_visited():
+    design, moves = excite(Simulated(wide))
+    assert design.ended == KNOWN
+    assert [move.u for move in moves[:COUNT]] == first_positions(DESIGN.first, True)
+    found = design.static_map()
+    assert abs(found.best() - 0.4) < 0.1
+    exact = np.array([wide(u) for u in found.grid])
+    off = found.curve - exact
+    assert np.abs(off - np.median(off)).max() < 0.15
+    best = found.best()
+    sides = {hold.side for hold in design.holds if abs(hold.u - best) < 0.1}
+    assert sides == {1, -1}
+
+
+@pytest.mark.parametrize("slope", [1.5, -1.5])
+def test_a_monotone_map_ends_with_its_best_at_the_limit(slope):
+    design, moves = excite(Simulated(lambda u: slope * (u - 0.5)))
+    assert design.ended == KNOWN
+    assert design.static_map().best_end == (0.0 if slope > 0.0 else 1.0)
+    assert len(moves) < 30
+
+
+def test_a_rig_that_does_not_react_ends_flat_after_all_was_visited_again():
+    design, moves = excite(Simulated(lambda u: 0.0))
+    assert design.ended == FLAT
+    assert len(moves) == DESIGN.rounds * COUNT
+    assert design.next() is None
+
+
+def test_a_strong_slow_interference_neither_sets_the_windows_nor_hides_the_map():
+    def rig(line):
+        return Simulated(wide, interference=line, seed=3)
+
+    alone, hidden = (excite(rig(line))[0] for line in (0.0, 3.0))
+    assert hidden.period == pytest.approx(PERIOD, rel=0.25)
+    assert hidden.windows.length < 1.5 * alone.windows.length
+    assert abs(hidden.static_map().best() - 0.4) < 0.1
+    ranges = [hidden.windows.frequency[[a, b]] for _, a, b in hidden.amplitude.ranges]
+    assert not any(low <= 0.4 <= high for low, high in ranges)
+
+
+def test_hysteresis_is_visited_from_both_sides_and_told_as_doubt():
+    def sides(u, side):  # what comes from above oscillates more
+        return 0.4 * (side < 0)
+
+    plain, torn = (excite(Simulated(wide, noise=0.02, sides=s))[0] for s in (None, sides))
+    best = torn.static_map().best()
+    same = DESIGN.same * torn.static_map().valley().width
+    near = [hold for hold in torn.holds if abs(hold.u - best) <= max(same, DESIGN.finest)]
+    assert {hold.side for hold in near} == {1, -1}
+    at = [m.deviation[round(m.best() * 1024)] for m in (plain.static_map(), torn.static_map())]
+    assert at[1] > 2.0 * at[0]
+
+
+def test_theta_rests_until_a_slow_rig_has_settled():
+    def shallow(u):
+        return 1.2 * (u - 0.4) ** 2
+
+    design, _ = excite(Simulated(shallow, noise=0.01, tau=10.0), replace(RIG, time=3e4))
+    levels = design.levels()
+    off = np.array([x.mean - shallow(hold.u) for x, hold in zip(levels, design.holds, strict=True)])
+    assert np.abs(off - np.median(off)).max() < 0.08
+
+
+def test_the_best_is_held_as_long_as_the_rig_was_seen_to_need_to_grow():
+    def slow(u):
+        return absorber(0.05, 6.0, 0.45)(u)
+
+    design, moves = excite(Simulated(slow, noise=0.03, tau=25.0), replace(RIG, time=3e4))
+    growth = max(x.skip for x in design.levels() if x.rise > DESIGN.grown)
+    confirmed = [h for h, m in zip(design.holds, moves, strict=True) if "again" in m.why]
+    assert confirmed
+    for hold in confirmed:
+        assert hold.size / design.windows.length >= DESIGN.growth * growth
+
+
+def test_too_short_a_time_is_known_before_theta_moves():
+    design = Design(RIG)
+    rig = Simulated(wide)
+    design.look(rig.stay(2000))
+    # the first positions of twelve windows each, and the range there and back
+    expected = COUNT * DESIGN.fewest * design.windows.seconds + 2.0 * 4.0 / RIG.theta_rate
+    assert design.needed == pytest.approx(expected)
+    _, moves = excite(Simulated(wide), most=COUNT)
+    assert len(moves) == COUNT
+    began = Simulated(wide)
+    first = excite(began, most=COUNT)[0]
+    assert began.seconds > 0.5 * first.needed  # what was said was not far too much
+    slow = replace(RIG, theta_rate=0.001)
+    crawls = Design(slow)
+    crawls.look(Simulated(wide).stay(2000))
+    assert crawls.needed > 8000.0
+
+
+def test_a_hold_takes_no_more_than_its_share_of_the_time_that_is_left():
+    file = replace(RIG, time=600.0)
+    design, moves = excite(Simulated(wide, noise=0.5), file, most=12)
+    longest = max(h.size for h in design.holds) * DT
+    assert longest <= max(DESIGN.most_share * 600.0, DESIGN.fewest * design.windows.seconds) + 1.0
+    assert len(moves) == 12
+
+
+@pytest.mark.parametrize("done", [1, 3, 12])
+def test_an_excitation_resumes_from_its_holds(done):
+    first, _ = excite(Simulated(wide), most=done)
+    kept = [Hold(h.u, h.side, h.x) for h in first.holds]
+    resumed, moves = excite(Simulated(wide, seed=1), holds=kept)
+    assert resumed.ended == KNOWN
+    assert [hold.u for hold in resumed.holds[:done]] == [hold.u for hold in first.holds]
+    remaining = first_positions(DESIGN.first, True)[done:]
+    assert [move.u for move in moves[: len(remaining)]] == remaining
+    assert abs(resumed.static_map().best() - 0.4) < 0.1
+
+
+def test_an_excitation_goes_on_in_the_other_direction_without_missing_a_position():
+    first, _ = excite(Simulated(wide), most=3)
+    above = replace(RIG, theta_start=3.0)  # another theta_start does not begin another excitation
+    _, moves = excite(Simulated(wide, seed=1), above, holds=first.holds, most=COUNT - 3)
+    visited = {h.u for h in first.holds} | {move.u for move in moves}
+    assert visited >= set(first_positions(DESIGN.first, True))
+
+
+def test_channels_that_do_not_move_are_refused():
+    with pytest.raises(InputError, match="no channel moves"):
+        Design(RIG).look(np.ones((1000, 1)))
+
+
+def test_a_move_may_pass_another_position():
+    assert Move(0.5) == Move(0.5, None)
+    assert first_positions(3, False) == [1.0, 0.5, 0.0, 0.25, 0.75]

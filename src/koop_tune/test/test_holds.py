@@ -1,0 +1,117 @@
+"""Level, error and settling of a hold, against processes of which they are known."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from surrogate_rigs import DT, make_amplitude
+
+from koop_tune.excitation.amplitude import Windows
+from koop_tune.excitation.holds import (
+    Hold,
+    count_alike,
+    find_level,
+    mean_level,
+    standard_error,
+    usual_wander,
+)
+
+AMPLITUDE = make_amplitude()
+
+
+def noise_driven(rho, size, rng):
+    """Return the power of an oscillation that noise drives: of a complex AR(1), mean 1."""
+    white = rng.normal(size=(2, size + 300)) * math.sqrt(0.5 * (1.0 - rho**2))
+    return (lfilter([1.0], [1.0, -rho], white, axis=1)[:, 300:] ** 2).sum(axis=0)
+
+
+def exact_error(rho, size):
+    """Return the standard error of half the logarithm of the mean of that power.
+
+    Its autocorrelation is rho^2k, its variance the square of its mean.
+    """
+    k = np.arange(1, size)
+    return 0.5 * math.sqrt((1.0 + 2.0 * ((1.0 - k / size) * rho ** (2 * k)).sum()) / size)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.6, 0.9])
+def test_level_and_error_of_a_noise_driven_hold_are_those_of_its_process(rho):
+    rng, size = np.random.default_rng(0), 400
+    found = np.array([mean_level(noise_driven(rho, size, rng)) for _ in range(300)])
+    exact = exact_error(rho, size)
+    assert found[:, 0].std() == pytest.approx(exact, rel=0.15)  # the formula is the spread
+    assert np.median(found[:, 1]) == pytest.approx(exact, rel=0.2)
+    assert found[:, 0].mean() == pytest.approx(0.0, abs=0.01 + exact**2)
+    assert mean_level(np.full(20, -1.0), floor=0.1)[0] == pytest.approx(math.log(0.1))
+
+
+def test_windows_that_are_alike_count_once():
+    rng = np.random.default_rng(1)
+    values = np.repeat(rng.normal(size=(400, 1)), 4, axis=0)
+    # 1 + 2 (3/4 + 2/4 + 1/4): the triangle's autocorrelation
+    assert count_alike(values)[0] == pytest.approx(4.0, rel=0.25)
+    assert standard_error(values)[0] == pytest.approx(0.05, rel=0.2)
+    drift = np.linspace(0.0, 1.0, 30)[:, None]
+    assert count_alike(drift)[0] == pytest.approx(10.0, rel=0.35)  # at most a third of them
+    assert standard_error(values[:2])[0] == math.inf
+
+
+def hold_logs(logs):
+    return find_level(AMPLITUDE, np.exp(2.0 * np.asarray(logs)))
+
+
+@pytest.mark.parametrize("step", [3.0, -3.0])
+def test_the_settling_is_skipped_and_its_rise_is_told(step):
+    rng, tau = np.random.default_rng(2), 8.0
+    k = np.arange(120)
+    level = hold_logs(-1.0 - step * np.exp(-k / tau) + rng.normal(0.0, 0.02, k.size))
+    assert level.settled
+    assert level.mean == pytest.approx(-1.0, abs=0.02)
+    # until what is left of the step is about the error of the mean
+    assert 2.0 * tau < level.skip < tau * math.log(3.0 / 0.005)
+    assert level.rise == pytest.approx(step, abs=0.1)
+    assert level.count == 120
+    flat = hold_logs(rng.normal(0.0, 0.02, 120))
+    assert flat.settled
+    assert abs(flat.mean) < 4.0 * flat.error
+
+
+def test_a_trend_is_not_settled():
+    rng = np.random.default_rng(3)
+    noise = rng.normal(0.0, 0.02, 80)
+    assert not hold_logs(np.linspace(0.0, 1.0, 80) + noise).settled
+    assert not hold_logs(np.linspace(1.0, 0.0, 80) + noise).settled
+    slow = -3.0 * np.exp(-np.arange(80) / 60.0)  # the rig is at 1.3 of its time constants
+    assert not hold_logs(slow + noise).settled
+    late = np.where(np.arange(80) < 60, 0.0, 2.0)  # it grows when all seemed settled
+    assert not hold_logs(late + noise).settled
+
+
+def test_a_short_hold_is_no_surer_than_others_showed():
+    squares = noise_driven(0.0, 16, np.random.default_rng(4))
+    alone, told = (find_level(AMPLITUDE, squares, wander) for wander in (0.0, 9.0))
+    assert told.error == pytest.approx(math.sqrt(9.0 / (16 - told.skip)))
+    assert told.error > alone.error
+    assert (told.mean, told.wander) == (alone.mean, alone.wander)
+    assert usual_wander([1.0, 2.0, 3.0, 4.0, 5.0, math.inf]) == 4.0
+    assert usual_wander([math.inf]) == 0.0
+
+
+def test_samples_that_are_appended_give_the_powers_of_all_at_once():
+    x = np.random.default_rng(5).normal(size=(50 * 20, 2))
+    windows, other = Windows(50, DT), Windows(125, DT)
+    whole = Hold(0.3, 1, x)
+    parts = Hold(0.3, 1, np.empty((0, 2)))
+    for k in range(0, x.shape[0], 50):
+        parts.append(x[k : k + 50])
+        assert parts.powers(windows).shape[0] == k // 50 + 1
+    assert parts.powers(windows) == pytest.approx(whole.powers(windows), rel=1e-12)
+    assert parts.powers(other) == pytest.approx(whole.powers(other), rel=1e-12)
+    ragged = Hold(0.3, 1, np.empty((0, 2)))
+    for a, b in ((0, 70), (70, 120), (120, 500), (500, 1000)):
+        ragged.append(x[a:b])
+        ragged.powers(windows)
+    assert ragged.powers(windows) == pytest.approx(whole.powers(windows), rel=1e-12)
+    assert (ragged.size, ragged.x.tolist()) == (1000, x.tolist())
+    assert whole.late(windows).tolist() == whole.powers(windows)[10:].tolist()
