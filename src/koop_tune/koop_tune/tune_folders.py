@@ -11,7 +11,7 @@ from tqdm import tqdm
 from koop_bag.bag.reader import BagReader
 from koop_core.config.parameter import ConfigError
 from koop_identify.model.from_bags import BagTraining, load_bags, train_from_bags
-from koop_identify.recording.loaded import LOOP_COMMAND
+from koop_identify.recording.loaded import LOOP_COMMAND, Loaded
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_tune.excitation import progress
@@ -54,13 +54,12 @@ def tune_folders(
     bags, excitation = find_bags(folders, rig)
     if (out / CONTROLLER).exists():
         raise ConfigError(f"{out / CONTROLLER} exists already: choose another --out")
-    loaded, reading = load_bags(bags, reading_of(bags[0], rig))
+    loaded, reading = load_since(bags, rig, excitation)
     if loaded.x.shape[0] != len(rig.names):
         raise ConfigError(
             f"{bags[0]}: {reading.measured} has {loaded.x.shape[0]} channels, the rig file "
             f"{len(rig.names)}"
         )
-    loaded = loaded.after(int(excitation.since / rig.dt))
     out.mkdir(parents=True, exist_ok=True)
     with tqdm(total=100, bar_format=BAR, leave=False, disable=None) as bar:
 
@@ -104,6 +103,20 @@ def reading_of(bag: Path, rig: RigFile) -> BagReading:
     measured = recorded_source(f"{STATE}:x" if STATE in topics else rig.measured)
     command = LOOP_COMMAND if LOOP_COMMAND.topic in topics else recorded_source(rig.command)
     return BagReading(measured, command, rig.dt)
+
+
+def load_since(
+    bags: Sequence[Path], rig: RigFile, excitation: ExcitationProgress
+) -> tuple[Loaded, BagReading]:
+    """Load recordings of a rig from where on the holds of its excitation count.
+
+    Raises
+    ------
+    koop_core.errors.InputError
+        If they cannot be used.
+    """
+    loaded, reading = load_bags(bags, reading_of(bags[0], rig))
+    return loaded.after(int(excitation.since / rig.dt)), reading
 
 
 def list_bags(folder: Path, rig: RigFile, state: ExcitationProgress) -> list[Path]:

@@ -24,7 +24,6 @@ from koop_commission.theta.commander_client import note_of
 from koop_commission.theta.limits import compute_return_time
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError, LiveError
-from koop_identify.model.from_bags import load_bags
 from koop_tune.excitation import progress as progress_file
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, SAME, TIME, Design, Move
 from koop_tune.excitation.holds import Hold
@@ -32,7 +31,7 @@ from koop_tune.excitation.progress import ExcitationProgress, HoldSummary
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import DWELLS, find_holds
-from koop_tune.tune_folders import list_bags, reading_of
+from koop_tune.tune_folders import list_bags, load_since
 
 ANY = replace(DWELLS, values=1)  # what an interrupted excitation holds
 
@@ -289,7 +288,7 @@ def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[Ho
     if not state.holds or state.windows is None:
         return []
     bags = list_bags(folder, rig, state)
-    loaded, _ = load_bags(bags, reading_of(bags[0], rig))
+    loaded, _ = load_since(bags, rig, state)
     done = rig.scale.u(np.array([hold.theta for hold in state.holds]))
     holds = find_holds(loaded, rig.scale, state.windows.length, ANY)
     return [hold for hold in holds if np.abs(done - hold.u).min() < SAME]

@@ -215,14 +215,14 @@ class Design:
             self._begin_again()
         if self._queue:
             return Move(self._queue[0], why="over the range")
-        if self.amplitude is None or self.static_map().flat:
+        static_map = None if self.amplitude is None else self.static_map()
+        if static_map is None or static_map.flat:
             if self._rounds >= s.rounds:
                 self.ended = FLAT
                 return None
             self._rounds += 1
             self._queue = first_positions(s.first, self.holds[-1].u < 0.5)
             return Move(self._queue[0], why="again: nothing reacted")
-        static_map = self.static_map()
         grid = static_map.grid[::4]
         held = (np.abs(static_map.u[:, None] - grid) < s.finest).sum(axis=0)
         gain = np.where(held < s.often, static_map.expected_improvement(grid), 0.0)
@@ -307,9 +307,8 @@ class Design:
         """Return where the valley may end, if that is not known well enough."""
         s, basin = self._settings, static_map.basin()
         valley = static_map.valley()
-        y, deviation = static_map.predict(static_map.grid)
         bound = static_map.least + math.log(s.map.good)
-        doubt = 1.96 * deviation - np.abs(y - bound)
+        doubt = 1.96 * static_map.deviation - np.abs(static_map.sense * static_map.curve - bound)
         inside = (static_map.grid >= basin.low) & (static_map.grid <= basin.high)
         unknown = float(np.mean((doubt > 0.0) & inside))
         if unknown <= max(s.edge * valley.width, 2.0 * s.finest):

@@ -115,6 +115,11 @@ class StaticMap:
         return process, middle
 
     @property
+    def _white(self) -> float:
+        """Variance of the process's white part, which is no doubt about the map."""
+        return float(self._fit[0].kernel_.k2.noise_level)
+
+    @property
     def y(self) -> Array:
         """Levels, the least of which is the best."""
         return np.asarray(self.sense * self.mean)
@@ -123,14 +128,13 @@ class StaticMap:
         """Return y and its standard error at positions, shape (M,)."""
         process, middle = self._fit
         y, deviation = process.predict(u[:, None], return_std=True)
-        white = float(process.kernel_.k2.noise_level)
-        return y + middle, np.sqrt(np.maximum(deviation**2 - white, 1e-12))
+        return y + middle, np.sqrt(np.maximum(deviation**2 - self._white, 1e-12))
 
     def difference(self, a: float, b: float) -> tuple[float, float]:
         """Return y(a) - y(b) and its standard error."""
         process, _ = self._fit
         y, covariance = process.predict(np.array([[a], [b]]), return_cov=True)
-        covariance -= float(process.kernel_.k2.noise_level) * np.eye(2)
+        covariance -= self._white * np.eye(2)
         variance = covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]
         return float(y[0] - y[1]), math.sqrt(max(float(variance), 1e-12))
 
@@ -163,7 +167,7 @@ class StaticMap:
         coarse = np.linspace(0.0, 1.0, 129)
         places = np.unique(np.r_[coarse, self.u])
         y, covariance = process.predict(places[:, None], return_cov=True)
-        covariance -= float(process.kernel_.k2.noise_level) * np.eye(places.size)
+        covariance -= self._white * np.eye(places.size)
         values, vectors = np.linalg.eigh(covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
         at = np.round(places * (GRID - 1)).astype(int)
