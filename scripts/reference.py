@@ -20,8 +20,10 @@ from koop_bag.recorder.config import RECORDER
 from koop_core.config.describe import parameters_of
 from koop_core.config.parameter import NodeConfig, spec_of
 from koop_core.config.parameter_file import as_yaml
+from koop_guard.config import GUARD
 from koop_lab.cli.main import overview, parser
 from koop_loop.parameters import NODES
+from koop_tune.rig.rig_file import RigFile
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH = 100
@@ -31,6 +33,7 @@ COMMON = {"every node": (NodeConfig,)}
 LOOP = {
     "koopman_lifter": NODES["koopman_lifter"],
     "relay_esc": NODES["relay_esc"],
+    **GUARD,
     **RECORDER,
 }
 OTHERS = {
@@ -84,9 +87,12 @@ def workspace_commands() -> list[tuple[str, str]]:
 
 
 def own_parameters(node: str) -> list[Field[Any]]:
-    """Return the parameters of a node, without those that every node has."""
+    """Return the parameters of a node, without those that every node or the rig file has."""
     items = parameters_of((COMMON | LOOP | OTHERS)[node])
-    return [i for i in items if node in COMMON or i.name not in NodeConfig.__dataclass_fields__]
+    others = set(() if node in COMMON else NodeConfig.__dataclass_fields__)
+    if node in GUARD:
+        others |= RigFile.__dataclass_fields__.keys()
+    return [item for item in items if item.name not in others]
 
 
 def counts() -> dict[str, int]:
@@ -95,7 +101,7 @@ def counts() -> dict[str, int]:
     return {
         "commands": len(found) + len(workspace_commands()),
         "options": sum(len(command.options) for command in found.values()),
-        "parameters": sum(len(parameters_of(classes)) for classes in LOOP.values()),
+        "parameters": sum(len(own_parameters(node)) for node in COMMON | LOOP),
     }
 
 
@@ -171,8 +177,8 @@ def command_rows(
 def parameters_page() -> str:
     """Return docs/reference/parameters.md."""
     head = (
-        f"Lifter, controller and recorder have {counts()['parameters']} parameters. Written by "
-        "`scripts/reference.py`; `./koop params` and `--help` of a node have ranges and every "
+        f"A rig's loop has {counts()['parameters']} parameters; the guard also has what the rig "
+        "file says: topics, limits, rate, theta_safe. Written by `scripts/reference.py`; `./koop params` and `--help` of a node have ranges and every "
         "word. (f): fixed while the node runs."
     )
     lines = ["# Parameters", "", *textwrap.wrap(head, WIDTH), "", "| name: default | meaning |"]

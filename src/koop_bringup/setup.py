@@ -19,6 +19,7 @@ setup(
     install_requires=[
         "koop_bag",
         "koop_core",
+        "koop_guard",
         "koop_loop",
         "koop_node",
         "koop_view",

@@ -13,6 +13,7 @@ setup(
     install_requires=[
         "koop_bag",
         "koop_core",
+        "koop_guard",
         "koop_identify",
         "koop_loop",
         "koopman_lifter",

@@ -11,7 +11,7 @@ SRC = Path(__file__).parents[2] / "src"
 FLOORS = (  # a package imports only from the floors below its own
     {"koop_core"},
     {"koop_node"},
-    {"vdp_plant", "koopman_lifter", "relay_esc", "koop_bag"},
+    {"vdp_plant", "koopman_lifter", "relay_esc", "koop_guard", "koop_bag"},
     {"koop_loop", "koop_view"},
     {"koop_identify", "koop_bringup"},
     {"koop_tune"},
@@ -19,7 +19,7 @@ FLOORS = (  # a package imports only from the floors below its own
     {"koop_hil", "koop_bench", "koop_study"},
 )
 PACKAGES = set().union(*FLOORS)
-ALGORITHMS = {"vdp_plant", "koopman_lifter", "relay_esc"}
+ALGORITHMS = {"vdp_plant", "koopman_lifter", "relay_esc", "koop_guard"}
 PURE = {"koop_core", "koop_loop", "koop_identify", "koop_tune"}
 BAG_WITHOUT_ROS = tuple(
     f"koop_bag.{name}" for name in ("bag.", "cdr.", "mcap.", "errors", "recorder.config")

@@ -16,8 +16,8 @@ from vdp_plant.config import PlantConfig
 ROOT = Path(__file__).parents[2]
 SRC = ROOT / "src"
 BAG = ROOT / "recordings" / "golden" / "run" / "bag"
-PACKAGES = ("koop_core", "vdp_plant", "koopman_lifter", "relay_esc", "koop_bag", "koop_loop",
-            "koop_identify", "koop_tune")  # fmt: skip
+PACKAGES = ("koop_core", "vdp_plant", "koopman_lifter", "relay_esc", "koop_guard", "koop_bag",
+            "koop_loop", "koop_identify", "koop_tune")  # fmt: skip
 LIBRARIES = ("numpy", "numpy.libs", "scipy", "scipy.libs", "numba", "llvmlite", "llvmlite.libs",
              "yaml", "_yaml", "mcap", "mcap_ros2", "zstandard", "lz4", "tqdm")  # fmt: skip
 IMPORT_ALL = """

@@ -39,6 +39,8 @@ class FastRig:
         Whether theta has an effect, the rig says nothing, the first channel is beyond all limits.
     dead : int or None
         Channel that does not change.
+    not_finite : bool
+        Whether the first channel is not a number.
     """
 
     def __init__(self):
@@ -51,6 +53,7 @@ class FastRig:
         self.theta, self.moved = RIG.theta_start, []
         self.applied, self.silent, self.spike = True, False, False
         self.dead: int | None = None
+        self.not_finite = False
         self._context = rclpy.Context()
         self._context.init(args=[])
         self._node = WithoutEvents("fast_rig", context=self._context)
@@ -90,6 +93,8 @@ class FastRig:
             said = [99.0 if self.spike else x, y]
             if self.dead is not None:
                 said[self.dead] = 0.5
+            if self.not_finite:
+                said[0] = math.nan
             self._message.data = said
             if not self.silent:
                 self._publisher.publish(self._message)

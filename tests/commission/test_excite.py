@@ -20,10 +20,11 @@ from koop_commission.rig.listener import Listener
 from koop_commission.stages.excite import read_holds
 from koop_commission.stages.session import refuse_incomplete_state, refuse_small_disk
 from koop_commission.theta.assignment import Assignment
-from koop_commission.theta.commander_client import CommanderClient, find_theta, note_of
+from koop_commission.theta.commander_client import CommanderClient
 from koop_core.config.fields import parse_field
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
+from koop_guard.note import find_theta, note_of
 from koop_node.client.client import Client
 from koop_tune.excitation import progress
 from koop_tune.rig import rig_file

@@ -16,7 +16,7 @@ from koop_bench.figures import BenchFigure, BenchSettings
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Monitor
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess
-from koop_loop.parameters import EXECUTABLES, make
+from koop_loop.parameters import COMPONENTS, make
 
 SETTLED = 400  # steps after which what is made at the first ones is there
 SIZES = (1, 10)  # loops in one container, whose difference is what a further one takes
@@ -43,7 +43,7 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         loop_memory(folder / "first", True)  # compiles the kernels if they are not kept yet
-        for node in EXECUTABLES:
+        for node in ("recorder", *COMPONENTS):
             add(f"{node} alone", node_memory(folder, node))
         add("loop in four processes", sum(loop_memory(folder / "apart", False).values()))
         composed = loop_memory(folder / "composed", True)

@@ -22,7 +22,7 @@ from koop_bench.memory import wait_until_active
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Monitor
 from koop_bringup.live.process import START_TIMEOUT, NodeProcess
-from koop_loop.parameters import EXECUTABLES, make
+from koop_loop.parameters import COMPONENTS, make
 
 ROUNDS = 3
 DURATION = 2500.0  # [s] simulated, of the whole demo
@@ -56,7 +56,7 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
     with tempfile.TemporaryDirectory() as name:
         fresh = (Path(name) / str(number) for number in itertools.count())
         stop_at_end(next(fresh))  # compiles the kernels if they are not kept yet
-        for node in EXECUTABLES:
+        for node in ("recorder", *COMPONENTS):
             start = partial(start_node, fresh, node)
             add(f"{node}, from start to its report of being active", start)
         add("a demo, from its last step to its last process", lambda: stop_at_end(next(fresh)))

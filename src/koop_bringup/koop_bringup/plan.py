@@ -17,6 +17,7 @@ from koop_bag.recorder.config import RECORDER, RecorderConfig
 from koop_core.config import parameter_file
 from koop_core.config.parameter import SIMILAR, ConfigError, refuse_unknown
 from koop_core.config.parameter_file import ParameterFile
+from koop_guard.config import ASKED, GUARD, THETA, GuardConfig
 from koop_loop.parameters import (
     COMPONENTS,
     CONTAINER,
@@ -31,7 +32,7 @@ from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import load_for
 from vdp_plant.config import pace_values
 
-ALL_NODES = {**NODES, **RECORDER}
+ALL_NODES = {**NODES, **RECORDER, **GUARD}
 FLAGS = ("true", "false", "True", "False")
 
 
@@ -124,7 +125,9 @@ class Plan:
     program : tuple of str
         The rig's own program with its arguments; empty: it is started by others.
     composed : bool
-        Whether all nodes but the recorder share one process.
+        Whether all nodes but recorder and guard share one process.
+    remaps : tuple of str
+        Topics of one node that have another name, as ``NODE:FROM:=TO``.
     notes : tuple of str
         What the user should know.
     """
@@ -135,10 +138,11 @@ class Plan:
     rig: bool
     program: tuple[str, ...]
     composed: bool
+    remaps: tuple[str, ...]
     notes: tuple[str, ...]
 
     def processes(self) -> tuple[PlannedNode, ...]:
-        """Return what is started: a process a node, or one for all nodes but the recorder."""
+        """Return what is started: a process a node, or one for all but recorder and guard."""
         if not self.composed:
             return self.nodes
         apart = tuple(node for node in self.nodes if node.name not in COMPONENTS)
@@ -184,10 +188,13 @@ def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
             f"{arguments['params']}: names the simulated plant and the rig's own program: keep the "
             "section vdp_plant or rig.command"
         )
-    started = [
-        name for name in EXECUTABLES
-        if {"vdp_plant": simulated, "recorder": recorded}.get(name, True)
-    ]  # fmt: skip
+    guarded = not simulated and file is not None and file.describes(f"{namespace}/koop_guard")
+    if file is not None and not simulated and not guarded:
+        notes.append(
+            f"{file.path}: has no section koop_guard: whatever fails, the rig keeps the last theta"
+        )
+    optional = {"vdp_plant": simulated, "recorder": recorded, "koop_guard": guarded}
+    started = [name for name in EXECUTABLES if optional.get(name, True)]
     classes = {name: ALL_NODES[name] for name in started}
     values = {
         name: {
@@ -216,10 +223,14 @@ def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
     if recorded and simulated:  # a rig's controller waits for no recorder, which could have failed
         for name in NODES:
             values[name]["listeners"] = "next recorder"
-    _check(values, classes)
+    if guarded:  # it alone commands the rig
+        values["relay_esc"] |= {"command": "", "listeners": "koop_guard"}
+    configs = _check(values, classes)
+    guard = configs["koop_guard"][GuardConfig] if guarded else None
+    remaps = (f"relay_esc:{THETA}:={ASKED}",) if guard and guard.asked == ASKED else ()
     nodes = tuple(PlannedNode(name, *EXECUTABLES[name]) for name in started)
     composed = _flag("composed", arguments, False)
-    return Plan(namespace, nodes, values, not simulated, program, composed, tuple(notes))
+    return Plan(namespace, nodes, values, not simulated, program, composed, remaps, tuple(notes))
 
 
 def refuse_other_arguments(words: list[str]) -> None:
@@ -242,7 +253,7 @@ def _program(file: ParameterFile | None, namespace: str) -> tuple[str, ...]:
 
 def _check(
     values: Mapping[str, Mapping[str, Any]], classes: Mapping[str, tuple[type, ...]]
-) -> None:
+) -> dict[str, dict[type, Any]]:
     configs = build({name: _own(given) for name, given in values.items()}, classes)
     steps = {
         name: config.dt
@@ -259,6 +270,16 @@ def _check(
         output = configs["recorder"][RecorderConfig].output
         if output and (Path(output).expanduser() / "bag").exists():
             raise ConfigError(f"{output} holds a recording already: choose another output")
+    return configs
+
+
+def return_time(values: Mapping[str, Mapping[str, Any]]) -> float:
+    """Return how long the guard may take to return theta at its end [s]; 0 without one."""
+    if "koop_guard" not in values:
+        return 0.0
+    config = build({"koop_guard": _own(values["koop_guard"])}, GUARD)["koop_guard"][GuardConfig]
+    assert isinstance(config, GuardConfig)
+    return config.longest_return
 
 
 def _own(given: Mapping[str, Any]) -> dict[str, Any]:

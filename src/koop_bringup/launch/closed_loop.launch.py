@@ -10,6 +10,7 @@ Another launch file may include it, also several times: the end of one loop ends
 processes only, and what ``SetParameter`` gives to a group reaches the nodes that have it.
 """
 
+import signal
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -26,18 +27,18 @@ from launch.actions import (
     UnsetLaunchConfiguration,
 )
 from launch.event_handlers import OnShutdown
-from launch.events.process import ProcessExited, ShutdownProcess
+from launch.events.process import ProcessExited, ShutdownProcess, SignalProcess
 from launch.logging import get_logger, launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
+from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments, return_time
 from koop_core.config.parameter_file import write
 from koop_loop.ending import Ending, describe_end, ending
 from koop_node.client.alone import TOPICS, alone
 from koop_node.process.lifeline import TIED
 
-STOP_TIMEOUT = "10"  # [s] for a recorder to close its bag
+STOP_TIMEOUT = 10.0  # [s] for a recorder to close its bag
 DEFERRED = "env --block-signal=INT,TERM "  # until the node handles them: see koop_node.node.start
 SET = "global_params"  # where launch_ros keeps what SetParameter and its like give to all nodes
 
@@ -82,7 +83,7 @@ def _start(context: LaunchContext) -> list:
     shared = {
         "additional_env": TIED,  # launch holds a pipe to their stdin
         "output": "screen",
-        "sigterm_timeout": STOP_TIMEOUT,
+        "sigterm_timeout": str(STOP_TIMEOUT + return_time(planned.parameters)),
         "prefix": prefix,
     }
     files = [item for item in of_group if not isinstance(item, tuple)]
@@ -93,12 +94,15 @@ def _start(context: LaunchContext) -> list:
                 executable=node.executable,
                 exec_name=node.executable,
                 arguments=node.arguments,
+                ros_arguments=[word for rule in planned.remaps for word in ("-r", rule)],
                 namespace=planned.namespace or "/",
                 parameters=[*files, file],
                 on_exit=loop.on_exit(node.name),
                 **shared,
             )
         )
+        if node.name == "koop_guard":
+            loop.guard = loop.processes[-1]
     if planned.program:
         words = [sys.executable, "-m", "koop_node.process.companion", *planned.program]
         program = ExecuteProcess(name="rig", cmd=words, on_exit=loop.on_exit("rig"), **shared)
@@ -123,6 +127,7 @@ class _Loop:
 
     def __init__(self, rig: bool, place):
         self.processes = []
+        self.guard = None
         self._rig = rig
         self._ended = 0
         self._ending = False
@@ -150,7 +155,7 @@ class _Loop:
                 get_logger("launch").info(f"{text}: the loop ends")
                 if found is Ending.FAILED:
                     self._failure = text
-                actions = self._end(event)
+                actions = self._end(event, found is Ending.DONE)
             if context.is_shutdown:
                 self._raise()
             return actions
@@ -162,14 +167,18 @@ class _Loop:
         if self._ended == len(self.processes):
             self._raise()
 
-    def _end(self, event: ProcessExited) -> list:
-        """Return what ends the other processes of the loop."""
+    def _end(self, event: ProcessExited, orderly: bool) -> list:
+        """Return what ends the other processes; the guard knows a failure by SIGTERM."""
         self._ending = True
+
+        def end(process):
+            matcher = {"process_matcher": lambda action: action is process}
+            if process is self.guard and not orderly:
+                return SignalProcess(signal_number=signal.SIGTERM, **matcher)
+            return ShutdownProcess(**matcher)
+
         others = [process for process in self.processes if process is not event.action]
-        return [
-            EmitEvent(event=ShutdownProcess(process_matcher=lambda action, p=process: action is p))
-            for process in others
-        ]
+        return [EmitEvent(event=end(process)) for process in others]
 
     def _raise(self) -> None:
         """Raise what went wrong: an error is how a launch gets exit code 1."""

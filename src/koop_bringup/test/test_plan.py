@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments
+from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments, return_time
 from koop_core.config.parameter import ConfigError
 from koop_loop.parameters import read
 from koopman_lifter.config import shipped_model
@@ -71,6 +71,27 @@ def test_the_nodes_wait_for_the_recorder_that_there_is(mine, arguments, listener
     )
 
 
+@pytest.mark.parametrize(
+    ("command", "remaps"),
+    [("/rig/theta:data", ()), ("/theta:theta", ("relay_esc:theta:=theta_asked",))],
+)
+def test_a_guard_alone_commands_the_rig(mine, command, remaps):
+    file = mine(
+        "relay_esc: {ros__parameters: {command: '/rig/theta:data', theta_max: 3.0}}\n"
+        f"koop_guard: {{ros__parameters: {{command: '{command}', theta_rate: 0.5}}}}\n"
+    )
+    planned = plan({**file, "record": "true"})
+    assert names(planned) == ["recorder", "koop_guard", "relay_esc", "koopman_lifter"]
+    assert planned.remaps == remaps
+    given = planned.parameters["relay_esc"]
+    assert (given["command"], given["listeners"]) == ("", "koop_guard")
+    assert return_time(planned.parameters) == 20.0  # from -5 to 5
+    assert names(plan({**file, "plant": "true"})) == ["relay_esc", "koopman_lifter", "vdp_plant"]
+    assert not any("koop_guard" in note for note in planned.notes)
+    with pytest.raises(ConfigError, match="dt differs"):
+        plan(mine("koop_guard: {ros__parameters: {command: '/rig/theta:data', dt: 0.1}}"))
+
+
 def test_a_rig_takes_the_place_of_the_plant(mine):
     planned = plan({**mine(), "plant": "False", "record": "true"})
     assert planned.rig
@@ -85,10 +106,10 @@ def test_the_file_says_whether_the_plant_is_simulated_unless_an_argument_does(mi
     assert "no section for vdp_plant: the rig is the plant" in planned.notes[0]
     assert not plan({**tuning, "plant": "true"}).rig
     assert (
-        plan(
-            mine("rig: {ros__parameters: {command: ''}}\n/**: {ros__parameters: {dt: 0.005}}")
-        ).notes
-        == ()
+        plan(mine("rig: {ros__parameters: {command: ''}}\n/**: {ros__parameters: {dt: 0.005}}"))
+        .notes[0]
+        .partition(": ")[2]
+        == "has no section koop_guard: whatever fails, the rig keeps the last theta"
     )
     assert not plan(
         mine("/**/vdp_plant: {ros__parameters: {}}\n/**: {ros__parameters: {dt: 0.005}}")

@@ -12,9 +12,9 @@ from koop_bringup.live.served import add_serve_option, served
 from koop_commission.stages import check, new_rig_file, verify
 from koop_commission.stages.excite import describe_result, excite
 from koop_commission.stages.session import resumable
-from koop_commission.theta.commander_client import note_of
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
+from koop_guard.note import note_of
 from koop_tune.excitation import progress
 from koop_tune.excitation.design import FLAT, KNOWN
 from koop_tune.folder import CONTROLLER, TUNED
@@ -154,7 +154,7 @@ class Commissioning:
             print(f"the rig is taken to be {slowdown:.3g} times slower than its dwell points show")
         try:
             settings = TuningSettings(seed=number - 1, slowdown=slowdown)
-            return tune_folders(self._rig, [self._folder, *loops], out, settings)
+            return tune_folders(self._rig, [self._folder, *loops], out, settings, self._note)
         except OSError as error:
             (out / CONTROLLER).unlink(missing_ok=True)  # written last: it may be torn
             raise LiveError(progress.describe_failure(out, error)) from None

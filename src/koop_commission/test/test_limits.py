@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from koop_commission.theta.assignment import Assignment
-from koop_commission.theta.commander_client import find_theta
 from koop_commission.theta.limits import (
     LimitedTheta,
     SafetySettings,
@@ -15,6 +14,7 @@ from koop_commission.theta.limits import (
     describe_violation,
 )
 from koop_core.config.parameter import ConfigError
+from koop_guard.note import find_theta
 from koop_tune.rig.rig_file import RigFile
 
 DT = 0.01

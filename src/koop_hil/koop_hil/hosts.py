@@ -15,8 +15,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from koop_bringup.live.process import OWN_GROUP, TiedProcess
+from koop_bringup.live.process import TiedProcess
 from koop_core.errors import KoopError, LiveError
+from koop_node.process.lifeline import OWN_GROUP
 
 HOSTS = {"koop0": "198.18.0.1/30", "koop1": "198.18.0.2/30"}  # kept free for tests (RFC 2544)
 HERE, THERE = HOSTS

@@ -26,6 +26,7 @@ NODES: dict[str, tuple[type, ...]] = {
 }
 EXECUTABLES = {  # package and name, in the order of starting: listeners come before speakers
     "recorder": ("koop_bag", "recorder"),
+    "koop_guard": ("koop_guard", "guard"),
     "relay_esc": ("relay_esc", "esc"),
     "koopman_lifter": ("koopman_lifter", "lifter"),
     "vdp_plant": ("vdp_plant", "plant"),

@@ -31,6 +31,7 @@ def tune_folders(
     folders: Sequence[Path],
     out: Path,
     settings: TuningSettings = TUNING,
+    note: Path | None = None,
 ) -> bool:
     """Tune from recordings, write the results and print them; return whether there is an optimum.
 
@@ -44,6 +45,8 @@ def tune_folders(
         Folder of the results; the parameter file is written last.
     settings : TuningSettings
         Budget and thresholds.
+    note : Path, optional
+        File that notes where theta was left, for the guard.
 
     Raises
     ------
@@ -81,7 +84,7 @@ def tune_folders(
         model = out / MODEL
         train_from_bags(bags, tuning.chosen.maps.cost.training).save(model)
     progress.write_json(out / FIGURES, as_json.of_tuning(tuning, rig, model))
-    progress.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model))
+    progress.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model, note))
     print(as_text.as_table(tuning.findings, tuning))
     print("\n" + as_text.as_words(tuning))
     print(f"\ntuned in {time.monotonic() - began:.0f} s; written to {out}")

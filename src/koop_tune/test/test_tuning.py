@@ -9,6 +9,7 @@ import pytest
 from surrogate_rigs import FREQUENCY, make_cost, make_findings, make_map, make_task
 
 from koop_core.config.parameter import ConfigError
+from koop_guard.config import GUARD, GuardConfig
 from koop_loop import parameters
 from koop_tune.result import as_json, as_text
 from koop_tune.rig.rig_file import RigFile
@@ -115,9 +116,12 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
     assert loop.lifter.omega_h == pytest.approx(c.omega_h, rel=0.005)
     assert loop.lifter.y_out_max == 123.0
     assert loop.esc.step_size == pytest.approx(c.speed * 0.02, rel=0.005)
-    assert loop.esc.epsilon_initial == -1  # theta_start is below the best theta: up
-    assert loop.esc.theta_initial == RIG.theta_start
-    assert loop.esc.command == "/b:z"
+    assert loop.esc.epsilon_initial == -1  # theta_safe is below the best theta: up
+    assert loop.esc.theta_initial == RIG.theta_safe
+    assert loop.esc.command == ""  # the guard alone commands the rig
+    guard = parameters.build(parameters.read(path, GUARD), GUARD)["koop_guard"][GuardConfig]
+    shared = ("measured", "command", "dt", "theta_min", "theta_max", "theta_rate", "theta_safe")
+    assert all(getattr(guard, name) == getattr(RIG, name) for name in shared)
     listed = as_text.list_parameters(tuning, RIG, None)
     assert all(reason for node in listed.values() for _, reason in node.values())
     lines = [line for line in path.read_text().splitlines() if line.lstrip().startswith("# Here:")]
@@ -126,7 +130,7 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
 
 
 def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, tmp_path):
-    far = replace(RIG, theta_min=0.5, theta_max=50.0, theta_start=40.0, theta_safe=1.0,
+    far = replace(RIG, theta_min=0.5, theta_max=50.0, theta_start=1.0, theta_safe=40.0,
                   objective="maximise", command="/theta:theta",
                   command_type="koop_msgs/msg/ControlInput")  # fmt: skip
     task = replace(tuning.task, scale=far.scale, low=0.5, high=50.0, sense=-1.0, rate=0.5)
@@ -138,8 +142,7 @@ def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, t
     assert (loop.esc.theta_scale, loop.esc.objective) == ("log", "maximise")
     assert loop.esc.rate_limit == pytest.approx(0.5 / 50.0)  # of log theta, at its largest
     assert loop.esc.step_size <= 0.5 / 50.0 * 0.02 * 1.001
-    assert loop.esc.epsilon_initial == 1  # theta_start is above the best theta: down
-    assert loop.esc.command == ""  # the rig listens to the controller's own topic
+    assert loop.esc.epsilon_initial == 1  # theta_safe is above the best theta: down
     assert loop.lifter.cost == "lifted"
     assert "model: model.npz" in path.read_text()  # beside the file: the folder may be moved
     assert "a factor of 100 apart" in path.read_text()

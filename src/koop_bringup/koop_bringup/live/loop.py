@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -12,8 +13,9 @@ from typing import Any
 
 from koop_bag.recorder.config import RecorderConfig
 from koop_bringup.live.monitor import Monitor, Progress
-from koop_bringup.live.process import START_TIMEOUT, NodeProcess, uninterrupted
+from koop_bringup.live.process import START_TIMEOUT, STOP_TIMEOUT, NodeProcess, uninterrupted
 from koop_bringup.live.turns import take_turns
+from koop_bringup.plan import return_time
 from koop_core.config import parameter_file
 from koop_core.errors import LiveError
 from koop_loop.ending import Ending, ending
@@ -37,7 +39,7 @@ class LiveNodes:
     program : sequence of str
         The rig's own program; empty: it is started by others.
     composed : bool
-        Whether the nodes share one process, the container, besides the recorder.
+        Whether the nodes share one process, the container, besides recorder and guard.
     remaps : sequence of str
         Topics of one node that have another name, as ``NODE:FROM:=TO``.
 
@@ -104,8 +106,15 @@ class LiveNodes:
         self._stack.close()
 
     @uninterrupted()
-    def _stop_all(self) -> dict[str, int]:
-        """Stop the sources before the recorder, so that it records all that they said."""
+    def _stop_all(self, to_guard: int = signal.SIGTERM) -> dict[str, int]:
+        """Stop the sources before the recorder, so that it records all that they said.
+
+        The guard comes first: theta returns while all else works. SIGINT tells it that the end is
+        an orderly one.
+        """
+        if "koop_guard" in self._nodes:
+            timeout = return_time(self._values) + STOP_TIMEOUT
+            self._nodes["koop_guard"].stop(to_guard, timeout)
         return {node: process.stop() for node, process in reversed(self._nodes.items())}
 
     def run(self, on_progress: Callable[[Progress], None]) -> None:
@@ -150,7 +159,7 @@ class LiveNodes:
         LiveError
             If a node then ends with an exit code other than 0.
         """
-        self._stop_all()
+        self._stop_all(signal.SIGINT)
         for node, process in self._nodes.items():
             if process.poll() != 0 and node not in self.lost:
                 raise process.failure()

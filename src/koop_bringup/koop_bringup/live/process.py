@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
@@ -18,18 +17,10 @@ from typing import Any
 from koop_core.errors import LiveError
 from koop_loop.ending import describe_end
 from koop_loop.parameters import CONTAINER, EXECUTABLES
-from koop_node.process.lifeline import TIED, deferred_signals
+from koop_node.process.lifeline import OWN_GROUP, TIED, deferred_signals
 
 START_TIMEOUT = 60.0  # [s] for imports and, the first time, for the compilation of the kernels
 STOP_TIMEOUT = 10.0  # [s] after which a node that ignores SIGINT is killed
-OWN_GROUP: dict[str, Any] = (
-    {"process_group": 0} if sys.version_info >= (3, 11) else {"start_new_session": True}
-)
-"""Options of Popen, with which Ctrl-C reaches only the parent, which ends the process in order.
-
-Not a session of its own where it can be had: Linux shares the processors out by session, and on a
-busy machine threads of such a process waited for up to 4 s (docs/how-to/real-time.md).
-"""
 
 
 def executable(node: str) -> str:
@@ -127,17 +118,17 @@ class NodeProcess:
         """Return the exit code, or None while the process runs."""
         return self.process.poll()
 
-    def ask_to_stop(self) -> None:
+    def ask_to_stop(self, number: int = signal.SIGINT) -> None:
         """Ask the process to end, and do not wait."""
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+            self.process.send_signal(number)
 
     @uninterrupted()
-    def stop(self) -> int:
+    def stop(self, number: int = signal.SIGINT, timeout: float = STOP_TIMEOUT) -> int:
         """Ask the process to end, wait, kill it if it does not; return the exit code."""
-        self.ask_to_stop()
+        self.ask_to_stop(number)
         try:
-            self.process.wait(STOP_TIMEOUT)
+            self.process.wait(timeout)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()

@@ -36,8 +36,8 @@ from koop_commission.rig.graph import (
 )
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.session import Session, spell_time
-from koop_commission.theta.commander_client import note_of
 from koop_core.errors import LiveError
+from koop_guard.note import note_of
 from koop_node.client.client import Client
 from koop_node.process.domain import current_domain
 from koop_tune.excitation.amplitude import Windows, bridge_gaps

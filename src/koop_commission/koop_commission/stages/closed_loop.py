@@ -79,6 +79,7 @@ class ClosedLoop:
         file = self.folder / TUNED / CONTROLLER
         arguments = {"params": str(file), "plant": "false", "record": "true", "output": str(run)}
         parameters = plan(arguments).parameters
+        parameters.pop("koop_guard", None)  # here the commander keeps the limits
         u = self.aim.scale.u(np.array([start, self.aim.theta]))
         parameters["koopman_lifter"]["listeners"] = "recorder"  # it works before the controller
         parameters[ESC] |= {

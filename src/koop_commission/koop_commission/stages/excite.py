@@ -20,10 +20,10 @@ from koop_commission.stages.session import (
     resumable,
     spell_time,
 )
-from koop_commission.theta.commander_client import note_of
 from koop_commission.theta.limits import compute_return_time
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError, LiveError
+from koop_guard.note import note_of
 from koop_tune.excitation import progress as progress_file
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, SAME, TIME, Design, Move
 from koop_tune.excitation.holds import Hold

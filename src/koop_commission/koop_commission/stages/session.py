@@ -22,10 +22,11 @@ from koop_commission.rig.graph import (
 )
 from koop_commission.rig.listener import Listener
 from koop_commission.theta.assignment import Assignment
-from koop_commission.theta.commander_client import CommanderClient, find_theta
+from koop_commission.theta.commander_client import CommanderClient
 from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
+from koop_guard.note import find_theta
 from koop_node.client.client import Client
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, THETA, RigFile
 

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from koop_guard.note import note_of
 from koop_tune.excitation import progress
 from koop_tune.folder import TUNED
 from koop_tune.rig import rig_file
@@ -44,7 +45,7 @@ def main(args: argparse.Namespace) -> int:
     folder = args.folders[0]
     out = args.out or folder / TUNED
     settings = TuningSettings(effort=args.effort)
-    tuned = tune_folders(rig_file.read(args.rig), args.folders, out, settings)
+    tuned = tune_folders(rig_file.read(args.rig), args.folders, out, settings, note_of(args.rig))
     if args.out is None and (folder / progress.NAME).exists():
         print(try_report(folder))
     if tuned:

@@ -9,8 +9,8 @@ from typing import Any
 
 from koop_commission.stages.closed_loop import BEFORE, ClosedLoop
 from koop_commission.stages.session import refuse_small_disk, resumable, spell_time
-from koop_commission.theta.commander_client import note_of
 from koop_core.text_table import table
+from koop_guard.note import note_of
 from koop_tune.folder import FIGURES, TUNED
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile

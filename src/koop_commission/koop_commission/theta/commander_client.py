@@ -9,19 +9,18 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from koop_bringup.live.process import OWN_GROUP, uninterrupted
+from koop_bringup.live.process import uninterrupted
 from koop_commission.theta.assignment import Assignment
 from koop_commission.theta.limits import compute_return_time
 from koop_core.errors import LiveError
 from koop_loop.ending import describe_end
-from koop_tune.rig.rig_file import RigFile
+from koop_node.process.lifeline import OWN_GROUP
 
 SIGN_OF_LIFE = 1.0  # [s] between two lines to the commander
 PATIENCE = 20.0  # [s] beyond the time to return, after which the commander is given up
@@ -184,39 +183,3 @@ class CommanderClient:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-
-
-def note_of(rig_file: str | Path) -> Path:
-    """Return the file that notes the value at which theta of a rig was left."""
-    path = Path(rig_file)
-    return path.with_name(f".{path.name}.theta")
-
-
-def find_theta(note: Path | None, rig: RigFile, publishers: Collection[str]) -> tuple[float, str]:
-    """Return the present value of theta, and a remark on it, if there is any.
-
-    It is the value at which the last command left it; ``theta_start`` if the rig was started again
-    since, or no command has moved it.
-
-    Parameters
-    ----------
-    note : Path or None
-        File of :func:`note_of`.
-    rig : RigFile
-        The rig.
-    publishers : collection of str
-        Ids of the rig's publishers now, see
-        :func:`koop_commission.rig.graph.identify_publishers`.
-    """
-    if note is not None:
-        with suppress(OSError, ValueError):
-            value, *ids = note.read_text().split() or [""]
-            theta = float(value)
-            if ids and publishers and not set(ids) & set(publishers):
-                return rig.theta_start, (
-                    f"the rig was restarted since theta was left at {theta:g}: assuming "
-                    f"theta_start = {rig.theta_start:g}"
-                )
-            if rig.theta_min <= theta <= rig.theta_max:
-                return theta, ""
-    return rig.theta_start, ""

@@ -26,8 +26,8 @@ def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
     parser = commands.add_parser(
         "up",
-        description="Starts lifter, controller and recorder with the parameters of a file, and the "
-        "simulated plant or the rig's own program if the file has a section vdp_plant or "
+        description="Starts lifter, controller, guard and recorder with the parameters of a file, "
+        "and the simulated plant or the rig's own program if the file has a section vdp_plant or "
         "rig.command; watches them and ends them together. Ctrl-C ends the run. The file is that "
         "of 'ros2 launch koop_bringup closed_loop.launch.py params:=FILE record:=true', which "
         "starts the same; 'koop params' writes one.",
@@ -42,7 +42,7 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--composed",
         action="store_true",
-        help="all nodes but the recorder share one process: a step takes a third of the time",
+        help="all nodes but recorder and guard share one process: a step takes a third of the time",
     )
     for argument in ARGUMENTS:
         if argument.name in OPTIONS:
@@ -66,13 +66,15 @@ def main(args: argparse.Namespace) -> int:
         planned.rig,
         planned.program,
         planned.composed,
+        planned.remaps,
     )
     try:
         with nodes, served(args.serve, folder / "logs"):
             try:
                 nodes.run(status.show)
             except KeyboardInterrupt:
-                print("\nending", flush=True)
+                guarded = "koop_guard" in planned.parameters
+                print("\nending" + ": theta is left to the guard" * guarded, flush=True)
                 nodes.end()
     finally:
         if (folder / "bag").is_dir():

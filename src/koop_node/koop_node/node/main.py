@@ -86,7 +86,7 @@ def run_nodes(make: Callable[[], list[ManagedNode[Any]]], args: list[str] | None
     with schedule.running() as timers:
 
         def on_signal(number: int, frame: FrameType | None) -> None:
-            timers.asked = True
+            timers.asked = number
 
         signal.signal(signal.SIGINT, on_signal)
         signal.signal(signal.SIGTERM, on_signal)

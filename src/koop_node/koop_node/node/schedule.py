@@ -59,8 +59,8 @@ class Schedule:
         self.clock = clock
         self.interrupt: Callable[[], object] = bool
         """Lets the executor return after its callback; not for a handler of signals."""
-        self.asked = False
-        """Whether it is to return as soon as may be; for handlers of signals."""
+        self.asked = 0
+        """The signal that asked it to return as soon as may be; 0: none has."""
         self._number = itertools.count()
         self._heap: list[tuple[float, int, ScheduledTimer]] = []
 

@@ -16,9 +16,18 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 VARIABLE = "KOOP_LIFELINE"
 TIED = {VARIABLE: "stdin"}  # to be added to the environment of a process whose stdin is a pipe
+OWN_GROUP: dict[str, Any] = (
+    {"process_group": 0} if sys.version_info >= (3, 11) else {"start_new_session": True}
+)
+"""Options of Popen, with which Ctrl-C reaches only the parent, which ends the process in order.
+
+Not a session of its own where it can be had: Linux shares the processors out by session, and on a
+busy machine threads of such a process waited for up to 4 s (docs/how-to/real-time.md).
+"""
 DEFERRED = {signal.SIGINT, signal.SIGTERM}
 PATIENCE = 20.0  # [s] after which a process that does not stop is killed
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from koop_core.config.describe import parameter_file
 from koop_core.text_table import table
+from koop_guard.config import GuardConfig
 from koop_tune.result.parameter_text import HEAD, KNOWN
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.findings import Findings
@@ -83,9 +85,15 @@ def as_words(tuning: Tuning) -> str:
     )
 
 
-def list_parameters(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Parameters]:
+def list_parameters(
+    tuning: Tuning, rig: RigFile, model: Path | None, note: Path | None = None
+) -> dict[str, Parameters]:
     """Return the parameters that are not the defaults by node, each with its reason."""
-    return {"koopman_lifter": _lifter(tuning, rig, model), "relay_esc": _esc(tuning, rig)}
+    return {
+        "koopman_lifter": _lifter(tuning, rig, model),
+        "relay_esc": _esc(tuning, rig),
+        "koop_guard": _guard(rig, note),
+    }
 
 
 OF_RIG = "as the rig file says"
@@ -137,23 +145,31 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
         "rate_limit": "theta_rate of the rig file"
         + (" over theta_max: the rate of log theta" if logarithmic else ""),
         "objective": OF_RIG,
-        "theta_initial": "theta_start of the rig file: no jump when the loop is closed",
+        "theta_initial": "theta_safe of the rig file: from there the guard lets it command",
         "dt": OF_RIG,
     }  # fmt: skip
-    esc = make_esc(tuning.task, c, rig.theta_start)
+    esc = make_esc(tuning.task, c, rig.theta_safe)
     parameters: Parameters = {name: (getattr(esc, name), why) for name, why in reasons.items()}
-    above = float(findings.scale.u(np.array(rig.theta_start))) > best
+    above = float(findings.scale.u(np.array(rig.theta_safe))) > best
     parameters["epsilon_initial"] = (
         1 if above else -1, f"towards {theta_best:.4g}, where the recording is best"
     )  # fmt: skip
-    if not rig.takes_answers:
-        parameters["command"] = (rig.command, OF_RIG)
     return parameters
 
 
-def as_parameters(tuning: Tuning, rig: RigFile, model: Path | None) -> str:
-    """Return the annotated parameter file."""
-    listed = list_parameters(tuning, rig, model)
+def _guard(rig: RigFile, note: Path | None) -> Parameters:
+    shared = {item.name for item in fields(GuardConfig)} & {item.name for item in fields(RigFile)}
+    parameters: Parameters = {name: (getattr(rig, name), OF_RIG) for name in sorted(shared)}
+    if note is not None:
+        parameters["note"] = (str(note.resolve()), "beside the rig file")
+    return parameters
+
+
+def as_parameters(
+    tuning: Tuning, rig: RigFile, model: Path | None, note: Path | None = None
+) -> str:
+    """Return the annotated parameter file; ``note`` is where theta's last value is noted."""
+    listed = list_parameters(tuning, rig, model, note)
     values, reasons = (
         {
             node: {name: pair[i] for name, pair in listing.items()}

@@ -7,10 +7,11 @@ from collections.abc import Iterable
 from koop_bag.recorder.config import RECORDER
 from koop_core.config.describe import parameter_file
 from koop_core.config.parameter import refuse_unknown
+from koop_guard.config import GUARD
 from koop_loop.parameters import NODES
 from koop_loop.rig_program import RIG
 
-KNOWN = {**NODES, **RECORDER, **RIG}
+KNOWN = {**NODES, **GUARD, **RECORDER, **RIG}
 OF_A_RIG = ("koopman_lifter", "relay_esc", "recorder", "rig")
 HEAD = """\
 # Parameters of the nodes: each with its meaning, what it may be, and its default. Change what your

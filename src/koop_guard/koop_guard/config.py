@@ -1,0 +1,198 @@
+"""Configuration of the guard: the rig's limits, and when theta returns to theta_safe. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from koop_core.config.fields import Source, parse_source
+from koop_core.config.parameter import ConfigError, NodeConfig, parameter, validate
+
+THETA, ASKED = "theta", "theta_asked"
+_JUDGED = "judgement"
+
+
+@dataclass(frozen=True)
+class GuardConfig:
+    """The rig, as its rig file describes it, and what a trip and an end lead to.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If a value has the wrong type, is out of range or contradicts another.
+    """
+
+    measured: str = parameter(
+        "state:x[0]", "measured channels as topic:field,field", read_only=True
+    )
+    command: str = parameter(
+        "",
+        "what takes theta, as topic:field; the message type is the one that the rig subscribes to",
+        read_only=True,
+    )
+    dt: float = parameter(
+        0.005, "time between two messages of the measured channels", unit="s", low=1e-6, high=1.0,
+        read_only=True,
+    )  # fmt: skip
+    pace: float = parameter(
+        1.0, "seconds of the rig's own time per second", low=1e-3, high=1e3, read_only=True
+    )
+    theta_min: float = parameter(-5.0, "least theta that is ever commanded", read_only=True)
+    theta_max: float = parameter(5.0, "largest theta that is ever commanded", read_only=True)
+    theta_rate: float = parameter(
+        1.0, "largest change of theta per second of the rig's time", unit="1/s", low=1e-12,
+        read_only=True,
+    )  # fmt: skip
+    theta_start: float = parameter(0.0, "theta of the rig before any command", read_only=True)
+    theta_safe: float = parameter(0.0, "theta to which a trip returns", read_only=True)
+    channel_min: tuple[float, ...] = parameter(
+        (), "least value of each channel, below which the guard trips; []: any", read_only=True
+    )
+    channel_max: tuple[float, ...] = parameter(
+        (), "largest value of each channel, above which the guard trips; []: any", read_only=True
+    )
+    at_limit: float = parameter(
+        0.0, "time for which the controller may be at a limit of its theta; 0: any", unit="s",
+        low=0.0, read_only=True,
+    )  # fmt: skip
+    rearms: int = parameter(
+        0, "trips after which the guard rearms by itself; then only ~/rearm does", low=0,
+        high=1000, read_only=True,
+    )  # fmt: skip
+    rearm_pause: float = parameter(
+        60.0, "least time at theta_safe before it rearms by itself; it doubles with each", unit="s",
+        low=1.0, read_only=True,
+    )  # fmt: skip
+    on_end: str = parameter(
+        "safe",
+        "what an orderly end leaves behind: theta at theta_safe, or held where it is",
+        choices=("safe", "hold"), read_only=True,
+    )  # fmt: skip
+    note: str = parameter(
+        "", "file that notes where theta of the rig was left; empty: none", read_only=True
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+        if not self.command:
+            raise ConfigError("command is missing: what takes theta, as /rig/theta:data")
+        if len(parse_source(self.command).fields) != 1:
+            raise ConfigError(f"command = {self.command!r}: theta is one field")
+        n = len(self.source.fields)
+        if self.source.topic == parse_source(self.command).topic:
+            raise ConfigError(f"command = {self.command!r}: is the topic of the measured channels")
+        if self.theta_min >= self.theta_max:
+            raise ConfigError(
+                f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"
+            )
+        for name in ("theta_start", "theta_safe"):
+            if not self.theta_min <= (value := getattr(self, name)) <= self.theta_max:
+                raise ConfigError(
+                    f"{name} = {value:g}: must lie within [theta_min, theta_max] = "
+                    f"[{self.theta_min:g}, {self.theta_max:g}]"
+                )
+        for name in ("channel_min", "channel_max"):
+            if (count := len(getattr(self, name))) not in (0, n):
+                raise ConfigError(f"{name} has {count} values: one for each of {n} channels, or []")
+
+    @property
+    def source(self) -> Source:
+        """Topic and fields of the measured channels."""
+        return parse_source(self.measured)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The channels, as the file writes them."""
+        return self.source.names
+
+    @property
+    def asked(self) -> str:
+        """Topic of the controller: ``theta``, or another where the rig itself listens to that."""
+        return ASKED if parse_source(self.command).topic.lstrip("/") == THETA else THETA
+
+    @property
+    def period(self) -> float:
+        """Time between two messages by the clock on the wall [s]."""
+        return self.dt / self.pace
+
+    @property
+    def longest_return(self) -> float:
+        """Time that theta needs from one limit to the other by the clock on the wall [s]."""
+        return (self.theta_max - self.theta_min) / self.theta_rate / self.pace
+
+
+@dataclass(frozen=True)
+class SafetySettings:
+    """Times after which theta returns to theta_safe, and what its rate allows a late message.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If a value has the wrong type or is out of range.
+    """
+
+    late_periods: float = parameter(
+        2.0, "periods of the rate that a late message may move theta by", low=1.0,
+        origin="one message that is late by a whole period loses no speed",
+    )  # fmt: skip
+    silent_periods: float = parameter(
+        20.0, "periods without a usable message after which the rig is silent", low=2.0,
+        origin=_JUDGED,
+    )  # fmt: skip
+    silent: float = parameter(
+        1.0, "shortest time without a usable message after which the rig is silent", unit="s",
+        low=0.1, origin=_JUDGED,
+    )  # fmt: skip
+    calm: float = parameter(
+        2.5, "time for which a cause must be gone before a rearm", unit="s", low=0.0,
+        origin="the graph is looked at once a second",
+    )  # fmt: skip
+    stuck_chance: float = parameter(
+        1e-12, "chance of a run of equal values that counts as stuck", low=1e-300, high=1e-3,
+        origin="less than one false alarm in a year at 1 kHz",
+    )  # fmt: skip
+    stuck_memory: float = parameter(
+        1000.0, "samples over which the share of repeated values is known", low=10.0,
+        origin=_JUDGED,
+    )  # fmt: skip
+    stuck_steps: float = parameter(
+        3.0, "steps of its resolution by which a channel must have moved to be stuck now", low=1.0,
+        origin=_JUDGED,
+    )  # fmt: skip
+    tick: float = parameter(
+        0.02, "time between two commands where no message asks for one", unit="s", low=1e-3,
+        high=0.1, origin=_JUDGED,
+    )  # fmt: skip
+    hang: float = parameter(
+        30.0, "time without a sign of life of the command after which it hangs", unit="s", low=1.0,
+        origin=_JUDGED,
+    )  # fmt: skip
+    stopped: float = parameter(
+        8.0, "time without a sign of life of the guard after which its twin kills it", unit="s",
+        low=1.0, origin="on a busy machine threads waited for up to 4 s",
+    )  # fmt: skip
+    first: float = parameter(
+        15.0, "time in which the command must get a subscriber, and the first message arrive",
+        unit="s", low=1.0, origin="discovery takes up to 3 s on a quiet machine",
+    )  # fmt: skip
+    matched: float = parameter(
+        2.0, "time after which a subscriber that is matched receives", unit="s", low=0.0,
+        origin="1.4 s were seen on a busy machine",
+    )  # fmt: skip
+    held: float = parameter(
+        0.5, "time for which theta_safe is repeated before who commands it ends", unit="s", low=0.0,
+        origin=_JUDGED,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+    def silence(self, period: float) -> float:
+        """Return the time without a usable message after which a rig is silent [s].
+
+        ``period`` is the time between two messages on the same clock [s].
+        """
+        return max(self.silent, self.silent_periods * period)
+
+
+SAFETY = SafetySettings()
+GUARD: dict[str, tuple[type, ...]] = {"koop_guard": (GuardConfig, NodeConfig)}

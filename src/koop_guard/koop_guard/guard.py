@@ -1,0 +1,278 @@
+"""What the guard decides: theta within limits and rate, trips and rearms. Pure: no ROS.
+
+Times are of the steady clock [s] and arguments. Whatever comes in, theta stays within its limits
+and moves by no more than its rate allows in the time since it last moved; of a time longer than
+``late`` no more than that counts, so that it never jumps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from koop_guard.config import SAFETY, GuardConfig, SafetySettings
+
+ROUNDED = 1e-9  # share of a step by which rounding takes a controller beyond the rate
+NEVER_STUCK = 0.99  # share of repeated values before anything is known
+
+
+class Status(IntEnum):
+    """What the guard does; as in GuardState."""
+
+    WAITING = 0
+    """Nothing is commanded: the controller has not answered yet."""
+    FOLLOWING = 1
+    """Theta moves to what the controller asks for."""
+    TRIPPED = 2
+    """Theta returns to theta_safe, or is there; latched."""
+
+
+class Cause(str, Enum):
+    """What trips the guard."""
+
+    BEYOND = "channel beyond its limit"
+    NOT_FINITE = "channel not finite"
+    STUCK = "channel stuck"
+    RIG_SILENT = "rig silent"
+    RIG_DOUBLED = "rig doubled"
+    SILENT = "controller silent"
+    TOO_OLD = "controller too old"
+    INACTIVE = "controller inactive"
+    DOUBLED = "controller doubled"
+    AT_LIMIT = "controller at a limit"
+    OTHER = "another commander"
+    ASKED = "asked"
+    ENDED = "ended"
+
+
+ONCE = (Cause.ASKED, Cause.AT_LIMIT, Cause.ENDED)  # do not last: a rearm begins anew
+
+
+@dataclass(frozen=True)
+class Trip:
+    """Why and where the guard tripped.
+
+    Attributes
+    ----------
+    cause : Cause
+        The first one; later ones do not replace it.
+    reason : str
+        The same in words, with values.
+    when : float
+        Steady time [s].
+    theta : float
+        Commanded then.
+    x : tuple of float
+        Measured channels then; empty before the first.
+    """
+
+    cause: Cause
+    reason: str
+    when: float
+    theta: float
+    x: tuple[float, ...]
+
+
+class RepeatMeter:
+    """How often a channel repeats its value, and whether it does so for too long.
+
+    Where a share p of the samples repeats the one before, n in a row do so by chance with
+    probability p^n. The share is known from the changes only: a run that lasts does not excuse
+    itself. A channel that moved by few steps of its resolution before may rest below it.
+    """
+
+    def __init__(self, settings: SafetySettings = SAFETY) -> None:
+        self._settings = settings
+        self._share, self._last = NEVER_STUCK, math.nan
+        self._mean = self._spread = 0.0
+        self._resolution = math.inf
+        self.run = 0
+
+    def hear(self, value: float) -> None:
+        """Take the next value."""
+        if value == self._last:
+            self.run += 1
+            return
+        weight = (self.run + 1) / (self._settings.stuck_memory + self.run + 1)
+        self._share += weight * (self.run / (self.run + 1) - self._share)
+        if math.isnan(self._last):
+            self._mean = value
+        else:
+            self._resolution = min(self._resolution, abs(value - self._last))
+            self._mean += weight * (self._last - self._mean)
+            self._spread += weight * (abs(self._last - self._mean) - self._spread)
+        self.run, self._last = 0, value
+
+    @property
+    def longest(self) -> float:
+        """Repetitions in a row that neither chance nor rest explains."""
+        if self._spread < self._settings.stuck_steps * self._resolution < math.inf:
+            return math.inf
+        share = max(self._share, 1.0 / self._settings.stuck_memory)
+        return math.log(self._settings.stuck_chance) / math.log(share)
+
+
+class Guard:
+    """Theta of one rig.
+
+    Parameters
+    ----------
+    config : GuardConfig
+        Limits and times.
+    theta : float
+        Value that theta has now.
+    settings : SafetySettings
+        Times of the guard itself.
+
+    Attributes
+    ----------
+    theta, target : float
+        Commanded now, and where it moves to.
+    status : Status
+        Waiting, following or tripped.
+    trip : Trip or None
+        The last one, also after a rearm.
+    rearmed : int
+        Automatic rearms since the last one by hand.
+    """
+
+    def __init__(
+        self, config: GuardConfig, theta: float, settings: SafetySettings = SAFETY
+    ) -> None:
+        self._config, self._settings = config, settings
+        self._silence = settings.silence(config.period)
+        self._late = max(settings.late_periods * config.period, 2.0 * settings.tick)
+        self.theta = self.target = min(max(theta, config.theta_min), config.theta_max)
+        self.status, self.rearmed = Status.WAITING, 0
+        self.trip: Trip | None = None
+        self.x: tuple[float, ...] = ()
+        self._repeats = [RepeatMeter(settings) for _ in config.names]
+        self._moved = math.inf
+        self._arrived = self._usable = self._answered = self._old = -math.inf
+        self._saturated = self._calm = math.inf
+        self._causes: dict[Cause, tuple[str, float]] = {}
+
+    @property
+    def at_safe(self) -> bool:
+        """Whether theta is at theta_safe for good, until a rearm."""
+        return self.status is Status.TRIPPED and self.theta == self.target
+
+    def hear_state(self, x: Sequence[float], now: float) -> None:
+        """Judge a sample of the rig."""
+        self._arrived, self.x = now, tuple(x)
+        if self._usable == -math.inf:
+            self._usable = now
+        config = self._config
+        if not all(map(math.isfinite, x)):
+            return  # hear_time judges for how long
+        self._usable = now
+        if violation := describe_violation(config, x):
+            self.note(Cause.BEYOND, violation, now)
+        for name, value, meter in zip(config.names, x, self._repeats, strict=False):
+            meter.hear(value)
+            if meter.run > meter.longest and meter.run * config.period > self._silence:
+                text = f"{name} = {value:.6g} has not changed for {meter.run} samples"
+                self.note(Cause.STUCK, text, now)
+
+    def hear_answer(self, theta: float, saturated: bool, now: float, old: bool = False) -> None:
+        """Take what the controller asks for; ``old``: it answers what is long past."""
+        if old:
+            self._old = now
+            return
+        if not math.isfinite(theta):
+            return
+        self._answered = now
+        if self.status is Status.TRIPPED:
+            return
+        self.status = Status.FOLLOWING
+        self.target = min(max(theta, self._config.theta_min), self._config.theta_max)
+        self._saturated = min(self._saturated, now) if saturated else math.inf
+        limit = self._config.at_limit / self._config.pace
+        if 0.0 < limit < now - self._saturated:
+            self.note(
+                Cause.AT_LIMIT, f"the controller is at theta = {theta:g}, its limit, for "
+                f"{now - self._saturated:.0f} s", now,
+            )  # fmt: skip
+
+    def hear_time(self, now: float) -> None:
+        """Detect silence."""
+        topic = self._config.source.topic
+        if self._arrived > -math.inf and (age := now - self._arrived) > self._silence:
+            self.note(Cause.RIG_SILENT, f"no message on {topic} for {age:.1f} s", now)
+        elif self._usable > -math.inf and (age := now - self._usable) > self._silence:
+            names = [
+                name for name, value in zip(self._config.names, self.x, strict=False)
+                if not math.isfinite(value)
+            ]  # fmt: skip
+            text = f"{', '.join(names)} on {topic} is not a number for {age:.1f} s"
+            self.note(Cause.NOT_FINITE, text, now)
+        heard = now - self._arrived < 0.5 * self._silence  # without a state there is no answer
+        if heard and self._answered > -math.inf and (age := now - self._answered) > self._silence:
+            if now - self._old < self._silence:
+                text = f"the controller's answers are older than {self._silence:.1f} s"
+                self.note(Cause.TOO_OLD, text, now)
+            else:
+                self.note(Cause.SILENT, f"the controller is silent for {age:.1f} s", now)
+        self._calm = math.inf if self.refusal(now) else min(self._calm, now)
+
+    def note(self, cause: Cause, reason: str, now: float) -> None:
+        """Take note of a cause, now; the first one trips the guard and stays its reason."""
+        self._causes[cause] = (reason, now)
+        if self.status is not Status.TRIPPED:
+            self.trip = Trip(cause, reason, now, self.theta, self.x)
+            self.status, self.target = Status.TRIPPED, self._config.theta_safe
+            self._saturated = math.inf
+
+    def refusal(self, now: float) -> str:
+        """Return why the guard is not rearmed now; empty if it may be."""
+        if self.status is not Status.TRIPPED:
+            return "the guard has not tripped"
+        if lasting := self._lasting(now):
+            return next(iter(lasting.values()))
+        return "" if self.at_safe else f"theta = {self.theta:.4g} still returns to theta_safe"
+
+    def rearm(self, now: float, by_hand: bool) -> None:
+        """Let the controller command again, which begins at theta_safe."""
+        self.rearmed = 0 if by_hand else self.rearmed + 1
+        self.status, self._answered = Status.FOLLOWING, now
+
+    def may_rearm_itself(self, now: float) -> bool:
+        """Return whether it is time for an automatic rearm."""
+        trip, config = self.trip, self._config
+        if self.status is not Status.TRIPPED or trip is None or trip.cause in ONCE:
+            return False
+        pause = config.rearm_pause * 2.0**self.rearmed
+        return self.rearmed < config.rearms and now - self._calm > pause
+
+    def advance(self, now: float) -> float:
+        """Move theta on to its target, as far as the rate allows, and return it."""
+        elapsed = min(max(now - self._moved, 0.0), self._late)
+        self._moved = now
+        most = self._config.theta_rate * self._config.pace * elapsed
+        change = self.target - self.theta
+        near = abs(change) <= most * (1.0 + ROUNDED)
+        self.theta = self.target if near else self.theta + math.copysign(most, change)
+        return self.theta
+
+    def _lasting(self, now: float) -> dict[Cause, str]:
+        """Return the causes that were there a moment ago."""
+        calm = max(self._settings.calm, self._silence)
+        return {
+            cause: reason for cause, (reason, when) in self._causes.items()
+            if cause not in ONCE and now - when < calm
+        }  # fmt: skip
+
+
+def describe_violation(config: GuardConfig, x: Sequence[float]) -> str:
+    """Return the channel that is beyond its limit, in words; empty if none is.
+
+    >>> describe_violation(GuardConfig("a:x", "b:y", channel_max=(2.0,)), [3.0])
+    'x = 3 is beyond its limit 2'
+    """
+    for limits, sense in ((config.channel_min, -1.0), (config.channel_max, 1.0)):
+        for name, value, limit in zip(config.names, x, limits, strict=False):
+            if sense * value > sense * limit:
+                return f"{name} = {value:.6g} is beyond its limit {limit:g}"
+    return ""

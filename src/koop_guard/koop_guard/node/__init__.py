@@ -1,0 +1,320 @@
+"""ROS node of the guard: the controller's theta in, the rig's command out."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from koop_msgs.msg import ControlInput, GuardState, MeasuredState
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
+
+from koop_core.config.fields import check_fields, parse_source
+from koop_core.stream.arrival import Arrival
+from koop_core.stream.monitor import StreamMonitor
+from koop_guard.config import SAFETY, GuardConfig
+from koop_guard.guard import Cause, Guard, Status
+from koop_guard.node.twin import Twin
+from koop_guard.node.wire import Command
+from koop_guard.note import find_theta, leave
+from koop_node.node import schedule
+from koop_node.node.adapter import StateAdapter
+from koop_node.node.graph import Listeners, full_name, publishers_of, subscribers_of
+from koop_node.node.main import run
+from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run, message_type
+from koop_node.node.qos import BEST_EFFORT, RELIABLE
+
+KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LOOK = 1.0  # [s] between two looks at the graph
+
+
+class GuardRun(Run):
+    """A guard, from the first look at its rig on."""
+
+    def __init__(self, node: GuardNode, entities: Entities) -> None:
+        config = self._config = node.parameters[GuardConfig]
+        self._node, self._knob = node, parse_source(config.command)
+        self._adapter = StateAdapter(config.source, config.dt)
+        self._counts_steps = False
+        self._guard = Guard(config, config.theta_start)
+        self._states = StreamMonitor(config.source.topic, 0.0, config.dt, may_end=True)
+        self._silence = SAFETY.silence(config.period)
+        self._answers = StreamMonitor(config.asked, self._silence, config.dt, newest_counts=True)
+        self.inputs = (self._answers, self._states)
+        self._header: Any = None
+        self._step, self._sent = -1, 0.0
+        self._said: object = None
+        self._refused = ""
+        self._start_twin: Callable[[], Twin]
+        self._command: Command | None = None
+        self._twin: Twin | None = None
+        self._ids: list[str] = []
+        self._controller: Any = None  # its ~/reset
+        self._rearming = False
+        self._state = entities.publisher(GuardState, "~/state", KEPT)
+        entities.service(Trigger, "~/trip", self._on_trip)
+        entities.service(Trigger, "~/rearm", self._on_rearm)
+
+    def activate(self, entities: Entities) -> None:
+        config, source = self._config, self._config.source
+
+        def command(name: str) -> None:
+            self._command = Command(
+                entities.publisher, name, self._knob.topic, self._knob.fields[0]
+            )
+            kind = name
+            entities.when_typed(publishers_of, source.topic, lambda name: listen(name, kind))
+
+        def listen(name: str, kind: str) -> None:
+            state = message_type(name)
+            check_fields(source.fields, state())
+            self._counts_steps = state is MeasuredState
+            infos = publishers_of(self._node, source.topic)
+            self._ids = sorted(bytes(info.endpoint_gid).hex() for info in infos)
+            theta, remark = find_theta(config.note, config, self._ids)
+            if remark:
+                self._node.get_logger().warning(remark)
+            self._guard = Guard(config, theta)
+            topic = self._node.resolve_topic_name(self._knob.topic)
+            self._start_twin = lambda: Twin(asdict(config), topic, kind, self._ids)
+            self._twin = self._start_twin()
+            entities.waiting_for = "waiting for its twin"
+            waiting = entities.timer(0.05, lambda: begin(state, waiting))
+
+        def begin(state: Any, waiting: Any) -> None:
+            assert self._command is not None
+            assert self._twin is not None
+            if not self._twin.shared.ready and self._twin.process.poll() is None:
+                return
+            waiting.cancel()
+            entities.waiting_for = ""
+            qos = RELIABLE if self._counts_steps else BEST_EFFORT
+            entities.dated_subscription(state, source.topic, self._on_state, qos)
+            rig = {self._command.publisher: Listeners(next="any")}
+            entities.when_heard(rig, lambda: follow())
+
+        def follow() -> None:
+            entities.dated_subscription(ControlInput, config.asked, self._on_answer, RELIABLE)
+            entities.timer(SAFETY.tick, self._on_tick)
+            entities.timer(LOOK, self._look)
+            self._look()
+
+        entities.when_typed(subscribers_of, self._knob.topic, command)
+
+    def deactivate(self) -> None:
+        """Return theta to theta_safe; this takes its time."""
+        guard, now = self._guard, time.monotonic()
+        current = schedule.current()
+        orderly = current is None or current.asked != signal.SIGTERM
+        held = orderly and self._config.on_end == "hold" and guard.status is Status.FOLLOWING
+        if self._commands and not held:
+            guard.note(Cause.ENDED, "the guard ends", now)
+            self._announce()
+            safe_since = now
+            while (now := time.monotonic()) - safe_since < SAFETY.held:
+                self._say(now)
+                if not guard.at_safe:
+                    safe_since = now
+                time.sleep(min(max(self._config.period, 0.001), SAFETY.tick))
+        if self._commands:
+            leave(self._config.note, guard.theta, self._ids)
+        self._announce()
+        if self._twin is not None:
+            self._twin.release(guard.theta)
+        self._twin = self._command = self._controller = None
+
+    @property
+    def _commands(self) -> bool:
+        """Whether theta was commanded."""
+        return self._command is not None and self._guard.status is not Status.WAITING
+
+    def samples(self) -> int:
+        return self._states.count
+
+    def diagnose(self) -> tuple[int, str, Mapping[str, object]]:
+        guard, trip = self._guard, self._guard.trip
+        twin = self._twin
+        values: dict[str, object] = {
+            "status": guard.status.name.lower(),
+            "theta": guard.theta,
+            "rearms_left": max(self._config.rearms - guard.rearmed, 0),
+            "twin": twin.process.pid if twin is not None else 0,
+        }
+        if trip is not None:
+            values |= {"cause": trip.cause.value, "reason": trip.reason, "tripped_x": list(trip.x)}
+        if guard.status is Status.TRIPPED and trip is not None:
+            return ERROR, f"tripped: {trip.reason}", values
+        if guard.status is Status.WAITING:
+            return WARN, "nothing is commanded: the controller has not answered yet", values
+        if twin is not None and not twin.shared.ready:
+            return WARN, "the guard's twin is not ready", values
+        return OK, "following", values
+
+    def _on_state(self, message: Any, written: float) -> None:
+        now = time.monotonic()
+        step, x = self._adapter.convert(message)
+        if self._counts_steps:
+            step = message.step
+        self._header, self._step = getattr(message, "header", None), step
+        stamp = getattr(self._header, "stamp", None)
+        self._states.hear(step, _seconds(stamp), now, written)
+        self._guard.hear_state(x, now)
+        if self._guard.status is Status.TRIPPED:
+            self._say(now)
+
+    def _on_answer(self, answer: Any, written: float) -> None:
+        now = time.monotonic()
+        if self._command is None:
+            return
+        arrival = self._answers.hear(answer.step, _seconds(answer.header.stamp), now, written)
+        if arrival is Arrival.LATE:
+            return
+        old = arrival is Arrival.TOO_OLD or self._is_past(answer)
+        self._guard.hear_answer(answer.theta, answer.saturated, now, old)
+        if self._guard.status is Status.FOLLOWING and not old:
+            self._command.pass_on(answer, self._advance(now))
+
+    def _is_past(self, answer: Any) -> bool:
+        """Return whether an answer is to a state of long ago, by the rig's own stamps."""
+        newest = _seconds(getattr(self._header, "stamp", None))
+        stamp = _seconds(answer.header.stamp)
+        return bool(newest and stamp) and newest - stamp > self._silence * self._config.pace
+
+    def _on_tick(self) -> None:
+        now, guard = time.monotonic(), self._guard
+        guard.hear_time(now)
+        if guard.status is Status.TRIPPED and now - self._sent > max(
+            SAFETY.tick, 2.0 * self._config.period
+        ):
+            self._say(now)
+        elif self._twin is not None:
+            self._twin.shared.write(guard.theta, now, self._commands)
+        if guard.may_rearm_itself(now) and not self._rearming:
+            self._reset_controller(by_hand=False)
+        if (guard.status, guard.at_safe, guard.trip) != self._said:
+            self._announce()
+
+    def _look(self) -> None:
+        """Look at the graph for who publishes what, and after the twin."""
+        now, guard, node = time.monotonic(), self._guard, self._node
+        if self._twin is not None and self._twin.process.poll() is not None:
+            node.get_logger().error("the guard's twin has ended: another one is started")
+            self._twin = self._start_twin()
+        config = self._config
+        controllers = publishers_of(node, config.asked)
+        if guard.status is not Status.WAITING:
+            for cause, topic, infos in (
+                (Cause.DOUBLED, config.asked, controllers),
+                (Cause.RIG_DOUBLED, config.source.topic, publishers_of(node, config.source.topic)),
+            ):
+                if len(infos) > 1:
+                    names = " and ".join(map(full_name, infos))
+                    guard.note(cause, f"{topic} is published by {names}", now)
+        mine = node.get_fully_qualified_name()
+        commanding = [full_name(info) for info in publishers_of(node, self._knob.topic)]
+        if mine in commanding:
+            commanding.remove(mine)
+            if commanding:
+                text = f"{self._knob.topic} is also commanded by {', '.join(commanding)}"
+                guard.note(Cause.OTHER, text, now)
+        if not controllers and guard.status is Status.FOLLOWING:
+            guard.note(Cause.INACTIVE, "the controller is inactive or has ended", now)
+        if len(controllers) == 1:
+            service = f"{full_name(controllers[0])}/reset"
+            if self._controller is None or self._controller.srv_name != service:
+                self._controller = node.create_client(Trigger, service)
+        self._announce()
+
+    def _advance(self, now: float) -> float:
+        """Move theta on; the twin knows it before the rig does."""
+        theta = self._guard.advance(now)
+        if self._twin is not None:
+            self._twin.shared.write(theta, now, True)
+        self._sent = now
+        return theta
+
+    def _say(self, now: float) -> None:
+        if self._command is not None:
+            self._command.say(self._advance(now), self._step, self._header)
+
+    def _announce(self) -> None:
+        """Publish the state if it is another one."""
+        now, guard, trip = time.monotonic(), self._guard, self._guard.trip
+        clock = self._node.get_clock().now()
+        message = GuardState(status=int(guard.status), theta=guard.theta)
+        message.header.stamp = clock.to_msg()
+        if trip is not None:
+            message.cause, message.reason = trip.cause.value, trip.reason
+            message.tripped_at = 1e-9 * clock.nanoseconds - (now - trip.when)
+            message.tripped_theta, message.tripped_x = trip.theta, list(trip.x)
+        message.rearm_refused = guard.refusal(now)
+        message.rearms_left = max(self._config.rearms - guard.rearmed, 0)
+        said = (guard.status, guard.at_safe, trip)
+        if said != self._said or message.rearm_refused != self._refused:
+            if trip is not None and guard.status is Status.TRIPPED and said != self._said:
+                self._node.get_logger().error(
+                    f"theta {'is at' if guard.at_safe else 'returns to'} theta_safe = "
+                    f"{self._config.theta_safe:g}: {trip.reason}"
+                )
+            self._said, self._refused = said, message.rearm_refused
+            self._state.publish(message)
+
+    def _on_trip(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._command is not None
+        response.message = "nothing is commanded"
+        if response.success:
+            self._guard.note(Cause.ASKED, "~/trip was called", time.monotonic())
+            self._say(time.monotonic())
+            self._announce()
+            response.message = f"theta returns to theta_safe = {self._config.theta_safe:g}"
+        return response
+
+    def _on_rearm(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        refusal = self._guard.refusal(time.monotonic()) or self._reset_controller(by_hand=True)
+        response.success = not refusal
+        response.message = f"refused: {refusal}" if refusal else "the controller begins again"
+        return response
+
+    def _reset_controller(self, by_hand: bool) -> str:
+        """Let the controller begin again, then follow it; return why that cannot be."""
+        if self._controller is None or not self._controller.service_is_ready():
+            return "there is no controller that can be reset"
+        self._rearming = True
+
+        def done(future: Any) -> None:
+            self._rearming = False
+            now = time.monotonic()
+            if not self._guard.refusal(now):
+                self._guard.rearm(now, by_hand)
+                self._announce()
+
+        self._controller.call_async(Trigger.Request()).add_done_callback(done)
+        return ""
+
+
+def _seconds(stamp: Any) -> float:
+    return stamp.sec + 1e-9 * stamp.nanosec if hasattr(stamp, "nanosec") else 0.0
+
+
+class GuardNode(ManagedNode[GuardRun]):
+    """Stands between the controller and the rig, and alone commands the rig.
+
+    Theta keeps its limits and its rate. It returns to theta_safe, and stays there until
+    ``~/rearm``, when a measured channel is beyond its limit, not finite, stuck or silent, when the
+    controller is silent, too old, inactive or doubled, and after ``~/trip``. An orderly end does
+    what ``on_end`` says; if the guard is killed, its twin returns theta to theta_safe.
+    """
+
+    configs = (GuardConfig,)
+
+    def __init__(self, name: str = "koop_guard", **options: Any) -> None:
+        super().__init__(name, GuardRun, **options)
+
+
+def main() -> None:
+    """Run the node until it is told to stop."""
+    sys.exit(run(GuardNode))

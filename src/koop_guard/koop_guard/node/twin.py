@@ -1,0 +1,160 @@
+"""The guard's twin: a process that takes over when the guard is killed.
+
+``python -m koop_guard.node.twin``. The guard writes theta into memory that both share, and holds
+the other end of the twin's stdin. When that closes before the guard has said that it is done, the
+twin returns theta to theta_safe from the last theta commanded, within the rate, and ends. It has
+joined the ROS domain long before, but publishes only then: nothing shows a second commander.
+A guard that gives no sign of life, as one that was stopped, is killed first.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import select
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from typing import Any
+
+from koop_core.config.fields import parse_source
+from koop_guard.config import SAFETY, GuardConfig
+from koop_guard.guard import Cause, Guard
+from koop_guard.note import leave
+from koop_node.process.lifeline import OWN_GROUP, VARIABLE
+
+LOOK = 0.25  # [s] between two looks for a sign of life
+_LAYOUT = struct.Struct("<ddqq")  # theta, sign of life [s], whether it is commanded, twin is ready
+
+
+class SharedTheta:
+    """Theta in memory that guard and twin share; written at each command, without a system call."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._memory = mmap.mmap(descriptor, _LAYOUT.size)
+
+    def write(self, theta: float, now: float, commanded: bool) -> None:
+        """Write theta, a sign of life, and whether the twin is to take over."""
+        struct.pack_into("<ddq", self._memory, 0, theta, now, commanded)
+
+    def read(self) -> tuple[float, float, bool]:
+        """Return what was last written."""
+        theta, alive, commanded, _ = _LAYOUT.unpack_from(self._memory)
+        return theta, alive, bool(commanded)
+
+    @property
+    def ready(self) -> bool:
+        """Whether the twin can take over."""
+        return bool(_LAYOUT.unpack_from(self._memory)[3])
+
+    @ready.setter
+    def ready(self, value: bool) -> None:
+        struct.pack_into("<q", self._memory, 24, value)
+
+
+class Twin:
+    """The twin, seen from the guard.
+
+    Parameters
+    ----------
+    config : dict
+        Values of the guard's configuration.
+    topic, kind : str
+        Full name and message type of the command.
+    publishers : list of str
+        Ids of the rig's publishers, for the note.
+    """
+
+    def __init__(self, config: dict[str, Any], topic: str, kind: str, publishers: list[str]):
+        with tempfile.TemporaryFile() as file:
+            file.truncate(_LAYOUT.size)
+            self.shared = SharedTheta(file.fileno())
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "koop_guard.node.twin", str(file.fileno())],
+                stdin=subprocess.PIPE,
+                pass_fds=[file.fileno()],
+                env={name: value for name, value in os.environ.items() if name != VARIABLE},
+                **OWN_GROUP,  # Ctrl-C reaches the guard, which lets it go
+            )
+        order = {"config": config, "topic": topic, "kind": kind, "publishers": publishers}
+        self._write(json.dumps(order).encode() + b"\n")
+
+    def release(self, theta: float) -> None:
+        """Let it go: theta is where it is to be."""
+        self.shared.write(theta, time.monotonic(), False)
+        with suppress(OSError):
+            assert self.process.stdin is not None
+            self.process.stdin.close()
+        try:
+            self.process.wait(SAFETY.first)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+    def _write(self, data: bytes) -> None:
+        with suppress(OSError):
+            assert self.process.stdin is not None
+            self.process.stdin.write(data)
+            self.process.stdin.flush()
+
+
+def main(descriptor: int) -> int:
+    """Wait for the guard's end; return theta to theta_safe if it was killed."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    guard_id = os.getppid()
+    shared = SharedTheta(descriptor)
+    if not (line := sys.stdin.buffer.readline()):
+        return 0
+    order = json.loads(line)
+    from koop_node.client.client import Client
+
+    with Client("_koop_guard_twin", guest=False) as client:
+        shared.ready = True
+        while not _has_ended(guard_id, shared):
+            client.spin(0.0)  # what was discovered
+        theta, _, commanded = shared.read()
+        if commanded:
+            _take_over(client, order, theta)
+    return 0
+
+
+def _has_ended(guard_id: int, shared: SharedTheta) -> bool:
+    """Wait a moment for the end of the guard; kill one that has stopped."""
+    if select.select([sys.stdin], [], [], LOOK)[0]:
+        return not os.read(0, 1024)
+    _, alive, commanded = shared.read()
+    if commanded and time.monotonic() - alive > SAFETY.stopped:
+        with suppress(ProcessLookupError):
+            os.kill(guard_id, signal.SIGKILL)
+    return False
+
+
+def _take_over(client: Any, order: dict[str, Any], theta: float) -> None:
+    """Return theta to theta_safe."""
+    from koop_guard.node.wire import Command
+
+    config = GuardConfig(**order["config"])
+    field = parse_source(config.command).fields[0]
+    command = Command(client.node.create_publisher, order["kind"], order["topic"], field)
+    guard = Guard(config, theta)
+    guard.note(Cause.ENDED, "the guard was killed", time.monotonic())
+    while not command.publisher.get_subscription_count():
+        client.spin(0.01)
+    safe_since = time.monotonic()
+    while time.monotonic() - safe_since < SAFETY.held:
+        now = time.monotonic()
+        command.say(guard.advance(now))
+        if not guard.at_safe:
+            safe_since = now
+        time.sleep(min(max(config.period, 0.001), SAFETY.tick))
+    leave(config.note, guard.theta, order["publishers"])
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1])))

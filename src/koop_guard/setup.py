@@ -1,0 +1,24 @@
+from setuptools import find_packages, setup
+
+PACKAGE = "koop_guard"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
+        ("share/" + PACKAGE, ["package.xml"]),
+    ],
+    install_requires=["koop_core", "koop_node"],
+    extras_require={"test": ["hypothesis", "numpy", "pytest"]},
+    zip_safe=False,
+    maintainer="koop maintainers",
+    maintainer_email="maintainers@koop.invalid",
+    description="The guard: alone commands a rig, within limits, and returns theta to theta_safe.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": ["guard = koop_guard.executable:main"],
+        "rclpy_components": ["koop_guard::GuardNode = koop_guard.node:GuardNode"],
+    },
+)

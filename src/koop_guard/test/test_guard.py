@@ -1,0 +1,235 @@
+"""Theta keeps limits and rate whatever comes in; a trip is latched until a rearm."""
+
+import math
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from koop_core.config.parameter import ConfigError
+from koop_guard.config import SAFETY, GuardConfig
+from koop_guard.guard import Cause, Guard, RepeatMeter, Status
+
+DT = 0.005
+CONFIG = GuardConfig(
+    measured="/rig:x,y", command="/rig/theta:data", dt=DT, theta_min=-1.0, theta_max=2.0,
+    theta_rate=4.0, theta_start=1.5, theta_safe=0.5, channel_min=(-3.0, -9.0),
+    channel_max=(3.0, 9.0),
+)  # fmt: skip
+SILENCE = SAFETY.silence(DT)
+CALM = SAFETY.calm
+
+
+class Loop:
+    """A guard with its clock, a rig and a controller; each may fail."""
+
+    def __init__(self, config=CONFIG, theta=1.5):
+        self.guard, self.now, self.k = Guard(config, theta), 100.0, 0
+        self.thetas = [theta]
+
+    def run(self, seconds, x=lambda k: math.sin(0.3 * k), asked=1.0, saturated=False, old=False):
+        """Let time pass; with ``x`` None the rig is silent, with ``asked`` None the controller."""
+        for _ in range(round(seconds / DT)):
+            self.now += DT
+            self.k += 1
+            if x is not None:
+                self.guard.hear_state((x(self.k), math.cos(0.3 * self.k)), self.now)
+            if asked is not None and x is not None:
+                self.guard.hear_answer(asked, saturated, self.now, old)
+            self.guard.hear_time(self.now)
+            self.thetas.append(self.guard.advance(self.now))
+        return self.guard
+
+
+WILD = st.one_of(
+    st.floats(), st.floats(-5.0, 5.0), st.sampled_from([math.nan, math.inf, -math.inf, 1e308])
+)
+EVENT = st.tuples(
+    st.sampled_from(["state", "answer", "old", "tick", "trip", "rearm"]), WILD, WILD,
+    st.sampled_from([0.0, 1e-9, 0.001, DT, 0.02, 0.3, 5.0, 1e6]),
+)  # fmt: skip
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.floats(-1.0, 2.0), st.lists(EVENT, max_size=60))
+def test_theta_keeps_its_limits_and_its_rate_whatever_comes_in(theta, events):
+    guard, now, last = Guard(CONFIG, theta), 10.0, theta
+    moved = math.inf
+    for what, a, b, wait in events:
+        now += wait
+        if what == "state":
+            guard.hear_state((a, b), now)
+        elif what in ("answer", "old"):
+            guard.hear_answer(a, b > 0.0, now, what == "old")
+        elif what == "tick":
+            guard.hear_time(now)
+        elif what == "trip":
+            guard.note(Cause.ASKED, "x", now)
+        elif not guard.refusal(now):
+            guard.rearm(now, True)
+        new = guard.advance(now)
+        assert CONFIG.theta_min <= new <= CONFIG.theta_max
+        # 1e-15: a sum of two doubles of this size is rounded by that much
+        assert abs(new - last) <= CONFIG.theta_rate * max(now - moved, 0.0) * (1 + 1e-9) + 1e-15
+        assert abs(new - last) <= CONFIG.theta_rate * 2.0 * SAFETY.tick * (1 + 1e-9) + 1e-15
+        last, moved = new, now
+
+
+@given(st.lists(EVENT, max_size=60))
+def test_only_a_rearm_lets_the_controller_command_again(events):
+    guard, now = Guard(CONFIG, 1.5), 10.0
+    guard.note(Cause.ASKED, "x", now)
+    for what, a, b, wait in events:
+        now += wait
+        if what == "state":
+            guard.hear_state((a, b), now)
+        elif what in ("answer", "old"):
+            guard.hear_answer(a, b > 0.0, now, what == "old")
+        guard.hear_time(now)
+        guard.advance(now)
+        assert guard.status is Status.TRIPPED
+        assert guard.trip.cause is Cause.ASKED  # the first cause stays
+        assert guard.target == CONFIG.theta_safe
+
+
+@pytest.mark.parametrize(
+    ("fault", "seconds", "cause", "reason"),
+    [
+        ({"x": lambda k: 3.5}, DT, Cause.BEYOND, "x = 3.5 is beyond its limit 3"),
+        ({"x": lambda k: -3.5}, DT, Cause.BEYOND, "x = -3.5 is beyond its limit -3"),
+        ({"x": lambda k: math.nan}, SILENCE, Cause.NOT_FINITE, "x on /rig is not a number for 1.0"),
+        ({"x": lambda k: 0.25}, SILENCE, Cause.STUCK, "x = 0.25 has not changed for 2"),
+        ({"x": None}, SILENCE, Cause.RIG_SILENT, "no message on /rig for 1.0 s"),
+        ({"asked": None}, SILENCE, Cause.SILENT, "the controller is silent for 1.0 s"),
+        ({"asked": math.nan}, SILENCE, Cause.SILENT, "the controller is silent for 1.0 s"),
+        ({"old": True}, SILENCE, Cause.TOO_OLD, "the controller's answers are older than 1.0 s"),
+    ],
+)
+def test_what_fails_trips_the_guard_in_time_and_theta_returns(fault, seconds, cause, reason):
+    loop = Loop()
+    assert loop.run(10.0).status is Status.FOLLOWING
+    before = loop.now
+    guard = loop.run(seconds + 0.05, **fault)
+    assert (guard.status, guard.trip.cause) == (Status.TRIPPED, cause)
+    assert reason in guard.trip.reason
+    assert guard.trip.theta == 1.0
+    # in time: not before it can be known, and no more than two samples after
+    assert seconds - 1e-9 <= guard.trip.when - before + DT <= seconds + 3 * DT
+    loop.run(0.5 / CONFIG.theta_rate + 2 * DT, **fault)
+    assert guard.at_safe
+    assert guard.theta == CONFIG.theta_safe
+    assert max(abs(b - a) for a, b in pairwise(loop.thetas)) <= CONFIG.theta_rate * DT * (1 + 1e-6)
+
+
+def test_nothing_is_commanded_before_the_controller_answers_and_short_gaps_do_no_harm():
+    loop = Loop()
+    assert loop.run(5.0, asked=None).status is Status.WAITING
+    assert set(loop.thetas) == {1.5}
+    loop.run(1.0)
+    for fault in ({"x": None}, {"asked": None}, {"x": lambda k: math.nan}, {"old": True}):
+        loop.run(0.9 * SILENCE, **fault)
+        assert loop.run(0.5).status is Status.FOLLOWING
+        assert loop.guard.theta == 1.0
+
+
+def test_a_controller_at_its_limit_is_allowed_for_a_time():
+    config = GuardConfig(measured="/r:x,y", command="/r/t:data", dt=DT, at_limit=3.0)
+    loop = Loop(config, 0.0)
+    assert loop.run(2.9, saturated=True).status is Status.FOLLOWING
+    loop.run(0.1)
+    assert loop.run(2.9, saturated=True).status is Status.FOLLOWING
+    assert loop.run(0.2, saturated=True).trip.cause is Cause.AT_LIMIT
+
+
+def test_a_rearm_is_refused_while_the_cause_lasts_and_theta_goes_on_from_theta_safe():
+    loop = Loop()
+    loop.run(1.0)
+    guard = loop.run(DT, x=lambda k: 5.0)
+    assert guard.refusal(loop.now) == "x = 5 is beyond its limit 3"
+    loop.run(CALM - 0.1)
+    assert guard.refusal(loop.now) == "x = 5 is beyond its limit 3"
+    loop.run(0.2)
+    assert guard.refusal(loop.now) == ""
+    guard.rearm(loop.now, True)
+    assert guard.refusal(loop.now) == "the guard has not tripped"
+    loop.thetas.clear()
+    assert loop.run(2.0).theta == 1.0
+    assert abs(loop.thetas[0] - CONFIG.theta_safe) <= CONFIG.theta_rate * DT * (1 + 1e-6)
+
+
+def test_a_guard_that_was_told_to_trip_may_be_rearmed_once_theta_is_back():
+    loop = Loop()
+    loop.run(1.0)
+    loop.guard.note(Cause.ASKED, "asked", loop.now)
+    assert "still returns to theta_safe" in loop.guard.refusal(loop.now)
+    loop.run(0.2)
+    assert loop.guard.refusal(loop.now) == ""
+
+
+def test_automatic_rearms_are_counted_and_their_pause_doubles():
+    config = GuardConfig(
+        measured="/r:x,y", command="/r/t:data", dt=DT, rearms=2, rearm_pause=10.0,
+        channel_max=(3.0, 9.0),
+    )  # fmt: skip
+    loop = Loop(config, 0.0)
+    loop.run(1.0)
+    for pause in (10.0, 20.0):
+        guard = loop.run(DT, x=lambda k: 5.0)
+        quiet = 0.0
+        while not guard.may_rearm_itself(loop.now):
+            loop.run(0.1)
+            quiet += 0.1
+        assert pause + CALM - 0.2 < quiet < pause + CALM + 0.4
+        guard.rearm(loop.now, False)
+        loop.run(1.0)
+    loop.run(DT, x=lambda k: 5.0)
+    loop.run(100.0)
+    assert not loop.guard.may_rearm_itself(loop.now)
+    assert loop.guard.refusal(loop.now) == ""  # by hand it may be
+    asked = Loop(config, 0.0)
+    asked.run(1.0)
+    asked.guard.note(Cause.ASKED, "asked", asked.now)
+    asked.run(30.0)
+    assert not asked.guard.may_rearm_itself(asked.now)
+
+
+def test_how_long_a_channel_may_repeat_follows_from_how_often_it_does():
+    import numpy as np
+
+    rng = np.random.default_rng(0)
+    for resolution, low, high in ((1e-9, 3.0, 6.0), (0.2, 8.0, 20.0)):
+        meter, longest = RepeatMeter(), 0
+        for value in np.round(rng.normal(size=20_000) / resolution) * resolution:
+            meter.hear(value)
+            longest = max(longest, meter.run)
+            assert meter.run <= meter.longest
+        # the chance that two samples round alike is 0 and about 0.2 / (2 sqrt(pi)) = 0.056
+        assert low <= meter.longest <= high
+
+
+def test_an_oscillation_that_dies_away_below_the_resolution_is_not_stuck():
+    loop = Loop()
+
+    def damped(k):
+        return round(2.0 * math.exp(-k / 2000.0) * math.sin(0.3 * k) / 0.01) * 0.01
+
+    assert loop.run(120.0, x=damped).status is Status.FOLLOWING
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"command": ""}, "command is missing"),
+        ({"command": "/r/t:a,b"}, "theta is one field"),
+        ({"command": "/rig:z"}, "is the topic of the measured channels"),
+        ({"theta_min": 3.0}, "must be below theta_max"),
+        ({"theta_safe": 5.0}, "theta_safe = 5: must lie within"),
+        ({"channel_max": (1.0,)}, "channel_max has 1 values: one for each of 2 channels"),
+        ({"on_end": "stay"}, "must be one of safe, hold"),
+    ],
+)
+def test_what_contradicts_itself_is_refused(values, reason):
+    given = {name: getattr(CONFIG, name) for name in CONFIG.__dataclass_fields__} | values
+    with pytest.raises(ConfigError, match=reason):
+        GuardConfig(**given)

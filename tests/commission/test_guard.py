@@ -1,0 +1,148 @@
+"""The guard of ``koop up`` on a foreign rig: whatever fails, theta returns to theta_safe."""
+
+import os
+import signal
+import time
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+from commission_rig import DT, RIG
+from koop_msgs.msg import GuardState
+from std_srvs.srv import Trigger
+from test_excite import wait
+
+from koop_bag.bag.reader import BagReader
+from koop_core.config import parameter_file
+from koop_guard.node import KEPT
+from koop_tune.rig.rig_file import as_values
+
+pytestmark = pytest.mark.ros
+LONG = 60.0  # [s] to start five processes on a busy machine
+SAFE = 1.0
+SHARED = ("measured", "command", "dt", "theta_min", "theta_max", "theta_rate", "theta_start",
+          "theta_safe", "channel_max")  # fmt: skip
+SLOW = replace(RIG, theta_rate=4.0, theta_safe=SAFE)
+LOOP = {
+    "koopman_lifter": {
+        "cost": "raw", "dt": DT, "omega_h": 100.0, "omega_l": 20.0, "measured": RIG.measured,
+    },
+    "relay_esc": {
+        "dt": DT, "step_size": 0.004, "dwell": 0.2, "tau_f": 0.2, "theta_min": -1.0,
+        "theta_max": 0.9, "rate_limit": 4.0, "theta_initial": 0.5,
+    },
+    "koop_guard": {name: as_values(SLOW)[name] for name in SHARED},
+}  # fmt: skip
+
+
+@pytest.fixture
+def up(fast_rig, koop, nodes_of, tmp_path):
+    """Close the loop, and wait until the controller moves the rig."""
+
+    def start(**guard):
+        values = {**LOOP, "koop_guard": {**LOOP["koop_guard"], **guard}}
+        parameter_file.write(values, tmp_path / "loop.yaml")
+        text = (tmp_path / "loop.yaml").read_text().replace("/**/", "/")
+        (tmp_path / "loop.yaml").write_text(text)
+        process = koop("up", "loop.yaml", "--out", "run")
+        wait(lambda: fast_rig.theta < 0.7, "the controller to move theta", process, LONG)
+        return process, nodes_of(process)
+
+    return start
+
+
+def walked(rig):
+    """Return whether theta is at theta_safe; limits and rate were kept at every command."""
+    _, theta = zip(*rig.moved, strict=True)
+    assert min(theta) >= SLOW.theta_min
+    assert max(theta) <= SLOW.theta_max
+    # a command moves theta by what 40 ms allow at most, however late it comes
+    assert max(abs(b - a) for a, b in pairwise(theta)) <= SLOW.theta_rate * 0.04 * (1 + 1e-6)
+    return theta[-1] == SAFE
+
+
+def home(rig, process=None):
+    """Wait until theta is at theta_safe and stays there."""
+    wait(lambda: rig.theta == SAFE, "theta_safe", process)
+    begin = time.monotonic()
+    wait(lambda: rig.theta != SAFE or time.monotonic() > begin + 1.0, "a second")
+    assert walked(rig)
+
+
+FAULTS = {
+    "spike": lambda rig: setattr(rig, "spike", True),
+    "not finite": lambda rig: setattr(rig, "not_finite", True),
+    "stuck": lambda rig: setattr(rig, "dead", 1),
+    "silent": lambda rig: setattr(rig, "silent", True),
+}
+REASONS = {
+    "spike": ("channel beyond its limit", "data[0] = 99 is beyond its limit 8"),
+    "not finite": ("channel not finite", "data[0] on /fast is not a number for 1.0 s"),
+    "stuck": ("channel stuck", "data[1] = 0.5 has not changed for"),
+    "silent": ("rig silent", "no message on /fast for 1.0 s"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_rig_that_fails_trips_the_guard_until_it_is_rearmed(up, fast_rig, probe, tmp_path, fault):
+    process, _ = up()
+    states = []
+    probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
+    FAULTS[fault](fast_rig)
+    home(fast_rig, process)
+    probe.spin_until(lambda: states and states[-1].theta == SAFE, "the state")
+    cause, reason = REASONS[fault]
+    assert (states[-1].status, states[-1].cause) == (GuardState.TRIPPED, cause)
+    assert reason in states[-1].reason
+    assert states[-1].tripped_theta < SAFE
+    refused = probe.call(Trigger, "/koop_guard/rearm", Trigger.Request())
+    assert (refused.success, "refused: " in refused.message) == (False, True)
+    fast_rig.spike = fast_rig.silent = fast_rig.not_finite = False
+    fast_rig.dead = None
+    probe.spin_until(lambda: not states[-1].rearm_refused, "the cause to be gone")
+    assert fast_rig.theta == SAFE
+    assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
+    probe.spin_until(lambda: fast_rig.theta < 0.7, "the controller to command again")
+    assert probe.call(Trigger, "/koop_guard/trip", Trigger.Request()).success
+    home(fast_rig, process)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(LONG) == 0
+    with BagReader(tmp_path / "run" / "bag") as bag:
+        counts = {topic.name: topic.count for topic in bag.topics}
+    assert counts["/koop_guard/state"] >= 4
+    assert counts["/fast/knob"] > 0
+
+
+def kill(name):
+    return lambda process, nodes: os.kill(nodes[name], signal.SIGKILL)
+
+
+ENDS = {
+    "controller killed": (kill("esc"), 2),
+    "lifter killed": (kill("lifter"), 2),
+    "guard killed": (kill("guard"), 2),
+    "koop up killed": (lambda process, nodes: process.kill(), -9),
+    "Ctrl-C": (lambda process, nodes: process.send_signal(signal.SIGINT), 0),
+    "SIGTERM": (lambda process, nodes: process.send_signal(signal.SIGTERM), 0),
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_theta_is_at_theta_safe_whatever_ends_the_loop(up, fast_rig, end):
+    process, nodes = up()
+    action, code = ENDS[end]
+    action(process, nodes)
+    home(fast_rig)
+    assert process.wait(LONG) == code
+    wait(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values()), "the nodes")
+
+
+def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, koop, nodes_of):
+    process, nodes = up(on_end="hold", note=str(os.path.abspath("note")))
+    process.send_signal(signal.SIGINT)
+    assert process.wait(LONG) == 0
+    assert fast_rig.theta < 0.9
+    process, nodes = up(on_end="hold")
+    os.kill(nodes["lifter"], signal.SIGKILL)
+    home(fast_rig)
+    assert process.wait(LONG) == 2
