@@ -178,7 +178,8 @@ def parameters_page() -> str:
     """Return docs/reference/parameters.md."""
     head = (
         f"A rig's loop has {counts()['parameters']} parameters; the guard also has what the rig "
-        "file says: topics, limits, rate, theta_safe. Written by `scripts/reference.py`; `./koop params` and `--help` of a node have ranges and every "
+        "file says: topics, limits, rate, theta_safe. Written by `scripts/reference.py`; `./koop "
+        "params` and `--help` of a node have ranges and every "
         "word. (f): fixed while the node runs."
     )
     lines = ["# Parameters", "", *textwrap.wrap(head, WIDTH), "", "| name: default | meaning |"]

@@ -39,13 +39,15 @@ LOOP = {
 def up(fast_rig, koop, nodes_of, tmp_path):
     """Close the loop, and wait until the controller moves the rig."""
 
-    def start(**guard):
+    def start(out="run", **guard):
         values = {**LOOP, "koop_guard": {**LOOP["koop_guard"], **guard}}
         parameter_file.write(values, tmp_path / "loop.yaml")
         text = (tmp_path / "loop.yaml").read_text().replace("/**/", "/")
         (tmp_path / "loop.yaml").write_text(text)
-        process = koop("up", "loop.yaml", "--out", "run")
-        wait(lambda: fast_rig.theta < 0.7, "the controller to move theta", process, LONG)
+        process = koop("up", "loop.yaml", "--out", out)
+        count = len(fast_rig.moved)
+        moved = lambda: len(fast_rig.moved) > count and fast_rig.theta < 0.7  # noqa: E731
+        wait(moved, "the controller to move theta", process, LONG)
         return process, nodes_of(process)
 
     return start
@@ -137,12 +139,13 @@ def test_theta_is_at_theta_safe_whatever_ends_the_loop(up, fast_rig, end):
     wait(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values()), "the nodes")
 
 
-def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, koop, nodes_of):
-    process, nodes = up(on_end="hold", note=str(os.path.abspath("note")))
+def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, tmp_path):
+    values = {"on_end": "hold", "note": str(tmp_path / "note")}
+    process, _ = up(**values)
     process.send_signal(signal.SIGINT)
     assert process.wait(LONG) == 0
     assert fast_rig.theta < 0.9
-    process, nodes = up(on_end="hold")
+    process, nodes = up("again", **values)  # goes on where theta was left
     os.kill(nodes["lifter"], signal.SIGKILL)
     home(fast_rig)
     assert process.wait(LONG) == 2
