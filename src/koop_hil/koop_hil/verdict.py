@@ -15,7 +15,7 @@ from koop_hil.actions import FIRST, SECOND
 from koop_hil.answers import age_acting, age_sent, answered_twice, authors
 from koop_hil.scenario import NO_LIMIT, Scenario
 from koop_hil.supervisor import RunRecord
-from koop_loop.metrics import TAIL
+from koop_loop.settings import METRICS
 
 CONTROLLERS = (FIRST, SECOND)
 FIELDS = {
@@ -150,7 +150,7 @@ def _judge_theta(
         verdict.failures.append(f"theta is known for only {verdict.simulated:.1f} s of the run")
         return
     error = np.abs(scenario.off(theta))
-    verdict.tail_error = float(error[-max(1, round(TAIL * error.size)) :].mean())
+    verdict.tail_error = float(error[-max(1, round(METRICS.tail * error.size)) :].mean())
     after = stamps >= record.first
     out = after & (error > scenario.limits.error_limit)
     verdict.time_out_of_tolerance = float(out.sum() * scenario.dt)

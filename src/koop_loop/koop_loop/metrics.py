@@ -8,14 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.errors import InputError
+from koop_loop.settings import METRICS
 
 PAPER_DURATION = 2500.0  # [s] length of the paper's runs
 LOGGING_START = 100.0  # [s] the paper logs from here on, to leave out the initial transient
-TOLERANCE = 0.1  # |theta - theta*| that counts as reached; the paper gives no value
-CONVERGED = (
-    0.6  # mean |theta - theta*| of a converged tail: twice the mean of the relay's own cycle
-)
-TAIL = 0.3  # share of the run that counts as steady state
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,7 @@ class Metrics:
     @property
     def converged(self) -> bool:
         """True if theta stayed near theta* on average over the last 30 %."""
-        return self.tail_error <= CONVERGED
+        return self.tail_error <= METRICS.converged
 
     def as_dict(self) -> dict[str, float | bool | None]:
         """Return the metrics in JSON terms."""
@@ -90,8 +86,8 @@ def evaluate(
     logged = slice(int(np.searchsorted(t, start)), None)
     error = np.abs(theta[logged] - theta_star)
     dt = float(t[-1] - t[0]) / (t.size - 1)
-    reached = np.flatnonzero(error < TOLERANCE)
-    tail = slice(-max(1, round(TAIL * error.size)), None)
+    reached = np.flatnonzero(error < METRICS.tolerance)
+    tail = slice(-max(1, round(METRICS.tail * error.size)), None)
     logged_r = r[logged][np.isfinite(r[logged])]
     span = float(np.ptp(logged_r)) if logged_r.size else 0.0
     e_r_ss = None

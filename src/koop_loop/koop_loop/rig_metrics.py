@@ -13,15 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.errors import InputError
-from koop_loop.metrics import TAIL
 from koop_loop.oscillation import amplitude
+from koop_loop.settings import METRICS
 from koopman_lifter.delays import dominant_period
-
-PERIODS = 5.0  # of the strongest oscillation, that a window is long by default
-LEAST, MOST = 0.04, 0.2  # shares of the run within which that length is kept
-WIDENED = 0.1  # by which theta's final swing is widened at both ends before it counts as left
-SHORTEST = 8  # samples of a window
-REST = 0.2  # of the tail, by which theta must have been in its final swing earlier
 
 
 @dataclass(frozen=True)
@@ -126,15 +120,15 @@ def rig_metrics(
         t, x = t[kept], x[kept]
         theta = None if theta is None else theta[kept]
         limited = None if limited is None else limited[kept]
-    if t.size < 2 * SHORTEST:
+    if t.size < 2 * METRICS.shortest:
         raise InputError(
             f"{t.size} states" + ("" if start is None else f" from {start:g} s on") + " are too few"
         )
     dt = float(np.median(np.diff(t)))
     begin, end = float(t[0]), float(t[-1]) + dt
-    length = round(max(_window(x, dt, end - begin), SHORTEST * dt) / dt)
+    length = round(max(_window(x, dt, end - begin), METRICS.shortest * dt) / dt)
     window = length * dt
-    after_from = end - max(TAIL * (end - begin), window)
+    after_from = end - max(METRICS.tail * (end - begin), window)
     known = np.zeros(t.size, np.bool_) if theta is None else np.isfinite(theta)
     before_to = begin + window
     mean = swing = settled = None
@@ -167,10 +161,10 @@ def _window(x: NDArray[np.float64], dt: float, span: float) -> float:
     """Return five periods of the strongest oscillation, at least 4 % and at most 20 % of a run."""
     x = x[:, np.isfinite(x).any(axis=0)]
     try:
-        periods = PERIODS * dominant_period([x[np.isfinite(x).all(axis=1)].T], dt)
+        periods = METRICS.periods * dominant_period([x[np.isfinite(x).all(axis=1)].T], dt)
     except InputError:  # nothing moves
         periods = 0.0
-    return min(max(periods, LEAST * span), MOST * span)
+    return min(max(periods, METRICS.least * span), METRICS.most * span)
 
 
 def _amplitudes(
@@ -179,7 +173,7 @@ def _amplitudes(
     rows = np.flatnonzero((t > begin - 0.5 * dt) & (t < end - 0.5 * dt))
     parts = np.split(rows, np.flatnonzero(np.diff(t[rows]) > 1.5 * dt) + 1)
     length = min(length, max(part.size for part in parts))  # where no piece is that long
-    if length < SHORTEST:
+    if length < METRICS.shortest:
         return (float("nan"),) * x.shape[1]
     windows = [part[: part.size // length * length].reshape(-1, length) for part in parts]
     squares = amplitude(x[np.concatenate(windows)].transpose(0, 2, 1)) ** 2
@@ -195,10 +189,10 @@ def _settled_at(
     low, high = float(final.min()), float(final.max())
     if np.ptp(final[final.size // 2 :]) < 0.5 * (high - low):  # it did not oscillate
         return None
-    margin = WIDENED * (high - low) + 1e-9 * max(abs(low), abs(high))
+    margin = METRICS.widened * (high - low) + 1e-9 * max(abs(low), abs(high))
     outside = np.flatnonzero((theta < low - margin) | (theta > high + margin))
     settled = float(t[outside[-1] + 1]) if outside.size else float(t[0])
-    return settled if settled <= after_from - REST * (float(t[-1]) - after_from) else None
+    return settled if settled <= after_from - METRICS.rest * (float(t[-1]) - after_from) else None
 
 
 def _number(value: float) -> float | None:

@@ -23,12 +23,7 @@ from numpy.typing import NDArray
 from koop_core.errors import InputError
 from koopman_lifter.delays import Delays
 from koopman_lifter.model import KoopmanModel
-
-QUARTILE = 0.25  # share of the windows that counts as strongly, and as weakly, oscillating
-TRANSIENT = 0.2  # share of a trajectory that is left out of its moments
-BINS = 6  # of theta, at most
-IN_A_BIN = 4  # windows, at least: two to propose, two to judge
-RIDGE = 1e-9  # of the variance, for directions in which neighbouring samples never differ
+from koopman_lifter.settings import LEARNING
 
 
 def with_contrast(
@@ -58,7 +53,7 @@ def with_contrast(
     n = model.observables.n
     if model.delays.count > 1:  # samples of a smooth signal nearly depend on each other
         usual = np.trace(covariances.mean(axis=0)) / n
-        covariances = covariances + RIDGE * usual * np.eye(n)
+        covariances = covariances + LEARNING.ridge * usual * np.eye(n)
     try:
         if theta is None:
             direction, weak = _by_amplitude(covariances)
@@ -78,7 +73,7 @@ def with_contrast(
 
 def can_split(theta: NDArray[np.float64] | None) -> bool:
     """Return whether theta of the windows is known and varied enough to split the windows."""
-    if theta is None or not np.isfinite(theta).all() or theta.size < 2 * IN_A_BIN:
+    if theta is None or not np.isfinite(theta).all() or theta.size < 2 * LEARNING.in_a_bin:
         return False
     bins = _bins(theta)
     return len(np.unique(bins[bins >= 0])) > 1
@@ -88,7 +83,7 @@ def _by_amplitude(
     covariances: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the direction, shape (n,), and which windows are weak."""
-    count = max(1, round(QUARTILE * len(covariances)))
+    count = max(1, round(LEARNING.quartile * len(covariances)))
     order = np.argsort(np.trace(covariances, axis1=1, axis2=2), kind="stable")
     weak, strong = order[:count], order[-count:]
     return _extremes(covariances[strong], covariances[weak])[:, -1], weak
@@ -120,10 +115,10 @@ def _by_theta(
 
 def _bins(theta: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the bin of each window, -1 in none: as many windows in each, equal thetas in one."""
-    count = min(BINS, theta.size // IN_A_BIN)
+    count = min(LEARNING.bins, theta.size // LEARNING.in_a_bin)
     edges = np.unique(np.quantile(theta, np.linspace(0.0, 1.0, count + 1)))
     bins = np.searchsorted(edges[1:-1], theta, side="right")
-    return np.where(np.bincount(bins)[bins] >= IN_A_BIN, bins, -1)
+    return np.where(np.bincount(bins)[bins] >= LEARNING.in_a_bin, bins, -1)
 
 
 def _relative(
@@ -200,7 +195,7 @@ class TrajectoryMoments:
 
     def add(self, states: NDArray[np.float64]) -> None:
         """Take the settled part of a trajectory, shape (channels, M)."""
-        begin = round(TRANSIENT * states.shape[1])
+        begin = round(LEARNING.transient * states.shape[1])
         settled = states[:, begin:]
         self._parts.append(moments(settled, np.zeros(1, np.int64), settled.shape[1], self._delays))
 

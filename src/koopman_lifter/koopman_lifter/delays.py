@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from koop_core.errors import InputError
-
-SPAN = 0.125  # of the oscillation's period, from the newest to the oldest sample
+from koopman_lifter.settings import LEARNING
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ class Delays:
 
 def spacing_for(period: float, count: int) -> float:
     """Return the spacing of ``count`` samples for an oscillation of a period [s]."""
-    return SPAN * period / max(count - 1, 1)
+    return LEARNING.span * period / max(count - 1, 1)
 
 
 def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:

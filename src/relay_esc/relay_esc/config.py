@@ -10,7 +10,7 @@ from koop_core.config.parameter import ConfigError, parameter, validate
 from koop_core.stream.arrival import timeout_of
 from relay_esc.elementary import log
 from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
-from relay_esc.swing import LEVEL_TIME
+from relay_esc.swing import SWING
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class EscConfig:
             self.largest_change,
             dwell_samples(max(self.dwell, self.tau_f), self.dt),
             self.law == "adaptive",
-            math.exp(-self.dt / (LEVEL_TIME * max(self.dwell, self.dt))),
+            math.exp(-self.dt / (SWING.level_time * max(self.dwell, self.dt))),
             self.step_ratio,
             self.lost,
             self.theta_scale == "log",

@@ -28,7 +28,7 @@ from typing import NamedTuple
 from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
 from relay_esc.elementary import exp, log
-from relay_esc.swing import OPEN, WIDE, Swing, confidence, follow, forget_leg, gain, turn, widen
+from relay_esc.swing import OPEN, SWING, Swing, confidence, follow, forget_leg, gain, turn, widen
 
 LARGEST = sys.float_info.max
 
@@ -206,7 +206,7 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
     epsilon = state.epsilon
     since_flip = state.since_flip + 1
     swing = after.swing
-    wide = p.adaptive and swing.factor >= WIDE
+    wide = p.adaptive and swing.factor >= SWING.wide
     rise = swing.rise if wide else after.cost_rise_filtered
     if rise > 0.0 and since_flip >= p.dwell_samples * swing.stretch:
         epsilon = -epsilon

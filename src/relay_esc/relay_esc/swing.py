@@ -18,29 +18,51 @@ loses it, which the level shows.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
+from koop_core.config.parameter import constants, parameter, validate
 from koop_core.kernels import njit
 
-SHRINK = 0.7
-GROW = 2.0
-SHORT = 1.15  # a leg up to this many dwell times ended as soon as it could
-ARRIVED = 4  # short legs in a row before the step shrinks
-HOME = 3.0  # [noise]
-VISIBLE = 0.3  # [noise]
-DIP_RATE = 0.3  # share of the news, by leg
-STRETCH = 0.5  # largest share that a dwell time is longer
 GOLDEN = 0.6180339887498949
-WIDE = 0.7  # factor from which a leg is wide
-LEARNED = 3  # legs from which on the noise is a mean
-NOISE_AT_FIRST = 0.1  # 10 % of r
-NOISE_RATE, NOISE_RATE_AWAY = 0.2, 0.02  # share of the news, by leg
-REFERENCE_RATE, REFERENCE_RATE_AWAY = 0.5, 0.05
-LEVEL_TIME = 0.15  # time constant of the level [dwell]
-LONG = 2.0  # dwell times of a leg that shows that the optimum is elsewhere
-PULL = 0.5  # share by which a step is larger towards the centre, and smaller away from it
-CENTRED = 3  # legs from which on the centre pulls
-CENTRE_RATE = 0.1  # share of the news, by leg
+studied = partial(parameter, origin="koop study laws at commit be69197")
+
+
+@dataclass(frozen=True)
+class SwingSettings:
+    """The adaptive law's rules; docs/explanation/adaptive-law.md says what each is for."""
+
+    shrink: float = studied(0.7, "factor of the step at the optimum", low=0.1, high=1.0)
+    grow: float = studied(2.0, "factor of the step where the optimum is lost", low=1.0)
+    short: float = studied(
+        1.15, "longest leg that ended as soon as it could", unit="dwell", low=1.0
+    )
+    arrived: int = studied(4, "short legs in a row before the step shrinks", low=1)
+    home: float = studied(3.0, "level above the reference at the optimum", unit="noise", low=0.0)
+    visible: float = studied(0.3, "least dip that is seen", unit="noise", low=0.0)
+    dip_rate: float = studied(0.3, "share of a leg in the mean dip", low=0.0, high=1.0)
+    stretch: float = studied(0.5, "largest share that a dwell time is longer", low=0.0)
+    wide: float = studied(0.7, "factor of the step from which a leg is wide", low=0.0, high=1.0)
+    learned: int = parameter(3, "legs from which on the noise is a mean", low=1, origin="judgement")
+    noise_at_first: float = parameter(0.1, "noise before, of log r", low=0.0, origin="judgement")
+    noise_rate: float = studied(0.2, "share of a leg in the noise", low=0.0, high=1.0)
+    noise_rate_away: float = studied(0.02, "the same, off the optimum", low=0.0, high=1.0)
+    reference_rate: float = studied(0.5, "share of a leg in the reference", low=0.0, high=1.0)
+    reference_rate_away: float = studied(0.05, "the same, off the optimum", low=0.0, high=1.0)
+    level_time: float = studied(0.15, "time constant of the level", unit="dwell", low=0.0)
+    long: float = studied(
+        2.0, "leg that shows that the optimum is elsewhere", unit="dwell", low=1.0
+    )
+    pull: float = studied(0.5, "share that a step towards the centre is larger", low=0.0, high=1.0)
+    centred: int = studied(3, "legs from which on the centre pulls", low=1)
+    centre_rate: float = studied(0.1, "share of a leg in the centre", low=0.0, high=1.0)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+SWING = constants(SwingSettings())
 
 
 class Swing(NamedTuple):
@@ -159,7 +181,7 @@ def forget_leg(swing: Swing) -> Swing:
 @njit()
 def widen(swing: Swing) -> Swing:
     """Double the step: the leg is long."""
-    factor = min(1.0, swing.factor * GROW)
+    factor = min(1.0, swing.factor * SWING.grow)
     level, begin, lowest = swing.level, swing.begin, swing.lowest
     return in_leg(swing, factor, 0, level, begin, lowest, swing.cost, swing.rise)
 
@@ -167,10 +189,14 @@ def widen(swing: Swing) -> Swing:
 @njit()
 def gain(swing: Swing, u: float, epsilon: int) -> float:
     """Return the step in units of the configured one: larger towards the centre than away."""
-    if swing.factor == 1.0 or swing.centred < CENTRED:
+    if swing.factor == 1.0 or swing.centred < SWING.centred:
         return swing.factor
     towards = (u - swing.centre) * epsilon > 0.0  # epsilon +1 moves u down
-    return min(1.0, swing.factor * (1.0 + PULL)) if towards else swing.factor * (1.0 - PULL)
+    return (
+        min(1.0, swing.factor * (1.0 + SWING.pull))
+        if towards
+        else swing.factor * (1.0 - SWING.pull)
+    )
 
 
 @njit()
@@ -184,38 +210,38 @@ def turn(swing: Swing, length: float, u: float, least: float, lost: float) -> Sw
     lowest, dip = swing.lowest, swing.dip
     centre, centred = swing.centre, swing.centred
     if swing.legs == 0:
-        reference, noise = lowest, NOISE_AT_FIRST
+        reference, noise = lowest, SWING.noise_at_first
     else:
         change = abs(lowest - swing.lowest_before)
         above = lowest - reference
-        home = above <= HOME * noise
+        home = above <= SWING.home * noise
         away = above > lost * noise
-        if swing.legs < LEARNED:
+        if swing.legs < SWING.learned:
             noise = max(noise, change)
         else:  # a jump of the level is not noise
-            rate = NOISE_RATE if home else NOISE_RATE_AWAY
+            rate = SWING.noise_rate if home else SWING.noise_rate_away
             noise += rate * (min(change, 3.0 * noise) - noise)
-        dip += DIP_RATE * (min(swing.begin, swing.level) - lowest - dip)
+        dip += SWING.dip_rate * (min(swing.begin, swing.level) - lowest - dip)
         if home:
-            visible = dip >= VISIBLE * noise
-            short = short + 1 if visible and length <= SHORT * swing.stretch else 0
-            if short >= ARRIVED:
-                factor = max(least, factor * SHRINK)
-            reference = reference + REFERENCE_RATE * above if above > 0.0 else lowest
-            if length <= LONG:
+            visible = dip >= SWING.visible * noise
+            short = short + 1 if visible and length <= SWING.short * swing.stretch else 0
+            if short >= SWING.arrived:
+                factor = max(least, factor * SWING.shrink)
+            reference = reference + SWING.reference_rate * above if above > 0.0 else lowest
+            if length <= SWING.long:
                 centred += 1
                 middle = 0.5 * (swing.turned + u)
-                centre += max(1.0 / centred, CENTRE_RATE) * (middle - centre)
+                centre += max(1.0 / centred, SWING.centre_rate) * (middle - centre)
         else:
             short = 0
-            reference += REFERENCE_RATE_AWAY * above
+            reference += SWING.reference_rate_away * above
             if away:
-                factor = min(1.0, factor * GROW)
-        if away or length > LONG:
+                factor = min(1.0, factor * SWING.grow)
+        if away or length > SWING.long:
             centred = 0
     stretch = 1.0
-    if factor >= WIDE:
-        stretch += STRETCH * (swing.legs * GOLDEN % 1.0)
+    if factor >= SWING.wide:
+        stretch += SWING.stretch * (swing.legs * GOLDEN % 1.0)
     level = swing.level
     return Swing(
         factor,

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections import namedtuple
 from collections.abc import Iterable, Mapping
 from dataclasses import Field, dataclass, field, fields
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, TypeVar
 
 from koop_core.errors import InputError
 
+Settings = TypeVar("Settings")
 SIMILAR = 0.7
 """Of two names, from 0 to 1, from which on one is taken for the other misspelt."""
 
@@ -120,6 +122,13 @@ def _check(name: str, value: Any, spec: Spec) -> None:
                 raise ConfigError(f"{name} = {element}: must be a finite number")
             if not spec.low <= element <= spec.high:
                 raise ConfigError(f"{name} = {element:g}: must be {spec.constraint}")
+
+
+def constants(settings: Settings) -> Settings:
+    """Return the fields of a settings class in a named tuple: constants to a compiled kernel."""
+    names = list(type(settings).__dataclass_fields__)  # type: ignore[attr-defined]
+    made = namedtuple(type(settings).__name__, names)  # type: ignore[misc]
+    return made(*(getattr(settings, name) for name in names))  # type: ignore[return-value]
 
 
 def mapping(value: Any, where: str) -> dict[str, Any]:

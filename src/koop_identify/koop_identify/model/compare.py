@@ -14,14 +14,13 @@ from koop_identify.model.energies import energies
 from koop_identify.model.from_bags import BagTraining, build_from, learn_contrast
 from koop_identify.recording.loaded import Loaded, pieces
 from koop_identify.recording.samples import state_names
+from koop_identify.settings import READING
 from koopman_lifter.delays import Delays, spacing_for
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel
 from koopman_lifter.observables import Monomials
 
-DELAYS = 8  # samples of the candidates with delays, unless told otherwise
 BLOCK = 65536  # samples in a row
-PART = 2048  # the same, where not all are learned from
 
 
 class Cost(NamedTuple):
@@ -59,7 +58,7 @@ def costs(
     x, begins, dt = loaded.x, loaded.begins, training.reading.known_dt
     yield Cost("raw", None, None, energies(None, x, begins))
     n = x.shape[0]
-    count = training.delays if training.delays > 1 else DELAYS
+    count = training.delays if training.delays > 1 else READING.delays
     spacing = spacing_for(period, count) if training.spacing is None else training.spacing
     for delays in (Delays(n), Delays.spaced(n, count, spacing, dt)):
         suffix, plain = "", replace(training, delays=1, spacing=None, contrast=False)
@@ -94,7 +93,7 @@ def _learn(loaded: Loaded, training: BagTraining, delays: Delays, most: int | No
     """Return the model of the recording, or of ``most`` of its samples."""
     gram = Gram.empty(Monomials(delays.n, training.degree_for(delays)))
     share = 1.0 if most is None else min(1.0, most / loaded.x.shape[1])
-    length = BLOCK if share == 1.0 else PART
+    length = BLOCK if share == 1.0 else READING.part
     for piece in pieces(loaded.begins):
         for begin in range(piece.start, piece.stop, round(length / share)):
             # embedded, it is as many times as large as there are delays

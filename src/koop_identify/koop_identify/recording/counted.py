@@ -21,12 +21,7 @@ from numpy.typing import NDArray
 
 from koop_core.kernels import njit
 from koop_identify.recording.samples import Batch
-
-LONG = 1.5  # [periods] between two samples above which a missing one is looked for
-SURE = 0.75  # [periods] that are not made up for and show a missing sample
-SPAN = 1000  # [samples] over which the mean period is found
-LEAST = 50  # samples looked at before and after a long wait, at least
-MOST = 10_000  # at most, and samples that are held back: twice what a link that was cut holds
+from koop_identify.settings import READING
 
 
 def mean_period(time: NDArray[np.int64]) -> float:
@@ -34,7 +29,7 @@ def mean_period(time: NDArray[np.int64]) -> float:
 
     The median over spans: a pause does not count, and of batches only how often they come.
     """
-    span = max(1, min(SPAN, time.size // 4))
+    span = max(1, min(READING.span, time.size // 4))
     return float(np.median(time[span:] - time[:-span])) / span
 
 
@@ -42,8 +37,8 @@ def recount(
     batches: Iterable[Batch],
     period: float,
     spacing: float,
-    least: int = LEAST,
-    most: int = MOST,
+    least: int = READING.least,
+    most: int = READING.most,
 ) -> Iterator[Batch]:
     """Yield consecutive batches with counted times in place of times of reception.
 
@@ -95,9 +90,9 @@ def _number(
     for i in range(max(begin, 1), numbers.size):  # the first one's is 0
         wait = (times[i] - times[i - 1]) / period
         numbers[i] = numbers[i - 1] + 1
-        if wait < -LONG:  # the clock was set back
+        if wait < -READING.long:  # the clock was set back
             numbers[i] = numbers[i - 1] + round(wait)
-        elif wait > LONG:
+        elif wait > READING.long:
             look = min(max(least, int(2.0 * wait)), most)
             usual = np.inf
             for j in range(max(0, i - look), i):
@@ -110,5 +105,5 @@ def _number(
                 late = min(late, times[j] - period * (numbers[i] + j - i))
                 j += 1
             lost = (late - usual) / period
-            if lost >= SURE:
+            if lost >= READING.sure:
                 numbers[i] += round(lost)

@@ -16,10 +16,9 @@ from koop_core.errors import InputError
 from koop_identify.recording.samples import batches
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.segments import Segmentation, Segmenter
+from koop_identify.settings import READING
 
 LOOP_COMMAND = parse_source("/theta:theta")
-STALE = 10.0  # usual intervals of theta after which the last one is not known to hold any more
-STALE_LEAST = 1.0  # [s]
 ROUNDED = 1e-6  # more than an interpolated number of a sample is off by rounding
 
 
@@ -133,5 +132,5 @@ def _theta_at(bag: BagReader, measured: Source, command: Source) -> NDArray[np.f
     usual = float(np.median(np.diff(when))) if when.size > 1 else np.inf
     place = np.searchsorted(when, received, side="right") - 1
     held, age = value[np.maximum(place, 0)], received - when[np.maximum(place, 0)]
-    valid = (place >= 0) & (age <= max(STALE * usual, STALE_LEAST * 1e9))
+    valid = (place >= 0) & (age <= max(READING.stale * usual, READING.stale_least * 1e9))
     return np.where(valid, held, np.nan)

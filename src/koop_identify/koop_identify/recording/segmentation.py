@@ -14,9 +14,7 @@ from koop_identify.recording.counted import mean_period
 from koop_identify.recording.recorded_parameters import recorded_values
 from koop_identify.recording.samples import Batch, batches
 from koop_identify.recording.segments import Segmentation, counted_spacing
-
-GAPS = 3.0  # a pause of more than so many usual periods, or dt, is a gap
-STEPPED = 0.01  # share of dt by which the usual time between two steps may differ from it
+from koop_identify.settings import READING
 
 
 @dataclass(frozen=True)
@@ -73,11 +71,11 @@ def find_segmentation(bag: BagReader, path: Path, reading: BagReading) -> tuple[
             f"{path}: messages on {topic} have no stamp and were all received at one time"
         )
     dt = float(reading.dt or recorded_dt or _sampling_time(first, period))
-    stepped = recorded_dt == dt or abs(_step_time(first) / dt - 1.0) < STEPPED
+    stepped = recorded_dt == dt or abs(_step_time(first) / dt - 1.0) < READING.stepped
     way = "steps" if first.step is not None and stepped else "linear"
     counted = way == "linear" and not first.stamped
     usual = counted_spacing(period, dt) if counted else period
-    gap = reading.gap or GAPS * max(usual, dt)
+    gap = reading.gap or READING.gaps * max(usual, dt)
     segmentation = Segmentation(way, dt, gap, period if counted else 0.0)
     return segmentation, first.x.shape[1]
 

@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 
 from koop_identify.recording.counted import recount
 from koop_identify.recording.samples import Batch
-
-EVEN = 0.05  # share of dt by which the mean period of counted samples may differ and count as dt
+from koop_identify.settings import READING
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def counted_spacing(period: float, dt: float) -> float:
 
     The lifter counts them, too, and takes them to be dt apart.
     """
-    return dt if abs(period / dt - 1.0) < EVEN else period
+    return dt if abs(period / dt - 1.0) < READING.even else period
 
 
 class Segment(NamedTuple):

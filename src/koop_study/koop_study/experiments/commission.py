@@ -14,10 +14,10 @@ from koop_core.config.parameter import ConfigError
 from koop_study.experiments.spec import Seeds, parse
 from koop_study.experiments.stats import cumulative, quantile
 from koop_study.family.config import FamilyConfig
+from koop_study.family.settings import FAMILY
 from koop_study.workers.units import Unit
 from koop_view.report.document import Column, Figure, Panel, Section, Table
 
-GOOD = 1.5
 Row = dict[str, Any]
 
 
@@ -110,7 +110,7 @@ def _worse(row: Row, way: str = "tuned") -> float | None:
 
 def _is_good(row: Row, way: str = "tuned") -> bool:
     ratio = _worse(row, way)
-    return ratio is not None and ratio <= GOOD
+    return ratio is not None and ratio <= FAMILY.good
 
 
 def _refused_wrongly(row: Row) -> bool:

@@ -14,6 +14,7 @@ from koop_core.stream.arrival import Arrival
 from koop_study.family import oscillator
 from koop_study.family.oscillator import RigParams, RigState
 from koop_study.family.rig import Rig
+from koop_study.family.settings import FAMILY
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import DetectorParams, Lifting, Workspace
@@ -21,10 +22,6 @@ from koopman_lifter.model import KoopmanModel
 from relay_esc import relay
 from relay_esc.config import EscConfig
 from relay_esc.relay import RelayParams, RelayState
-
-BLOCKS = 200  # that a run is told in
-EVERY = 16  # samples, of which one is looked at for where theta leads to
-GOOD = 1.5  # amplitude over that at the best theta, within which a loop has converged
 
 
 @dataclass(frozen=True)
@@ -126,18 +123,18 @@ def close(rig: Rig, controller: RigController, noise: RunNoise, seed: int) -> Cl
     model = controller.model
     lifting = cost.no_lifting() if model is None else model.lifting()
     source = cost.RAW if model is None else cost.LIFTED
-    power, excess = np.empty(BLOCKS), np.empty(BLOCKS)
+    power, excess = np.empty(FAMILY.blocks), np.empty(FAMILY.blocks)
     steps = noise.numbers.shape[0]
     x, theta = np.empty((steps, rig.channels)), np.empty(steps)
     _close(
         exposed(p), source, lifting, cost.workspace(lifting), controller.lifter.detector_params(),
         esc.params(), esc.initial(), rig.initial(seed), noise.numbers, power, excess, x, theta,
     )  # fmt: skip
-    ratio = math.sqrt(float(power[BLOCKS // 2 :].mean())) / noise.best
-    inside = np.flatnonzero(excess <= math.log(GOOD))
+    ratio = math.sqrt(float(power[FAMILY.blocks // 2 :].mean())) / noise.best
+    inside = np.flatnonzero(excess <= math.log(FAMILY.good))
     return ClosedRun(
         ratio if p.sense > 0.0 else 1.0 / max(ratio, 1e-9),
-        float(inside[0] + 1) / BLOCKS if inside.size else 2.0,
+        float(inside[0] + 1) / FAMILY.blocks if inside.size else 2.0,
         x,
         theta,
     )
@@ -176,7 +173,7 @@ def _close(
         command, _, _ = relay.answer(limits, command, arrival, False, settling, r, False)
         theta[k] = command.output
         power[i] += oscillator.energy(state) * share
-        if k % EVERY == 0:
+        if k % FAMILY.every == 0:
             settled = oscillator.level(p, oscillator.acting(p, state, command.output), k * p.dt)
-            excess[i] += p.sense * math.log(settled / p.level) * share * EVERY
+            excess[i] += p.sense * math.log(settled / p.level) * share * FAMILY.every
         state = oscillator.step(p, state, k, command.output, noise[k, 0], noise[k, 1])

@@ -38,6 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.kernels import njit
+from koop_study.family.settings import FAMILY
 
 LIMIT_CYCLE = 0
 NOISE_DRIVEN = 1
@@ -46,8 +47,6 @@ MONOTONE = 1
 FLAT = 2
 TWO_VALLEYS = 3
 TWO_MODES = 4
-ALIVE = 0.03  # of L*, that is left of either of two modes
-MARGIN = 0.05  # of the range, that a moving optimum keeps from its ends
 
 
 class RigParams(NamedTuple):
@@ -81,7 +80,7 @@ class RigParams(NamedTuple):
     play : float
         b, backlash of theta, in u.
     drift, jump, jump_every : float
-        Motion of u*: rate [1/s], turning at MARGIN; jump to and fro, and the time between two [s].
+        Motion of u*: rate [1/s], turning at the margin; jump to and fro, and time between two [s].
     tau, exponent, tau_low, tau_high : float
         tau(theta) = tau (L / L*)^exponent within its limits [s].
     middle : float
@@ -170,17 +169,17 @@ def best_position(p: RigParams, t: float) -> float:
     """Return u* at a time [s]."""
     if p.drift == 0.0 and p.jump == 0.0:
         return p.best
-    inside = 1.0 - 2.0 * MARGIN
-    way = (p.best - MARGIN + p.drift * t) % (2.0 * inside)
+    inside = 1.0 - 2.0 * FAMILY.margin
+    way = (p.best - FAMILY.margin + p.drift * t) % (2.0 * inside)
     jumped = p.jump if math.floor(t / p.jump_every) % 2.0 == 1.0 else 0.0
-    return MARGIN + (way if way <= inside else 2.0 * inside - way) + jumped
+    return FAMILY.margin + (way if way <= inside else 2.0 * inside - way) + jumped
 
 
 @njit()
 def two_modes(p: RigParams, u: float, t: float) -> tuple[float, float]:
     """Return L_1 and L_2 of a rig with two modes.
 
-    With slopes a, b and c = ALIVE they are, with e = u - u*,
+    With slopes a, b and c = alive they are, with e = u - u*,
 
         (L_1 / L*)^2 = c^2 + (1 - 2 c^2) b / (a + b) exp(-2 a e)
         (L_2 / L*)^2 = c^2 + (1 - 2 c^2) a / (a + b) exp(2 b e)
@@ -188,7 +187,7 @@ def two_modes(p: RigParams, u: float, t: float) -> tuple[float, float]:
     so that the derivative of their sum is 0 at u*, and the sum 1.
     """
     a, b, e = p.width_below, p.width_above, u - best_position(p, t)
-    floor = ALIVE * ALIVE
+    floor = FAMILY.alive * FAMILY.alive
     share = (1.0 - 2.0 * floor) / (a + b)
     return (
         p.level * math.sqrt(floor + share * b * math.exp(-2.0 * a * e)),

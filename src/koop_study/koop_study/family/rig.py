@@ -12,13 +12,9 @@ from numpy.typing import NDArray
 from koop_study.family import oscillator
 from koop_study.family.config import LOGARITHMIC, WITH_OPTIMUM, FamilyConfig
 from koop_study.family.oscillator import RigParams, RigState
+from koop_study.family.settings import FAMILY
 
-SAMPLES = (20, 50)  # of a period
-DROWNING = 100.0  # measurement noise of a drowned rig over its oscillation, both rms
-SLIGHT = (1.1, 1.3)  # depth of the other side of a one-sided map
-LONGEST_LAG = 0.3  # of an interference's period, between channels
-HOUR, SLOW = 3600.0, 100.0  # [s]; of a rig that needs longer, so many of its slowest tau
-FAR = 0.25  # least distance of the start from the optimum, in u
+HOUR = 3600.0  # [s]
 GRID = np.linspace(0.0, 1.0, 2001)  # of u, where a truth has no formula
 QUANTITIES = (  # each has random numbers of its own: a changed range changes nothing else
     "noise_driven", "frequency", "samples", "log_scaled", "theta_scale", "theta_offset", "map",
@@ -128,8 +124,8 @@ class Rig:
             raise ValueError("a rig whose optimum jumps has no later")
         if p.drift == 0.0:
             return self
-        inside = 1.0 - 2.0 * oscillator.MARGIN
-        turned = (p.best - oscillator.MARGIN + p.drift * t) % (2.0 * inside) > inside
+        inside = 1.0 - 2.0 * FAMILY.margin
+        turned = (p.best - FAMILY.margin + p.drift * t) % (2.0 * inside) > inside
         best = float(oscillator.best_position(p, t))
         return replace(self, params=p._replace(best=best, drift=-p.drift if turned else p.drift))
 
@@ -221,7 +217,7 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
     noise_driven = d.happens("noise_driven")
     maximised = d.happens("maximised") and chosen != "two-modes"  # whose sum has no inner maximum
     frequency = d.of("frequency")
-    samples = int(d["samples"].integers(SAMPLES[0], SAMPLES[1], endpoint=True))
+    samples = int(d["samples"].integers(FAMILY.samples_low, FAMILY.samples_high, endpoint=True))
     theta_min, theta_max, log_scale = _range(d)
     best = d.of("optimum")
     size = d.of("amplitude")
@@ -230,7 +226,7 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
     growth = config.growth
     far = d.of("jump")
     jump = far if best < 0.5 else -far  # towards the farther end, and not beyond
-    jump = min(max(best + jump, oscillator.MARGIN), 1.0 - oscillator.MARGIN) - best
+    jump = min(max(best + jump, FAMILY.margin), 1.0 - FAMILY.margin) - best
     params = RigParams(
         kind=oscillator.NOISE_DRIVEN if noise_driven else oscillator.LIMIT_CYCLE,
         turn=2.0 * math.pi / samples,
@@ -265,10 +261,10 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
     )  # fmt: skip
     found = oscillator.levels(params, GRID, 0.0)
     params = _sensors(d, params._replace(middle=math.sqrt(found.min() * found.max())), chosen)
-    start = float(d["start"].choice(GRID[np.abs(GRID - best) >= FAR]))
+    start = float(d["start"].choice(GRID[np.abs(GRID - best) >= FAMILY.far]))
     rig = Rig(seed, chosen, frequency, oscillator.theta_at(params, start), params)
     slow = rig.slowest
-    drift = d.of("drift") / max(HOUR, SLOW * slow) * d.sign("drift")
+    drift = d.of("drift") / max(HOUR, FAMILY.slow * slow) * d.sign("drift")
     params = params._replace(drift=drift, jump_every=d.of("jump_every") * slow)
     return replace(rig, params=params)
 
@@ -314,7 +310,7 @@ def _map(d: _Draws, name: str, best: float) -> dict[str, Any]:
         below = math.log(depth / math.sqrt(best)) / best
         above = math.log(depth / math.sqrt(1.0 - best)) / (1.0 - best)
     elif name == "one-sided":
-        slight = float(d["side"].uniform(*SLIGHT))
+        slight = float(d["side"].uniform(FAMILY.slight_low, FAMILY.slight_high))
         if d["side"].random() < 0.5:
             below = width(best, slight)
         else:
@@ -340,7 +336,7 @@ def _sensors(d: _Draws, p: RigParams, name: str) -> RigParams:
     mix[:, 2] = [d.of("harmonic") for _ in range(n)]
     rms = p.middle * math.sqrt(0.5)  # of Re z at the middle level
     noise = 0.0 if d.happens("quiet") else d.of("noise")
-    noise = DROWNING if name == "drowned" else noise
+    noise = FAMILY.drowning if name == "drowned" else noise
     ratio = 0.0 if d.happens("clean") else d.of("interference")
     count = int(d["tones"].integers(1, 2, endpoint=True)) if ratio > 0.0 else 0
     omega = 2.0 * math.pi / (p.dt * (2.0 * math.pi / p.turn))
@@ -352,7 +348,7 @@ def _sensors(d: _Draws, p: RigParams, name: str) -> RigParams:
     phase = np.repeat(d["tones"].uniform(0.0, 2.0 * math.pi, (count, 1)), n, axis=1)
     if not d.happens("common"):
         amplitude *= np.exp(d["common"].uniform(math.log(0.5), math.log(2.0), n))
-        phase -= 2.0 * math.pi * LONGEST_LAG * d["common"].uniform(0.0, 1.0, n)
+        phase -= 2.0 * math.pi * FAMILY.lag * d["common"].uniform(0.0, 1.0, n)
     return p._replace(
         mix=mix,
         offset=d["offset"].uniform(-3.0, 3.0, n) * rms,

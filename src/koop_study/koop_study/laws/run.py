@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from koop_core.config.parameter import ConfigError
-from koop_loop.metrics import CONVERGED
+from koop_loop.settings import METRICS
 from koop_study.family.config import FamilyConfig, family_of
 from koop_study.family.learning import learned_contrast
-from koop_study.family.loop import GOOD, RunNoise, close, noise_of
+from koop_study.family.loop import RunNoise, close, noise_of
 from koop_study.family.rig import Rig, draw
 from koop_study.family.scaled import PAPER_OMEGA, PAPER_TIME, ScaledConstants, scaled_to
+from koop_study.family.settings import FAMILY
 from koop_study.simulation import run as paper
 from koop_study.simulation.case import Case, case_of, override
 from koopman_lifter.model import KoopmanModel
@@ -97,7 +98,7 @@ def _rows(plant: LawPlant, constants: ScaledConstants, seeds: list[int]) -> Iter
         for seed in seeds:
             rig, model, noise = _drawn(json.dumps(asdict(plant), sort_keys=True), seed)
             ratio = close(rig, scaled_to(rig, constants, model), noise, seed).ratio
-            yield {"score": ratio, "failed": float(ratio > GOOD), "reacquired": []}
+            yield {"score": ratio, "failed": float(ratio > FAMILY.good), "reacquired": []}
         return
     for seed in seeds:
         case = case_of(plant.paper_settings(constants), seed)
@@ -112,7 +113,7 @@ def paper_row(case: Case, trace: paper.Trace) -> LawRow:
     displaced = paper.displacement(case.scenario, case.steps, case.plant.dt)
     reacquired = []
     if displaced.size:
-        near = np.abs(trace.theta - displaced - case.plant.theta_star) <= CONVERGED
+        near = np.abs(trace.theta - displaced - case.plant.theta_star) <= METRICS.converged
         jumps = np.flatnonzero(np.abs(np.diff(displaced)) > JUMP) + 1
         for begin, end in itertools.pairwise(jumps):  # the last one is cut short
             inside = np.flatnonzero(near[begin:end])

@@ -1,0 +1,46 @@
+"""Settings of the metrics of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from koop_core.config.parameter import parameter, validate
+
+
+@dataclass(frozen=True)
+class MetricsSettings:
+    """When theta has converged or settled, and where amplitudes are taken."""
+
+    tolerance: float = parameter(
+        0.1, "|theta - theta*| that counts as reached", low=0.0,
+        origin="judgement; the paper gives none",
+    )  # fmt: skip
+    converged: float = parameter(
+        0.6, "mean |theta - theta*| of a converged tail", low=0.0,
+        origin="twice the mean of the relay's limit cycle",
+    )  # fmt: skip
+    tail: float = parameter(
+        0.3, "share of a run that is steady state", low=0.0, high=1.0, origin="the paper"
+    )
+    periods: float = parameter(
+        5.0, "length of a window, in periods of the strongest oscillation", low=1.0,
+        origin="judgement",
+    )  # fmt: skip
+    least: float = parameter(
+        0.04, "least share of the run in a window", low=0.0, high=1.0, origin="judgement"
+    )
+    most: float = parameter(0.2, "largest share", low=0.0, high=1.0, origin="judgement")
+    shortest: int = parameter(8, "samples of a window", low=2, origin="judgement")
+    widened: float = parameter(
+        0.1, "share by which the final swing is widened at both ends", low=0.0, origin="judgement"
+    )
+    rest: float = parameter(
+        0.2, "share of the tail for which theta was in its final swing before", low=0.0,
+        origin="judgement",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+METRICS = MetricsSettings()
