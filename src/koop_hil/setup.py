@@ -6,9 +6,7 @@ setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={
-        "koop_hil": ["scenarios/*.yaml", "soak/*.yaml", "models/*.npz", "rigs/*.py", "rigs/*.yaml"]
-    },
+    package_data={"koop_hil": ["scenarios/*.yaml", "models/*.npz", "rigs/*.py", "rigs/*.yaml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + PACKAGE]),
         ("share/" + PACKAGE, ["package.xml"]),

@@ -5,5 +5,5 @@ from pathlib import Path
 
 
 def installed(folder: str) -> Path:
-    """Return a folder of the package's data: ``scenarios``, ``soak``, ``models`` or ``rigs``."""
+    """Return a folder of the package's data: ``scenarios``, ``models`` or ``rigs``."""
     return Path(str(files("koop_hil") / folder))

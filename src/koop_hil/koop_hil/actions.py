@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from koop_bringup.live.monitor import Monitor
 from koop_core.config.parameter import ConfigError, mapping
-from koop_core.errors import LiveError
 from koop_hil import faults
 from koop_identify.recording.recorded_parameters import CONTROLLER
 
 NODES = ("plant", *CONTROLLER)
-FIRST, SECOND = "relay_esc", "second_controller"  # the second stands by if an event is about it
-PATIENCE = 5.0  # [s] until a theta is heard
-ARRIVAL = 0.05  # [s] that the last theta may be under way
+SECOND = "second_controller"  # it stands by if an event is about it
 TICK = 0.02  # [s] between looks at the clock
 
 
@@ -100,34 +96,6 @@ def _set(loop: Loop, what: dict[str, dict[str, Any]]) -> None:
         loop.monitor.set_parameters(node, values)
 
 
-def hand_over(monitor: Monitor, old: str, new: str) -> None:
-    """Let another controller go on from the theta of the active one, by ROS 2's own means.
-
-    At no time both are active.
-
-    Raises LiveError if no theta comes, or a node refuses or does not answer.
-    """
-    from koop_msgs.msg import ControlInput
-    from std_srvs.srv import Trigger
-
-    heard: list[float] = []
-    subscription = monitor.node.create_subscription(
-        ControlInput, "theta", lambda message: heard.append(message.theta), 1
-    )
-    try:
-        monitor.wait_for(lambda: heard, PATIENCE, f"a theta of {old}")
-        monitor.change_state(old, "deactivate")
-        deadline = time.monotonic() + ARRIVAL
-        while time.monotonic() < deadline:
-            monitor.spin(TICK)
-    finally:
-        monitor.node.destroy_subscription(subscription)
-    monitor.set_parameters(new, {"theta_initial": heard[-1]})
-    if not monitor.call(Trigger, f"/{new}/reset", Trigger.Request()).success:
-        raise LiveError(f"{new} cannot be reset")
-    monitor.change_state(new, "activate")
-
-
 ACTIONS: dict[str, Action] = {
     "inject": Action(
         _check_faults, _inject, lambda loop, what: _inject(loop, dict.fromkeys(what, "ok"))
@@ -147,12 +115,6 @@ ACTIONS: dict[str, Action] = {
         lambda what, folder: number(what, SECOND),
         lambda loop, what: loop.monitor.change_state(SECOND, "activate"),
         lambda loop, what: loop.monitor.change_state(SECOND, "deactivate"),
-        publishers=True,
-    ),
-    "handover": Action(
-        _one_of("handover", SECOND),
-        lambda loop, what: hand_over(loop.monitor, FIRST, SECOND),
-        lambda loop, what: hand_over(loop.monitor, SECOND, FIRST),
         publishers=True,
     ),
     "set": Action(_check_parameters, _set),

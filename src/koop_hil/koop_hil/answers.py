@@ -81,37 +81,3 @@ def _largest_age(state: Columns, answered: NDArray[Any], when: NDArray[np.int64]
     place = np.minimum(np.searchsorted(known, asked), known.size - 1)
     ages = (when - at[first[place]])[known[place] == asked]
     return float(np.max(ages, initial=0)) * 1e-9
-
-
-def is_active(transitions: Columns, at: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether a managed node was active at times [ns]; before its first event as that says.
-
-    Parameters
-    ----------
-    transitions : mapping
-        ``publish_time``, ``start_state.label`` and ``goal_state.label`` of its transition events.
-    at : ndarray, shape (M,)
-        The times.
-    """
-    when = transitions["publish_time"].astype(np.int64)
-    order = np.argsort(when, kind="stable")
-    before = transitions["start_state.label"][order[:1]] if order.size else np.array(["active"])
-    states = np.concatenate([before, transitions["goal_state.label"][order]])
-    return states[np.searchsorted(when[order], at)] == "active"
-
-
-def authors(theta: Columns, transitions: Mapping[str, Columns]) -> tuple[dict[str, int], int]:
-    """Return how many thetas came while each controller alone was active, and the other ones.
-
-    Parameters
-    ----------
-    theta : mapping
-        ``publish_time``.
-    transitions : mapping
-        Of every controller, as for :func:`is_active`.
-    """
-    at = theta["publish_time"].astype(np.int64)
-    masks = {name: is_active(events, at) for name, events in transitions.items()}
-    count = np.sum(list(masks.values()), axis=0)
-    alone = {name: int((mask & (count == 1)).sum()) for name, mask in masks.items()}
-    return alone, int((count != 1).sum())

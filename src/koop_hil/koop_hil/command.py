@@ -16,8 +16,6 @@ from koop_identify.recording.recorded_parameters import CONTROLLER
 from koop_loop.parameters import build
 from koop_tune.folder import find_controller
 
-SOAK = 600.0  # [s] from which on the growth of memory and latency means something
-
 
 def register(commands: Any) -> None:
     """Add the command to the subparsers of ``koop``."""
@@ -63,8 +61,6 @@ def main(args: argparse.Namespace) -> int:
     for scenario in scenarios:
         verdicts.append(run(scenario, out / scenario.name))
         print(report.line(verdicts[-1]), flush=True)
-        if scenario.setting.duration >= SOAK:
-            print(report.growth(verdicts[-1]), flush=True)
         for failure in verdicts[-1].failures:
             print(f"    {failure}", flush=True)
     failed = sum(bool(verdict.failures) for verdict in verdicts)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import signal
 import sys
@@ -95,17 +94,6 @@ class Processes:
         for failure in self.dead():
             raise LiveError(failure)
 
-    def memory(self) -> dict[str, float]:
-        """Return the resident memory of every process [MB]."""
-        sizes = {}
-        for name, process in self._running.items():
-            try:
-                pages = Path(f"/proc/{process.process.pid}/statm").read_text().split()[1]
-            except (OSError, IndexError):
-                continue
-            sizes[name] = int(pages) * os.sysconf("SC_PAGE_SIZE") / 1e6
-        return sizes
-
     def close(self) -> None:
         """Stop all, the sources before the recorder."""
         for name in reversed(self._order):
@@ -119,7 +107,7 @@ class Processes:
         setting = self._scenario.setting
         nodes: dict[str, dict[str, object]] = {
             "vdp_plant": {
-                "pace": setting.pace,
+                "pace": "scaled",
                 "time_scale": setting.time_scale,
                 "theta_initial": setting.theta_initial,
                 "seed": setting.seed,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from koop_hil.verdict import Verdict
 
 WHOLE = 0.95  # of the duration: a busy machine lets simulated time fall behind
@@ -30,16 +28,6 @@ def remarks(verdict: Verdict) -> list[str]:
     notes = []
     if verdict.simulated < WHOLE * verdict.duration:
         notes.append(f"theta known for {verdict.simulated:.0f} of {verdict.duration:.0f} s")
-    notes += [f"{count} answers of {name}" for name, count in verdict.answers.items()]
-    if verdict.contested:
-        notes.append(f"{verdict.contested} answers with two controllers or none")
+    if verdict.answered_twice:
+        notes.append(f"{verdict.answered_twice} answers of a second controller")
     return notes
-
-
-def growth(verdict: Verdict) -> str:
-    """Return how memory and latency changed, as a line."""
-    slopes = ", ".join(f"{node} {slope:+.2f}" for node, slope in verdict.memory_slope.items())
-    first, last = verdict.round_trip
-    reported = math.isfinite(first) and math.isfinite(last)
-    times = f"{first:.2f} ms, at the end {last:.2f} ms" if reported else "not reported by this rig"
-    return f"    memory [MB/h]: {slopes}; state to theta: {times}"

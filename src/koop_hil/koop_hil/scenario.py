@@ -59,9 +59,6 @@ class Limits:
     time_out_of_tolerance: float = parameter(
         NO_LIMIT, "how long theta may be out of tolerance from the first event on", unit="s"
     )
-    memory_slope: float = parameter(
-        NO_LIMIT, "growth of a node's memory over the second half", unit="MB/h"
-    )
     answered_twice: int = parameter(0, "answers that a second controller gave besides")
     answer_age: float = parameter(
         NO_LIMIT, "real age of a state when the answer to it begins to act", unit="s"
@@ -80,17 +77,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class Setting:
-    """Plant and pace of a scenario."""
+    """Plant and speed of a scenario."""
 
     description: str = parameter("", "purpose of the scenario")
     plant: str = parameter("vdp_plant", "vdp_plant, or the name of a rig (koop_hil/rigs)")
     rig_options: str = parameter("", "further options of the rig, such as --at 60:throttle=1")
     theta_star: float = parameter(-3.0, "optimal theta, at the end", low=-1e3, high=1e3)
-    pace: str = parameter(
-        "scaled",
-        "scaled, or lockstep: as fast as the machine allows, without events",
-        choices=("scaled", "lockstep"),
-    )
     time_scale: float = parameter(
         1.0, "simulated per real time; 1 is real time", low=0.01, high=100.0
     )
@@ -155,7 +147,7 @@ class Scenario:
     @property
     def second_controller(self) -> bool:
         """Whether a second controller stands by."""
-        return any(event.action in (SECOND, "handover") for event in self.events)
+        return any(event.action == SECOND for event in self.events)
 
 
 def shipped() -> list[Path]:
@@ -212,13 +204,11 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
         raise ConfigError(f"plant = '{setting.plant}': must be one of {', '.join(known)}")
     if setting.rig_options and setting.plant == "vdp_plant":
         raise ConfigError("rig_options: only of a rig: vdp_plant has parameters")
-    if setting.pace == "lockstep" and (events or setting.plant != "vdp_plant"):
-        raise ConfigError("pace: lockstep is for vdp_plant, and without events")
     happens = tuple(_event(item, folder) for item in events)
     if not setting.remote and any(event.action == "cut" for event in happens):
         raise ConfigError("cut: there is a link only if 'remote' names what runs on another host")
-    if len({event.what for event in happens if event.action in (SECOND, "handover")}) > 1:
-        raise ConfigError(f"{SECOND}: one theta, and no handover besides")
+    if len({event.what for event in happens if event.action == SECOND}) > 1:
+        raise ConfigError(f"{SECOND}: one theta in all events")
     scenario = Scenario(
         name,
         setting,

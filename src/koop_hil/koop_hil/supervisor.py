@@ -17,9 +17,8 @@ from koop_core.errors import LiveError
 from koop_hil.actions import ACTIONS, SECOND, TICK, Loop
 from koop_hil.hosts import other_host
 from koop_hil.processes import Processes
-from koop_hil.scenario import Scenario, Setting
+from koop_hil.scenario import Scenario
 from koop_node.client.alone import alone
-from vdp_plant.config import PlantConfig
 
 
 @dataclass
@@ -37,10 +36,6 @@ class RunRecord:
     failures : list of str
         Processes that ended on their own, with their last lines; publishers that are not the
         scenario's; events that did not happen.
-    memory : list of (float, dict)
-        Time [s] and resident memory of every process [MB], about once a second.
-    round_trip : list of (float, float)
-        Time [s] and time from state to theta [ms], where the plant reports it.
     """
 
     begin: int = 0
@@ -48,8 +43,6 @@ class RunRecord:
     first: int = 0
     levels: dict[str, set[str]] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
-    memory: list[tuple[float, dict[str, float]]] = field(default_factory=list)
-    round_trip: list[tuple[float, float]] = field(default_factory=list)
 
 
 def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]) -> RunRecord:
@@ -96,7 +89,7 @@ def _play(
     looked = 0.0
     # a publisher that was killed counts for a while
     changing = any(ACTIONS[event.action].publishers for event in scenario.events)
-    while (t := _simulated(setting, monitor, time.monotonic() - started)) < setting.duration:
+    while (t := (time.monotonic() - started) * setting.time_scale) < setting.duration:
         monitor.spin(TICK)
         while todo and todo[0][0] <= t:
             _, _, event, over = heapq.heappop(todo)
@@ -116,9 +109,6 @@ def _play(
             break
         if time.monotonic() - looked > 1.0:
             looked = time.monotonic()
-            record.memory.append((looked - started, processes.memory()))
-            reported = monitor.progress.values.get("vdp_plant", {}).get("round_trip_ms", "nan")
-            record.round_trip.append((looked - started, float(reported)))
             progress(t, f"theta {monitor.theta:+.2f}")
             if not changing:
                 refuse_others(monitor, scenario.topics)
@@ -129,13 +119,6 @@ def _play(
             f"'{event}' did not happen: the run was over" for *_, event, over in todo if not over
         ]
     return record
-
-
-def _simulated(setting: Setting, monitor: Monitor, elapsed: float) -> float:
-    """Return the simulated time [s] after a real time."""
-    if setting.pace == "lockstep":
-        return monitor.progress.step * PlantConfig().dt
-    return elapsed * setting.time_scale
 
 
 def refuse_others(monitor: Monitor, topics: Sequence[str]) -> None:

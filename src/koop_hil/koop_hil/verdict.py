@@ -11,20 +11,17 @@ import numpy as np
 from koop_bag.bag.columns import Columns, read_tables
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
-from koop_hil.actions import FIRST, SECOND
-from koop_hil.answers import age_acting, age_sent, answered_twice, authors
+from koop_hil.answers import age_acting, age_sent, answered_twice
 from koop_hil.scenario import NO_LIMIT, Scenario
 from koop_hil.supervisor import RunRecord
 from koop_loop.settings import METRICS
 
-CONTROLLERS = (FIRST, SECOND)
 FIELDS = {
     "state": ["step", "publish_time"],
     "cost": ["step"],
     "theta": ["step", "publish_time", "theta"],
     "ground_truth": ["step", "log_time", "publish_time", "theta_applied", "theta_step"],
 }
-TRANSITION = ["publish_time", "start_state.label", "goal_state.label"]
 LIMITED = (
     "tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answered_twice",
     "answer_age", "sent_age",
@@ -52,17 +49,9 @@ class Verdict:
         over, states whose cost, and costs whose theta was recorded.
     answered_twice : int
         Answers besides the first to one cost, as of a second controller.
-    answers : dict
-        Answers of every controller while it alone was active, if the scenario has a second one.
-    contested : int
-        Answers while both or none of the controllers were active.
     answer_age, sent_age : float
         Largest age of a state [s of real time] when the answer to it began to act on the plant,
         and when an answer that moved theta was sent.
-    memory_slope : dict
-        Growth of the resident memory of every process over the second half [MB/h].
-    round_trip : tuple of float
-        Median time from state to theta in the first and in the last third [ms].
     levels : dict
         Levels reported on /diagnostics.
     failures : list of str
@@ -82,12 +71,8 @@ class Verdict:
     duration: float = math.nan
     simulated: float = math.nan
     answered_twice: int = 0
-    answers: dict[str, int] = field(default_factory=dict)
-    contested: int = 0
     answer_age: float = math.nan
     sent_age: float = math.nan
-    memory_slope: dict[str, float] = field(default_factory=dict)
-    round_trip: tuple[float, float] = (math.nan, math.nan)
     levels: dict[str, list[str]] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
     skipped: str = ""
@@ -111,10 +96,6 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
     for log in sorted((bag.parent / "logs").glob("*.log")):
         if "Traceback" in log.read_text(errors="replace"):
             verdict.failures.append(f"{log.name} holds a traceback")
-    _look_for_growth(record, verdict)
-    for node, slope in verdict.memory_slope.items():
-        if slope > scenario.limits.memory_slope:
-            verdict.failures.append(f"the memory of {node} grows by {slope:.1f} MB/h")
     recorded = _read(bag, verdict)
     for name in ("state", "cost", "theta"):
         if name not in recorded:
@@ -126,8 +107,8 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
         for question, answer in (("state", "cost"), ("cost", "theta"))
     )
     verdict.answered_twice = answered_twice(recorded["cost"], recorded["theta"])
-    if scenario.second_controller:
-        _look_for_authors(scenario, recorded, verdict)
+    if scenario.second_controller and not verdict.answered_twice:
+        verdict.failures.append("the second controller did nothing")
     verdict.answer_age = age_acting(recorded["state"], recorded["ground_truth"])
     verdict.sent_age = age_sent(recorded["state"], recorded["theta"])
     _judge_theta(scenario, record, recorded["ground_truth"], verdict)
@@ -157,42 +138,13 @@ def _judge_theta(
     verdict.max_error = float(error[after].max(initial=0.0))
 
 
-def _look_for_authors(scenario: Scenario, recorded: dict[str, Columns], verdict: Verdict) -> None:
-    """Fill in which controller gave how many answers."""
-    events = {name: recorded[name] for name in CONTROLLERS if name in recorded}
-    verdict.answers, verdict.contested = authors(recorded["theta"], events)
-    if not any(event.action == "handover" for event in scenario.events):
-        if not verdict.contested:
-            verdict.failures.append("the second controller did nothing")
-        return
-    if verdict.contested:
-        verdict.failures.append(f"{verdict.contested} answers while not one controller was active")
-    for name in CONTROLLERS:
-        if not verdict.answers.get(name):
-            verdict.failures.append(f"{name} never answered alone")
-
-
-def _look_for_growth(record: RunRecord, verdict: Verdict) -> None:
-    """Fill in how memory and round trip changed; the first half is start-up."""
-    late = record.memory[len(record.memory) // 2 :]
-    for node in late[0][1] if len(late) > 10 else ():
-        points = np.array([(t, sizes[node]) for t, sizes in late if node in sizes])
-        if len(points) > 10:
-            verdict.memory_slope[node] = float(np.polyfit(points[:, 0], points[:, 1], 1)[0] * 3600)
-    trips = [value for _, value in record.round_trip if math.isfinite(value)]
-    third = len(trips) // 3
-    if third:
-        verdict.round_trip = (float(np.median(trips[:third])), float(np.median(trips[-third:])))
-
-
 def _read(bag: Path, verdict: Verdict) -> dict[str, Columns]:
-    """Return what is judged of every topic that was recorded; by node for its transitions."""
+    """Return what is judged of every topic that was recorded."""
     topics = {f"/{name}": name for name in FIELDS}
-    topics |= {f"/{name}/transition_event": name for name in CONTROLLERS}
     with BagReader(bag) as reader:
         verdict.messages = {topic.name: topic.count for topic in reader.topics}
         wanted = {
-            topic: FIELDS.get(name, TRANSITION)
+            topic: FIELDS[name]
             for topic, name in topics.items()
             if verdict.messages.get(topic) or name == "ground_truth"
         }

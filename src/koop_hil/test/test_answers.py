@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from koop_hil.answers import age_acting, age_sent, answered_twice, authors
+from koop_hil.answers import age_acting, age_sent, answered_twice
 
 TICK = 5_000_000  # [ns]
 
@@ -82,37 +82,3 @@ def test_two_controllers_answer_twice_and_one_that_is_asked_again_does_not():
     assert answered_twice(cost, columns(step=[0, 1, 1, 2, 3])) == 0
     assert answered_twice(cost, columns(step=[0, 1, 2])) == 0
     assert answered_twice(cost, columns(step=[0, 1, 1, 1, 2, 2, 3])) == 2
-
-
-def transitions(*events):
-    times, starts, goals = zip(*events, strict=True)
-    return columns(
-        publish_time=times, start_state__label=list(starts), goal_state__label=list(goals)
-    )
-
-
-def test_an_answer_is_of_the_controller_that_was_active():
-    first = transitions(
-        (300, "active", "deactivating"),
-        (310, "deactivating", "inactive"),
-        (700, "inactive", "activating"),
-        (710, "activating", "active"),
-    )
-    second = transitions(
-        (100, "unconfigured", "configuring"), (350, "activating", "active"), (650, "active", "x")
-    )
-    events = {"first": first, "second": second}
-    theta = columns(publish_time=[10, 290, 360, 400, 640, 720, 9000])
-    assert authors(theta, events) == ({"first": 4, "second": 3}, 0)
-    theta = columns(publish_time=[320, 360, 680])
-    assert authors(theta, events) == ({"first": 0, "second": 1}, 2)
-    both = {
-        "first": transitions((500, "active", "deactivating")),
-        "second": transitions((400, "activating", "active"), (900, "active", "x")),
-    }
-    assert authors(columns(publish_time=[100, 450, 600]), both) == ({"first": 1, "second": 1}, 1)
-
-
-def test_a_controller_without_transitions_in_the_recording_was_active_all_the_time():
-    nothing = columns(publish_time=[], start_state__label=[], goal_state__label=[])
-    assert authors(columns(publish_time=[5, 6]), {"first": nothing}) == ({"first": 2}, 0)

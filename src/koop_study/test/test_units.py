@@ -21,6 +21,7 @@ from pathlib import Path
 import dask.config
 import pytest
 
+from koop_core.config.parameter import ConfigError
 from koop_lab.cli.main import main
 from koop_study.experiments import stats
 from koop_study.simulation.work import runs
@@ -212,18 +213,14 @@ def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results
         assert any(map(store.has, further))
 
 
-def test_where_no_scheduler_is_that_is_said(
-    file: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 0.1)
+def test_where_no_scheduler_is_that_is_said() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-    given = ["--scheduler", f"tcp://127.0.0.1:{port}"]
-    assert main([*arguments(file, tmp_path / "out"), *given]) == 2
-    assert f"127.0.0.1:{port}: no Dask scheduler there" in capsys.readouterr().err
+    with (
+        pytest.raises(ConfigError, match=f"127.0.0.1:{port}: no Dask scheduler there"),
+        cluster.on_cluster(f"tcp://127.0.0.1:{port}", patience=0.1),
+    ):
+        pass
 
 
 def test_what_the_store_has_is_not_computed_again(tmp_path: Path, monkeypatch) -> None:

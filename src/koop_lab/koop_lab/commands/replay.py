@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_bag.bag.column_diff import column_diff
 from koop_core.text_table import table
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import ReplayPlan, make_plan
@@ -134,12 +133,15 @@ def compare(
     """
     if not step.size:
         return 0, f"{name:<6} nothing recorded to compare with"
-    difference = column_diff(recorded, replayed)
-    if difference is None:
+    same = recorded.view(np.int64) == replayed.view(np.int64)  # 0.0 and -0.0 differ
+    rows = np.flatnonzero(~(same | (np.isnan(recorded) & np.isnan(replayed))))
+    if not rows.size:
         return 0, f"{name:<6} identical bit for bit in all {step.size} steps"
-    k = difference.first
-    return difference.count, (
-        f"{name:<6} differs in {difference.count} of {step.size} steps, first at step {step[k]}: "
+    with np.errstate(invalid="ignore"):  # infinite where only one of them is a number
+        distance = np.nan_to_num(np.abs(recorded - replayed)[rows], nan=np.inf, posinf=np.inf)
+    k, largest = rows[0], int(np.argmax(distance))
+    return rows.size, (
+        f"{name:<6} differs in {rows.size} of {step.size} steps, first at step {step[k]}: "
         f"recorded {float(recorded[k])!r}, replayed {float(replayed[k])!r}; largest difference "
-        f"{difference.largest:.6g} at step {step[difference.largest_at]}"
+        f"{distance[largest]:.6g} at step {step[rows[largest]]}"
     )
