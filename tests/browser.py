@@ -34,7 +34,7 @@ def browse(
         capture_output=True, text=True, check=False, timeout=120,
         env={**os.environ, "HOME": str(folder)},
     )  # fmt: skip
-    found = re.search(r'data-result="([^"]*)"', done.stdout)
-    assert found, done.stderr[-2000:]
+    actual = re.search(r'data-result="([^"]*)"', done.stdout)
+    assert actual, done.stderr[-2000:]
     errors = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    return json.loads(html.unescape(found[1])), errors
+    return json.loads(html.unescape(actual[1])), errors

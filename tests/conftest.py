@@ -99,9 +99,9 @@ class Nodes:
         self.running: list[NodeProcess] = []
 
     def __call__(self, node: str, *arguments: str, **parameters: Any) -> NodeProcess:
-        given = [w for name, value in parameters.items() for w in ("-p", f"{name}:={value}")]
+        options = [w for name, value in parameters.items() for w in ("-p", f"{name}:={value}")]
         log = self.folder / f"{node}-{len(self.running)}.log"
-        process = NodeProcess(node, ["--ros-args", *given, *arguments], log)
+        process = NodeProcess(node, ["--ros-args", *options, *arguments], log)
         self.running.append(process)
         return process
 
@@ -131,7 +131,7 @@ def module_start(module_domain: str, tmp_path_factory: pytest.TempPathFactory) -
 
 def nodes_of(process: Any) -> dict[str, int]:
     """Return the processes that a command has started, by the names of their executables."""
-    found = {}
+    actual = {}
     for pid in filter(str.isdigit, os.listdir("/proc")):
         try:
             with open(f"/proc/{pid}/stat") as file:
@@ -142,10 +142,10 @@ def nodes_of(process: Any) -> dict[str, int]:
             continue
         names = [word.rsplit("/", 1)[-1] for word in words if "/lib/" in word]
         if parent == process.pid and "koop_node.process.companion" in words:
-            found["rig"] = int(pid)
+            actual["rig"] = int(pid)
         elif parent == process.pid and names:
-            found[names[0]] = int(pid)
-    return found
+            actual[names[0]] = int(pid)
+    return actual
 
 
 @pytest.fixture(name="nodes_of")

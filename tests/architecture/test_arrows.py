@@ -31,11 +31,11 @@ ROS = {"rclpy", "koop_msgs", "std_msgs", "std_srvs", "rosgraph_msgs", "builtin_i
 @cache
 def modules(package):
     """Return {dotted name: file} of a package."""
-    found = {}
+    actual = {}
     for path in sorted((SRC / package / package).rglob("*.py")):
         parts = path.relative_to(SRC / package).with_suffix("").parts
-        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
+        actual[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return actual
 
 
 ALL = {name: path for package in sorted(PACKAGES) for name, path in modules(package).items()}

@@ -65,21 +65,21 @@ def imported(package, files):
     """Return the modules that files import, run by ``-m``, or load as messages by name."""
     beside = {path.stem for path in files}
     is_there = importlib.util.find_spec
-    found = set()
+    actual = set()
     for path in files:
         text = path.read_text()
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.Import):
-                found |= {alias.name for alias in node.names}
+                actual |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                found.add(node.module)
+                actual.add(node.module)
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 message = re.fullmatch(r"(\w+)/(msg|srv)/\w+", node.value)
-                found |= {message[1]} if message and is_there(message[1]) else set()
+                actual |= {message[1]} if message and is_there(message[1]) else set()
             elif isinstance(node, ast.List):
                 words = [getattr(item, "value", "") for item in node.elts]
-                found |= {name for flag, name in pairwise(words) if flag == "-m"}
-    names = {name.split(".")[0] for name in found}
+                actual |= {name for flag, name in pairwise(words) if flag == "-m"}
+    names = {name.split(".")[0] for name in actual}
     return names - set(sys.stdlib_module_names) - beside - {package, ""}
 
 
@@ -98,11 +98,11 @@ def setup_of(monkeypatch):
     """Return a function that gives the arguments of a setup.py."""
 
     def read(package):
-        given = {}
+        options = {}
         monkeypatch.chdir(SRC / package)
-        monkeypatch.setattr("setuptools.setup", lambda **arguments: given.update(arguments))
+        monkeypatch.setattr("setuptools.setup", lambda **arguments: options.update(arguments))
         runpy.run_path("setup.py")
-        return given
+        return options
 
     return read
 
@@ -131,13 +131,13 @@ def test_package_xml_names_nothing_that_is_not_used(package):
 
 @pytest.mark.parametrize("package", OURS)
 def test_setup_py_names_what_pip_can_install(package, setup_of):
-    given = setup_of(package)
-    extras = given.get("extras_require", {})
+    options = setup_of(package)
+    extras = options.get("extras_require", {})
     run, test = (imported(package, files) for files in sources(package))
     from_pypi = {name: MODULES[name][1] for name in (run | test) & set(MODULES)}
     python = {name: name for name in (run | test) & set(OURS)} | from_pypi
     required = {python[name] for name in run & set(python)}
-    assert set(given.get("install_requires", ())) == required, "see install_requires"
+    assert set(options.get("install_requires", ())) == required, "see install_requires"
     for_tests = {python[name] for name in test & set(python)} - required
     assert set(extras.get("test", ())) - set(OPTIONAL) == for_tests, "see extras_require"
     for name in (run | test) & set(OPTIONAL):
@@ -147,10 +147,10 @@ def test_setup_py_names_what_pip_can_install(package, setup_of):
 
 @pytest.mark.parametrize("package", OURS)
 def test_setup_py_and_package_xml_say_the_same(package, setup_of):
-    given, root = setup_of(package), manifest(package)
+    options, root = setup_of(package), manifest(package)
     for tag in ("name", "version", "description", "license", "maintainer"):
-        assert given[tag] == root.find(tag).text, tag
-    assert given["maintainer_email"] == root.find("maintainer").get("email")
+        assert options[tag] == root.find(tag).text, tag
+    assert options["maintainer_email"] == root.find("maintainer").get("email")
 
 
 def test_the_packages_have_no_circle_not_even_by_their_tests():

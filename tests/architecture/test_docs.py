@@ -28,10 +28,10 @@ each_page = pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.rel
 def typed(path, program):
     """Return what a page tells to type, from its blocks and code spans."""
     text = path.read_text().replace("\\\n", " ")
-    found = re.findall(rf"`({program} [^`]+)`", text) + re.findall(
+    actual = re.findall(rf"`({program} [^`]+)`", text) + re.findall(
         rf"^ *({program} .*)$", text, re.M
     )
-    return sorted({" ".join(line.split("#")[0].split()) for line in found})
+    return sorted({" ".join(line.split("#")[0].split()) for line in actual})
 
 
 def test_the_readme_begins_with_the_two_commands():

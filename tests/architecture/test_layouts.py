@@ -59,11 +59,11 @@ def foxglove_paths():
     ids=["PlotJuggler", "Foxglove"],
 )
 def test_every_path_is_a_field_and_every_topic_is_shown(paths, pattern):
-    found = [re.fullmatch(pattern, path).groups() for path in paths()]
-    assert {topic for topic, _ in found} == set(TYPES)
-    for topic, field in found:
+    actual = [re.fullmatch(pattern, path).groups() for path in paths()]
+    assert {topic for topic, _ in actual} == set(TYPES)
+    for topic, field in actual:
         assert_path_exists(topic, field)
-    assert {("state", "x[0]"), ("cost", "r"), ("theta", "theta")} <= set(found)
+    assert {("state", "x[0]"), ("cost", "r"), ("theta", "theta")} <= set(actual)
 
 
 def test_no_layout_goes_by_stamps_which_a_rig_need_not_set():
@@ -74,8 +74,8 @@ def test_no_layout_goes_by_stamps_which_a_rig_need_not_set():
     by_stamp = {"use_header_stamp": "value", "parameters": "use_timestamp"}
     by_stamp["foxglove_client"] = "use_timestamp"
     for plugin in plugins:
-        found = [item.get(by_stamp[item.tag]) for item in plugin if item.tag in by_stamp]
-        assert found in (["false"], ["0"]), plugin.get("ID")
+        actual = [item.get(by_stamp[item.tag]) for item in plugin if item.tag in by_stamp]
+        assert actual in (["false"], ["0"]), plugin.get("ID")
 
 
 def test_every_plotjuggler_source_takes_every_topic():

@@ -81,8 +81,8 @@ def test_a_container_runs_the_whole_loop_in_one_process(container, tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_callback_for_a_qos_event_is_installed(container, tmp_path, name):
-    given = {"RecorderNode": {"output": str(tmp_path / "run")}, "PlayerNode": {"bag": GOLDEN}}
-    options = {"use_sim_time": True, **given.get(name.partition("::")[2], {})}
+    chosen = {"RecorderNode": {"output": str(tmp_path / "run")}, "PlayerNode": {"bag": GOLDEN}}
+    options = {"use_sim_time": True, **chosen.get(name.partition("::")[2], {})}
     node = container(name, autostart=False, **options)
     assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
     assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS

@@ -27,7 +27,7 @@ def demo(folder, *arguments, stdout=subprocess.PIPE):
 
 def processes_of(folder):
     """Return the command lines of the running processes that name the folder."""
-    found = []
+    actual = []
     for pid in filter(str.isdigit, os.listdir("/proc")):
         try:
             with open(f"/proc/{pid}/cmdline", "rb") as file:
@@ -35,8 +35,8 @@ def processes_of(folder):
         except OSError:
             continue
         if str(folder) in command:
-            found.append(command)
-    return found
+            actual.append(command)
+    return actual
 
 
 def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):

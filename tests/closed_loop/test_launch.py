@@ -56,11 +56,11 @@ def is_running(pid):
 
 def wait_for(condition, process):
     deadline = time.monotonic() + TIMEOUT
-    while not (found := condition()):
+    while not (actual := condition()):
         assert process.poll() is None, process.stdout.read()
         assert time.monotonic() < deadline, "timed out"
         time.sleep(0.05)
-    return found
+    return actual
 
 
 def test_a_bad_argument_starts_no_node(launch):
@@ -104,7 +104,7 @@ def test_a_run_s_own_parameters_run_the_same_experiment_again(launch, tmp_path):
 )
 def test_the_end_of_a_node_ends_the_launch_with_its_reason(nodes_of, launch, executable, name):
     process = launch("record:=true")
-    nodes = wait_for(lambda: len(found := nodes_of(process)) == 4 and found, process)
+    nodes = wait_for(lambda: len(actual := nodes_of(process)) == 4 and actual, process)
     os.kill(nodes[executable], signal.SIGKILL)
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 1
@@ -128,7 +128,7 @@ def test_the_nodes_end_with_a_launch_that_is_killed(nodes_of, launch, tmp_path):
 
 def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, launch):
     process = launch("plant:=false", "record:=true")
-    nodes = wait_for(lambda: len(found := nodes_of(process)) == 3 and found, process)
+    nodes = wait_for(lambda: len(actual := nodes_of(process)) == 3 and actual, process)
     os.kill(nodes["recorder"], signal.SIGKILL)
     wait_for(lambda: len(nodes_of(process)) == 2, process)
     process.send_signal(signal.SIGINT)

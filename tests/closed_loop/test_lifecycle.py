@@ -66,11 +66,11 @@ def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, pr
     for active, standby, theta in (("relay_esc", "second", 2.0), ("second", "relay_esc", 1.0)):
         assert change(probe, active, DEACTIVATE)
         assert state_of(probe, active) == "inactive"
-        told, silence = len(numbers), len(reports)
+        lines, silence = len(numbers), len(reports)
         begin = len(thetas)
         probe.spin_until(lambda n=silence: len(reports) > n + 3, "a second of reports")
         assert {m.theta for m in thetas[begin:]} <= set()
-        assert len(numbers) == told
+        assert len(numbers) == lines
         assert change(probe, standby, ACTIVATE)
         probe.spin_until(lambda n=begin: len(thetas) > n, f"{standby} to take over")
         from_now_on(theta)

@@ -68,8 +68,8 @@ class Lockstep:
 def record(steps, changes, folder, composed):
     """Run over DDS for a number of steps; composed: the nodes in one process."""
     values = {"vdp_plant": {"pace": "lockstep", "duration": steps * 0.005, "seed": 5}}
-    for node, given in changes.items():
-        values[node] = values.get(node, {}) | given
+    for node, options in changes.items():
+        values[node] = values.get(node, {}) | options
     parameters = make(values)
     with LiveLoop(folder, parameters, composed=composed) as loop:
         loop.run(lambda progress: None)
@@ -101,7 +101,7 @@ def test_a_recorder_that_is_not_scheduled_holds_the_plant_and_lacks_nothing(
 ):
     parameters = make({"vdp_plant": {"pace": "lockstep", "duration": 150.0, "seed": 5}})
     stopped = gone_on = False
-    seen: list[int] = []  # twenty a second, of which the plant reports one
+    observed: list[int] = []  # twenty a second, of which the plant reports one
     with LiveLoop(tmp_path, parameters, composed=True) as loop:
         recorder = loop.process_ids()["recorder"]
 
@@ -111,8 +111,8 @@ def test_a_recorder_that_is_not_scheduled_holds_the_plant_and_lacks_nothing(
                 os.kill(recorder, signal.SIGSTOP)  # the run takes a second or two: not by reports
                 stopped = True
             if stopped and not gone_on and progress.step:
-                seen.append(progress.step)
-                if len(seen) > 40 and len(set(seen[-40:])) == 1:  # the plant stands still
+                observed.append(progress.step)
+                if len(observed) > 40 and len(set(observed[-40:])) == 1:  # the plant stands still
                     os.kill(recorder, signal.SIGCONT)
                     gone_on = True
 
@@ -122,7 +122,7 @@ def test_a_recorder_that_is_not_scheduled_holds_the_plant_and_lacks_nothing(
             with suppress(ProcessLookupError):  # it has ended with the run
                 os.kill(recorder, signal.SIGCONT)
     assert gone_on
-    assert seen[-1] < 30_000
+    assert observed[-1] < 30_000
     run = read_run(tmp_path / "bag")
     np.testing.assert_array_equal(run.step, np.arange(30_000))
     assert not any(run.lost.values())
@@ -135,12 +135,12 @@ def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_
     limits, composed, module_domain, tmp_path
 ):
     lockstep = record(2000, limits, tmp_path, composed)
-    given, run = lockstep.parameters, lockstep.run
-    offline = simulate(given.plant, given.lifter, given.esc, None, lockstep.steps)
+    options, run = lockstep.parameters, lockstep.run
+    offline = simulate(options.plant, options.lifter, options.esc, None, lockstep.steps)
     recording = read_recording(lockstep.folder)
     replayed = replay_offline(recording, make_plan(recording))
-    lifter = replace(given.lifter, cost=LifterConfig.cost)  # the study has a setting of its own
-    case = Case("raw", lockstep.steps * 0.005, given.plant, lifter, given.esc)
+    lifter = replace(options.lifter, cost=LifterConfig.cost)  # the study has a setting of its own
+    case = Case("raw", lockstep.steps * 0.005, options.plant, lifter, options.esc)
     study = run_case(case)
     for r, theta in ((offline.r, offline.theta), replayed, (study.r, study.theta)):
         np.testing.assert_array_equal(run.r, r)
@@ -152,14 +152,14 @@ def test_with_every_limit_set_nodes_loop_study_and_replay_are_equal_to_the_last_
     assert 100 < unusable.size < 1900
     np.testing.assert_array_equal(run.theta[unusable[1:]], run.theta[unusable[1:] - 1])
     assert (run.theta.min(), run.theta.max()) == (1.95, 2.1)
-    u = np.array([given.esc.scaled(theta) for theta in run.theta])
+    u = np.array([options.esc.scaled(theta) for theta in run.theta])
     assert np.abs(np.diff(u)).max() == pytest.approx(0.3 * 0.005)
-    other = replace(given.esc, law="adaptive" if given.esc.law == "relay" else "relay")
+    other = replace(options.esc, law="adaptive" if options.esc.law == "relay" else "relay")
     assert not np.array_equal(
-        simulate(given.plant, given.lifter, other, None, lockstep.steps).theta, run.theta
+        simulate(options.plant, options.lifter, other, None, lockstep.steps).theta, run.theta
     )
-    unlimited = replace(given.plant, theta_min=-100.0, theta_max=100.0, theta_rate=0.0)
-    free = simulate(unlimited, given.lifter, given.esc, None, lockstep.steps)
+    unlimited = replace(options.plant, theta_min=-100.0, theta_max=100.0, theta_rate=0.0)
+    free = simulate(unlimited, options.lifter, options.esc, None, lockstep.steps)
     assert not np.array_equal(free.ground_truth, offline.ground_truth)
 
 
@@ -173,11 +173,11 @@ def test_with_delays_nodes_loop_and_replay_are_equal_to_the_last_bit(module_doma
         "koopman_lifter": {"model": str(tmp_path / "model.npz"), "omega_l": 1.0},
         "relay_esc": {"dwell": 0.5, "step_size": 0.01},
     }
-    given = make(values)
-    with LiveLoop(tmp_path / "run", given) as loop:
+    options = make(values)
+    with LiveLoop(tmp_path / "run", options) as loop:
         loop.run(lambda progress: None)
     run = read_run(tmp_path / "run" / "bag")
-    offline = simulate(given.plant, given.lifter, given.esc, given.load_model(), 2000)
+    offline = simulate(options.plant, options.lifter, options.esc, options.load_model(), 2000)
     recording = read_recording(tmp_path / "run")
     for r, theta in ((offline.r, offline.theta), replay_offline(recording, make_plan(recording))):
         np.testing.assert_array_equal(run.r, r)
@@ -189,8 +189,12 @@ def test_with_delays_nodes_loop_and_replay_are_equal_to_the_last_bit(module_doma
 
 
 def test_the_recorder_finds_out_what_the_nodes_were_given(lockstep):
-    recorded, given = make(read(lockstep.folder / "parameters.yaml")), lockstep.parameters
-    assert (recorded.plant, recorded.lifter, recorded.esc) == (given.plant, given.lifter, given.esc)
+    recorded, options = make(read(lockstep.folder / "parameters.yaml")), lockstep.parameters
+    assert (recorded.plant, recorded.lifter, recorded.esc) == (
+        options.plant,
+        options.lifter,
+        options.esc,
+    )
     assert (lockstep.folder / "versions.yaml").is_file()
 
 

@@ -125,8 +125,8 @@ def esc(shared_esc, module_probe):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_node_with_exit_code_0(start, probe, tmp_path, number):
-    given = {"recorder": {"output": tmp_path / "run"}}
-    processes = [start(node, **given.get(node, {})) for node in NODES]
+    options = {"recorder": {"output": tmp_path / "run"}}
+    processes = [start(node, **options.get(node, {})) for node in NODES]
     for node in NODES:
         probe.spin_until(lambda n=node: state_of(probe, n) == "active", f"{node} to be active")
     for process in processes:
@@ -192,8 +192,8 @@ def test_help_lists_the_parameters_and_a_bad_one_stops_the_node_with_one_line():
     assert of_each_node[len(NODES) :] == [""]
     lines = iter(done.stderr.splitlines())
     for _ in NODES:
-        known = "error: unknown parameter 'dampening': "
-        assert next(lines).startswith(known)
+        expected = "error: unknown parameter 'dampening': "
+        assert next(lines).startswith(expected)
         assert next(lines) == "exit code 2"
         assert next(lines) == "error: priority = -1: must be 0 to 99"
         assert next(lines) == "exit code 2"
@@ -517,11 +517,11 @@ def test_the_plant_ends_after_its_duration_which_is_no_fault_to_the_lifter(start
     def said(status):
         return "'state' has ended at step 99" in status.message
 
-    found = probe.spin_until(
+    actual = probe.spin_until(
         lambda: [status for report in reports for status in report.status if said(status)],
         "the lifter to know of the end",
     )
-    assert found[0].level == DiagnosticStatus.OK
+    assert actual[0].level == DiagnosticStatus.OK
     assert "ERROR" not in lifter.log.read_text()
 
 

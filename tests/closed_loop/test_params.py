@@ -25,10 +25,10 @@ def test_the_file_of_koop_params_gives_every_node_its_defaults(start, probe, tmp
     asked.close()
     for node in NODES:
         wanted = {k: v for cls in KNOWN[node] for k, v in asdict(cls()).items()}
-        found = asked.values[f"/{node}"]
-        assert set(wanted) - LEFT_OUT <= set(found)
+        actual = asked.values[f"/{node}"]
+        assert set(wanted) - LEFT_OUT <= set(actual)
         for name in set(wanted) - LEFT_OUT:
-            assert (found[name], type(found[name])) == (wanted[name], type(wanted[name])), name
+            assert (actual[name], type(actual[name])) == (wanted[name], type(wanted[name])), name
 
 
 def test_the_file_for_a_rig_feeds_the_launch(tmp_path, capsys):

@@ -56,11 +56,11 @@ def up(own_domain, tmp_path):
 
 def wait_for(condition, process, what):
     deadline = time.monotonic() + TIMEOUT
-    while not (found := condition()):
+    while not (actual := condition()):
         assert process.poll() is None, process.printed()
         assert time.monotonic() < deadline, f"{what}: timed out: {process.printed()}"
         time.sleep(0.05)
-    return found
+    return actual
 
 
 def assert_whole(folder, namespace=""):
@@ -95,8 +95,8 @@ def test_ctrl_c_ends_a_rig_s_loop_in_order_and_who_comes_second_is_refused(
     assert "the figures cover " in printed
     assert not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values())
     assert_whole(tmp_path / "first")
-    own = read(tmp_path / "first" / "parameters.yaml")  # what ran is what the file says
-    assert (own["koopman_lifter"]["cost"], own["relay_esc"]["dwell"]) == ("raw", 0.1)
+    values = read(tmp_path / "first" / "parameters.yaml")  # what ran is what the file says
+    assert (values["koopman_lifter"]["cost"], values["relay_esc"]["dwell"]) == ("raw", 0.1)
 
 
 def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, up, rig_file, tmp_path):
@@ -132,8 +132,8 @@ def test_the_launch_starts_the_same(rig_file, tmp_path):
         ours, folder = read_options(
             parser("up").parse_args(["up", str(file), "--out", str(tmp_path)])
         )
-        given = {"params": str(file), "record": "true", "output": str(tmp_path)}
-        assert plan({**given, "namespace": namespace}) == ours
+        chosen = {"params": str(file), "record": "true", "output": str(tmp_path)}
+        assert plan({**chosen, "namespace": namespace}) == ours
         assert folder == tmp_path
 
 

@@ -258,9 +258,9 @@ def _source(message: Any, rng: Random) -> str:
         value: Any = message
         words = ""
         for _ in range(rng.randint(2, 5)):
-            known: dict[str, str] = getattr(value, "get_fields_and_field_types", dict)()
-            own = list(known) or ["x"]
-            name = rng.choice(own) if rng.random() < 0.95 else rng.choice(("SLOT_TYPES", "_data"))
+            field_types: dict[str, str] = getattr(value, "get_fields_and_field_types", dict)()
+            names = list(field_types) or ["x"]
+            name = rng.choice(names) if rng.random() < 0.95 else rng.choice(("SLOT_TYPES", "_data"))
             value, words = getattr(value, name, None), f"{words}.{name}"
             if hasattr(value, "__len__") and rng.random() < 0.95:
                 words += f"[{rng.choice((0, 0, 0, 1, 1, 2, 8, 999999))}]"
@@ -319,15 +319,15 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Entry point; returns the exit code: 1 if anything was found."""
     args = parser().parse_args()
-    found = 0
+    actual = 0
     with tempfile.TemporaryDirectory() as folder:
-        known = targets(Path(folder))
-        for name in args.targets or known:
-            if name not in known:
-                raise ConfigError(f"nothing called '{name}': choose {', '.join(known)}")
+        reference = targets(Path(folder))
+        for name in args.targets or reference:
+            if name not in reference:
+                raise ConfigError(f"nothing called '{name}': choose {', '.join(reference)}")
             begin = time.monotonic()
-            outcome = fuzz(*known[name], args.inputs, args.seed, args.first)
-            found += len(outcome.findings)
+            outcome = fuzz(*reference[name], args.inputs, args.seed, args.first)
+            actual += len(outcome.findings)
             print(
                 f"{name:<10}{outcome.inputs} inputs, {outcome.accepted} accepted, "
                 f"{len(outcome.findings)} findings, slowest {outcome.slowest * 1e3:.1f} ms, "
@@ -339,7 +339,7 @@ def main() -> int:
                 print(f"    {finding}")
             for answer, count in outcome.answers.most_common(30) if args.answers else ():
                 print(f"{count / outcome.inputs:8.2%} {answer}")
-    return 1 if found else 0
+    return 1 if actual else 0
 
 
 @contextmanager

@@ -54,14 +54,14 @@ def test_the_plant_runs_on_while_the_link_is_cut_and_no_step_is_lost(two_hosts, 
 
 def processes_with(mark):
     """Return the processes in whose environment a mark was set."""
-    found = []
+    actual = []
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             if mark.encode() in (folder / "environ").read_bytes():
-                found.append(folder)
+                actual.append(folder)
         except OSError:  # ended meanwhile, or another user's
             continue
-    return found
+    return actual
 
 
 @pytest.mark.ros

@@ -67,9 +67,9 @@ def test_what_an_aircraft_publishes_is_its_true_state_and_it_takes_the_gain(prob
     stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in heard])
     assert np.allclose(np.diff(stamps), 1 / 120, atol=1e-6)
     rates = np.array([[getattr(m.angular_velocity, axis) for axis in "xyz"] for m in heard])
-    known = [m.step for m in truths]  # the first ones may not have been heard
-    assert len(known) > 100
-    assert np.array_equal(rates[known], [m.x[:3] for m in truths])
+    expected = [m.step for m in truths]  # the first ones may not have been heard
+    assert len(expected) > 100
+    assert np.array_equal(rates[expected], [m.x[:3] for m in truths])
     assert (rates.std(axis=0) > 1e-3).all()
     applied = [m.theta_applied for m in truths]
     assert (applied[0], applied[-1]) == (1.0, 60.0)  # within its stroke

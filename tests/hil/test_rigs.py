@@ -91,9 +91,9 @@ def test_an_inverter_that_trips_is_replaced_and_says_so(capsys):
 @dpsim_needed
 def test_what_an_inverter_does_not_have_is_a_line():
     done = rig("inverter", "--at", "3:kp=1")
-    known = "kp_power, kp_pll, p_ref"
+    expected = "kp_power, kp_pll, p_ref"
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == f"rig: --at: inverter has no 'kp'; there is {known}\n"
+    assert done.stderr == f"rig: --at: inverter has no 'kp'; there is {expected}\n"
 
 
 def test_without_dpsim_the_inverter_says_how_to_get_it(tmp_path):
@@ -134,11 +134,11 @@ def test_the_absorber_publishes_its_sensors_takes_theta_and_says_what_is_true(pr
         process.wait()
     assert process.returncode == 0
     probe.spin_until(lambda: len(heard) >= 1000 and truths[-1].step == 999, "the last sample")
-    known = [m.step for m in truths]  # the first ones may not have been heard
+    expected = [m.step for m in truths]  # the first ones may not have been heard
     true, applied = np.array([(m.x[0], m.theta_applied) for m in truths]).T
     for index, (shape, wave) in enumerate(zip(absorber.SHAPE, absorber.WAVES, strict=True)):
-        measured = np.array([m.position[index] for m in heard])[known]
-        t = absorber.DT * np.array(known)
+        measured = np.array([m.position[index] for m in heard])[expected]
+        t = absorber.DT * np.array(expected)
         rest = measured - shape * true - wave * np.sin(absorber.WAVE * t)
         assert rest.std() == pytest.approx(absorber.NOISE, rel=0.2)  # of some 1000 samples
     assert 0.7 < applied[-1] <= 1.6  # on its way to the end of its stroke, at its own rate

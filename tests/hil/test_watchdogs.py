@@ -28,16 +28,16 @@ class Reports:
 
         ``since`` counts the reports before the one that may be the next; default: those up to now.
         """
-        seen = len(self.arrays) if since is None else since
+        observed = len(self.arrays) if since is None else since
 
-        def found():
-            for array in self.arrays[seen:]:
+        def actual():
+            for array in self.arrays[observed:]:
                 for status in array.status:
                     if status.name == node and status.level == level and text in status.message:
                         return {item.key: item.value for item in status.values}
             return None
 
-        return self.probe.spin_until(found, f"{node} to report {level} {text!r}")
+        return self.probe.spin_until(actual, f"{node} to report {level} {text!r}")
 
 
 @pytest.fixture

@@ -70,9 +70,9 @@ def write_joints(path, t, x, theta=None, begin=1_700_000_000):
     return path
 
 
-def linear(paths, **given):
+def linear(paths, **options):
     reading = BagReading(JOINTS, dt=DT)
-    return train_from_bags(paths, BagTraining(reading, **{"degree": 1, "modes": 3, **given}))
+    return train_from_bags(paths, BagTraining(reading, **{"degree": 1, "modes": 3, **options}))
 
 
 def test_an_oscillator_is_identified_from_unevenly_sampled_joint_states(tmp_path):
@@ -147,8 +147,8 @@ def test_late_messages_without_stamps_are_no_gap_and_a_pause_is_one(tmp_path, ca
     at = received(t, rng)
     assert np.count_nonzero(np.diff(at) > 3.0 * DT) > 20  # what a gap by time would cut
     bag, out = write_unstamped(tmp_path / "bag", at, x), tmp_path / "model.npz"
-    given = ["--measured", "/adc:data", "--dt", str(DT), "--degree", "1", "--modes", "2"]
-    assert main(["train", str(bag), *given, "--out", str(out)]) == 0
+    options = ["--measured", "/adc:data", "--dt", str(DT), "--degree", "1", "--modes", "2"]
+    assert main(["train", str(bag), *options, "--out", str(out)]) == 0
     model = load(out)
     np.testing.assert_allclose(model.K[1:, 1:], expm(0.2 * A * DT), atol=1e-6)
     assert model.provenance["pairs"] == 4000 - 2
@@ -245,8 +245,8 @@ def test_steps_pair_only_neighbours_of_the_same_run_and_share():
 def test_train_writes_a_model_that_inspect_explains(tmp_path, capsys):
     t = np.arange(1500) * DT
     bag, out = write_joints(tmp_path / "rig", t, oscillation(t)), tmp_path / "model.npz"
-    given = ["--measured", str(JOINTS), "--degree", "1", "--modes", "2", "--out", str(out)]
-    assert main(["train", str(bag), *given]) == 0
+    options = ["--measured", str(JOINTS), "--degree", "1", "--modes", "2", "--out", str(out)]
+    assert main(["train", str(bag), *options]) == 0
     model = load(out)
     assert (model.dt, model.state_names) == (DT, ("position1", "velocity1"))
     assert model.provenance["bags"][0]["states"] == 1500
@@ -265,8 +265,8 @@ def test_inspect_shows_the_residuals_of_a_noisy_bag(tmp_path, capsys):
     turn = np.stack((np.cos(2.0 * t), np.sin(2.0 * t)))
     bag = write_joints(tmp_path / "rig", t, turn + 0.2 * rng.standard_normal(turn.shape))
     out = tmp_path / "model.npz"
-    given = ["--measured", str(JOINTS), "--degree", "1", "--modes", "3", "--out", str(out)]
-    assert main(["train", str(bag), *given]) == 0
+    options = ["--measured", str(JOINTS), "--degree", "1", "--modes", "3", "--out", str(out)]
+    assert main(["train", str(bag), *options]) == 0
     model = load(out)
     modulus = abs(model.eigenvalues[np.argmax(model.eigenvalues.imag)])
     assert modulus == pytest.approx(1 / 1.08, abs=0.01)
@@ -283,7 +283,7 @@ def test_inspect_shows_the_residuals_of_a_noisy_bag(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("options", "message"),
     [
         (["--dt", "0"], "dt = 0 s: must be positive"),
         (["--gap", "-1"], "gap = -1 s: must be positive"),
@@ -296,12 +296,12 @@ def test_inspect_shows_the_residuals_of_a_noisy_bag(tmp_path, capsys):
         (["--dt", "0.02", "--measured", "/joint_states:position[7],position[1]"], "finite"),
     ],
 )
-def test_what_cannot_be_learned_is_said(tmp_path, given, message, capsys):
+def test_what_cannot_be_learned_is_said(tmp_path, options, message, capsys):
     t = np.arange(100) * DT
     bag = write_joints(tmp_path / "bag", t, oscillation(t))
-    state = [] if "--measured" in given else ["--measured", str(JOINTS)]
+    state = [] if "--measured" in options else ["--measured", str(JOINTS)]
     out = tmp_path / "model.npz"
-    assert main(["train", str(bag), *state, *given, "--degree", "1", "--out", str(out)]) == 2
+    assert main(["train", str(bag), *state, *options, "--degree", "1", "--out", str(out)]) == 2
     error = capsys.readouterr().err
     assert message in error
     assert error.count("\n") == 1

@@ -54,7 +54,7 @@ def main(rate: float, seconds: float, farewell: float = 10.0) -> None:
     while not all(publisher.get_subscription_count() for publisher in publishers):
         time.sleep(0.02)
     steps = round(rate * seconds)
-    begin = told = time.monotonic()
+    begin = lines = time.monotonic()
     for k in range(steps):
         due = begin + k / rate
         while (now := time.monotonic()) < due:
@@ -63,8 +63,8 @@ def main(rate: float, seconds: float, farewell: float = 10.0) -> None:
         for publisher, pool in zip(publishers, pools, strict=True):
             head, tail = pool[k % VARIANTS]
             publisher.publish(head + step + tail)
-        if now - told >= 0.1:
-            told = now
+        if now - lines >= 0.1:
+            lines = now
             print(json.dumps({"sent": k + 1}), flush=True)
     elapsed = time.monotonic() - begin
     print(json.dumps({"sent": steps}), flush=True)
@@ -210,14 +210,14 @@ def record_load(
 
 def _start_recorder(folder: Path, **parameters: object) -> NodeProcess:
     folder.mkdir(parents=True)
-    given = {"output": folder, **parameters}
-    words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+    options = {"output": folder, **parameters}
+    words = [word for name, value in options.items() for word in ("-p", f"{name}:={value}")]
     return NodeProcess("recorder", ["--ros-args", *words], folder / "recorder.log")
 
 
 def _start_load(rate: float, seconds: float, farewell: float = 10.0) -> TiedProcess:
-    given = [str(rate), str(seconds), str(farewell)]
-    command = [sys.executable, __file__, *given]
+    options = [str(rate), str(seconds), str(farewell)]
+    command = [sys.executable, __file__, *options]
     return TiedProcess(command, stdout=subprocess.PIPE)
 
 

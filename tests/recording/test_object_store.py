@@ -30,9 +30,9 @@ def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[]
     command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", "0"]
     with path.open("w") as output, subprocess.Popen(command, stderr=output, text=True) as store:
         try:
-            while not (found := re.search(r"http://127\.0\.0\.1:[1-9]\d*", path.read_text())):
+            while not (actual := re.search(r"http://127\.0\.0\.1:[1-9]\d*", path.read_text())):
                 assert store.poll() is None, path.read_text()
-            monkeypatch.setenv("AWS_ENDPOINT_URL", found[0])
+            monkeypatch.setenv("AWS_ENDPOINT_URL", actual[0])
             client = boto3.client("s3")
             client.create_bucket(Bucket="shelf")
             for file in BAG.iterdir():

@@ -115,10 +115,10 @@ class Rig:
 
 def wait_until_known(probe, folder):
     """What was changed before the recorder asked for the parameters is not known."""
-    known = folder / "parameters.yaml"
+    reference = folder / "parameters.yaml"
     wanted = {"/relay_esc:", "/koopman_lifter:"}
     probe.spin_until(
-        lambda: known.exists() and wanted <= set(known.read_text().split()),
+        lambda: reference.exists() and wanted <= set(reference.read_text().split()),
         "the recorder to know the parameters",
     )
 
@@ -256,8 +256,8 @@ def test_the_raw_cost_of_any_channels_needs_no_model_until_it_is_lifted(
     recorder = start("recorder", output=folder)
     esc = {"dt": 0.01, "dwell": 0.05, "step_size": 0.01}
     start("relay_esc", listeners="next recorder", **esc)
-    given = {"cost": "raw", "dt": 0.01, "model": "/nowhere.npz"}
-    lifter = start("koopman_lifter", listeners=LISTENERS, **given)
+    options = {"cost": "raw", "dt": 0.01, "model": "/nowhere.npz"}
+    lifter = start("koopman_lifter", listeners=LISTENERS, **options)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     x = [0.5 * k * math.sin(0.3 * k) * np.arange(1.0, n + 1.0) for k in range(60)]
@@ -295,8 +295,8 @@ def test_a_run_with_delays_is_replayed_bit_for_bit_over_a_gap(start, probe, tmp_
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
     start("relay_esc", listeners="next recorder", dwell=0.05, step_size=0.01)
-    given = {"omega_h": 200.0, "omega_l": 30.0, "model": model}
-    start("koopman_lifter", listeners=LISTENERS, **given)
+    options = {"omega_h": 200.0, "omega_l": 30.0, "model": model}
+    start("koopman_lifter", listeners=LISTENERS, **options)
     rig = Rig(probe)
     wait_until_known(probe, folder)
     rig.swing(range(60))
@@ -337,9 +337,9 @@ def test_a_switch_whose_event_was_not_recorded_is_seen_in_the_costs(eventful, ke
                 channels[message.topic] = writer.add_topic(message.topic, schema)
             channel = channels[message.topic]
             writer.write(channel, message.log_time, message.publish_time, message.data)
-    found = read_recording(tmp_path / "bag")
+    actual = read_recording(tmp_path / "bag")
     switches = [change for change in whole.changes if "cost" in change.values]
-    assert [change for change in found.changes if change.node == "koopman_lifter"] == switches
+    assert [change for change in actual.changes if change.node == "koopman_lifter"] == switches
 
 
 def test_an_eventful_run_has_metrics_and_a_plot(eventful, tmp_path, capfd):

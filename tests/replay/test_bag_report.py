@@ -29,8 +29,8 @@ LOOP = {
 RUN = Path(__file__).parents[2] / "recordings" / "golden" / "run"
 
 
-def command(*given):
-    args = parser("bag").parse_args(["bag", *(str(word) for word in given)])
+def command(*options):
+    args = parser("bag").parse_args(["bag", *(str(word) for word in options)])
     return args.func(args)
 
 
@@ -93,14 +93,14 @@ def test_the_table_shows_every_signal_and_json_every_figure_of_it(capsys):
     printed = capsys.readouterr().out
     assert "IAE_theta [s]" in printed
     assert command("metrics", RUN, "--json") == 0
-    known = numbers(json.loads(capsys.readouterr().out))
-    known += [100.0 * value for value in known]  # shares are shown in percent
-    known += [value for metrics in PAPER.values() for value in numbers(metrics.as_dict())]
+    expected = numbers(json.loads(capsys.readouterr().out))
+    expected += [100.0 * value for value in expected]  # shares are shown in percent
+    expected += [value for metrics in PAPER.values() for value in numbers(metrics.as_dict())]
     text = printed.replace("sqrt(2)", "").replace("last 30 %", "")
     for word in re.findall(r"(?<![\w\[.])-?\d+(?:\.\d+)?(?:e[+-]\d+)?", text):
         tolerance = 0.6 * 10.0 ** -len(word.partition(".")[2].partition("e")[0])
         shown = float(word)
-        assert any(shown == pytest.approx(v, rel=1e-3, abs=tolerance) for v in known), word
+        assert any(shown == pytest.approx(v, rel=1e-3, abs=tolerance) for v in expected), word
     assert {line.split()[0] for line in printed.splitlines() if line} >= {
         "x[0]", "x[1]", "theta", "2000", "true",
     }  # fmt: skip

@@ -47,8 +47,8 @@ def golden_parameters(namespace=""):
     return {f"{namespace}{node}": content[node] for node in ("/koopman_lifter", "/relay_esc")}
 
 
-def replay(folder, capsys, *given):
-    code = main(["replay", str(folder), "--offline", *map(str, given)])
+def replay(folder, capsys, *options):
+    code = main(["replay", str(folder), "--offline", *map(str, options)])
     return code, "".join(capsys.readouterr())
 
 

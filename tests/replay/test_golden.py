@@ -44,8 +44,8 @@ def parameters(folder, text):
 
 def test_another_parameter_is_named_with_what_it_changes(tmp_path, capfd):
     # koop params writes 'listeners', too, which decides no answer
-    given = parameters(tmp_path, "relay_esc: {ros__parameters: {dwell: 2.0, listeners: next}}")
-    code = main(["replay", str(RUN), "--offline", *given])
+    options = parameters(tmp_path, "relay_esc: {ros__parameters: {dwell: 2.0, listeners: next}}")
+    code = main(["replay", str(RUN), "--offline", *options])
     printed, error = capfd.readouterr()
     assert code == 1, error
     assert "what the controller would have answered" in printed
@@ -65,9 +65,9 @@ def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
     answers = []
     for how in ([], ["--offline"]):
         out = tmp_path / f"{len(answers)}.npz"
-        given = parameters(tmp_path, "koopman_lifter: {ros__parameters: {cost: raw}}")
-        given += ["--out", str(out)]
-        assert main(["replay", str(RUN), *how, *given]) == 1
+        options = parameters(tmp_path, "koopman_lifter: {ros__parameters: {cost: raw}}")
+        options += ["--out", str(out)]
+        assert main(["replay", str(RUN), *how, *options]) == 1
         with np.load(out) as file:
             answers.append({name: file[name] for name in file.files})
     for name in ("r", "theta"):
@@ -76,7 +76,7 @@ def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("options", "message"),
     [
         ("relay_esc: {ros__parameters: {dwel: 2}}", "parameter 'dwel': did you mean 'dwell'?"),
         ("relay_esc: {ros__parameters: {dwell: -1}}", "relay_esc: dwell = -1: must be 0 to 1e+06"),
@@ -85,7 +85,7 @@ def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
         (["--namespace", "/two"], "no koop_msgs/msg/MeasuredState on /two/state"),
     ],
 )
-def test_what_cannot_be_used_is_named(given, message, tmp_path, capsys):
-    given = given if isinstance(given, list) else parameters(tmp_path, given)
-    assert main(["replay", str(RUN), "--offline", *given]) == 2
+def test_what_cannot_be_used_is_named(options, message, tmp_path, capsys):
+    options = options if isinstance(options, list) else parameters(tmp_path, options)
+    assert main(["replay", str(RUN), "--offline", *options]) == 2
     assert message in capsys.readouterr().err

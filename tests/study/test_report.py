@@ -72,9 +72,11 @@ def write_small(folder: Path) -> None:
     for path in EXPERIMENTS.glob("*.yaml"):
         content = yaml.safe_load(path.read_text())
         without = ("modes", "static_maps")  # whose units have a length of their own
-        own = content["experiment"] in without
+        is_fixed = content["experiment"] in without
         if content["experiment"] != "commission":
-            content["settings"] = {k: v for k, v in SMALL.items() if not (own and k == "duration")}
+            content["settings"] = {
+                k: v for k, v in SMALL.items() if not (is_fixed and k == "duration")
+            }
         for table in content.get("tables", ()):
             if table["name"] in ("ablation_trajectories", "ablation_training_duration"):
                 table["values"] = [4, 8]
@@ -98,13 +100,13 @@ def test_every_number_of_a_sentence_stands_in_the_table_it_cites(quick: Quick) -
         table = tables[claim.table]
         heads = [table.title, *(column.title for column in table.columns)]
         carried = {
-            found
+            actual
             for text in [*heads, *(cell for row in table.texts() for cell in row)]
-            for found in number.findall(text)
+            for actual in number.findall(text)
         }
         text = claim.text.replace("90th percentile", "")
-        for found in number.findall(text):
-            assert found in carried, f"{found} of '{claim.text}' is not in {claim.table}"
+        for actual in number.findall(text):
+            assert actual in carried, f"{actual} of '{claim.text}' is not in {claim.table}"
             checked += 1
     assert checked > 15
 

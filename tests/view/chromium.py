@@ -114,8 +114,8 @@ class Chromium:
     @staticmethod
     def _until(condition: Any, what: str, timeout: float = TIMEOUT, pause: float = 0.02) -> Any:
         deadline = time.monotonic() + timeout
-        while not (found := condition()):
+        while not (actual := condition()):
             if time.monotonic() > deadline:
                 pytest.fail(f"timed out after {timeout:g} s: {what}")
             time.sleep(pause)
-        return found
+        return actual

@@ -46,10 +46,10 @@ ACT = "document.querySelector('#acts li')"
 
 def until(condition, what):
     deadline = time.monotonic() + TIMEOUT
-    while not (found := condition()):
+    while not (actual := condition()):
         assert time.monotonic() < deadline, f"timed out: {what}"
         time.sleep(0.01)
-    return found
+    return actual
 
 
 @pytest.fixture(scope="module")
@@ -65,35 +65,35 @@ def story(module_start, tmp_path_factory, reference):
     view = NodeProcess("view", words, folder / "view.log", [sys.executable, "-m", "koop_lab"])
     module_start.running.append(view)
     log = view.log
-    found = until(
+    actual = until(
         lambda: re.search(r"(http://127.0.0.1:(\d+)/#token=(\S+))", log.read_text()), "the server"
     )
-    seen = SimpleNamespace(folder=folder, run=run, log=log, url=found[1])
-    seen.port, seen.token, seen.pid = int(found[2]), found[3], view.process.pid
-    seen.viewer, seen.messages = viewer(seen.port)
-    seen.refused = without_token(seen.port, seen.token)
-    receive(seen, 30)  # theta moves
-    seen.answer = hold(seen.port, seen.token, True)
-    hold(seen.port, seen.token, False)
-    seen.heard = reference
+    observed = SimpleNamespace(folder=folder, run=run, log=log, url=actual[1])
+    observed.port, observed.token, observed.pid = int(actual[2]), actual[3], view.process.pid
+    observed.viewer, observed.messages = viewer(observed.port)
+    observed.refused = without_token(observed.port, observed.token)
+    receive(observed, 30)  # theta moves
+    observed.answer = hold(observed.port, observed.token, True)
+    hold(observed.port, observed.token, False)
+    observed.heard = reference
     if callable(reference):
-        seen.heard = reference(seen.port, state=200, cost=200, theta=200, diagnostics=3)
-    seen.before = len(seen.messages)
-    hostile(seen.port)
-    lost_clients(seen.port)
-    stop_for_a_while(seen.pid)
-    receive(seen, 200)
-    lose_mailboxes(seen.pid)
-    seen.browser = browsed(
-        seen, lifter, lambda: module_start("koopman_lifter", listeners="next recorder")
+        observed.heard = reference(observed.port, state=200, cost=200, theta=200, diagnostics=3)
+    observed.before = len(observed.messages)
+    hostile(observed.port)
+    lost_clients(observed.port)
+    stop_for_a_while(observed.pid)
+    receive(observed, 200)
+    lose_mailboxes(observed.pid)
+    observed.browser = browsed(
+        observed, lifter, lambda: module_start("koopman_lifter", listeners="next recorder")
     )
-    seen.viewer.close()
+    observed.viewer.close()
     assert view.poll() is None
     for process in reversed(module_start.running):
         if process is not recorder and process is not lifter:
             assert process.stop() == 0, process.last_lines()
     assert recorder.stop() == 0
-    return seen
+    return observed
 
 
 def viewer(port):
@@ -109,13 +109,13 @@ def viewer(port):
     return connection, []
 
 
-def receive(seen, count):
+def receive(observed, count):
     """Receive as many messages more."""
-    wanted = len(seen.messages) + count
-    while len(seen.messages) < wanted:
-        message = seen.viewer.recv(TIMEOUT)
+    wanted = len(observed.messages) + count
+    while len(observed.messages) < wanted:
+        message = observed.viewer.recv(TIMEOUT)
         if isinstance(message, bytes):
-            seen.messages.append(message)
+            observed.messages.append(message)
 
 
 def service(connection, name):
@@ -261,17 +261,17 @@ def decoded(bag, topic):
         return [plain(reader.deserialize(raw, c.msgtype)) for c, _, raw in messages]
 
 
-def browsed(seen, lifter, restart):
+def browsed(observed, lifter, restart):
     """Look at the loop in a browser, hold it, kill and restart its lifter."""
     try:
-        browser = Chromium(seen.folder, seen.url)
+        browser = Chromium(observed.folder, observed.url)
     except pytest.skip.Exception as missing:
         return str(missing)
     with browser as page:
         page.wait(f"{LEVEL} == 'ok'")
         page.wait("(koop.raw('r')?.v.length ?? 0) > 300")
         drawn = {name: page.value(f"koop.raw('{name}')") for name in ("r", "theta")}
-        held = stay(page, seen.pid)
+        held = stay(page, observed.pid)
         clicked = page.value("document.querySelector('#hold').click(), Date.now()")
         page.wait(f"{ACT}?.dataset.outcome == 'done'")
         page.value(
@@ -316,7 +316,7 @@ def bag(story):
     wanted = {"/state": ["step"], "/ground_truth": ["step"], "/cost": ["step", "r"],
               "/theta": ["step", "theta", "holding", "log_time"]}  # fmt: skip
     with BagReader(story.run) as reader:
-        return {name: read_columns(reader, name, given) for name, given in wanted.items()}
+        return {name: read_columns(reader, name, options) for name, options in wanted.items()}
 
 
 def test_nothing_of_the_loop_was_lost_to_hostile_and_to_lost_clients(story, bag):
@@ -358,9 +358,9 @@ def test_a_client_of_others_reads_all_channels_as_they_were_recorded(story):
     if isinstance(story.heard, str):
         pytest.skip(story.heard)
     assert {"/state", "/cost", "/theta", "/ground_truth", "/diagnostics"} <= story.heard.keys()
-    for topic, found in story.heard.items():
+    for topic, actual in story.heard.items():
         recorded = decoded(story.run / "bag", topic)
-        assert [message for message in found if message not in recorded] == [], topic
+        assert [message for message in actual if message not in recorded] == [], topic
     ahead = [message["step"] for message in story.heard["/cost"]]
     assert ahead == sorted(set(ahead))
 
@@ -371,8 +371,8 @@ def test_a_client_of_others_reads_a_recorded_run_whole(reference):
     with BagReader(GOLDEN) as bag:
         counts = {topic.name: topic.count for topic in bag.topics}
     with running(RecordedSource(GOLDEN)) as port:
-        found = reference(port, **{name[1:].replace("/", "__"): n for name, n in counts.items()})
-    assert found == {name: decoded(GOLDEN / "bag", name) for name in counts}
+        actual = reference(port, **{name[1:].replace("/", "__"): n for name, n in counts.items()})
+    assert actual == {name: decoded(GOLDEN / "bag", name) for name in counts}
 
 
 def plain(value):

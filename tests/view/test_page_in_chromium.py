@@ -107,7 +107,7 @@ class Fleet(ViewSource):
 
 
 @pytest.fixture(scope="module")
-def seen(tmp_path_factory):
+def observed(tmp_path_factory):
     """Let the run pass by on a desk, then look at it on a phone; return what was seen."""
     folder = tmp_path_factory.mktemp("page")
     with running(Long(GOLDEN)) as port, Chromium(folder, f"http://127.0.0.1:{port}/") as page:
@@ -122,14 +122,14 @@ def seen(tmp_path_factory):
                       "Math.abs(plot.clientWidth - plot.parentNode.clientWidth) < 2)")  # fmt: skip
             widths[width] = page.value("document.documentElement.scrollWidth"), page.value(OUTSIDE)
         errors = list(page.errors)
-        told = [told_by(page, port)]
+        lines = [told_by(page, port)]
         with (
             another_server() as other
         ):  # on this machine too: of a page from afar browsers see to it
             page.open(f"http://127.0.0.1:{other}/")
             page.wait(f"location.port == '{other}' && document.readyState == 'complete'")
-            told.append(told_by(page, port))
-        return SimpleNamespace(early=early, late=late, widths=widths, errors=errors, told=told)
+            lines.append(told_by(page, port))
+        return SimpleNamespace(early=early, late=late, widths=widths, errors=errors, told=lines)
 
 
 @pytest.fixture(scope="module")
@@ -174,20 +174,20 @@ def another_server():
             thread.join()
 
 
-def test_memory_stays_flat_however_long_the_run(seen):
-    print(f"{seen.early[0]} B after {EARLY} steps, {seen.late[0]} B after {ALL}")
-    assert seen.late[0] - seen.early[0] < GROWTH
-    assert abs(seen.late[1] - seen.early[1]) < 50  # elements
+def test_memory_stays_flat_however_long_the_run(observed):
+    print(f"{observed.early[0]} B after {EARLY} steps, {observed.late[0]} B after {ALL}")
+    assert observed.late[0] - observed.early[0] < GROWTH
+    assert abs(observed.late[1] - observed.early[1]) < 50  # elements
 
 
-def test_no_width_needs_to_be_scrolled_sideways(seen):
-    for width, (needed, outside) in seen.widths.items():
+def test_no_width_needs_to_be_scrolled_sideways(observed):
+    for width, (needed, outside) in observed.widths.items():
         assert needed <= width, (width, outside)
         assert not outside, width
 
 
-def test_a_page_of_another_server_is_refused(seen):
-    assert seen.told == ["open", "refused"]
+def test_a_page_of_another_server_is_refused(observed):
+    assert observed.told == ["open", "refused"]
 
 
 def test_the_selector_says_which_loop_of_a_fleet_is_bad(fleet):
@@ -201,5 +201,5 @@ def test_a_page_follows_a_restarted_server_which_has_another_token(fleet):
     assert "token is not this server's" in fleet.notes
 
 
-def test_the_console_is_silent(seen):
-    assert seen.errors == []
+def test_the_console_is_silent(observed):
+    assert observed.errors == []

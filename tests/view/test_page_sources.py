@@ -107,8 +107,8 @@ def test_the_logic_of_the_page(web, tmp_path):
         lines.append({"schemas": schemas})
         for connection, _, raw in bag.messages(connections=used):
             values = simple(bag.deserialize(raw, connection.msgtype))
-            given = {"topic": connection.topic, "type": connection.msgtype, "hex": raw.hex()}
-            lines.append(given | {"values": values})
+            options = {"topic": connection.topic, "type": connection.msgtype, "hex": raw.hex()}
+            lines.append(options | {"values": values})
     messages = tmp_path / "messages.jsonl"
     messages.write_text("\n".join(map(json.dumps, lines)), encoding="utf-8")
     bundle = tmp_path / "tests"

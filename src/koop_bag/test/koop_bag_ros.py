@@ -40,7 +40,7 @@ def wait_until(condition: Callable[[], Any], what: str) -> Any:
 class Program:
     """`ros2 run koop_bag NAME`; a context manager that leaves no process behind."""
 
-    def __init__(self, name: str, log: Path, given: list[str], file_limit: int = 0) -> None:
+    def __init__(self, name: str, log: Path, options: list[str], file_limit: int = 0) -> None:
         self.log = log
         program = Path(get_package_prefix("koop_bag")) / "lib" / "koop_bag" / name
 
@@ -50,7 +50,7 @@ class Program:
 
         with open(self.log, "wb") as output:
             self.process = subprocess.Popen(
-                [str(program), "--ros-args", *given],
+                [str(program), "--ros-args", *options],
                 stdout=subprocess.PIPE if file_limit else output,
                 stderr=subprocess.STDOUT,
                 preexec_fn=limit,
@@ -86,8 +86,8 @@ class Recorder(Program):
 
     def __init__(self, folder: Path, *arguments: str, file_limit: int = 0) -> None:
         self.folder = folder
-        given = ["-p", f"output:={folder}", *arguments]
-        super().__init__("recorder", folder.parent / f"{folder.name}.log", given, file_limit)
+        options = ["-p", f"output:={folder}", *arguments]
+        super().__init__("recorder", folder.parent / f"{folder.name}.log", options, file_limit)
 
     def wait_for(self, topic: str, count: int) -> None:
         """Wait until so many messages of a topic are on the disk.
@@ -110,8 +110,8 @@ class Player(Program):
     """`ros2 run koop_bag player`; keyword arguments are its parameters."""
 
     def __init__(self, path: Path, *arguments: str, **parameters: Any) -> None:
-        given = {"bag": path, **parameters}
-        words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+        options = {"bag": path, **parameters}
+        words = [word for name, value in options.items() for word in ("-p", f"{name}:={value}")]
         log = path.parent / f"{path.name}-player.log"
         super().__init__("player", log, [*words, *arguments])
 
@@ -160,9 +160,9 @@ class Talker:
 
     def collect(self, topic: str, kind: str, qos: QoSProfile | int = 10000) -> list[bytes]:
         """Subscribe; the serialized messages that arrive are appended to the returned list."""
-        found: list[bytes] = []
-        self.node.create_subscription(message_class(kind), topic, found.append, qos, raw=True)
-        return found
+        actual: list[bytes] = []
+        self.node.create_subscription(message_class(kind), topic, actual.append, qos, raw=True)
+        return actual
 
     def call(self, service_type: Any, name: str, request: Any) -> Any:
         """Call a service and return its response."""

@@ -60,11 +60,11 @@ def test_info_says_what_is_there_and_what_is_lost(write_loop, koop, messages, tm
     assert "complete" in text
     assert "gain: 2.5" in text
     _, text, _ = koop("info", folder, "--json")
-    found = json.loads(text)
-    assert found["model_ids"] == ["abc"]
-    assert found["parameters"] == {"/esc": {"gain": 2.5}}
-    assert found["messages"] == 3 * 19 + 10
-    topics = {topic["name"]: topic for topic in found["topics"]}
+    actual = json.loads(text)
+    assert actual["model_ids"] == ["abc"]
+    assert actual["parameters"] == {"/esc": {"gain": 2.5}}
+    assert actual["messages"] == 3 * 19 + 10
+    topics = {topic["name"]: topic for topic in actual["topics"]}
     assert topics["/state"]["steps"] | {"count": 0} == {
         "count": 0,
         "lost": 3,
@@ -122,8 +122,8 @@ def test_every_number_and_text_is_exported(write_loop, koop, tmp_path, form):
         for connection in reader.connections:
             table = read(tmp_path / "out" / f"{connection.topic[1:]}.{form}")
             rows = table.to_pylist()
-            found = reader.messages([connection])
-            for row, (_, time, raw) in zip(rows, found, strict=True):
+            actual = reader.messages([connection])
+            for row, (_, time, raw) in zip(rows, actual, strict=True):
                 message = reader.deserialize(raw, connection.msgtype)
                 assert row["log_time"] == time
                 assert row["header.stamp"] == message.header.stamp.sec * 10**9 + (
@@ -197,23 +197,23 @@ def test_the_options_of_play_are_parameters_of_the_player():
     words = ["b'ag", "--pace", "2", "--clock", "--topics", "7", "--start", "1.5"]
     arguments = cli.player_arguments(parser.parse_args(["bag", "play", *words]))
     assert arguments[0] == "--ros-args"
-    given = dict(word.split(":=", 1) for word in arguments if word != "-p" and ":=" in word)
-    values = {name: yaml.safe_load(text) for name, text in given.items()}
+    options = dict(word.split(":=", 1) for word in arguments if word != "-p" and ":=" in word)
+    values = {name: yaml.safe_load(text) for name, text in options.items()}
     assert values == {"bag": "b'ag", "pace": "2", "topics": "7", "clock": True, "start": 1.5}
     assert PlayerConfig(**values).speed == 2.0
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("options", "said"),
     [
         ({"split_size": -1.0}, "split_size"),
         ({"topics": "state a:b"}, "'a:b' is neither a name nor name:pkg/msg/Type"),
         ({"queue": 1}, "queue"),
     ],
 )
-def test_settings_of_the_recorder_that_cannot_be_are_refused(given, said):
+def test_settings_of_the_recorder_that_cannot_be_are_refused(options, said):
     with pytest.raises(ConfigError, match=said):
-        RecorderConfig(**given)
+        RecorderConfig(**options)
 
 
 # `koop bag`, without the package that has `koop`

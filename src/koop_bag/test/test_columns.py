@@ -238,8 +238,8 @@ def test_files_of_one_bag_may_number_their_channels_differently(tmp_path, messag
             writer.start("ros2")
             for topic in order:
                 schema = load_schema(LOOP[topic])
-                known = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
-                channel = writer.register_channel(topic, "cdr", known)
+                reference = writer.register_schema(schema.name, "ros2msg", schema.text.encode())
+                channel = writer.register_channel(topic, "cdr", reference)
                 for k in range(5):
                     now = START + 5 * number + k
                     data = messages.loop(topic, 5 * number + k)
@@ -276,8 +276,8 @@ def test_an_element_beyond_the_end_of_an_array_is_nan(write_bag, messages):
 
 def test_fields_that_are_not_there_are_answered_with_those_that_are(write_loop):
     with BagReader(write_loop(n=3)) as reader:
-        known = ["header.stamp", "header.frame_id", "step", "lockstep", "x"]
-        assert list_fields(reader, "/state") == known
+        reference = ["header.stamp", "header.frame_id", "step", "lockstep", "x"]
+        assert list_fields(reader, "/state") == reference
         with pytest.raises(BagError, match=r"no field 'y'; it has header.stamp.*step, lockstep, x"):
             read_columns(reader, "/state", ["y"])
         with pytest.raises(BagError, match=r"'header' is a message of its own.*header.stamp"):

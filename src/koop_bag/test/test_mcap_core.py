@@ -58,9 +58,9 @@ def simple(value):
     return value
 
 
-def assert_same(found, expected):
+def assert_same(actual, expected):
     """Every field of a message is what `rosbags` says."""
-    for name, value in found.items():
+    for name, value in actual.items():
         # the one package calls the parts of a stamp sec and nsec, the other sec and nanosec
         other = getattr(expected, "nanosec" if name == "nsec" else name)
         if isinstance(value, dict):
@@ -79,26 +79,26 @@ def assert_same(found, expected):
 def check(decode, folder):
     """Compare all messages of a bag of one file with what `rosbags` says."""
     (path,) = folder.glob("*.mcap")
-    found = messages_of(decode(path))
+    actual = messages_of(decode(path))
     by_topic = {}
-    for item in found:
+    for item in actual:
         by_topic.setdefault(item["topic"], []).append(item)
     with AnyReader([folder]) as reader:
-        assert len(found) == reader.message_count
+        assert len(actual) == reader.message_count
         for connection in reader.connections:
             messages = reader.messages([connection])
             both = zip(by_topic.get(connection.topic, []), messages, strict=True)
             for item, (_, time, raw) in both:
                 assert int(item["logTime"]) == time
                 assert_same(item["decoded"], reader.deserialize(raw, connection.msgtype))
-    return found
+    return actual
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
 def test_every_message_is_decoded_with_checksums_on(decode, write_loop, compression):
-    found = check(decode, write_loop(n=500, compression=compression))
-    assert Counter(item["topic"] for item in found) == dict.fromkeys(LOOP, 500)
-    sequences = [item["sequence"] for item in found if item["topic"] == "/state"]
+    actual = check(decode, write_loop(n=500, compression=compression))
+    assert Counter(item["topic"] for item in actual) == dict.fromkeys(LOOP, 500)
+    sequences = [item["sequence"] for item in actual if item["topic"] == "/state"]
     assert sequences == list(range(1, 501))
 
 
@@ -109,8 +109,8 @@ def test_a_bag_that_the_recorder_made_is_decoded(decode, tmp_path, messages):
         for topic in LOOP:
             recorder.wait_for(topic, 300)
         recorder.stop()
-    found = check(decode, tmp_path / "run" / "bag")
-    assert {item["topic"] for item in found} >= set(LOOP)
+    actual = check(decode, tmp_path / "run" / "bag")
+    assert {item["topic"] for item in actual} >= set(LOOP)
 
 
 def test_an_empty_bag_is_a_bag(decode, tmp_path):

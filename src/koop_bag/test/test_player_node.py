@@ -39,14 +39,14 @@ def test_all_bytes_arrive_from_the_first_message_on_and_the_clock_tells_their_ti
 ):
     bag = write_loop(n=2000)
     with Player(bag, pace="fast", clock=True) as player, Talker() as talker:
-        found = listen(talker)
+        actual = listen(talker)
         clock = talker.collect("/clock", "rosgraph_msgs/msg/Clock")
         assert finish(player, talker) == 0, player.output()
         # the player ends when everything has arrived; some still waits in this node's queues
-        talker.spin_until(lambda: all(len(f) == 2000 for f in found.values()), "the rest")
+        talker.spin_until(lambda: all(len(f) == 2000 for f in actual.values()), "the rest")
         talker.spin_until(lambda: len(clock) >= 8000, "the clock")
         assert "Traceback" not in player.output()
-    for topic, data in found.items():
+    for topic, data in actual.items():
         assert data == [padded(messages.loop(topic, k)) for k in range(2000)]
     expected = [START + k * PERIOD + 1000 * i for k in range(2000) for i in range(4)]
     assert clock_times(clock) == expected
@@ -97,12 +97,12 @@ def test_it_starts_later_in_the_bag_keeps_its_pace_and_is_remapped(write_loop):
 
 def test_a_signal_ends_it_cleanly(write_loop):
     with Player(write_loop(n=4000), topics="state") as player, Talker() as talker:
-        found = listen(talker, ["/state"])["/state"]
-        talker.spin_until(lambda: found, "the first state")
+        actual = listen(talker, ["/state"])["/state"]
+        talker.spin_until(lambda: actual, "the first state")
         player.stop(signal.SIGTERM)
         assert player.process.returncode == 0
         assert "Traceback" not in player.output()
-    assert len(found) < 4000
+    assert len(actual) < 4000
 
 
 def clock_times(data):
@@ -122,13 +122,13 @@ def test_the_offered_qos_is_that_of_the_recorded_publishers(tmp_path, messages):
     with Player(tmp_path / "bag") as player, Talker() as talker:
         count = talker.node.count_publishers
         talker.spin_until(lambda: all(map(count, profiles)), "the player")
-        found = {t: talker.node.get_publishers_info_by_topic(t)[0].qos_profile for t in profiles}
+        actual = {t: talker.node.get_publishers_info_by_topic(t)[0].qos_profile for t in profiles}
         player.stop()
         assert player.process.returncode == 0, player.output()
-    assert found["/map"].durability.name == "TRANSIENT_LOCAL"
-    assert found["/map"].reliability.name == "RELIABLE"
-    assert found["/fast"].reliability.name == "BEST_EFFORT"
-    assert found["/fast"].deadline.nanoseconds == 500_000_000
+    assert actual["/map"].durability.name == "TRANSIENT_LOCAL"
+    assert actual["/map"].reliability.name == "RELIABLE"
+    assert actual["/fast"].reliability.name == "BEST_EFFORT"
+    assert actual["/fast"].deadline.nanoseconds == 500_000_000
 
 
 @pytest.fixture
@@ -139,8 +139,8 @@ def configure(capfd):
     nodes = []
 
     def attempt(**parameters):
-        given = [Parameter(name, value=value) for name, value in parameters.items()]
-        nodes.append(PlayerNode(context=context, parameter_overrides=given, cli_args=[]))
+        chosen = [Parameter(name, value=value) for name, value in parameters.items()]
+        nodes.append(PlayerNode(context=context, parameter_overrides=chosen, cli_args=[]))
         capfd.readouterr()
         result = nodes[-1].trigger_configure()
         return result, "".join(capfd.readouterr())

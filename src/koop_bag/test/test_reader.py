@@ -19,9 +19,9 @@ def test_messages_come_back_as_they_were_written(write_loop, messages):
         assert reader.message_count == 800
         assert reader.start_time == START
         assert reader.duration == pytest.approx(199 * 0.005 + 3e-6, abs=1e-12)
-        found = list(reader.messages())
-    assert [m.topic for m in found[:4]] == list(LOOP)
-    for index, message in enumerate(found):
+        actual = list(reader.messages())
+    assert [m.topic for m in actual[:4]] == list(LOOP)
+    for index, message in enumerate(actual):
         k, i = divmod(index, 4)
         assert message.data == messages.loop(message.topic, k)
         assert message.log_time == START + k * PERIOD + 1000 * i
@@ -31,9 +31,9 @@ def test_messages_come_back_as_they_were_written(write_loop, messages):
 def test_topics_and_times_can_be_chosen(write_loop):
     with BagReader(write_loop(n=200)) as reader:
         begin, end = START + 10 * PERIOD, START + 20 * PERIOD
-        found = list(reader.messages(["/cost", "/ground_truth"], begin, end))
-        assert len(found) == 20
-        assert {m.topic for m in found} == {"/cost", "/ground_truth"}
+        actual = list(reader.messages(["/cost", "/ground_truth"], begin, end))
+        assert len(actual) == 20
+        assert {m.topic for m in actual} == {"/cost", "/ground_truth"}
         with pytest.raises(BagError, match=r"no topic /stat; it has /state, /cost"):
             list(reader.messages(["/stat"]))
 
@@ -93,10 +93,10 @@ def test_a_torn_bag_is_read_up_to_its_last_complete_chunk_wherever_it_is_torn(wr
         path.write_bytes(whole[:size])
         with BagReader(folder) as reader:
             assert not reader.complete
-            found = list(reader.messages())
-            assert found == expected[: len(found)]
-            assert reader.message_count == len(found)
-        counts.append(len(found))
+            actual = list(reader.messages())
+            assert actual == expected[: len(actual)]
+            assert reader.message_count == len(actual)
+        counts.append(len(actual))
     assert counts == sorted(counts)
     assert counts[-1] > 2000
 
@@ -159,11 +159,11 @@ def test_a_damaged_index_is_an_error_of_the_bag_and_nothing_else(tmp_path):
 
 def test_qos_of_older_recorders_is_read():
     """Before version 9 rosbag2 wrote the numbers of rmw/types.h, and Foxy its DDS' 'for ever'."""
-    (found,) = parse_qos(
+    (actual,) = parse_qos(
         "- {history: 1, depth: 5, reliability: 2, durability: 1, liveliness: 1,"
         " deadline: {sec: 2147483647, nsec: 4294967295}, lifespan: {sec: 1, nsec: 5},"
         " liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}}"
     )
-    assert found == OfferedQos("best_effort", "transient_local", depth=5, lifespan=(1, 5))
+    assert actual == OfferedQos("best_effort", "transient_local", depth=5, lifespan=(1, 5))
     with pytest.raises(BagError, match="QoS"):
         parse_qos("- {history: 99}")

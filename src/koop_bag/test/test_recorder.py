@@ -55,8 +55,8 @@ def test_a_run_is_recorded_from_its_first_to_its_last_message(tmp_path, messages
         assert "Traceback" not in recorder.output()
         assert "lost messages: none" in recorder.output()
     with BagReader(tmp_path / "run") as reader:
-        found = {topic: list(reader.messages([topic])) for topic in LOOP}
-    for topic, items in found.items():
+        actual = {topic: list(reader.messages([topic])) for topic in LOOP}
+    for topic, items in actual.items():
         assert [m.data for m in items] == [padded(messages.loop(topic, k)) for k in range(1000)]
         sent = [m.publish_time for m in items]
         assert all(before <= m.publish_time <= m.log_time <= after for m in items)
@@ -76,9 +76,9 @@ def test_the_folder_of_a_run_holds_parameters_models_and_versions(tmp_path):
     second.write_bytes(b"another model")
     digest = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in (first, second)}
     changed = f"vdp-{digest[second][:12]}.npz"
-    given = {"model": str(first), "gains": [0.5, 2.0], "n": 3, "names": ["x", "y"]}
+    options = {"model": str(first), "gains": [0.5, 2.0], "n": 3, "names": ["x", "y"]}
     folder = tmp_path / "run"
-    with Recorder(folder) as recorder, Talker("lifter", **given) as talker:
+    with Recorder(folder) as recorder, Talker("lifter", **options) as talker:
         talker.publishers(LOOP)
         talker.spin_until((folder / "model" / "vdp.npz").is_file, "the model to be kept")
         # one that comes later, and whose model cannot be read
@@ -92,7 +92,7 @@ def test_the_folder_of_a_run_holds_parameters_models_and_versions(tmp_path):
         assert recorder.process.returncode == 0, recorder.output()
     parameters = yaml.safe_load((folder / "parameters.yaml").read_text())
     lifter = parameters["/lifter"]["ros__parameters"]
-    assert {name: lifter[name] for name in given} == given
+    assert {name: lifter[name] for name in options} == options
     assert parameters["/latecomer"]["ros__parameters"]["model"] == "/proc/self/mem"
     # handed back, the file must not say where this run was recorded
     assert "output" not in parameters["/recorder"]["ros__parameters"]
@@ -171,9 +171,9 @@ def test_a_full_disk_ends_the_recorder_with_an_error_and_the_bag_is_safe(tmp_pat
         assert recorder.process.returncode == 1
         assert "no space left" in output
         assert "Traceback" not in output
-    found = steps(tmp_path / "run")
-    assert len(found) > 300
-    assert found == list(range(len(found)))
+    actual = steps(tmp_path / "run")
+    assert len(actual) > 300
+    assert actual == list(range(len(actual)))
 
 
 def test_what_cannot_be_written_beside_the_bag_ends_the_recorder_and_the_bag_is_whole(tmp_path):

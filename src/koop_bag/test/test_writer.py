@@ -35,7 +35,7 @@ def test_rosbags_decodes_every_message(write_loop, compression):
         assert {c.topic: c.msgtype for c in reader.connections} == LOOP
         for connection, _, raw in reader.messages():
             steps[connection.topic].append(reader.deserialize(raw, connection.msgtype).step)
-    assert all(found == list(range(700)) for found in steps.values())
+    assert all(actual == list(range(700)) for actual in steps.values())
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -47,13 +47,13 @@ def test_mcap_ros2_support_decodes_every_message_with_checksums_on(write_loop, c
         statistics = reader.get_summary().statistics
         assert statistics.message_count == 2800
         assert statistics.chunk_count == len(reader.get_summary().chunk_indexes) > 4
-        seen = Counter()
+        observed = Counter()
         for _, channel, message, decoded in reader.iter_decoded_messages():
-            k = seen[channel.topic]
+            k = observed[channel.topic]
             assert (decoded.step, message.sequence) == (k, k + 1)
             assert message.log_time - message.publish_time == 500
-            seen[channel.topic] += 1
-    assert seen == dict.fromkeys(LOOP, 700)
+            observed[channel.topic] += 1
+    assert observed == dict.fromkeys(LOOP, 700)
 
 
 def test_the_indexes_lead_to_the_messages_of_a_time_range(write_loop):
@@ -61,8 +61,8 @@ def test_the_indexes_lead_to_the_messages_of_a_time_range(write_loop):
     begin, end = START + 300 * PERIOD, START + 310 * PERIOD
     with open(folder / "run_0.mcap", "rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        found = reader.iter_decoded_messages("/theta", starting_at=begin, ending_before=end)
-        assert [decoded.step for *_, decoded in found] == list(range(300, 310))
+        actual = reader.iter_decoded_messages("/theta", starting_at=begin, ending_before=end)
+        assert [decoded.step for *_, decoded in actual] == list(range(300, 310))
 
 
 def test_every_index_entry_points_at_its_message(write_loop):
@@ -139,12 +139,12 @@ def test_a_bag_splits_by_size_and_every_file_stands_alone(write_loop):
 
 def descriptions(path):
     """Return all descriptions that a file holds, in their order."""
-    found = []
+    actual = []
     with open(path, "rb") as stream, suppress(EndOfFile):  # the file may still be written
         for record in StreamReader(stream).records:
             if isinstance(record, Metadata):
-                found.append(yaml.safe_load(record.metadata["serialized_metadata"]))
-    return found
+                actual.append(yaml.safe_load(record.metadata["serialized_metadata"]))
+    return actual
 
 
 def test_every_file_says_from_its_begin_what_the_bag_is(tmp_path, messages):
@@ -180,9 +180,9 @@ def test_no_message_is_logged_before_the_last_one_of_the_file_before(tmp_path, m
                 received = START + k * PERIOD - delays[topic]
                 writer.write(channel, received, received, messages.loop("/state", k))
     with BagReader(tmp_path / "run") as reader:
-        found = list(reader.messages())
-    assert [m.sequence for m in found if m.topic == "/b"] == list(range(1, 201))
-    changed = [m for m in found if m.log_time != m.publish_time]
+        actual = list(reader.messages())
+    assert [m.sequence for m in actual if m.topic == "/b"] == list(range(1, 201))
+    changed = [m for m in actual if m.log_time != m.publish_time]
     times = []
     for path in sorted((tmp_path / "run").glob("*.mcap")):
         with BagReader(path) as file:
@@ -202,8 +202,8 @@ def test_sequence_numbers_go_on_across_files(write_loop):
     folder = write_loop(n=1000, split_bytes=4_000)
     with BagReader(folder) as reader:
         assert len(reader.files) > 10  # and 10 comes after 9, not after 1
-        found = [m.sequence for m in reader.messages(["/cost"])]
-    assert found == list(range(1, 1001))
+        actual = [m.sequence for m in reader.messages(["/cost"])]
+    assert actual == list(range(1, 1001))
 
 
 def test_a_chunk_waits_no_longer_than_it_may(tmp_path, messages):

@@ -30,13 +30,13 @@ def between(before, after):
 
 
 def test_only_what_came_between_two_reports_counts():
-    found = between(
+    actual = between(
         said(100, late=7, missed=3, answered=90), said(500, late=8, missed=3, answered=490)
     )
-    assert found.slowest == 200.0
-    assert (found.ticks, found.late, found.lost) == (401, 1, 0)
-    assert found.trip(0.99) == pytest.approx(1e-3, rel=0.05)
-    assert found.cpu_per_loop == 0.06
+    assert actual.slowest == 200.0
+    assert (actual.ticks, actual.late, actual.lost) == (401, 1, 0)
+    assert actual.trip(0.99) == pytest.approx(1e-3, rel=0.05)
+    assert actual.cpu_per_loop == 0.06
 
 
 @pytest.mark.parametrize(

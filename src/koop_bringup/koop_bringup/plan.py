@@ -151,12 +151,12 @@ class Plan:
         return (*apart, PlannedNode(names[-1], *CONTAINER, components))
 
 
-def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> Plan:
+def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> Plan:
     """Return what a launch with these arguments does.
 
     Parameters
     ----------
-    given : mapping of str to str
+    texts : mapping of str to str
         Arguments by name; an empty one is not given.
     shared : mapping of str to object, optional
         Parameters for all nodes that have them, whatever they are; file and arguments win.
@@ -166,7 +166,7 @@ def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
     KoopError
         If an argument, the parameter file or the model cannot be used; in one line.
     """
-    arguments = {name: text for name, text in given.items() if text}
+    arguments = {name: text for name, text in texts.items() if text}
     namespace = _namespace(arguments.get("namespace", ""))
     file = parameter_file.read(arguments["params"]) if "params" in arguments else None
     notes = []
@@ -200,16 +200,16 @@ def plan(given: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
         name: {
             key: value
             for key, value in (shared or {}).items()
-            if key in names_of(own) or key.startswith(parameter_file.ROS_OWN)
+            if key in names_of(classes_of) or key.startswith(parameter_file.ROS_OWN)
         }
-        for name, own in classes.items()
+        for name, classes_of in classes.items()
     }
     if file is not None:
-        known = {name: names_of(own) for name, own in classes.items()}
-        from_file = with_model_beside(file.path, file.values_of(known, namespace))
-        values = {name: own | from_file[name] for name, own in values.items()}
+        names_by_node = {name: names_of(classes_of) for name, classes_of in classes.items()}
+        from_file = with_model_beside(file.path, file.values_of(names_by_node, namespace))
+        values = {name: items | from_file[name] for name, items in values.items()}
         # a recorded run's own file names its recorder, which this launch may not start
-        if any([own.pop("listeners", "next") != "next" for own in values.values()]):
+        if any([items.pop("listeners", "next") != "next" for items in values.values()]):
             notes.append(
                 f"{arguments['params']}: 'listeners' is not used: the launch says who must be there"
             )
@@ -238,15 +238,15 @@ def refuse_other_arguments(words: list[str]) -> None:
 
     What is unlike any of ours is an argument of a file that includes this one.
     """
-    known = [argument.name for argument in ARGUMENTS]
+    defined = [argument.name for argument in ARGUMENTS]
     for name in (word.partition(":=")[0] for word in words):
-        if difflib.get_close_matches(name, known, cutoff=SIMILAR):
-            refuse_unknown([name], known, "argument")
+        if difflib.get_close_matches(name, defined, cutoff=SIMILAR):
+            refuse_unknown([name], defined, "argument")
 
 
 def _program(file: ParameterFile | None, namespace: str) -> tuple[str, ...]:
-    given = file.values(f"{namespace}/rig", names_of(RIG["rig"])) if file is not None else {}
-    config = build({"rig": _own(given)}, RIG)["rig"][RigConfig]
+    values = file.values(f"{namespace}/rig", names_of(RIG["rig"])) if file is not None else {}
+    config = build({"rig": _node_values(values)}, RIG)["rig"][RigConfig]
     assert isinstance(config, RigConfig)
     return config.words()
 
@@ -254,11 +254,11 @@ def _program(file: ParameterFile | None, namespace: str) -> tuple[str, ...]:
 def _check(
     values: Mapping[str, Mapping[str, Any]], classes: Mapping[str, tuple[type, ...]]
 ) -> dict[str, dict[type, Any]]:
-    configs = build({name: _own(given) for name, given in values.items()}, classes)
+    configs = build({name: _node_values(items) for name, items in values.items()}, classes)
     steps = {
         name: config.dt
-        for name, own in configs.items()
-        for config in own.values()
+        for name, classes_of in configs.items()
+        for config in classes_of.values()
         if hasattr(config, "dt")
     }
     if len(set(steps.values())) > 1:
@@ -277,14 +277,14 @@ def return_time(values: Mapping[str, Mapping[str, Any]]) -> float:
     """Return how long the guard may take to return theta at its end [s]; 0 without one."""
     if "koop_guard" not in values:
         return 0.0
-    config = build({"koop_guard": _own(values["koop_guard"])}, GUARD)["koop_guard"][GuardConfig]
+    config = build({"koop_guard": _node_values(values["koop_guard"])}, GUARD)["koop_guard"][GuardConfig]
     assert isinstance(config, GuardConfig)
     return config.longest_return
 
 
-def _own(given: Mapping[str, Any]) -> dict[str, Any]:
+def _node_values(values: Mapping[str, Any]) -> dict[str, Any]:
     """Leave out what every node has."""
-    return {k: v for k, v in given.items() if not k.startswith(parameter_file.ROS_OWN)}
+    return {k: v for k, v in values.items() if not k.startswith(parameter_file.ROS_OWN)}
 
 
 def _namespace(text: str) -> str:

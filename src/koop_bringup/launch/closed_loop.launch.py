@@ -64,12 +64,12 @@ def generate_launch_description() -> LaunchDescription:
 def _start(context: LaunchContext) -> list:
     """Check everything, then return the processes."""
     refuse_other_arguments(context.argv)
-    given = {item.name: context.launch_configurations[item.name] for item in ARGUMENTS}
-    if not given["namespace"].startswith("/"):
+    texts = {item.name: context.launch_configurations[item.name] for item in ARGUMENTS}
+    if not texts["namespace"].startswith("/"):
         around = context.launch_configurations.get("ros_namespace", "")
-        given["namespace"] = f"{around}/{given['namespace']}"
+        texts["namespace"] = f"{around}/{texts['namespace']}"
     of_group = context.launch_configurations.get(SET, [])
-    planned = plan(given, dict(item for item in of_group if isinstance(item, tuple)))
+    planned = plan(texts, dict(item for item in of_group if isinstance(item, tuple)))
     name = f"given_parameters{planned.namespace.replace('/', '-')}.yaml"
     file = Path(launch_config.log_dir) / name
     write(planned.parameters, file)
@@ -143,17 +143,17 @@ class _Loop:
             if self._ended == len(self.processes):
                 self._place.close()
             text = describe_end(node, event.returncode)
-            found = ending(node, event.returncode, self._rig)
+            kind_of_end = ending(node, event.returncode, self._rig)
             actions = []
             if context.is_shutdown or self._ending:
                 if event.returncode:
                     self._failure = self._failure or text
-            elif found is Ending.GO_ON:
+            elif kind_of_end is Ending.GO_ON:
                 get_logger("launch").error(f"{text}: the loop goes on without it")
                 self._failure = text
             else:
                 get_logger("launch").info(f"{text}: the loop ends")
-                if found is Ending.FAILED:
+                if kind_of_end is Ending.FAILED:
                     self._failure = text
                 actions = self._end(event, found is Ending.DONE)
             if context.is_shutdown:

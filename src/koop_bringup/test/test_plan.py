@@ -43,11 +43,11 @@ def test_without_arguments_nothing_is_given_and_the_nodes_take_their_own_default
 def test_the_file_wins_over_defaults_and_only_a_given_argument_wins_over_the_file(mine):
     planned = plan({**mine(), "record": "true", "seed": "3", "pace": "", "duration": ""})
     assert names(planned) == ["recorder", "relay_esc", "koopman_lifter", "vdp_plant"]
-    given = planned.parameters
+    options = planned.parameters
     shared = {"dt": 0.005, "use_sim_time": False, "listeners": "next recorder"}
-    assert given["vdp_plant"] == {**shared, "pace": "lockstep", "duration": 20, "seed": 3}
-    assert given["koopman_lifter"] == {**shared, "cost": "raw"}
-    assert given["recorder"] == {
+    assert options["vdp_plant"] == {**shared, "pace": "lockstep", "duration": 20, "seed": 3}
+    assert options["koopman_lifter"] == {**shared, "cost": "raw"}
+    assert options["recorder"] == {
         "use_sim_time": False, "queue": 77
     }  # fmt: skip
 
@@ -63,7 +63,9 @@ def test_the_file_wins_over_defaults_and_only_a_given_argument_wins_over_the_fil
 def test_the_nodes_wait_for_the_recorder_that_there_is(mine, arguments, listeners):
     planned = plan({**mine(), **arguments})
     loop = {
-        given.get("listeners") for name, given in planned.parameters.items() if name != "recorder"
+        options.get("listeners")
+        for name, options in planned.parameters.items()
+        if name != "recorder"
     }
     assert loop == {listeners}
     assert any("'listeners' is not used" in note for note in planned.notes) == (
@@ -202,9 +204,9 @@ def test_a_bad_file_is_refused_before_a_node_starts(mine, text, message):
 def test_a_folder_that_holds_a_recording_is_refused(mine, tmp_path):
     (tmp_path / "bag").mkdir()
     text = f"recorder: {{ros__parameters: {{output: {tmp_path}}}}}"
-    for given in ({"output": str(tmp_path)}, mine(text)):
+    for options in ({"output": str(tmp_path)}, mine(text)):
         with pytest.raises(ConfigError, match="holds a recording already: choose another output"):
-            plan({"record": "true", **given})
+            plan({"record": "true", **options})
 
 
 @pytest.mark.parametrize(
@@ -235,23 +237,23 @@ def test_sections_of_other_programs_are_not_minded(mine):
 
 
 def test_only_the_lifted_cost_needs_a_model_that_fits(mine):
-    given = mine("/**: {ros__parameters: {dt: 0.01, model: /nowhere.npz}}")
-    assert plan({**given, "cost": "raw"}).parameters["koopman_lifter"]["cost"] == "raw"
+    options = mine("/**: {ros__parameters: {dt: 0.01, model: /nowhere.npz}}")
+    assert plan({**options, "cost": "raw"}).parameters["koopman_lifter"]["cost"] == "raw"
     with pytest.raises(ValueError, match=r"/nowhere.npz: cannot be read"):
-        plan(given)
+        plan(options)
     with pytest.raises(ValueError, match=r"trained at dt = 0.005 s, this node runs at dt = 0.01"):
         plan(mine("/**: {ros__parameters: {dt: 0.01}}"))
 
 
 def test_a_model_beside_the_file_is_found_wherever_the_folder_is(mine, tmp_path, monkeypatch):
-    given = mine("koopman_lifter: {ros__parameters: {model: own.npz}}")
+    options = mine("koopman_lifter: {ros__parameters: {model: own.npz}}")
     shutil.copyfile(shipped_model(), tmp_path / "own.npz")
     monkeypatch.chdir("/")
-    assert plan(given).parameters["koopman_lifter"]["model"] == str(tmp_path / "own.npz")
-    assert read(given["params"])["koopman_lifter"]["model"] == str(tmp_path / "own.npz")
+    assert plan(options).parameters["koopman_lifter"]["model"] == str(tmp_path / "own.npz")
+    assert read(options["params"])["koopman_lifter"]["model"] == str(tmp_path / "own.npz")
     (tmp_path / "own.npz").unlink()
     with pytest.raises(ValueError, match=r"own.npz: cannot be read"):
-        plan(given)
+        plan(options)
 
 
 def test_what_a_launch_gives_to_all_nodes_reaches_those_that_have_it(mine):

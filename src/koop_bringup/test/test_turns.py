@@ -25,17 +25,17 @@ def test_those_who_take_turns_share_a_processor_and_their_listener_has_all():
         gone = subprocess.Popen(["true"])
         gone.wait()
         take_turns([gone.pid, processes[0].pid, processes[1].pid], [processes[2].pid])
-        own = [_threads(process.pid) for process in processes]
+        by_process = [_threads(process.pid) for process in processes]
     finally:
         for process in processes:
             process.communicate(b"\n")
     allowed = os.sched_getaffinity(0)
     policy = os.SCHED_BATCH if len(allowed) > 1 else os.SCHED_OTHER
-    assert [len(threads) for threads in own] == [2, 2, 2]
-    assert {found for threads in own for _, found in threads} == {policy}
-    (shared,) = {frozenset(cpus) for threads in own[:2] for cpus, _ in threads}
+    assert [len(threads) for threads in by_process] == [2, 2, 2]
+    assert {actual for threads in by_process for _, actual in threads} == {policy}
+    (shared,) = {frozenset(cpus) for threads in by_process[:2] for cpus, _ in threads}
     assert len(shared) == 1
-    assert all(cpus == allowed for cpus, _ in own[2])
+    assert all(cpus == allowed for cpus, _ in by_process[2])
 
 
 def test_who_takes_turns_with_another_is_as_before_afterwards():

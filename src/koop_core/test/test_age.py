@@ -57,10 +57,10 @@ def test_a_clock_that_drifts_makes_nothing_old(drift):
 @pytest.mark.parametrize("jump", [2.0, 3600.0, 1.7e9])
 def test_a_clock_that_is_set_back_makes_messages_old_for_half_a_minute_at_most(jump):
     arrived = np.arange(0.0, 120.0, DT)
-    found = ages(np.where(arrived < 40.0, arrived, arrived - jump), arrived)
-    assert found[arrived < 40.0].max() < LIMIT
-    assert found[(arrived > 40.0) & (arrived < 45.0)].min() > LIMIT
-    assert found[arrived > 70.0].max() < LIMIT
+    actual = ages(np.where(arrived < 40.0, arrived, arrived - jump), arrived)
+    assert actual[arrived < 40.0].max() < LIMIT
+    assert actual[(arrived > 40.0) & (arrived < 45.0)].min() > LIMIT
+    assert actual[arrived > 70.0].max() < LIMIT
 
 
 def test_a_clock_that_is_set_forward_costs_nothing():

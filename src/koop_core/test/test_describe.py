@@ -54,12 +54,12 @@ def test_an_annotated_file_is_read_back_as_the_defaults(tmp_path, mode, monkeypa
     assert max(map(len, text.splitlines())) <= WIDTH
     file = tmp_path / "rig.yaml"
     file.write_text(text)
-    found = parameter_file.read(file).values_of({"one": (), "two": ()})
-    assert found["two"] == asdict(NodeConfig())
+    actual = parameter_file.read(file).values_of({"one": (), "two": ()})
+    assert actual["two"] == asdict(NodeConfig())
     wanted = asdict(Example(mode=mode)) | asdict(NodeConfig())
     del wanted["none"]  # of an empty list ROS cannot tell the type
-    assert found["one"] == wanted | {"limits": [0.0, 1.0]}
-    assert {name: type(value) for name, value in found["one"].items()} == {
+    assert actual["one"] == wanted | {"limits": [0.0, 1.0]}
+    assert {name: type(value) for name, value in actual["one"].items()} == {
         name: list if name == "limits" else type(value) for name, value in wanted.items()
     }
     assert "    # none: []\n" in text

@@ -19,8 +19,8 @@ def counted(values):
 def test_a_quantile_is_known_to_one_size(share):
     values = np.random.default_rng(1).lognormal(-8.0, 1.5, 20_000)
     exact = np.quantile(values, share, method="inverted_cdf")
-    found = counted(values.tolist()).quantile(share)
-    assert exact <= found <= exact * 2 ** (1 / 16) * (1 + 1e-12)  # a size is 1/16 octave wide
+    actual = counted(values.tolist()).quantile(share)
+    assert exact <= actual <= exact * 2 ** (1 / 16) * (1 + 1e-12)  # a size is 1/16 octave wide
 
 
 def test_no_duration_is_lost_however_small_or_large():

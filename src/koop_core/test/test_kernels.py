@@ -84,9 +84,9 @@ def test_a_direct_kernel_answers_as_the_kernel_does():
     x, expected = np.zeros(2), np.zeros(2)
     kernel = direct(moved, Pair(1.0, 2), x, 0.0)
     for by in (0.5, 2.0, 3):  # a whole number where there was a float is one
-        found = kernel(Pair(2.0, 7), x, by)
-        assert found == moved(Pair(2.0, 7), expected, float(by))
-        assert [type(item) for item in found] == [Pair, bool]
+        actual = kernel(Pair(2.0, 7), x, by)
+        assert actual == moved(Pair(2.0, 7), expected, float(by))
+        assert [type(item) for item in actual] == [Pair, bool]
     assert x.tolist() == expected.tolist() == [5.5, 0.0]
 
 

@@ -35,12 +35,12 @@ def rcl(monkeypatch):
             "node", context=context, namespace=namespace, start_parameter_services=False,
             automatically_declare_parameters_from_overrides=True,
         )  # fmt: skip
-        found = {name: item.value for name, item in node.get_parameters_by_prefix("").items()}
+        actual = {name: item.value for name, item in node.get_parameters_by_prefix("").items()}
         node.destroy_node()
         context.shutdown()
         for name in ("use_sim_time", "start_type_description_service"):
-            found.pop(name, None)
-        return {name: list(v) if hasattr(v, "tolist") else v for name, v in found.items()}
+            actual.pop(name, None)
+        return {name: list(v) if hasattr(v, "tolist") else v for name, v in actual.items()}
 
     return values
 
@@ -89,14 +89,14 @@ def test_the_namespace_of_a_file_is_the_one_that_it_names(tmp_path):
 def test_a_file_for_another_namespace_is_refused(tmp_path):
     file = tmp_path / "params.yaml"
     file.write_text(section("/**", "gain: 1") + section("node", "gain: 2"))
-    known = {"node": {"gain"}, "other": {"gain"}}
-    assert read(file).values_of(known) == {"node": {"gain": 2}, "other": {"gain": 1}}
+    reference = {"node": {"gain"}, "other": {"gain"}}
+    assert read(file).values_of(reference) == {"node": {"gain": 2}, "other": {"gain": 1}}
     with pytest.raises(
         ConfigError, match=r"has no parameters for /a/node, /a/other; it has /\*\*, /node"
     ):
-        read(file).values_of(known, "/a")
+        read(file).values_of(reference, "/a")
     file.write_text(section("/**", "gain: 1"))
-    assert read(file).values_of(known, "/a")["node"] == {"gain": 1}
+    assert read(file).values_of(reference, "/a")["node"] == {"gain": 1}
 
 
 @pytest.mark.parametrize(

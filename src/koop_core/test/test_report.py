@@ -6,8 +6,8 @@ from koop_core.stream.report import ERROR, OK, SETTLED, STALE, WARN, Finding, Ne
 def lines(levels):
     """Return the levels that are logged, one look a second."""
     news = News()
-    told = [news.of(Finding(level, "text"), float(t)) for t, level in enumerate(levels)]
-    return [item.level if item else None for item in told]
+    reported = [news.of(Finding(level, "text"), float(t)) for t, level in enumerate(levels)]
+    return [item.level if item else None for item in reported]
 
 
 def test_what_gets_worse_is_told_at_once_and_once():
@@ -17,12 +17,12 @@ def test_what_gets_worse_is_told_at_once_and_once():
 
 
 def test_what_may_be_so_at_every_start_is_told_when_it_has_lasted():
-    news, found = News(), Finding(WARN, "nothing yet", at_once=False)
-    told = [news.of(found, float(t)) for t in range(int(SETTLED) + 2)]
-    assert [item is not None for item in told] == [*[False] * int(SETTLED), True, False]
+    news, actual = News(), Finding(WARN, "nothing yet", at_once=False)
+    reported = [news.of(actual, float(t)) for t in range(int(SETTLED) + 2)]
+    assert [item is not None for item in reported] == [*[False] * int(SETTLED), True, False]
     short = News()
     assert not any(
-        short.of(item, float(t)) for t, item in enumerate([found, found, Finding(OK, "")])
+        short.of(item, float(t)) for t, item in enumerate([actual, actual, Finding(OK, "")])
     )
 
 
@@ -37,5 +37,5 @@ def test_a_warning_that_comes_and_goes_is_one_line():
 
 
 def test_an_error_that_becomes_a_warning_is_told_as_a_warning():
-    told = lines([ERROR, *[WARN] * 7, OK, OK])
-    assert [level for level in told if level is not None] == [ERROR, WARN]
+    reported = lines([ERROR, *[WARN] * 7, OK, OK])
+    assert [level for level in reported if level is not None] == [ERROR, WARN]

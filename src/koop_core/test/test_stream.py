@@ -118,8 +118,8 @@ def test_what_was_never_heard_is_not_ok_and_the_log_says_so_only_if_it_lasts(mon
 def test_a_source_that_has_nothing_more_to_say_has_ended():
     monitor = StreamMonitor("cost", 0.5, DT, may_end=True)
     monitor.hear(7, 0.0, 1.0)
-    (found,) = monitor.findings(2.0, 1, can_say_more=False)
-    assert found == Finding(OK, "'cost' has ended at step 7")
+    (actual,) = monitor.findings(2.0, 1, can_say_more=False)
+    assert actual == Finding(OK, "'cost' has ended at step 7")
 
 
 def test_where_the_newest_counts_a_gap_is_counted_and_no_finding():

@@ -77,7 +77,7 @@ def _largest_age(state: Columns, answered: NDArray[Any], when: NDArray[np.int64]
     begins = np.flatnonzero(np.diff(step, prepend=step[:1] + 1) < 0)  # of every pass of a plant
     number = np.searchsorted(begins, np.arange(step.size), side="right") * PASS + step
     asked = np.searchsorted(at[begins], when, side="right") * PASS + answered.astype(np.int64)
-    known, first = np.unique(number, return_index=True)
-    place = np.minimum(np.searchsorted(known, asked), known.size - 1)
-    ages = (when - at[first[place]])[known[place] == asked]
+    numbers, first = np.unique(number, return_index=True)
+    place = np.minimum(np.searchsorted(numbers, asked), numbers.size - 1)
+    ages = (when - at[first[place]])[numbers[place] == asked]
     return float(np.max(ages, initial=0)) * 1e-9

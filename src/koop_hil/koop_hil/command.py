@@ -40,12 +40,12 @@ def register(commands: Any) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 0 if every scenario passed, 1 if one failed."""
-    known = shipped()
+    files = shipped()
     if args.list:
-        for path in known:
+        for path in files:
             print(f"{path.stem:<24}{read(path).setting.description}")
         return 0
-    paths = known if args.all else [find(name) for name in args.scenarios]
+    paths = files if args.all else [find(name) for name in args.scenarios]
     if not paths:
         raise ConfigError("name a scenario, or --all; --list shows them")
     scenarios = [read(path) for path in paths]  # a bad file is reported before an hour has passed

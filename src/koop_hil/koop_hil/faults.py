@@ -58,8 +58,8 @@ def parse(text: str) -> Fault:
     for word in words:
         key, equals, value = word.partition("=")
         if not equals or key not in settings:
-            known = ", ".join(settings) or "no settings"
-            raise ConfigError(f"fault {name}: '{word}' is not a setting; it has {known}")
+            names = ", ".join(settings) or "no settings"
+            raise ConfigError(f"fault {name}: '{word}' is not a setting; it has {names}")
         if key == "kind":
             if value not in KINDS:
                 raise ConfigError(f"fault {name}: kind must be one of {', '.join(KINDS)}")

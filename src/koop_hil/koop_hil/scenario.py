@@ -66,7 +66,7 @@ class Limits:
     sent_age: float = parameter(
         NO_LIMIT, "age of a state when an answer to it is sent and moves theta", unit="s"
     )
-    known: float = parameter(0.3, "least share of the duration for which theta is known")
+    covered: float = parameter(0.3, "least share of the duration for which theta is known")
     unrecorded: int = parameter(
         0, "messages that the recording may lack: those under way when a node was killed"
     )
@@ -184,11 +184,11 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     """Return the scenario that the content of a file describes."""
     top = mapping(content, "a scenario")
     setting_names = {item.name for item in fields(Setting)}
-    own = {"parameters", "events", "limits", "levels"}
-    refuse_unknown(top, sorted(setting_names | own), "key", "a scenario")
-    given = {key: value for key, value in top.items() if key in setting_names}
-    if given.get("model"):
-        given["model"] = str((folder / str(given["model"])).resolve())
+    keys = {"parameters", "events", "limits", "levels"}
+    refuse_unknown(top, sorted(setting_names | keys), "key", "a scenario")
+    settings = {key: value for key, value in top.items() if key in setting_names}
+    if settings.get("model"):
+        settings["model"] = str((folder / str(settings["model"])).resolve())
     limits = mapping(top.get("limits", {}), "limits")
     refuse_unknown(limits, [item.name for item in fields(Limits)], "key", "limits")
     parameters = mapping(top.get("parameters", {}), "parameters")
@@ -199,9 +199,9 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     for node, level in levels.items():
         if level not in ("WARN", "ERROR", "STALE"):
             raise ConfigError(f"levels: {node} must be WARN, ERROR or STALE")
-    setting = Setting(**given)
-    if setting.plant not in (known := ("vdp_plant", *RIGS)):
-        raise ConfigError(f"plant = '{setting.plant}': must be one of {', '.join(known)}")
+    setting = Setting(**settings)
+    if setting.plant not in (plants := ("vdp_plant", *RIGS)):
+        raise ConfigError(f"plant = '{setting.plant}': must be one of {', '.join(plants)}")
     if setting.rig_options and setting.plant == "vdp_plant":
         raise ConfigError("rig_options: only of a rig: vdp_plant has parameters")
     happens = tuple(_event(item, folder) for item in events)
@@ -224,8 +224,8 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
 
 def with_parameter(scenario: Scenario, node: str, name: str, value: Any) -> Scenario:
     """Return a scenario in which a node has another parameter."""
-    own = {**scenario.parameters.get(node, {}), name: value}
-    return replace(scenario, parameters={**scenario.parameters, node: own})
+    keys = {**scenario.parameters.get(node, {}), name: value}
+    return replace(scenario, parameters={**scenario.parameters, node: keys})
 
 
 def with_controller(scenario: Scenario, file: Path) -> Scenario:
@@ -235,21 +235,21 @@ def with_controller(scenario: Scenario, file: Path) -> Scenario:
 
     Raises ConfigError if the file cannot be used; names it.
     """
-    given = parameters.read(file, {node: parameters.NODES[node] for node in CONTROLLER})
+    by_node = parameters.read(file, {node: parameters.NODES[node] for node in CONTROLLER})
     try:
-        parameters.build(given)
+        parameters.build(by_node)
     except ConfigError as error:
         raise ConfigError(f"{file}: {error}") from None
-    given.get("relay_esc", {}).pop("theta_initial", None)
-    return replace(scenario, parameters={**scenario.parameters, **given})
+    by_node.get("relay_esc", {}).pop("theta_initial", None)
+    return replace(scenario, parameters={**scenario.parameters, **by_node})
 
 
 def _event(item: Any, folder: Path) -> Event:
-    given = mapping(item, "an event")
-    refuse_unknown(given, ("at", "for", *ACTIONS), "key", "an event")
-    actions = [key for key in given if key in ACTIONS]
+    entry = mapping(item, "an event")
+    refuse_unknown(entry, ("at", "for", *ACTIONS), "key", "an event")
+    actions = [key for key in entry if key in ACTIONS]
     if len(actions) != 1:
-        raise ConfigError(f"an event has one of {', '.join(ACTIONS)}: {given}")
-    at, lasts = (number(given.get(key, 0.0), key) for key in ("at", "for"))
-    what = ACTIONS[actions[0]].check(given[actions[0]], folder)
+        raise ConfigError(f"an event has one of {', '.join(ACTIONS)}: {entry}")
+    at, lasts = (number(entry.get(key, 0.0), key) for key in ("at", "for"))
+    what = ACTIONS[actions[0]].check(entry[actions[0]], folder)
     return Event(at, lasts, actions[0], what)

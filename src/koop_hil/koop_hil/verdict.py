@@ -127,7 +127,7 @@ def _judge_theta(
     inside = (stamps >= record.begin) & (stamps <= record.end)
     stamps, theta = stamps[inside], ground_truth["theta_applied"][inside]
     verdict.simulated = float(stamps.size * scenario.dt)
-    if verdict.simulated < scenario.limits.known * verdict.duration:
+    if verdict.simulated < scenario.limits.covered * verdict.duration:
         verdict.failures.append(f"theta is known for only {verdict.simulated:.1f} s of the run")
         return
     error = np.abs(scenario.off(theta))

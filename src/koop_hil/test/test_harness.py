@@ -199,13 +199,13 @@ def test_a_scenario_runs_with_the_controller_of_a_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("options", "message"),
     [
         ("relay_esc.law=wide", "relay_esc: law = 'wide': must be one of relay, adaptive"),
         ("recorder.output=x", "write koopman_lifter.PARAMETER=VALUE or relay_esc.PARAMETER=VALUE"),
     ],
 )
-def test_a_setting_for_every_scenario_that_cannot_be_used_is_named(given, message, tmp_path):
-    args = parsed("rig-paper", "--set", given, "--out", str(tmp_path))
+def test_a_setting_for_every_scenario_that_cannot_be_used_is_named(options, message, tmp_path):
+    args = parsed("rig-paper", "--set", options, "--out", str(tmp_path))
     with pytest.raises(ConfigError, match=message):
         main(args)

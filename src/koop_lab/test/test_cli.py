@@ -17,8 +17,8 @@ from koop_loop.parameters import make, read
 
 def test_simulate_writes_signals_metrics_and_a_plot(tmp_path, capsys):
     out, plot = tmp_path / "run.npz", tmp_path / "run.png"
-    given = ["--duration", "150", "--out", str(out), "--plot", str(plot), "--json", "--seed", "3"]
-    assert main(["simulate", *given]) == 0
+    options = ["--duration", "150", "--out", str(out), "--plot", str(plot), "--json", "--seed", "3"]
+    assert main(["simulate", *options]) == 0
     metrics = json.loads(capsys.readouterr().out)
     with np.load(out, allow_pickle=False) as run:
         assert run["x"].shape == run["ground_truth"].shape == (30_000, 2)
@@ -33,8 +33,8 @@ def test_simulate_writes_signals_metrics_and_a_plot(tmp_path, capsys):
 
 def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys):
     path = tmp_path / "model.npz"
-    given = ["--modes", "6", "--out", str(path)]
-    assert main(["train", *given]) == 0
+    options = ["--modes", "6", "--out", str(path)]
+    assert main(["train", *options]) == 0
     printed = capsys.readouterr().out
     assert main(["inspect", str(path)]) == 0
     inspected = capsys.readouterr().out
@@ -156,17 +156,17 @@ def test_the_contrast_model_serves_the_loop_and_beats_the_shipped_one(tmp_path, 
     assert main(["train", "--contrast", "--out", str(path)]) == 0
     capsys.readouterr()
     drawn = tmp_path / "run.svg"
-    given = ["--duration", "10", "--model", str(path), "--plot", str(drawn)]
-    assert main(["simulate", *given]) == 0
+    options = ["--duration", "10", "--model", str(path), "--plot", str(drawn)]
+    assert main(["simulate", *options]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("contrast cost ")
     assert f"written to {drawn}" in printed
-    found = []
+    actual = []
     for model in ([], ["--model", str(path)]):
         assert main(["simulate", "--json", *model]) == 0
-        found.append(json.loads(capsys.readouterr().out))
-    assert found[1]["converged"]
-    assert found[1]["iae_theta"] < found[0]["iae_theta"]
+        actual.append(json.loads(capsys.readouterr().out))
+    assert actual[1]["converged"]
+    assert actual[1]["iae_theta"] < actual[0]["iae_theta"]
 
 
 def test_both_packages_have_their_actions_under_koop_bag(capsys):

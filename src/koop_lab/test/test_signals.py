@@ -51,12 +51,12 @@ def write(path, **topics):
             (round(at * 1e9), name, kind, make(at, v)) for at, v in zip(t, values, strict=True)
         ]
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        known = {
+        reference = {
             name: writer.add_connection(f"/{name}", kind, typestore=STORE)
             for name, (_, kind, _, _) in topics.items()
         }
         for at, name, kind, message in sorted(messages, key=lambda item: item[0]):
-            writer.write(known[name], BEGIN + at, STORE.serialize_cdr(message, kind))
+            writer.write(reference[name], BEGIN + at, STORE.serialize_cdr(message, kind))
     return path
 
 
@@ -118,8 +118,8 @@ def test_states_between_two_messages_have_the_theta_of_the_earlier(joints):
     signals = read_signals(joints, reading(JOINTS, "/command:data", dt=0.003))
     assert signals.way == "linear"
     before = np.floor(signals.t / DT + 1e-6).astype(int)  # number of the message
-    given = falling(np.floor(before / 10 + 1e-6) * 0.1)  # none is interpolated
-    np.testing.assert_array_equal(signals.theta, given)
+    options = falling(np.floor(before / 10 + 1e-6) * 0.1)  # none is interpolated
+    np.testing.assert_array_equal(signals.theta, options)
 
 
 def test_states_without_stamps_are_counted_and_theta_is_held_between_its_changes(pressure):
@@ -136,13 +136,13 @@ def test_a_theta_that_comes_often_and_stops_is_not_known_any_more(tmp_path, caps
         joint_states=(joint_state, "sensor_msgs/msg/JointState", t, rig(t)),
         command=(number, "std_msgs/msg/Float64", often, falling(often)),
     )
-    given = ["--measured", JOINTS, "--command", "/command:data", "--dt", "0.01"]
-    assert main(["bag", "metrics", str(bag), *given]) == 0
+    options = ["--measured", JOINTS, "--command", "/command:data", "--dt", "0.01"]
+    assert main(["bag", "metrics", str(bag), *options]) == 0
     printed = capsys.readouterr().out
     assert "the figures cover 57.91 of 100 s ONLY" in printed  # and the second that it is held
     assert "it is there from 0 to 57.9 s" in printed
     assert "theta: not recorded at the end" in printed
-    assert main(["bag", "metrics", str(bag), *given, "--json"]) == 0
+    assert main(["bag", "metrics", str(bag), *options, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["coverage"]["covered"] == pytest.approx(57.9, abs=0.02)
     assert result["coverage"]["recorded"] == pytest.approx(100.0)
@@ -150,8 +150,8 @@ def test_a_theta_that_comes_often_and_stops_is_not_known_any_more(tmp_path, caps
 
 
 def test_the_metrics_of_a_rig_need_no_optimum(joints, capsys):
-    given = ["--measured", JOINTS, "--command", "/command:data"]
-    assert main(["bag", "metrics", str(joints), *given, "--json"]) == 0
+    options = ["--measured", JOINTS, "--command", "/command:data"]
+    assert main(["bag", "metrics", str(joints), *options, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     position = result["amplitude"]["channels"]["position0"]
     assert result["amplitude"]["before"] == pytest.approx({"from": 0.0, "to": 10.1}, abs=0.02)
@@ -163,14 +163,14 @@ def test_the_metrics_of_a_rig_need_no_optimum(joints, capsys):
     assert result["theta"]["settled_at"] == pytest.approx(36.4, abs=0.2)  # 2 - (t - 10) / 6 = -2.4
     assert (result["theta"]["at_limit"], result["dt"]) == (None, 0.01)  # of the messages
     assert "iae_theta" not in result
-    assert main(["bag", "metrics", str(joints), *given]) == 0
+    assert main(["bag", "metrics", str(joints), *options]) == 0
     printed = capsys.readouterr().out
     assert "paper" not in printed
     assert "theta has settled: within its final swing from 36." in printed
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("options", "message"),
     [
         ([], "no states of a loop on /state. For other messages name the fields: --measured"),
         (["--measured", "/joint:position[0]"], "has no topic /joint; it has "),
@@ -180,10 +180,10 @@ def test_the_metrics_of_a_rig_need_no_optimum(joints, capsys):
          "name one of them"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_read_is_named(joints, given, message, capsys):
+def test_what_cannot_be_read_is_named(joints, options, message, capsys):
     if message == "name one of them":  # of one joint, an array of one number is a number
-        given = [*given[:-1], "/joint_states:position[0],velocity[0]"]
-    assert main(["bag", "metrics", str(joints), *given]) == 2
+        options = [*options[:-1], "/joint_states:position[0],velocity[0]"]
+    assert main(["bag", "metrics", str(joints), *options]) == 2
     assert message in capsys.readouterr().err
 
 
@@ -196,8 +196,8 @@ TRAIN = ["--dt", "0.01", "--degree", "2", "--modes", "3", "--delays", "4"]
 def model(pressure, tmp_path_factory):
     """A model of one channel and four of its samples."""
     out = tmp_path_factory.mktemp("model") / "pressure.npz"
-    given = ["--measured", PRESSURE, *TRAIN]
-    assert main(["train", str(pressure), *given, "--out", str(out)]) == 0
+    options = ["--measured", PRESSURE, *TRAIN]
+    assert main(["train", str(pressure), *options, "--out", str(out)]) == 0
     return out
 
 
@@ -226,8 +226,8 @@ def test_the_cost_of_any_states_under_a_model_is_that_of_the_node(pressure, mode
     ],
 )
 def test_a_model_of_other_states_is_refused(joints, model, dt, measured, message, capsys):
-    given = ["--measured", measured, "--dt", str(dt), "--model", str(model)]
-    assert main(["bag", "plot", str(joints), *given]) == 2
+    options = ["--measured", measured, "--dt", str(dt), "--model", str(model)]
+    assert main(["bag", "plot", str(joints), *options]) == 2
     assert message in capsys.readouterr().err
 
 
@@ -255,7 +255,7 @@ def test_the_modes_are_marked_where_the_oscillator_oscillates():
 
 def test_the_page_of_any_bag_is_drawn_under_a_model(pressure, model, tmp_path, capsys):
     out = tmp_path / "page.png"
-    given = ["--measured", PRESSURE, "--command", "/knob:data", "--model", str(model)]
-    assert main(["bag", "plot", str(pressure), *given, "--out", str(out)]) == 0
+    options = ["--measured", PRESSURE, "--command", "/knob:data", "--model", str(model)]
+    assert main(["bag", "plot", str(pressure), *options, "--out", str(out)]) == 0
     assert out.read_bytes().startswith(b"\x89PNG")
     assert "the figures cover 100 of 100 s" in capsys.readouterr().out

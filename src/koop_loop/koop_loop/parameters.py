@@ -68,8 +68,8 @@ class LoopParameters:
         }
         return {
             # ROS cannot tell the type of an empty list, and it is the default where it occurs
-            node: {k: list(v) if isinstance(v, tuple) else v for k, v in given.items() if v != ()}
-            for node, given in values.items()
+            node: {k: list(v) if isinstance(v, tuple) else v for k, v in section.items() if v != ()}
+            for node, section in values.items()
         }
 
 
@@ -97,11 +97,11 @@ def build(
     return {node: _build(node, classes, values.get(node, {})) for node, classes in nodes.items()}
 
 
-def _build(node: str, classes: tuple[type, ...], given: Mapping[str, Any]) -> dict[type, Any]:
+def _build(node: str, classes: tuple[type, ...], section: Mapping[str, Any]) -> dict[type, Any]:
     try:
-        refuse_unknown(given, sorted(names_of(classes)))
+        refuse_unknown(section, sorted(names_of(classes)))
         return {
-            cls: cls(**{name: given[name] for name in names_of([cls]) if name in given})
+            cls: cls(**{name: section[name] for name in names_of([cls]) if name in section})
             for cls in classes
         }
     except ConfigError as error:
@@ -148,11 +148,11 @@ def read(
     ConfigError
         If the file cannot be read, is not a parameter file or has no parameters for any node.
     """
-    known = {node: names_of(classes) for node, classes in nodes.items()}
-    values = with_model_beside(path, parameter_file.read(path).values_of(known, namespace))
+    names = {node: names_of(classes) for node, classes in nodes.items()}
+    values = with_model_beside(path, parameter_file.read(path).values_of(names, namespace))
     return {
-        node: {name: value for name, value in given.items() if not name.startswith(ROS_OWN)}
-        for node, given in values.items()
+        node: {name: value for name, value in section.items() if not name.startswith(ROS_OWN)}
+        for node, section in values.items()
     }
 
 
@@ -164,11 +164,11 @@ def with_model_beside(
     So a folder that holds both can be moved. Where an absolute path leads nowhere, the model is the
     one that the recorder has kept of that name. Where none is beside it, the path is left as it is.
     """
-    given = values.get("koopman_lifter", {}).get("model")
-    if not isinstance(given, str) or not given:
+    section = values.get("koopman_lifter", {}).get("model")
+    if not isinstance(section, str) or not section:
         return values
-    named, folder = Path(given), Path(path).parent
-    beside = folder / "model" / named.name if named.is_absolute() else folder / given
+    named, folder = Path(section), Path(path).parent
+    beside = folder / "model" / named.name if named.is_absolute() else folder / section
     if (named.is_absolute() and named.exists()) or not beside.is_file():
         return values
     return changed(values, ("koopman_lifter", "model", str(beside.resolve())))
@@ -178,7 +178,7 @@ def changed(
     values: dict[str, dict[str, Any]], *overrides: tuple[str, str, Any]
 ) -> dict[str, dict[str, Any]]:
     """Return ``values`` with (node, parameter, value) overrides; None changes nothing."""
-    result = {node: dict(given) for node, given in values.items()}
+    result = {node: dict(section) for node, section in values.items()}
     for node, name, value in overrides:
         if value is not None:
             result.setdefault(node, {})[name] = value

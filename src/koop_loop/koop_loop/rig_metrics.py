@@ -129,18 +129,18 @@ def rig_metrics(
     length = round(max(_window(x, dt, end - begin), METRICS.shortest * dt) / dt)
     window = length * dt
     after_from = end - max(METRICS.tail * (end - begin), window)
-    known = np.zeros(t.size, np.bool_) if theta is None else np.isfinite(theta)
+    has_theta = np.zeros(t.size, np.bool_) if theta is None else np.isfinite(theta)
     before_to = begin + window
     mean = swing = settled = None
-    if theta is not None and known.any():
-        first = int(np.argmax(known))
+    if theta is not None and has_theta.any():
+        first = int(np.argmax(has_theta))
         moves = np.flatnonzero(np.diff(theta[first:]) != 0.0)
         if moves.size:
             before_to = max(before_to, float(t[first + moves[0] + 1]))
-        final = theta[known & (t >= after_from)]
+        final = theta[has_theta & (t >= after_from)]
         if final.size:  # else theta was lost before the end
             mean, swing = float(final.mean()), float(np.ptp(final))
-            settled = _settled_at(t[known], theta[known], after_from)
+            settled = _settled_at(t[has_theta], theta[has_theta], after_from)
     before_to = min(before_to, after_from)
     return RigMetrics(
         window,
@@ -153,7 +153,7 @@ def rig_metrics(
         mean,
         swing,
         settled,
-        None if limited is None or not known.any() else float(limited[known].mean()),
+        None if limited is None or not has_theta.any() else float(limited[has_theta].mean()),
     )
 
 

@@ -45,7 +45,7 @@ def run(plant, p, memory, work, x, y, who, at, joins, theta):
                 to_controller = Arrival.RESUME if who == LIFTER else begin
                 if who == CONTROLLER:  # with theta as it was: it is the filter that is looked at
                     relay_state = RelayState(
-                        relay_state.u, 1, 0.0, 0.0, 0, False, relay_state.given,
+                        relay_state.u, 1, 0.0, 0.0, 0, False, relay_state.commanded,
                         relay_state.output, OPEN,
                     )  # fmt: skip
             _, detector, relay_state = control(

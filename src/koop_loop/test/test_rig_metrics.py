@@ -114,7 +114,7 @@ def test_what_is_too_short_is_refused():
 def test_json_has_no_number_that_is_none():
     x = np.zeros((T.size, 2))
     x[:, 1] = np.nan
-    found = rig_metrics(T, x, None).as_dict(("still", "broken"))
-    assert found["amplitude"]["channels"]["still"]["reduction"] is None
-    assert found["amplitude"]["channels"]["broken"]["after"] is None
-    assert found["theta"]["settled"] is None
+    actual = rig_metrics(T, x, None).as_dict(("still", "broken"))
+    assert actual["amplitude"]["channels"]["still"]["reduction"] is None
+    assert actual["amplitude"]["channels"]["broken"]["after"] is None
+    assert actual["theta"]["settled"] is None

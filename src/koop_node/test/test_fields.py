@@ -150,12 +150,12 @@ class Made(SimpleNamespace):
 def test_the_numbers_of_a_message_are_all_but_what_says_when():
     inner = Made(x=1.0, name="a", ok=True)
     whole = Made(header=Made(stamp=Made(sec=1)), step=3, gain=2, axes=[1.0, 2.0], twist=[inner])
-    found = [format_field(path) for path in numbers_of(whole)]
-    assert found == ["gain", "axes[0]", "axes[1]", "twist[0].x"]
+    actual = [format_field(path) for path in numbers_of(whole)]
+    assert actual == ["gain", "axes[0]", "axes[1]", "twist[0].x"]
 
 
 @pytest.mark.parametrize("text", ["gain", "axes[3]", "twist.x", "count"])
 def test_what_is_written_into_a_field_is_read_there(text):
-    given = SimpleNamespace(gain=0.0, count=0, axes=[1.0], twist=SimpleNamespace(x=0.0))
-    write_field(parse_field(text), given, 7.0)
-    assert read_field(parse_field(text), given) == 7.0
+    options = SimpleNamespace(gain=0.0, count=0, axes=[1.0], twist=SimpleNamespace(x=0.0))
+    write_field(parse_field(text), options, 7.0)
+    assert read_field(parse_field(text), options) == 7.0

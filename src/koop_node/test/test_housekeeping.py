@@ -65,20 +65,20 @@ def test_garbage_is_collected_at_last_where_there_is_never_time(house):
 
 def test_what_was_there_at_the_start_is_not_looked_through():
     before = Knot()
-    seen = weakref.ref(before)
+    observed = weakref.ref(before)
     house = Housekeeping(now=0.0)
     del before
     try:
         house.tidy(PERIOD, room=1.0)
-        assert seen() is not None
+        assert observed() is not None
     finally:
         house.end()
     assert gc.isenabled()
     gc.collect()
-    assert seen() is None
+    assert observed() is None
 
 
 def test_only_mappings_that_are_as_their_file_are_let_go():
     """Relocated pages, though read-only, are nowhere but in memory."""
-    found = list(clean_mappings(MAPS, "libllvmlite"))
-    assert found == [(0x7F0000000000, 0x7F0000001000), (0x7F0000001000, 0x7F0000003000)]
+    actual = list(clean_mappings(MAPS, "libllvmlite"))
+    assert actual == [(0x7F0000000000, 0x7F0000001000), (0x7F0000001000, 0x7F0000003000)]

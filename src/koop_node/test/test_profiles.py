@@ -24,7 +24,7 @@ def test_a_guests_profile_differs_from_the_nodes_in_how_it_is_sent_to_only():
 
 
 @pytest.mark.parametrize(
-    ("given", "guest", "expected"),
+    ("options", "guest", "expected"),
     [
         (None, False, OWN / "fastdds.xml"),
         (None, True, OWN / "fastdds_guest.xml"),
@@ -35,12 +35,12 @@ def test_a_guests_profile_differs_from_the_nodes_in_how_it_is_sent_to_only():
     ],
 )
 def test_a_profile_of_the_users_stays_and_one_of_a_parent_does_not(
-    monkeypatch, given, guest, expected
+    monkeypatch, options, guest, expected
 ):
     monkeypatch.delenv(PROFILE, raising=False)
     monkeypatch.delenv(TRANSPORTS, raising=False)
-    if given is not None:
-        monkeypatch.setenv(PROFILE, str(given))
+    if options is not None:
+        monkeypatch.setenv(PROFILE, str(options))
     set_dds_profile(guest)
     assert os.environ[PROFILE] == str(expected)
     monkeypatch.setenv(PROFILE, os.environ[PROFILE])  # to be undone

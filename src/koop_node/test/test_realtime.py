@@ -46,24 +46,24 @@ if os.getuid() == 0:
 
 @LINUX
 def test_what_is_not_permitted_names_the_right_and_is_done_without():
-    found = applied(70, WITHOUT_RIGHTS)
-    priority, memory = found["problems"]
+    actual = applied(70, WITHOUT_RIGHTS)
+    priority, memory = actual["problems"]
     assert "priority = 70" in priority
     assert "CAP_SYS_NICE" in priority
     assert "rtprio 70" in priority
     assert "locked memory" in memory
     assert "CAP_IPC_LOCK" in memory
-    assert {policy for policy, _ in found["policies"]} == {os.SCHED_OTHER}
+    assert {policy for policy, _ in actual["policies"]} == {os.SCHED_OTHER}
 
 
 @LINUX
 def test_all_threads_have_the_priority_and_memory_is_locked_where_permitted():
-    found = applied(3)
-    permitted = "\n".join(found["problems"])
+    actual = applied(3)
+    permitted = "\n".join(actual["problems"])
     if "priority" not in permitted:
-        assert found["policies"] == [[os.SCHED_FIFO, 3], [os.SCHED_FIFO, 3]]
+        assert actual["policies"] == [[os.SCHED_FIFO, 3], [os.SCHED_FIFO, 3]]
     if "locked memory" not in permitted:
-        assert found["locked"] > 0
+        assert actual["locked"] > 0
 
 
 @LINUX

@@ -59,8 +59,8 @@ def test_what_is_written_and_read_is_what_rclpy_writes_and_reads(kind):
         data = serialize_message(message)
         view = wire.decode(data)
         assert as_typed(view, kind) == message
-        for given in (view, message):
-            written = wire.encode(given)
+        for options in (view, message):
+            written = wire.encode(options)
             assert deserialize_message(written, kind) == message
             assert len(written) <= len(data)  # rclpy may leave bytes at the end
 

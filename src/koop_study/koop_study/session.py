@@ -73,6 +73,6 @@ def choose(names: list[str], quick: bool) -> list[Experiment]:
     paths = [Path(n) if n.endswith(".yaml") else EXPERIMENTS / f"{n}.yaml" for n in names]
     for name, path in zip(names, paths, strict=True):
         if path.parent == EXPERIMENTS and not path.exists():
-            known = ", ".join(sorted(item.stem for item in EXPERIMENTS.glob("*.yaml")))
-            raise ConfigError(f"unknown experiment '{name}': known are {known}")
+            shipped = ", ".join(sorted(item.stem for item in EXPERIMENTS.glob("*.yaml")))
+            raise ConfigError(f"unknown experiment '{name}': known are {shipped}")
     return in_order([read(path, quick) for path in paths])

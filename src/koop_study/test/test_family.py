@@ -110,14 +110,14 @@ def test_the_best_theta_is_the_best_of_many(name: str, maximised: float) -> None
     for seed in range(4):
         rig = of(name, seed, **settings)
         thetas = [oscillator.theta_at(rig.params, u) for u in np.linspace(0.0, 1.0, 41)]
-        found = [rms(rig, theta, seed, 3.0) for theta in thetas]
+        actual = [rms(rig, theta, seed, 3.0) for theta in thetas]
         best, amplitude = rig.best()
         pick = max if rig.objective == "maximise" else min
         # a limit cycle has settled to 1e-6 after 25 time constants, from any level
-        assert amplitude == pytest.approx(pick([*found, rms(rig, best, seed, 3.0)]), rel=1e-3)
+        assert amplitude == pytest.approx(pick([*actual, rms(rig, best, seed, 3.0)]), rel=1e-3)
         assert rig.has_optimum == (name in WITH_OPTIMUM or name == "drowned") - (name == "drowned")
         if rig.has_optimum:
-            worst = (max if pick is min else min)(found)
+            worst = (max if pick is min else min)(actual)
             assert max(worst / amplitude, amplitude / worst) > 1.5
             u = oscillator.position(rig.params, rig.theta_initial)
             assert abs(u - oscillator.position(rig.params, best)) >= 0.249
@@ -142,8 +142,8 @@ def test_a_noise_driven_amplitude_has_its_memory() -> None:
     _, amplitude = rig.record(np.full(20_000 * lag // 10, best), 1)
     square = amplitude**2 - np.mean(amplitude**2)
     # <|z|^2 |z|^2'> of a complex Ornstein-Uhlenbeck process decays as exp(-2 t / tau)
-    found = np.mean(square[lag:] * square[:-lag]) / np.mean(square**2)
-    assert found == pytest.approx(math.exp(-2.0), abs=0.05)
+    actual = np.mean(square[lag:] * square[:-lag]) / np.mean(square**2)
+    assert actual == pytest.approx(math.exp(-2.0), abs=0.05)
 
 
 def test_the_interference_has_the_ratio_asked_for_and_is_common_or_lagged() -> None:

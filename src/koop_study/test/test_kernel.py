@@ -50,8 +50,8 @@ def limited(cost: str, **settings: object) -> Case:
 
 
 def test_with_delays_it_is_the_nodes_loop_to_the_last_bit() -> None:
-    given = {"sensing.delays": 4, "sensing.spacing": 0.1, "training.degree": 1, "duration": 20.0}
-    case = override(Case(cost="contrast"), {**given, "training.trajectories": 20})
+    options = {"sensing.delays": 4, "sensing.spacing": 0.1, "training.degree": 1, "duration": 20.0}
+    case = override(Case(cost="contrast"), {**options, "training.trajectories": 20})
     trace = run(case)
     loop = simulate(case.plant, case.lifter, case.esc, model_of(case), case.steps)
     np.testing.assert_array_equal(trace.r, loop.r)
@@ -86,8 +86,8 @@ def test_no_limit_is_silently_ignored(name: str) -> None:
     if name.endswith("theta_max"):
         only = override(only, {"esc.epsilon_initial": -1})
     without = override(only, {name: default[name]})
-    found, free = (run(case).ground_truth for case in (only, without))
-    assert not np.array_equal(found, free)
+    actual, free = (run(case).ground_truth for case in (only, without))
+    assert not np.array_equal(actual, free)
 
 
 def test_what_follows_on_lost_states_is_told_by_the_timeouts_as_in_the_nodes() -> None:

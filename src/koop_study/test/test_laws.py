@@ -54,9 +54,9 @@ def test_a_knob_left_at_the_best_theta_scores_one_and_is_within_bounds_at_once()
     resting = replace(rig, theta_initial=rig.best()[0])
     steps = round(RIGS.duration * rig.time / rig.params.dt)
     noise = noise_of(resting, steps, 2)
-    found = close(resting, scaled_to(resting, IDLE, None), noise, 2)
-    assert found.ratio == pytest.approx(1.0, abs=1e-12)
-    assert found.converged <= 0.01
+    actual = close(resting, scaled_to(resting, IDLE, None), noise, 2)
+    assert actual.ratio == pytest.approx(1.0, abs=1e-12)
+    assert actual.converged <= 0.01
 
 
 def test_the_adaptive_law_follows_a_rigs_optimum_that_jumps() -> None:

@@ -196,11 +196,11 @@ def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results
     with ThreadPoolExecutor(1) as thread:
         left: list[int] = []
         killed = thread.submit(kill, worker, units, left)
-        found = compute_all(units, store, 1, address)
+        actual = compute_all(units, store, 1, address)
         killed.result()
         assert worker.wait() == -signal.SIGKILL
         assert left[0] > 1
-        assert found == [runs(**unit.arguments) for unit in units]
+        assert actual == [runs(**unit.arguments) for unit in units]
         again = re.findall("recomputed elsewhere: .*", (tmp_path / "log").read_text())
         assert sum(line.count("runs-") for line in again) <= 2  # what was there is not done again
         with monkeypatch.context() as patch:  # another study than what the workers are made of

@@ -4,25 +4,25 @@ from koop_view.roles import COST, GONE, STATE, THETA, KnownLoops, LoopNames, fin
 
 
 def test_loops_are_told_apart_by_namespace_and_by_what_their_nodes_publish():
-    found = find_loops({
+    actual = find_loops({
         "/vdp_plant": {"/state": STATE, "/rosout": "rcl_interfaces/msg/Log"},
         "/koopman_lifter": {"/cost": COST},
         "/relay_esc": {"/a_command": THETA, "/theta": THETA},
         "/rig/lifter": {"/rig/cost": COST, "/rig/state": STATE},  # of a rig's own message
         "/recorder": {"/rosout": "rcl_interfaces/msg/Log"},
     }, {"/a_copy": STATE, "/rig/clock": "rosgraph_msgs/msg/Clock"})  # fmt: skip
-    assert found["/"] == LoopNames(
+    assert actual["/"] == LoopNames(
         "/", "/vdp_plant", "/koopman_lifter", "/relay_esc", "/state", "/cost", "/theta"
     )
-    assert found["/rig"] == LoopNames(
+    assert actual["/rig"] == LoopNames(
         "/rig", lifter="/rig/lifter", state="/rig/state", cost="/rig/cost"
     )
 
 
 def test_the_state_of_a_rig_that_is_no_ros_node_belongs_to_the_loop_of_its_namespace():
     rig = {"/a_copy": STATE, "/state": STATE, "/rig/state": STATE}
-    found = find_loops({"/lifter": {"/cost": COST}}, rig)
-    assert found == {
+    actual = find_loops({"/lifter": {"/cost": COST}}, rig)
+    assert actual == {
         "/": LoopNames("/", lifter="/lifter", cost="/cost", state="/state"),
         "/rig": LoopNames("/rig", state="/rig/state"),
     }
@@ -37,14 +37,14 @@ def test_where_a_commander_passes_on_what_a_controller_says_theta_is_what_the_ri
 
 
 def test_a_node_that_has_gone_keeps_its_place_as_long_as_its_loop_has_another():
-    known = KnownLoops()
-    assert known.update({"/": LoopNames("/", lifter="/lifter", cost="/cost")}, 0.0)
-    assert known.update({"/": LoopNames("/", controller="/esc")}, 1.0)
+    expected = KnownLoops()
+    assert expected.update({"/": LoopNames("/", lifter="/lifter", cost="/cost")}, 0.0)
+    assert expected.update({"/": LoopNames("/", controller="/esc")}, 1.0)
     both = LoopNames("/", lifter="/lifter", controller="/esc", cost="/cost")
-    assert known.loops == {"/": both}
-    assert not known.update({"/": LoopNames("/", controller="/esc")}, 100.0)
-    assert not known.update({}, 100.0 + GONE)  # it may be restarted
-    assert known.update({"/rig": LoopNames("/rig")}, 100.1 + GONE)
-    assert known.loops == {"/rig": LoopNames("/rig")}
-    assert known.update({"/": LoopNames("/", cost="/cost")}, 200.0)
-    assert known.loops == {"/": LoopNames("/", cost="/cost")}
+    assert expected.loops == {"/": both}
+    assert not expected.update({"/": LoopNames("/", controller="/esc")}, 100.0)
+    assert not expected.update({}, 100.0 + GONE)  # it may be restarted
+    assert expected.update({"/rig": LoopNames("/rig")}, 100.1 + GONE)
+    assert expected.loops == {"/rig": LoopNames("/rig")}
+    assert expected.update({"/": LoopNames("/", cost="/cost")}, 200.0)
+    assert expected.loops == {"/": LoopNames("/", cost="/cost")}

@@ -57,19 +57,19 @@ def test_raw_and_lifted_energy_are_the_paper_s_formulas():
         assert lifted == pytest.approx(np.linalg.norm(modal) ** 2, rel=1e-6)
 
 
-def answers(states, arrivals=None, state=None, **given):
+def answers(states, arrivals=None, state=None, **options):
     """Return r and settling of every state, and the detector after them, for the lifted cost."""
     model = load(shipped_model())
     work = cost.workspace(model.lifting())
-    params, state = LifterConfig(**given).detector_params(), state or cost.initial()
+    params, state = LifterConfig(**options).detector_params(), state or cost.initial()
     arrivals = arrivals or [Arrival.RESTART, *[Arrival.NEXT] * (len(states) - 1)]
-    found = []
+    actual = []
     for k, (x, arrival) in enumerate(zip(states, arrivals, strict=True)):
         r, _, settling, state = cost.answer(
             cost.LIFTED, model.lifting(), params, state, int(arrival), k, np.asarray(x), work
         )
-        found.append((r, settling))
-    r, settling = np.array(found).T
+        actual.append((r, settling))
+    r, settling = np.array(actual).T
     return r, settling.astype(bool), state
 
 

@@ -47,8 +47,8 @@ def test_embedding_is_the_last_samples_of_every_channel():
 
 def test_one_channel_of_a_linear_oscillator_has_its_analytic_spectrum(model):
     expected = np.exp((-DECAY + 1j * OMEGA) * DT)
-    found = model.eigenvalues[np.argmin(np.abs(model.eigenvalues - expected))]
-    assert abs(found - expected) < 1e-10
+    actual = model.eigenvalues[np.argmin(np.abs(model.eigenvalues - expected))]
+    assert abs(actual - expected) < 1e-10
     assert abs(model.eigenvalues[0] - 1.0) < 1e-10  # the constant
     assert model.kept.all()  # as many modes as there are, where more are asked for
 
@@ -66,15 +66,15 @@ def test_a_model_with_delays_is_saved_and_loaded(model, tmp_path):
 def energies(model, x, arrivals=None, steps=None):
     """Return what the kernel makes of samples: r, y_out and settling."""
     lifting, params = model.lifting(), LifterConfig(dt=DT).detector_params()
-    work, state, found = cost.workspace(lifting), cost.initial(), []
+    work, state, actual = cost.workspace(lifting), cost.initial(), []
     for k, value in enumerate(x):
         arrival = arrivals[k] if arrivals else Arrival.NEXT if k else Arrival.RESTART
         step = steps[k] if steps is not None else k
         r, y_out, settling, state = cost.answer(
             cost.LIFTED, lifting, params, state, int(arrival), int(step), np.array([value]), work
         )
-        found.append((r, y_out, settling))
-    r, y_out, settling = np.array(found).T
+        actual.append((r, y_out, settling))
+    r, y_out, settling = np.array(actual).T
     return r, y_out, settling.astype(bool)
 
 
@@ -139,10 +139,10 @@ def test_spacing_and_degree_are_chosen():
     assert [embedded_degree(n) for n in (1, 2, 7, 8, 14, 15, 40)] == [3, 3, 3, 2, 2, 1, 1]
 
 
-@pytest.mark.parametrize("given", [(0, 1, 1), (1, 0, 1), (1, 2, 0), (1, 1, 2)])
-def test_delays_that_make_no_sense_are_refused(given):
+@pytest.mark.parametrize("options", [(0, 1, 1), (1, 0, 1), (1, 2, 0), (1, 1, 2)])
+def test_delays_that_make_no_sense_are_refused(options):
     with pytest.raises(ValueError, match=r"at least 1|no spacing"):
-        Delays(*given)
+        Delays(*options)
 
 
 def test_sums_of_a_lower_degree_are_those_of_its_monomials():

@@ -42,8 +42,8 @@ def test_a_linear_system_gives_its_matrix_and_the_products_of_its_eigenvalues():
     np.testing.assert_allclose(koopman.matrix[1:3, 3:], 0.0, atol=1e-9)
     l1, l2 = np.linalg.eigvals(LINEAR)
     expected = [l1**i * l2**j for i in range(4) for j in range(4 - i)]
-    found = decompose(koopman, gram).eigenvalues
-    distance = np.abs(np.array(expected)[:, None] - found[None, :])
+    actual = decompose(koopman, gram).eigenvalues
+    distance = np.abs(np.array(expected)[:, None] - actual[None, :])
     assert distance.min(axis=1).max() < 1e-8  # the Gram matrix squares a condition of about 1e3
     assert distance.min(axis=0).max() < 1e-8
 

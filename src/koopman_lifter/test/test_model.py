@@ -47,13 +47,13 @@ def test_a_saved_model_is_read_back_whole(model, tmp_path):
 
 def test_the_residuals_are_stored_and_part_of_the_hash(model, tmp_path):
     assert model.residuals is None
-    known = replace(model, residuals=np.linspace(0.0, 0.9, 10))
-    assert known.sha256 != model.sha256
+    expected = replace(model, residuals=np.linspace(0.0, 0.9, 10))
+    assert expected.sha256 != model.sha256
     path = tmp_path / "model.npz"
-    known.save(path)
+    expected.save(path)
     again = load(path)
-    assert again.sha256 == known.sha256
-    np.testing.assert_array_equal(again.residuals, known.residuals)
+    assert again.sha256 == expected.sha256
+    np.testing.assert_array_equal(again.residuals, expected.residuals)
     for residuals, message in (
         (np.zeros(9), r"'residuals' is float64\[9\]"),
         (np.full(10, np.inf), "'residuals' holds values that are not finite"),

@@ -29,10 +29,10 @@ def test_a_delay_line_has_the_sums_of_its_products(channels, count, degree):
     observables = Monomials(channels * count, degree)
     assert delay_line(states) == channels
     expected = plain(observables, states)
-    for found, truth, largest in zip(
+    for actual, truth, largest in zip(
         products(observables, states), expected, size(expected), strict=True
     ):
-        assert (np.abs(found - truth) / largest).max() < 1e-13
+        assert (np.abs(actual - truth) / largest).max() < 1e-13
 
 
 @pytest.mark.parametrize("factor", [0.999, 0.7, 0.05])
@@ -40,10 +40,10 @@ def test_a_signal_that_dies_away_loses_no_digit(factor):
     states = Delays(1, 4).embed(3.0 * factor ** np.arange(300.0)[None])
     observables = Monomials(4, 3)
     expected = plain(observables, states)
-    for found, truth, largest in zip(
+    for actual, truth, largest in zip(
         products(observables, states), expected, size(expected), strict=True
     ):
-        assert (np.abs(found - truth) / largest).max() < 1e-12
+        assert (np.abs(actual - truth) / largest).max() < 1e-12
 
 
 def test_only_the_past_of_the_same_channel_is_a_delay_line():

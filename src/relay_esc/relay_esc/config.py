@@ -157,4 +157,4 @@ class EscConfig:
     def initial(self) -> RelayState:
         """Return the relay's state before the first sample."""
         begin = initial(self.scaled(self.beginning), self.epsilon_initial, self.theta_initial)
-        return begin._replace(given=self.scaled(self.theta_initial))
+        return begin._replace(commanded=self.scaled(self.theta_initial))

@@ -45,8 +45,8 @@ class EscRun(Run):
         self._command: Publisher | Writer | None = None
         self._own: Any = None  # the rig's message, unless that is the answer itself
         # for the types that messages bring, and compiled before the first of them
-        given = (int(Arrival.RESTART), False, False, 0.0, False)
-        self._respond = direct(relay.answer, self._params, self._state, *given)
+        first_cost = (int(Arrival.RESTART), False, False, 0.0, False)
+        self._respond = direct(relay.answer, self._params, self._state, *first_cost)
         self._insight = direct(relay.insight, self._params, self._state)
         entities.service(Trigger, "~/reset", self._on_reset)
         entities.service(SetBool, "~/hold", self._on_hold)

@@ -101,7 +101,7 @@ class RelayState(NamedTuple):
         joined a run, begins to seek.
     primed : bool
         False until ``x_previous`` holds a cost to take the next difference from.
-    given : float
+    commanded : float
         What was given out last [u]; lags behind ``u`` where that jumps, as after a reset, and the
         rate is limited.
     output : float
@@ -116,7 +116,7 @@ class RelayState(NamedTuple):
     x_previous: float
     since_flip: int
     primed: bool
-    given: float
+    commanded: float
     output: float
     swing: Swing
 
@@ -137,7 +137,7 @@ def initial(u: float, epsilon: int, theta: float) -> RelayState:
 def reset(state: RelayState, begin: RelayState) -> RelayState:
     """Return to the state ``begin``; what is given out gets there at its limited rate."""
     return begin._replace(
-        since_flip=min(state.since_flip, 0), given=state.given, output=state.output
+        since_flip=min(state.since_flip, 0), commanded=state.commanded, output=state.output
     )
 
 
@@ -164,7 +164,7 @@ def recall(
 ) -> RelayState:
     """Return the state with another memory of the cost; theta and its direction stay."""
     return RelayState(
-        state.u, state.epsilon, rise, x, since_flip, primed, state.given, state.output, swing
+        state.u, state.epsilon, rise, x, since_flip, primed, state.commanded, state.output, swing
     )
 
 
@@ -225,7 +225,7 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
         after.x_previous,
         since_flip,
         True,
-        state.given,
+        state.commanded,
         state.output,
         swing,
     )
@@ -248,7 +248,7 @@ def wait(p: RelayParams, state: RelayState, r: float) -> RelayState:
 @njit()
 def outside(p: RelayParams, state: RelayState) -> bool:
     """Return whether theta has yet to reach its limits."""
-    return state.given < p.u_min or state.given > p.u_max
+    return state.commanded < p.u_min or state.commanded > p.u_max
 
 
 @njit()
@@ -262,7 +262,7 @@ def enter(p: RelayParams, state: RelayState, r: float) -> RelayState:
         after.x_previous,
         min(after.since_flip, 0),
         after.primed,
-        state.given,
+        state.commanded,
         state.output,
         after.swing,
     )
@@ -347,15 +347,15 @@ def answer(
         and not (switched or settling or hold_asked)
         and usable(p, r)
         and state.since_flip >= 0
-        and state.given == state.u
+        and state.commanded == state.u
         and p.u_min <= state.u <= p.u_max
     )
     if usual:
         state, holding = step(p, state, r), False
-        given = state.u
+        commanded = state.u
     else:
         state, holding = respond(p, state, arrival, switched, settling, r, hold_asked)
-        given = slew(state.given, state.u, p.largest_change)
+        commanded = slew(state.commanded, state.u, p.largest_change)
     state = RelayState(
         state.u,
         state.epsilon,
@@ -363,11 +363,11 @@ def answer(
         state.x_previous,
         state.since_flip,
         state.primed,
-        given,
-        theta_of(p, given) if p.logarithmic else given,
+        commanded,
+        theta_of(p, commanded) if p.logarithmic else commanded,
         state.swing,
     )
-    return state, holding, given <= p.u_min or given >= p.u_max
+    return state, holding, commanded <= p.u_min or commanded >= p.u_max
 
 
 @njit()

@@ -15,8 +15,8 @@ LAG = 3.0  # time constant of the detector behind the map [s]
 
 
 def config(**values):
-    given = {"law": "adaptive", "dt": DT, "step_size": DT / 15.0, "dwell": 10.0, "tau_f": 3.0}
-    return EscConfig(**{**given, **values})
+    options = {"law": "adaptive", "dt": DT, "step_size": DT / 15.0, "dwell": 10.0, "tau_f": 3.0}
+    return EscConfig(**{**options, **values})
 
 
 def answer(esc, state, r, arrival=Arrival.NEXT, *, switched=False, settling=False, hold=False):
@@ -37,8 +37,8 @@ def seek(esc, seconds, optimum, noise=0.1, scale=1.0, sign=1.0, ripple=0.0, seed
     for k in range(steps):
         error = theta[k - 1] - optimum(k * DT) if k else 0.0
         waves = ripple * math.sin(2.0 * math.pi * k * DT / 20.0)
-        seen = (1.0 + 4.0 * error**2) * math.exp(disturbance[k] + waves)
-        level += DT / LAG * (seen - level)
+        observed = (1.0 + 4.0 * error**2) * math.exp(disturbance[k] + waves)
+        level += DT / LAG * (observed - level)
         r = scale * level**sign
         arrival = int(Arrival.NEXT if k else Arrival.RESTART)
         state, _, _ = relay.answer(p, state, arrival, False, False, r, False)
@@ -247,9 +247,9 @@ def test_on_a_log_scale_the_law_seeks_in_the_logarithm_of_theta(law):
 
 
 def test_on_a_log_scale_the_limits_are_met_exactly():
-    given = {"theta_min": 0.1, "theta_max": 0.3, "theta_initial": 0.11}
+    options = {"theta_min": 0.1, "theta_max": 0.3, "theta_initial": 0.11}
     for epsilon, limit in ((1, 0.1), (-1, 0.3)):
-        esc = config(law="relay", theta_scale="log", epsilon_initial=epsilon, **given)
+        esc = config(law="relay", theta_scale="log", epsilon_initial=epsilon, **options)
         state = esc.initial()
         for k in range(200):
             state, _, saturated = answer(esc, state, 1.0 - 1e-3 * k)

@@ -125,7 +125,7 @@ def answer(config, state, r, arrival=Arrival.NEXT, *, switched=False, settling=F
 
 def same(state, **changes):
     u = changes.get("u", state.u)
-    return state._replace(given=u, output=u, **changes)
+    return state._replace(commanded=u, output=u, **changes)
 
 
 def test_an_answer_is_held_or_the_next_step_or_the_first():

@@ -80,11 +80,11 @@ def test_the_amplitude_of_the_limit_cycle_grows_with_the_distance_from_theta_sta
 
 def test_the_actuator_moves_at_its_rate_and_stops_at_its_bounds():
     config = PlantConfig(theta_min=-0.5, theta_max=2.0, theta_rate=20.0, theta_initial=0.0)
-    applied, found = 0.0, []
+    applied, actual = 0.0, []
     for command in [5.0] * 4 + [-5.0] * 3 + [1.0] * 2:  # 0.1 a step
         _, _, applied = dynamics.advance(config.params(), 0, 1.0, 2.0, applied, command, 0.0)
-        found.append(applied)
-    np.testing.assert_allclose(found, [0.1, 0.2, 0.3, 0.4, 0.3, 0.2, 0.1, 0.2, 0.3], atol=1e-15)
+        actual.append(applied)
+    np.testing.assert_allclose(actual, [0.1, 0.2, 0.3, 0.4, 0.3, 0.2, 0.1, 0.2, 0.3], atol=1e-15)
     at_once = replace(config, theta_rate=0.0).params()
     assert dynamics.advance(at_once, 0, 1.0, 2.0, 0.0, 5.0, 0.0)[2] == 2.0
     assert dynamics.advance(at_once, 0, 1.0, 2.0, 0.0, -5.0, 0.0)[2] == -0.5
@@ -138,5 +138,5 @@ def test_the_actuator_stays_within_its_limits_and_its_rate():
     free = PlantConfig(theta_min=-1.0, theta_max=2.0).params()
     assert [dynamics.actuate(free, 0.0, theta) for theta in (-5.0, 0.5, 5.0)] == [-1.0, 0.5, 2.0]
     slow = PlantConfig(theta_min=-1.0, theta_max=2.0, theta_rate=20.0, dt=0.005).params()
-    found = [dynamics.actuate(slow, 0.0, theta) for theta in (-5.0, 0.05, 5.0)]
-    assert found == pytest.approx([-0.1, 0.05, 0.1])
+    actual = [dynamics.actuate(slow, 0.0, theta) for theta in (-5.0, 0.05, 5.0)]
+    assert actual == pytest.approx([-0.1, 0.05, 0.1])

@@ -58,7 +58,7 @@ class McapFileWriter:
         """Announce a topic. Outside of any chunk, so that even an empty or torn file names its
         topics.
         """
-        new_schema = all(known.id != schema.id for known in self._schemas)
+        new_schema = all(other.id != schema.id for other in self._schemas)
         self._append((encode(schema) if new_schema else b"") + encode(channel))
         if new_schema:
             self._schemas.append(schema)

@@ -48,10 +48,12 @@ class ParameterCollector:
         }
         before = len(self.values)
         if self._own not in self.values:
-            own: Any = self._node.get_parameters_by_prefix("")  # declared as values, are Parameters
+            declared: Any = self._node.get_parameters_by_prefix(
+                ""
+            )  # declared as values, are Parameters
             self.values[self._own] = {
                 name: _plain(item.value)
-                for name, item in own.items()
+                for name, item in declared.items()
                 if name not in ("output", WAITED_FOR)
             }
         for name in nodes:

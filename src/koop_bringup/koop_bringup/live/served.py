@@ -67,9 +67,9 @@ def said(process: NodeProcess, begin: int = 0) -> str:
     deadline = time.monotonic() + START_TIMEOUT
     while time.monotonic() < deadline:
         lines = process.log.read_bytes()[begin:].decode(errors="replace").splitlines()
-        found = next((line for line in lines if line.startswith(ADDRESS)), None)
-        if found is not None:
-            return found
+        address = next((line for line in lines if line.startswith(ADDRESS)), None)
+        if address is not None:
+            return address
         if process.poll() is not None:
             break
         time.sleep(0.05)

@@ -59,11 +59,11 @@ def parameter_file(
 
     All by node: configuration classes, values that are not the default, and the reasons of those.
     """
-    given, why = values or {}, reasons or {}
+    chosen, why = values or {}, reasons or {}
     return "".join(
         f"{line}\n"
         for node, classes in nodes.items()
-        for line in _section(node, classes, given.get(node, {}), why.get(node, {}))
+        for line in _section(node, classes, chosen.get(node, {}), why.get(node, {}))
     )
 
 

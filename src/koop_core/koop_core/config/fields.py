@@ -183,8 +183,8 @@ def _numbers_of(value: Any, above: Path) -> Iterator[Path]:
 
 
 def _has(message: Any, name: str) -> bool:
-    known = getattr(message, "get_fields_and_field_types", None)
-    return name in known() if known is not None else hasattr(message, name)
+    field_types = getattr(message, "get_fields_and_field_types", None)
+    return name in field_types() if field_types is not None else hasattr(message, name)
 
 
 def _short(text: str) -> str:

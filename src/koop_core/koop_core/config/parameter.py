@@ -139,7 +139,7 @@ def mapping(value: Any, where: str) -> dict[str, Any]:
 
 
 def refuse_unknown(
-    given: Iterable[str], known: Iterable[str], kind: str = "parameter", where: str = ""
+    unchecked: Iterable[str], allowed: Iterable[str], kind: str = "parameter", where: str = ""
 ) -> None:
     """Raise ConfigError on the first name that is not known; ``where`` comes before the message.
 
@@ -148,16 +148,16 @@ def refuse_unknown(
     ...
     koop_core.config.parameter.ConfigError: unknown parameter 'dwel': did you mean 'dwell'?
     """
-    names = list(known)
-    for name in given:
+    names = list(allowed)
+    for name in unchecked:
         if name not in names:
             begin = f"{where}: " if where else ""
             raise ConfigError(f"{begin}unknown {kind} '{name}': {nearest(name, names)}")
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: str, allowed: Iterable[str]) -> str:
     """Say which known name is meant by an unknown one, or which there are."""
-    names = list(known)
+    names = list(allowed)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
 

@@ -66,21 +66,21 @@ class ParameterFile:
         """Return whether a section is for a node of this full name, not for any."""
         return any(section.names(node) and not section.for_any for section in self.sections)
 
-    def values(self, node: str, known: Collection[str]) -> dict[str, Any]:
+    def values(self, node: str, allowed: Collection[str]) -> dict[str, Any]:
         """Return what the file says to a node, by its full name.
 
-        Of a section for nodes of any name, only ``known`` parameters are taken.
+        Of a section for nodes of any name, only ``allowed`` parameters are taken.
         """
         return {
             name: value
             for section in self.sections
             if section.names(node)
             for name, value in section.values.items()
-            if not section.for_any or name in known or name.startswith(ROS_OWN)
+            if not section.for_any or name in allowed or name.startswith(ROS_OWN)
         }
 
     def values_of(
-        self, known: Mapping[str, Collection[str]], namespace: str | None = None
+        self, nodes: Mapping[str, Collection[str]], namespace: str | None = None
     ) -> dict[str, dict[str, Any]]:
         """Return what the file says to nodes, by their own names with the parameters they know.
 
@@ -92,21 +92,21 @@ class ParameterFile:
             If the file has no parameters for any of them, names one in another namespace only, or
             has a section whose name is nearly that of one.
         """
-        base = (self.namespace_of(known) if namespace is None else namespace).rstrip("/")
-        found = {node: self.values(f"{base}/{node}", names) for node, names in known.items()}
-        named = [section for section in self.sections if section.node in known]
-        if not any(found.values()) or (
+        base = (self.namespace_of(nodes) if namespace is None else namespace).rstrip("/")
+        merged = {node: self.values(f"{base}/{node}", names) for node, names in nodes.items()}
+        named = [section for section in self.sections if section.node in nodes]
+        if not any(merged.values()) or (
             named and not any(section.names(f"{base}/{section.node}") for section in named)
         ):
             keys = ", ".join(section.key for section in self.sections) or "no section"
-            wanted = ", ".join(f"{base}/{node}" for node in known)
+            wanted = ", ".join(f"{base}/{node}" for node in nodes)
             raise ConfigError(
                 f"{self.path}: has no parameters for {wanted}; it has {keys}; "
                 "'/**/NAME' is in every one"
             )
-        for node in known:
-            self.refuse_nearly(f"{base}/{node}", known)
-        return found
+        for node in nodes:
+            self.refuse_nearly(f"{base}/{node}", nodes)
+        return merged
 
     def refuse_nearly(self, node: str, others: Collection[str] = ()) -> None:
         """Raise ConfigError on a section that must have been meant for a node, and is not its.
@@ -155,7 +155,9 @@ def read(path: str | Path) -> ParameterFile:
 
 def write(values: Mapping[str, Mapping[str, Any]], path: str | Path) -> None:
     """Write values by node, of any namespace, as a parameter file."""
-    content = {f"/**/{node}": {"ros__parameters": dict(given)} for node, given in values.items()}
+    content = {
+        f"/**/{node}": {"ros__parameters": dict(section)} for node, section in values.items()
+    }
     text = yaml.dump(content, Dumper=_Dumper, sort_keys=False)
     Path(path).write_text(text, encoding="utf-8")
 
@@ -211,14 +213,14 @@ def _ros_options(args: Sequence[str]) -> Iterator[tuple[str, str]]:
 
 def _sections(path: str, above: str, content: dict[Any, Any]) -> Iterator[NodeSection]:
     """Yield the sections; the keys may be nested, one level a namespace."""
-    for key, given in content.items():
+    for key, section in content.items():
         name = f"{above}/{str(key).strip('/')}"
-        if not isinstance(given, dict):
+        if not isinstance(section, dict):
             raise ConfigError(f"{path}: '{name}' has no ros__parameters")
-        if "ros__parameters" not in given:
-            yield from _sections(path, name, given)
-        elif isinstance(given["ros__parameters"], dict):
-            yield NodeSection(name, dict(_flat("", given["ros__parameters"])))
+        if "ros__parameters" not in section:
+            yield from _sections(path, name, section)
+        elif isinstance(section["ros__parameters"], dict):
+            yield NodeSection(name, dict(_flat("", section["ros__parameters"])))
         else:
             raise ConfigError(f"{path}: ros__parameters of '{name}' is not a mapping")
 
@@ -239,20 +241,20 @@ class _Loader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Take a key as it is written, for `y` is a name; of one that comes again, all counts."""
-        found: dict[Any, Any] = {}
+        merged: dict[Any, Any] = {}
         for key, value in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise yaml.constructor.ConstructorError(None, None, "a key is not a name")
-            _merge(found, {key.value: self.construct_object(value, deep=True)})
-        return found
+            _merge(merged, {key.value: self.construct_object(value, deep=True)})
+        return merged
 
 
-def _merge(found: dict[Any, Any], more: dict[Any, Any]) -> None:
+def _merge(merged: dict[Any, Any], more: dict[Any, Any]) -> None:
     for key, value in more.items():
-        if isinstance(value, dict) and isinstance(found.get(key), dict):
-            _merge(found[key], value)
+        if isinstance(value, dict) and isinstance(merged.get(key), dict):
+            _merge(merged[key], value)
         else:
-            found[key] = value
+            merged[key] = value
 
 
 class _Dumper(yaml.SafeDumper):

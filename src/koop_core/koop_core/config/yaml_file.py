@@ -40,16 +40,16 @@ class LinedLoader(yaml.SafeLoader):
 
     def construct_lined(self, node: yaml.MappingNode) -> Lined:
         """Return the mapping of a node."""
-        found = Lined()
-        found.lines = {}
+        lined = Lined()
+        lined.lines = {}
         for key, value in node.value:
             name, line = self.construct_object(key, deep=True), key.start_mark.line + 1
-            if name in found:
-                text = f"'{name}' stands in line {found.lines[name]} already"
+            if name in lined:
+                text = f"'{name}' stands in line {lined.lines[name]} already"
                 raise yaml.constructor.ConstructorError(None, None, text, key.start_mark)
-            found[name] = self.construct_object(value, deep=True)
-            found.lines[str(name)] = line
-        return found
+            lined[name] = self.construct_object(value, deep=True)
+            lined.lines[str(name)] = line
+        return lined
 
 
 LinedLoader.add_constructor("tag:yaml.org,2002:map", LinedLoader.construct_lined)
@@ -63,7 +63,7 @@ def one_setting(text: str, nodes: Sequence[str]) -> tuple[str, str, Any]:
     name, equals, value = text.partition("=")
     node, dot, parameter = name.strip().partition(".")
     if not (equals and dot) or node not in nodes:
-        ways = " or ".join(f"{known}.PARAMETER=VALUE" for known in nodes)
+        ways = " or ".join(f"{name}.PARAMETER=VALUE" for name in nodes)
         raise ConfigError(f"--set {text}: write {ways}")
     try:
         return node, parameter, yaml.safe_load(value)

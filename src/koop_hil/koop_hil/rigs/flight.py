@@ -70,8 +70,8 @@ class Flight:
         fdm.set_output_filename(0, os.devnull)  # the model's own log, in the folder of the caller
         for item in args.at:
             if not fdm.get_property_manager().hasNode(NAMES.get(item.name, item.name)):
-                known = ", ".join(NAMES)
-                raise ValueError(f"--at: JSBSim has no property {item.name!r}; there is {known}")
+                names = ", ".join(NAMES)
+                raise ValueError(f"--at: JSBSim has no property {item.name!r}; there is {names}")
         fdm["ic/h-sl-ft"], fdm["ic/vc-kts"] = ALTITUDE, 90.0
         fdm["simulation/randomseed"] = args.seed
         fdm.run_ic()

@@ -49,8 +49,8 @@ class Inverter:
         self._values = {"kp_power": self.knob.start, "kp_pll": 0.16, "p_ref": POWER}
         for item in args.at:
             if item.name not in self._values:
-                known = ", ".join(self._values)
-                raise ValueError(f"--at: inverter has no {item.name!r}; there is {known}")
+                names = ", ".join(self._values)
+                raise ValueError(f"--at: inverter has no {item.name!r}; there is {names}")
         self._random, self._grid = random.Random(args.seed + 1), [0.0, 0.0]
         self._build()
 

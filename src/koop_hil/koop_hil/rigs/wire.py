@@ -189,10 +189,10 @@ class Wire:
 
     def heard(self) -> list[tuple[float, int | None]]:
         """Return the commands that came, each with the step that it answers if it says that."""
-        found: list[tuple[float, int | None]] = []
+        commands: list[tuple[float, int | None]] = []
         for sample in self._commands.take(N=100):
             if isinstance(sample, ControlInput) and math.isfinite(sample.theta):
-                found.append((sample.theta, sample.step))
+                commands.append((sample.theta, sample.step))
             elif isinstance(sample, Float64) and math.isfinite(sample.data):
-                found.append((sample.data, None))
-        return found
+                commands.append((sample.data, None))
+        return commands

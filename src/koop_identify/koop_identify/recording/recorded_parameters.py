@@ -128,7 +128,7 @@ def first_values(
     The recorder asks every node once, perhaps after a change. What a changed parameter was before
     is known from the event of its declaration; which cost and model it was, from the first answer.
     """
-    values = {node: dict(given) for node, given in collected.items()}
+    values = {node: dict(items) for node, items in collected.items()}
     changed = {(change.node, name): value for change in changes
                for name, value in change.values.items()}  # fmt: skip
     declared: dict[tuple[str, str], Any] = {}

@@ -62,9 +62,9 @@ def parser(*names: str) -> argparse.ArgumentParser:
     return result
 
 
-def hint_for(name: str, known: Iterable[str], command: str) -> str:
-    """Say which known name must have been meant, or which command's help lists them."""
-    near = difflib.get_close_matches(name, known, 1)
+def hint_for(name: str, allowed: Iterable[str], command: str) -> str:
+    """Say which name must have been meant, or which command's help lists them."""
+    near = difflib.get_close_matches(name, allowed, 1)
     return f"did you mean '{near[0]}'?" if near else f"see {command} --help"
 
 

@@ -70,8 +70,8 @@ def main(args: argparse.Namespace) -> int:
     print(f"{args.bag}: {recording.step.size} states {way} in {elapsed:.2f} s")
     print("\n".join([*describe(recording, plan), *(text for _, text in results)]))
     if differs and not plan.differences:
-        known = not recording.without_parameters
-        print("parameters and model are the recorded ones\n" * known + NOT_IN_THE_BAG)
+        complete = not recording.without_parameters
+        print("parameters and model are the recorded ones\n" * complete + NOT_IN_THE_BAG)
     if args.out is not None:
         with open(args.out, "wb") as file:
             np.savez(

@@ -131,10 +131,10 @@ class Status:
         level = "; ".join(progress.findings.values())
         where = ""
         if progress.step:
-            known = [f"step {progress.step}"]
-            known += [f"r = {progress.r:.3g}"] * math.isfinite(progress.r)
-            known += [f"θ = {progress.theta:+.3f}"] * math.isfinite(progress.theta)
-            where = f"{', '.join(known)}, {progress.steps_per_second:.0f} steps/s: "
+            words = [f"step {progress.step}"]
+            words += [f"r = {progress.r:.3g}"] * math.isfinite(progress.r)
+            words += [f"θ = {progress.theta:+.3f}"] * math.isfinite(progress.theta)
+            where = f"{', '.join(words)}, {progress.steps_per_second:.0f} steps/s: "
             level = level or "ok"
         elif progress.values:
             level = level or "waiting for the first state"

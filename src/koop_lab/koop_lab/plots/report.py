@@ -105,14 +105,14 @@ def mark_modes(axis: Axes, model: KoopmanModel) -> None:
     """Draw a line at each mode's frequency: kept ones solid, with the frequency; others dotted."""
     where = frequencies(model)
     for kept, style in ((False, "dotted"), (True, "solid")):
-        known = np.unique(where[(model.kept == kept) & (where > 0.0)].round(9))
+        marked = np.unique(where[(model.kept == kept) & (where > 0.0)].round(9))
         slow = int(np.count_nonzero((model.kept == kept) & (where == 0.0)))
         label = f"mode {'kept' if kept else 'left out'}" + (f" ({slow} at 0 Hz)" if slow else "")
-        for i, value in enumerate(known):
+        for i, value in enumerate(marked):
             axis.axvline(
                 value, color="C3", linestyle=style, linewidth=0.9, label=None if i else label
             )
-        for i, value in enumerate(known[:NAMED] if kept else ()):
+        for i, value in enumerate(marked[:NAMED] if kept else ()):
             axis.annotate(
                 f"{value:.3g}", (value, 1.0), xycoords=("data", "axes fraction"),
                 xytext=(2, -10 - 10 * (i % 3)), textcoords="offset points", fontsize="x-small",

@@ -69,10 +69,10 @@ def replay_live(
 
 
 def _parameter_file(folder: Path, plan: ReplayPlan) -> Path:
-    given = plan.segments[0].parameters.as_ros()
+    by_node = plan.segments[0].parameters.as_ros()
     # the lifter starts to listen when the controller and the feeder take its cost, the controller
     # when the feeder takes its theta
-    values = {node: {**given[node], "listeners": f"next {FEEDER}"} for node in CONTROLLER}
+    values = {node: {**by_node[node], "listeners": f"next {FEEDER}"} for node in CONTROLLER}
     values["relay_esc"]["listeners"] = FEEDER
     file = folder / "parameters.yaml"
     parameter_file.write(values, file)
@@ -163,8 +163,8 @@ class Feeder(Client):
     def _change(self, segment: ReplaySegment) -> None:
         """Set parameters as they were set while recording."""
         for change in segment.changed:
-            given = segment.parameters.as_ros()[change.node]
-            values = {name: given[name] for name in change.values}
+            by_name = segment.parameters.as_ros()[change.node]
+            values = {name: by_name[name] for name in change.values}
             self.set_parameters(change.node, values, START_TIMEOUT, self._check_nodes)
 
     def _hold(self, data: bool) -> None:

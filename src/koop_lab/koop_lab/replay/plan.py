@@ -81,8 +81,8 @@ def make_plan(
     koop_core.errors.InputError
         If a parameter or a model cannot be used.
     """
-    given = parameters.read(params) if params else {}
-    chosen = {node: dict(given.get(node, {})) for node in CONTROLLER}
+    file_values = parameters.read(params) if params else {}
+    chosen = {node: dict(file_values.get(node, {})) for node in CONTROLLER}
     if model is not None:
         chosen["koopman_lifter"]["model"] = model
     parameters.make(chosen)  # names what is wrong

@@ -33,8 +33,8 @@ def make(words: Sequence[str]) -> list[ManagedNode[Any]]:
     for word in words:
         name, _, namespace = word.partition("@")
         if name not in offered:
-            known = ", ".join(sorted(offered))
-            raise ConfigError(f"there is no component {name!r}; there are {known}")
+            names = ", ".join(sorted(offered))
+            raise ConfigError(f"there is no component {name!r}; there are {names}")
         try:
             node = offered[name].load()(**({"namespace": namespace} if namespace else {}))
         except ConfigError as error:
@@ -72,5 +72,5 @@ def main() -> None:
         help=f"those who listen first; one of {', '.join(sorted(components()))}; "
         "@NAMESPACE: in that namespace, such as @/rig",
     )
-    given = parser.parse_args(remove_ros_args()[1:])
-    sys.exit(run_nodes(partial(make, given.components)))
+    options = parser.parse_args(remove_ros_args()[1:])
+    sys.exit(run_nodes(partial(make, options.components)))

@@ -127,10 +127,10 @@ def _in_loop(node: Node, info: Any) -> bool:
     if info.node_name == UNKNOWN:  # its name may still be on its way
         return False
     try:
-        found = node.get_publisher_names_and_types_by_node(info.node_name, info.node_namespace)
+        published = node.get_publisher_names_and_types_by_node(info.node_name, info.node_namespace)
     except NodeNameNonExistentError:
         return False
-    return any(LOOP_TYPES.intersection(types) for _, types in found)
+    return any(LOOP_TYPES.intersection(types) for _, types in published)
 
 
 def _visible(info: Any) -> bool:

@@ -44,9 +44,9 @@ def set_dds_profile(guest: bool = False) -> None:
     (``FASTDDS_BUILTIN_TRANSPORTS=UDPv4``), which rmw_fastrtps ignores in the range LOCALHOST.
     """
     guest = guest or os.environ.get(TRANSPORTS) == "UDPv4"
-    own = Path(str(files("koop_node")))
-    if Path(os.environ.get(PROFILE, own / "none")).parent == own:  # none, or a parent's
-        os.environ[PROFILE] = str(own / ("fastdds_guest.xml" if guest else "fastdds.xml"))
+    folder = Path(str(files("koop_node")))
+    if Path(os.environ.get(PROFILE, folder / "none")).parent == folder:  # none, or a parent's
+        os.environ[PROFILE] = str(folder / ("fastdds_guest.xml" if guest else "fastdds.xml"))
 
 
 def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> int:
@@ -160,10 +160,10 @@ def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:
 
 def refuse_other_arguments(args: list[str] | None = None) -> None:
     """Raise InputError if there are arguments besides those of ROS, which rclpy would ignore."""
-    own = remove_ros_args(args)
-    own = own[1:] if args is None else own
-    if own:
-        raise InputError(f"unknown argument {' '.join(own)}; {USAGE}")
+    rest = remove_ros_args(args)
+    rest = rest[1:] if args is None else rest
+    if rest:
+        raise InputError(f"unknown argument {' '.join(rest)}; {USAGE}")
 
 
 def _one_line(error: Exception) -> str:

@@ -51,21 +51,21 @@ class Parameters:
         self._check = check
         self._changed = changed
         overrides = parameter_overrides(node)
-        known = {item.name: item for cls in self._classes for item in fields(cls)}
+        by_name = {item.name: item for cls in self._classes for item in fields(cls)}
         shared = shared_names(args, node.get_fully_qualified_name())
         unknown = sorted(
             name
             for name in overrides
-            if not (name in known or node.has_parameter(name) or name.startswith(OF_THE_CLOCK))
+            if not (name in by_name or node.has_parameter(name) or name.startswith(OF_THE_CLOCK))
         )
-        refuse_unmeant(unknown, known, shared)
+        refuse_unmeant(unknown, by_name, shared)
         if unknown:
             node.get_logger().info(f"given to all nodes, not known here: {', '.join(unknown)}")
-        self._defaults = {item.name: item.default for item in known.values()}
+        self._defaults = {item.name: item.default for item in by_name.values()}
         self._configs = self._build(self._defaults | overrides)
         self._pending: dict[type, Any] | None = None
         values = self._values(self._configs)
-        for item in known.values():
+        for item in by_name.values():
             node.declare_parameter(
                 item.name,
                 _ros_value(values[item.name]),
@@ -141,7 +141,7 @@ def _in_type_of(default: Any, item: Parameter) -> Parameter:
     return item
 
 
-def refuse_unmeant(unknown: Iterable[str], known: Iterable[str], shared: Collection[str]) -> None:
+def refuse_unmeant(unknown: Iterable[str], by_name: Iterable[str], shared: Collection[str]) -> None:
     """Raise ConfigError on an unknown name, unless a file gave it to all nodes."""
     for name in unknown:
         if name.startswith("qos_overrides."):
@@ -149,7 +149,7 @@ def refuse_unmeant(unknown: Iterable[str], known: Iterable[str], shared: Collect
                 f"{name}: the quality of service of the topics is fixed, and publishers of any "
                 "reliability are heard"
             )
-    refuse_unknown([name for name in unknown if name not in shared], sorted(known))
+    refuse_unknown([name for name in unknown if name not in shared], sorted(by_name))
 
 
 def _ros_value(value: Any) -> Any:

@@ -44,7 +44,7 @@ def only_observed(domain: int) -> bool:
     by_inode = _sockets()
     if by_inode is None:
         return False
-    sockets = {f"socket:[{inode}]" for inode, found in by_inode.items() if found == domain}
+    sockets = {f"socket:[{inode}]" for inode, number in by_inode.items() if number == domain}
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it has ended, or is another user's
             if DAEMON in (process / "cmdline").read_bytes():

@@ -168,16 +168,14 @@ def section(config: CasesConfig, results: list[Any]) -> Section:
 
 
 def _table(table: CaseTable, cases: list[CaseOf], rows: list[list[Row]]) -> Table:
-    of_raw = {
-        label(c.value): found for c, found in zip(cases, rows, strict=True) if c.cost == "raw"
-    }
+    of_raw = {label(c.value): runs for c, runs in zip(cases, rows, strict=True) if c.cost == "raw"}
     value = (Column("value", table.title),) if table.parameters else ()
     columns = (Column("cost", "cost"), *value, *COLUMNS)
     made = Table(table.name, table.title, columns, detail=bool(table.parameters))
-    for case, found in zip(cases, rows, strict=True):
+    for case, runs in zip(cases, rows, strict=True):
         rivals = None if case.cost == "raw" else of_raw.get(label(case.value))
         words = (case.cost, label(case.value)) if value else (case.cost,)
-        made.rows.append((*words, *summary_cells(found, rivals)))
+        made.rows.append((*words, *summary_cells(runs, rivals)))
     return made
 
 
@@ -203,11 +201,11 @@ def _figure(
 ) -> Figure:
     """Return the IAE over the values; of costs alone and of a grid, cumulative distributions."""
     by_cost: dict[str, list[list[Row]]] = {}
-    for case, found in zip(cases, rows, strict=True):
-        by_cost.setdefault(case.cost, []).append(found)
+    for case, runs in zip(cases, rows, strict=True):
+        by_cost.setdefault(case.cost, []).append(runs)
     if table.grid or not table.parameters:
         names = {"iae": "IAE", "ise": "ISE", "t_theta": "T [s]", "e_r_ss": "e_r^ss"}
-        every = {cost: [row for found in some for row in found] for cost, some in by_cost.items()}
+        every = {cost: [row for runs in some for row in runs] for cost, some in by_cost.items()}
         panels = []
         for name, axis in names.items():
             curves = {cost: column(some, name) for cost, some in every.items()}
@@ -223,7 +221,7 @@ def _figure(
     x = [float(value) if numeric else float(i) for i, value in enumerate(values)]
     series = []
     for cost, some in by_cost.items():
-        color, spreads = costs.index(cost), [spread(found, "iae") for found in some]
+        color, spreads = costs.index(cost), [spread(runs, "iae") for runs in some]
         low, median, high = (
             [finite(getattr(s, name)) for s in spreads] for name in ("low", "median", "high")
         )

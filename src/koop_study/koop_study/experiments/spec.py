@@ -51,10 +51,10 @@ def parse(kind: type[T], content: Any, where: str) -> T:
     """
     content = mapping(content, where)
     hints = get_type_hints(kind)
-    known = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
-    refuse_unknown(content, known, "key", where)
+    by_name = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
+    refuse_unknown(content, by_name, "key", where)
     values = {key: convert(hints[key], content[key], f"{where}: {key}") for key in content}
-    for name, item in known.items():
+    for name, item in by_name.items():
         if name not in values and item.default is MISSING and item.default_factory is MISSING:
             raise ConfigError(f"{where}: '{name}' is missing")
     try:

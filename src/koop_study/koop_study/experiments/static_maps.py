@@ -62,15 +62,15 @@ def section(config: StaticMapsConfig, results: list[Any]) -> Section:
         "≥ 0, rank correlation is Spearman's of r with |θ − θ*|"
     )
     table, panels = Table("static_maps", title, COLUMNS), []
-    for (cost, duration, _), found in zip(config.maps(), results, strict=True):
+    for (cost, duration, _), result in zip(config.maps(), results, strict=True):
         name = f"{cost}, ramp of {duration:g} s" if duration else f"{cost}, settled"
-        shape = maps.shape(maps.grid(), np.array(found["mean"]), PlantConfig.theta_star)
+        shape = maps.shape(maps.grid(), np.array(result["mean"]), PlantConfig.theta_star)
         table.rows.append((name, 100.0 * shape[0], *shape[1:]))
         if duration in (config.ramps[0], 0.0):
             series = (
-                Series("range", found["theta"], found["low"], "band",
-                       found["high"], 0),
-                Series("mean", maps.grid().tolist(), found["mean"], "line", color=0),
+                Series("range", result["theta"], result["low"], "band",
+                       result["high"], 0),
+                Series("mean", maps.grid().tolist(), result["mean"], "line", color=0),
             )  # fmt: skip
             panels.append(Panel("θ", "r", series, name, log_y=True))
     caption = (

@@ -160,7 +160,7 @@ def _close(
     steps, blocks = noise.shape[0], power.shape[0]
     lifting, work = cost.borrow(lifting, work)
     states = borrowed(measured)
-    seen = cost.initial()
+    cost_state = cost.initial()
     power[:] = 0.0
     excess[:] = 0.0
     share = blocks / steps
@@ -169,7 +169,9 @@ def _close(
         x = states[k]
         oscillator.measure(p, state, k, noise[k, 2:], x)
         arrival = Arrival.NEXT if k > 0 else Arrival.JOIN
-        r, _, settling, seen = cost.answer(source, lifting, detector, seen, arrival, k + 1, x, work)
+        r, _, settling, cost_state = cost.answer(
+            source, lifting, detector, cost_state, arrival, k + 1, x, work
+        )
         command, _, _ = relay.answer(limits, command, arrival, False, settling, r, False)
         theta[k] = command.output
         power[i] += oscillator.energy(state) * share

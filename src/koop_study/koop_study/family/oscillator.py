@@ -218,10 +218,10 @@ def level(p: RigParams, u: float, t: float) -> float:
 @njit()
 def levels(p: RigParams, u: NDArray[np.float64], t: float) -> NDArray[np.float64]:
     """Return :func:`level` of positions, shape (M,)."""
-    found = np.empty(u.shape[0])
+    result = np.empty(u.shape[0])
     for i in range(u.shape[0]):
-        found[i] = level(p, u[i], t)
-    return found
+        result[i] = level(p, u[i], t)
+    return result
 
 
 @njit()

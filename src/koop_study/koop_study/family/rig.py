@@ -259,8 +259,8 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
         tone_amplitude=np.zeros((0, 1)),
         tone_phase=np.zeros((0, 1)),
     )  # fmt: skip
-    found = oscillator.levels(params, GRID, 0.0)
-    params = _sensors(d, params._replace(middle=math.sqrt(found.min() * found.max())), chosen)
+    settled = oscillator.levels(params, GRID, 0.0)
+    params = _sensors(d, params._replace(middle=math.sqrt(settled.min() * settled.max())), chosen)
     start = float(d["start"].choice(GRID[np.abs(GRID - best) >= FAMILY.far]))
     rig = Rig(seed, chosen, frequency, oscillator.theta_at(params, start), params)
     slow = rig.slowest

@@ -62,8 +62,8 @@ def compute_all(
     """
     pending = list({u.key: u for u in units if not store.has(u)}.values())
     if pending:
-        known = len(units) - len(pending)
-        print(f"{len(units)} units of work, {known} of them there already", file=sys.stderr)
+        stored = len(units) - len(pending)
+        print(f"{len(units)} units of work, {stored} of them there already", file=sys.stderr)
         try:
             import distributed  # noqa: F401  a second that others need not wait
         except ImportError as error:
