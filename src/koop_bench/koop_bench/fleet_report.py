@@ -13,7 +13,7 @@ class Counts(NamedTuple):
     """What the three nodes of a loop report, of all their time or of a part of it."""
 
     time: float
-    """Of the plant's report, by its own clock [s]."""
+    """Time on the plant's clock when it reported [s]."""
     steps: int
     late: int
     """Periods without a tick."""

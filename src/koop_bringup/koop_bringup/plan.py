@@ -115,7 +115,7 @@ class Plan:
     Attributes
     ----------
     namespace : str
-        Of all nodes; empty for the root.
+        Namespace of all nodes; empty for the root.
     nodes : tuple of PlannedNode
         In the order of starting.
     parameters : dict

@@ -5,7 +5,7 @@ included: 0.4 s of a processor and 33 MB in every node and every command. What i
 of it. It is put off until something is to be compiled, when numba does it in any case.
 
 Numba looks at the types of all arguments in every call. For named tuples that takes longer than the
-kernel: 3 of 4 us for the controller's. Who calls with the same types for ever leaves it out.
+kernel: 3 of 4 us for the controller's. A caller with the same types for ever leaves it out.
 """
 
 from __future__ import annotations

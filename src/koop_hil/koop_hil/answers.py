@@ -1,4 +1,4 @@
-"""Which controller gave the recorded answers, and the age of the states that they answer.
+"""Surplus answers of a recording, and the age of the states that are answered.
 
 Pure: arrays in, figures out. Times are nanoseconds on the clock of the publisher.
 """

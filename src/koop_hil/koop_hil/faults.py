@@ -81,7 +81,7 @@ class Channel:
     Parameters
     ----------
     seed : int
-        Of what happens at random.
+        Seed of what happens at random.
     """
 
     def __init__(self, seed: int = 0) -> None:

@@ -22,7 +22,7 @@ class Processes:
     Parameters
     ----------
     folder : Path
-        Of the run: bag, logs, parameters.
+        Folder of the run: bag, logs, parameters.
     scenario : Scenario
         What to run.
     other_host : OtherHost, optional

@@ -1,4 +1,4 @@
-"""Who answered what, and how old it was: told from the columns of a recording."""
+"""Answers and their ages, from the columns of a recording."""
 
 import numpy as np
 import pytest

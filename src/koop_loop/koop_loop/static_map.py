@@ -50,7 +50,7 @@ def performance(
     Parameters
     ----------
     parameters : LoopParameters
-        Of the run.
+        Parameters of the run.
     model : KoopmanModel or None
         Model of the run; needed for the lifted cost only.
     t, theta, r : ndarray, shape (M,)

@@ -14,7 +14,9 @@ from koop_study.family import oscillator
 from koop_study.family.config import MAPS, WITH_OPTIMUM, FamilyConfig
 from koop_study.family.loop import close_from_end, noise_of
 from koop_study.family.rig import GRID, Rig, draw
-from koop_study.family.scaled import PAPER_CONSTANTS, scaled_to
+from koop_study.family.scaled import ScaledConstants, scaled_to
+
+PAPER_CONSTANTS = ScaledConstants(20.0, 4.5, speed=0.1, dwell=1.0, tau_f=10.0 / 15.0)
 
 STILL = {"drift": (0.0, 0.0)}
 ALL = FamilyConfig(maps=dict.fromkeys(MAPS, 1.0))

@@ -13,10 +13,12 @@ from koop_loop.loop import simulate
 from koop_study.experiments.kinds import read
 from koop_study.family.loop import close, noise_of
 from koop_study.family.rig import draw
-from koop_study.family.scaled import PAPER_CONSTANTS, ScaledConstants, scaled_to
+from koop_study.family.scaled import ScaledConstants, scaled_to
 from koop_study.laws.run import LawPlant, law_runs, paper_row
 from koop_study.simulation.case import Case, case_of
 from koop_study.simulation.run import Trace, displacement
+
+PAPER_CONSTANTS = ScaledConstants(20.0, 4.5, speed=0.1, dwell=1.0, tau_f=10.0 / 15.0)
 
 PAPER = LawPlant("paper", False, "raw", 60.0)
 RIGS = LawPlant(

@@ -45,7 +45,7 @@ def running(source: ViewSource, token: str = "", **options: Any) -> Iterator[int
 
 
 def client(port: int, token: str = "", **options: Any) -> ClientConnection:
-    """Connect as a program that is no browser."""
+    """Connect as a program that is not a browser."""
     query = f"?token={token}" if token else ""
     options.setdefault("subprotocols", SUBPROTOCOLS[:1])
     return connect(

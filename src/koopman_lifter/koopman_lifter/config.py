@@ -21,11 +21,6 @@ class LifterConfig:
 
     The paper gives no value of the detector's corner frequencies; these are the defaults of this
     project (docs/explanation/theory.md says how they were found).
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type or is out of range.
     """
 
     cost: str = parameter(

@@ -37,11 +37,11 @@ def with_contrast(
     Parameters
     ----------
     model : KoopmanModel
-        Of an n-dimensional state.
+        Model of an n-dimensional state.
     covariances : ndarray, shape (T, n, n)
-        Of the state over each of T windows of the data, at least 2.
+        Covariances of the state over each of T windows of the data, at least 2.
     means : ndarray, shape (T, n)
-        Of the state over the same windows.
+        Means of the state over the same windows.
     theta : ndarray, shape (T,), optional
         Control input of each window, if strong and weak are distinguished by it.
 

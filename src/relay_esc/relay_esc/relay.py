@@ -107,7 +107,7 @@ class RelayState(NamedTuple):
     output : float
         Control input that was given out last [theta].
     swing : Swing
-        Of the adaptive law.
+        State of the adaptive law.
     """
 
     u: float

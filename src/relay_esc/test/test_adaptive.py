@@ -149,7 +149,7 @@ def test_an_unusable_cost_or_a_hold_keeps_theta_and_all_that_was_learned():
         held, holding, _ = answer(esc, state, r, hold=asked)
         assert holding
         assert held == state._replace(primed=False)
-    after, holding, _ = answer(esc, held, 1e9)  # a jump while blind is no rise
+    after, holding, _ = answer(esc, held, 1e9)  # a jump while blind is not a rise
     assert not holding
     assert after.cost_rise_filtered == state.cost_rise_filtered
     assert after.output == state.output

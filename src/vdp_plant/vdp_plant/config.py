@@ -14,13 +14,7 @@ RESENDS = 3  # times that lockstep sends a state again before it gives up
 
 @dataclass(frozen=True)
 class PlantConfig:
-    """Plant, forcing, interference and discretisation (paper section 3, table 1).
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type or is out of range.
-    """
+    """Plant, forcing, interference and discretisation (paper section 3, table 1)."""
 
     epsilon0: float = parameter(1.0, "base damping coefficient", low=0.0, high=100.0)
     epsilon0_drift: float = parameter(

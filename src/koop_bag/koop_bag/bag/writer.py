@@ -18,13 +18,7 @@ from koop_core.config.parameter import parameter, validate
 
 @dataclass(frozen=True)
 class WriterOptions:
-    """How a bag is written.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type or is out of range.
-    """
+    """How a bag is written."""
 
     compression: str = parameter("zstd", "of the file's chunks", choices=("none", "zstd"))
     chunk_bytes: int = parameter(

@@ -12,13 +12,7 @@ FAST, REALTIME = "fast", "realtime"
 
 @dataclass(frozen=True)
 class PlayerConfig:
-    """Configuration of a playback.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type or is out of range.
-    """
+    """Configuration of a playback."""
 
     bag: str = parameter("", "bag, folder of a run, or .mcap file", read_only=True)
     pace: str = parameter(

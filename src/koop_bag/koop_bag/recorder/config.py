@@ -22,11 +22,6 @@ class RecorderConfig:
     """Configuration of a recording.
 
     :class:`koop_bag.bag.writer.WriterOptions` bounds what a killed recorder may lose.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type or is out of range.
     """
 
     output: str = parameter(

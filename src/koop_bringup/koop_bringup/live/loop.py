@@ -29,11 +29,11 @@ class LiveNodes:
     Parameters
     ----------
     folder : Path
-        Of the run: receives bag, logs and parameters.
+        Folder of the run: receives bag, logs and parameters.
     values : mapping of str to mapping
         Parameters by node, of those that are started.
     namespace : str
-        Of all nodes, such as ``/rig``; empty for the root.
+        Namespace of all nodes, such as ``/rig``; empty for the root.
     rig : bool
         Whether a rig is the plant.
     program : sequence of str

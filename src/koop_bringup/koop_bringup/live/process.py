@@ -39,7 +39,7 @@ def executable(node: str) -> str:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ignore Ctrl-C and its like: who presses it twice would leave the nodes behind, running."""
+    """Ignore Ctrl-C and its like: pressed twice, it would leave the nodes behind, running."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(number, signal.SIG_IGN) for number in numbers]
     try:
@@ -84,7 +84,7 @@ class NodeProcess:
     node : str
         Name for the reports; without a command, the node that is started.
     arguments : list of str
-        Of the program.
+        Arguments of the program.
     log : Path
         File for its output.
     command : list of str, optional

@@ -19,7 +19,7 @@ from koop_core.errors import InputError
 
 Settings = TypeVar("Settings")
 SIMILAR = 0.7
-"""Of two names, from 0 to 1, from which on one is taken for the other misspelt."""
+"""Similarity of two names, 0 to 1, from which on one is taken for the other misspelt."""
 
 
 class ConfigError(InputError):

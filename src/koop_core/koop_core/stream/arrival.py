@@ -1,4 +1,4 @@
-"""What a message is to those who heard the ones before. Pure: no ROS, no clock.
+"""How a message follows on the ones before it. Pure: no ROS, no clock.
 
 Only steps decide, so that a replay at any speed decides the same. ``classify`` is plain Python in
 the nodes, one call a message, and is compiled into the loops that answer a million messages.
@@ -44,7 +44,7 @@ class Heard(NamedTuple):
     """What is remembered of a stream."""
 
     step: int
-    """Of the newest message; -1 before the first."""
+    """Step of the newest message; -1 before the first."""
     late: int
     """Messages in a row that newer ones had overtaken."""
 

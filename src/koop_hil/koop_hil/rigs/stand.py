@@ -48,7 +48,7 @@ class Rig(Protocol):
     message : str
         Type of the measurements, a key of ``wire.MESSAGES``.
     topics : tuple of str
-        Of measurements and command, unless the command line names others.
+        Topics of measurements and command, unless the command line names others.
     """
 
     dt: float

@@ -154,7 +154,7 @@ class Wire:
     state, theta : str
         Topic of the measurements, and of the command.
     message : str
-        Of the measurements, a key of :data:`MESSAGES`.
+        Type of the measurements, a key of :data:`MESSAGES`.
     truth : bool
         Whether the true state of each sample is published, too.
     """

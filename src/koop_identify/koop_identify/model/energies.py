@@ -20,7 +20,7 @@ def energies(
     Parameters
     ----------
     model : KoopmanModel or None
-        Of the lifted cost; None for the raw one.
+        Model of the lifted cost; None for the raw one.
     x : ndarray, shape (channels, M)
         Measured channels, one dt apart.
     begins : ndarray of bool, shape (M,)

@@ -23,7 +23,7 @@ class Signals:
     Attributes
     ----------
     names : tuple of str
-        Of the n channels.
+        Names of the n channels.
     dt : float
         Time between two states [s].
     way : str

@@ -46,7 +46,7 @@ class RecordedRun:
     loop : LoopRecord or None
         The loop's own topics; None of a bag of other messages.
     parameters : LoopParameters or None
-        Of the loop; None if they were not recorded.
+        Parameters of the loop; None if they were not recorded.
     theta_star : float or None
         The best theta of our plant; None of a rig.
     model : KoopmanModel or None
@@ -103,7 +103,7 @@ def read(
     reading : BagReading, optional
         What is measured and commanded; None: the loop's own topics.
     namespace : str
-        Of the loop, where its own topics are read.
+        Namespace of the loop, where its own topics are read.
     model : Path, optional
         Model file, if it is not in the run's folder.
     dt : float, optional

@@ -1,4 +1,4 @@
-"""One loop in a namespace of a ROS domain: who comes second sees the first and starts nothing."""
+"""One loop in a namespace of a ROS domain: a second one detects the first and starts nothing."""
 
 from __future__ import annotations
 

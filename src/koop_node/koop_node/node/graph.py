@@ -1,4 +1,4 @@
-"""Who publishes and who listens on a topic, by name, as the graph of the ROS domain shows it."""
+"""Publishers and subscribers of a topic by name, as the graph of the ROS domain shows them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Listeners:
     """Besides those named: ``loop``, a node that publishes a message of the loop; ``any``."""
 
     def missing(self, node: Node, publisher: Publisher) -> str:
-        """Return in words who does not listen yet; empty if all do."""
+        """Return in words which nodes do not listen yet; empty if all do."""
         kind = type_name(publisher.msg_type)
         infos = [
             info

@@ -39,7 +39,7 @@ class Leaf(NamedTuple):
     path: str
     """Dotted names from the message."""
     format: str
-    """Of :mod:`struct`, of the number or of each element."""
+    """Code of :mod:`struct` for the number or for each element."""
     kind: str
     """``number``, ``text`` or ``sequence``."""
 

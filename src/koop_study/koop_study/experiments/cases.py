@@ -98,17 +98,17 @@ class CasesConfig:
     Attributes
     ----------
     title, text : str
-        Of the report's part.
+        Heading and text of the report's part.
     costs : dict of str to dict
         Names of the costs and their settings.
     tables : tuple of CaseTable
         What is run.
     seeds : Seeds or None
-        Of every case; None: one run with the initial state and the phases of the paper, drawn.
+        Seeds of every case; None: one run as in the paper, drawn.
     values : int
-        Of each table, spread over its list; 0 for all.
+        Number of values of each table, spread over its list; 0 for all.
     settings : dict
-        Of all cases.
+        Settings of all cases.
     """
 
     title: str

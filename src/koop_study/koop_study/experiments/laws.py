@@ -72,7 +72,7 @@ class LawsConfig:
     within : float
         Time in which an optimum that jumped is to be reached again [s].
     settings : dict
-        Of every plant that is not a family.
+        Settings of every plant that is not a family.
     """
 
     laws: tuple[ComparedLaw, ...]

@@ -47,9 +47,9 @@ def share(rows: Sequence[Row], name: str) -> float:
     return 100.0 * float(np.mean(column(rows, name)))
 
 
-def win_rate(rows: Sequence[Row], rivals: Sequence[Row], name: str = "iae") -> float:
-    """Return in percent how often a seed's metric is below the rival's at the same seed."""
-    pairs = zip(column(rows, name), column(rivals, name), strict=True)
+def win_rate(rows: Sequence[Row], rivals: Sequence[Row]) -> float:
+    """Return in percent how often a seed's IAE is below the rival's at the same seed."""
+    pairs = zip(column(rows, "iae"), column(rivals, "iae"), strict=True)
     return 100.0 * float(np.mean([ours < theirs for ours, theirs in pairs]))
 
 

@@ -36,7 +36,7 @@ class FamilyConfig:
     Attributes
     ----------
     frequency : Range
-        Of the oscillation [Hz], log-uniform; 20 to 50 samples a period.
+        Frequency of the oscillation [Hz], log-uniform; 20 to 50 samples a period.
     theta_scale : Range
         Width of a linear range of theta, and the ends that a log-scaled one lies within.
     optimum : Range

@@ -31,11 +31,11 @@ class RigController:
     Attributes
     ----------
     lifter : LifterConfig
-        Of the detector.
+        Configuration of the detector.
     esc : EscConfig
-        Of the controller; theta's start is chosen by the run.
+        Configuration of the controller; theta's start is chosen by the run.
     model : KoopmanModel or None
-        Of the lifted cost; None for the raw one.
+        Model of the lifted cost; None for the raw one.
     """
 
     lifter: LifterConfig

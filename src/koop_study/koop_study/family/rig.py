@@ -36,7 +36,7 @@ class Rig:
     map : str
         One of :data:`koop_study.family.config.MAPS`.
     frequency : float
-        Of the oscillation [Hz].
+        Frequency of the oscillation [Hz].
     theta_initial : float
         Where a run begins: at least a quarter of the range from the optimum.
     params : RigParams
@@ -88,7 +88,7 @@ class Rig:
     def best(self, t: float = 0.0) -> tuple[float, float]:
         """Return the best theta at a time [s] and the amplitude there.
 
-        Of a flat bottom it is the middle; of a monotone map an end of the range.
+        The middle of a flat bottom; an end of the range of a monotone map.
         """
         p = self.params
         if p.shape == oscillator.MONOTONE:
@@ -160,7 +160,7 @@ class Rig:
         theta : ndarray, shape (M,)
             Control input of each step.
         seed : int
-            Of the noise and the first phase.
+            Seed of the noise and the first phase.
 
         Returns
         -------

@@ -69,14 +69,9 @@ class ScaledConstants:
 
 # the paper's plant has a time of 15 s and oscillates at 1 rad/s
 PAPER_TIME, PAPER_OMEGA = 15.0, 1.0
-PAPER_CONSTANTS = ScaledConstants(
-    omega_h=20.0, omega_l=4.5, speed=0.1, dwell=1.0, tau_f=10.0 / 15.0
-)
 
 
-def scaled_to(
-    rig: Rig, constants: ScaledConstants, model: KoopmanModel | None, rate_limit: float = 0.0
-) -> RigController:
+def scaled_to(rig: Rig, constants: ScaledConstants, model: KoopmanModel | None) -> RigController:
     """Return the controller of a rig.
 
     Parameters
@@ -86,14 +81,12 @@ def scaled_to(
     constants : ScaledConstants
         In units of the rig.
     model : KoopmanModel or None
-        Of the lifted cost; None for the raw one.
-    rate_limit : float
-        Largest change of theta [1/s]; 0: none.
+        Model of the lifted cost; None for the raw one.
     """
     p, omega = rig.params, 2.0 * math.pi * rig.frequency
     span = math.log(p.theta_max / p.theta_min) if p.log_scale else p.theta_max - p.theta_min
     esc = replace(
-        unscaled(rig, rate_limit / p.theta_max if p.log_scale else rate_limit),
+        unscaled(rig),
         theta_scale="log" if p.log_scale else "linear",
         **constants.esc(rig.time, span, p.dt),
     )

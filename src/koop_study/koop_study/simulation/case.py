@@ -23,13 +23,7 @@ CHANNELS = {"both": (0, 1), "x": (0,), "y": (1,)}
 
 @dataclass(frozen=True)
 class ScenarioConfig:
-    """Disturbances of one run; the defaults are the paper's: none.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type or is out of range.
-    """
+    """Disturbances of one run; the defaults are the paper's: none."""
 
     noise: float = parameter(
         0.0, "standard deviation of white noise on each measured state", low=0.0, high=1e3
@@ -56,13 +50,7 @@ class ScenarioConfig:
 
 @dataclass(frozen=True)
 class SensingConfig:
-    """Measured states and delays; the defaults are the paper's: both states, no delays.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type or is out of range.
-    """
+    """Measured states and delays; the defaults are the paper's: both states, no delays."""
 
     channels: str = parameter("both", "measured states", choices=tuple(CHANNELS))
     delays: int = parameter(1, "samples of each of them that make up the state", low=1, high=64)

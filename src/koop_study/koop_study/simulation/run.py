@@ -69,7 +69,7 @@ def expose(
     steps : int
         Length M of the run.
     seed : int
-        Of noise and lost samples.
+        Seed of noise and lost samples.
     schedule : ndarray, shape (M,), optional
         Control input for an open-loop run.
     channels : ndarray of int, shape (n,)

@@ -43,7 +43,7 @@ def compute_all(
     units : sequence of Unit
         Those that the store has are not computed again; every new result is saved at once.
     store : Store
-        Of the results.
+        Store of the results.
     processes : int
         At work at the same time on this machine. One that is killed is started again, and another
         one takes its unit.
