@@ -21,7 +21,6 @@ setup(
         "koop_tune",
         "vdp_plant",
         "numpy",
-        "PyYAML",
         "tqdm",
     ],
     extras_require={
