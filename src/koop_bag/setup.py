@@ -24,7 +24,6 @@ setup(
         "export": ["pyarrow"],
         "store": ["fsspec", "universal-pathlib", "s3fs"],
     },
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="MCAP bags of ROS 2 topics: pure writer and reader, recorder and player nodes.",

@@ -26,7 +26,6 @@ setup(
         "scipy",
     ],
     extras_require={"bench": ["pydmd", "pykoop"], "test": ["pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="Benchmarks that print ratios to a baseline of the same run.",

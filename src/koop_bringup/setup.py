@@ -27,7 +27,6 @@ setup(
         "vdp_plant",
     ],
     extras_require={"test": ["pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="What starts the nodes: launch file, plan, running loops; viewer layouts.",

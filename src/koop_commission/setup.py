@@ -24,7 +24,6 @@ setup(
         "tqdm",
     ],
     extras_require={"test": ["pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="From an unknown rig to a damped one: check, excite, tune, verify, report.",

@@ -12,7 +12,6 @@ setup(
     ],
     install_requires=["numba", "numpy", "PyYAML"],
     extras_require={"test": ["pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="What every package builds on: configuration, streams, kernels. Needs no ROS.",

@@ -28,7 +28,6 @@ setup(
         "plants": ["jsbsim", "dpsim"],
         "test": ["pytest"],
     },
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="Hardware in the loop: scenarios with faults on the real nodes, verdicts.",

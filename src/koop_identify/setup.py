@@ -20,7 +20,6 @@ setup(
         "numpy",
     ],
     extras_require={"test": ["pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="Bags as arrays, and Koopman models of them. Needs no ROS.",

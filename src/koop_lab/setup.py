@@ -28,7 +28,6 @@ setup(
         "tqdm",
     ],
     extras_require={"test": ["pytest", "PyYAML", "rosbags"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="The koop commands that run a loop, replay, plot and inspect.",

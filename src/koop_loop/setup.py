@@ -18,7 +18,6 @@ setup(
         "numpy",
     ],
     extras_require={"test": ["pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="The closed loop as a pure function, its metrics and training. Needs no ROS.",

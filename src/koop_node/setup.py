@@ -13,7 +13,6 @@ setup(
     ],
     install_requires=["koop_core", "numpy"],
     extras_require={"test": ["pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="The ROS glue of the nodes: parameters, lifecycle, QoS, diagnostics, clients.",

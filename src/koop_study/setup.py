@@ -25,7 +25,6 @@ setup(
         "tqdm",
     ],
     extras_require={"test": ["koop_lab", "dask", "pytest"], "workers": ["dask", "distributed"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="The study: declarative experiments on the offline loop, one report.",

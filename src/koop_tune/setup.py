@@ -25,7 +25,6 @@ setup(
         "tqdm",
     ],
     extras_require={"test": ["hypothesis", "pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="From a recorded excitation to a controller and its prediction. Needs no ROS.",

@@ -19,7 +19,6 @@ setup(
         "websockets",
     ],
     extras_require={"test": ["hypothesis", "pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="The page that shows and operates a loop, the Foxglove protocol, "

@@ -18,7 +18,6 @@ setup(
         "scipy",
     ],
     extras_require={"test": ["pytest"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="Koopman lifting: observables, EDMD, modes, model file, cost; and a thin node.",

@@ -12,7 +12,6 @@ setup(
     ],
     install_requires=["koop_core", "koop_node"],
     extras_require={"test": ["numpy", "pytest", "scipy"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="Relay extremum-seeking control: pure kernel and a thin node.",

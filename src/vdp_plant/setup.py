@@ -12,7 +12,6 @@ setup(
     ],
     install_requires=["koop_core", "koop_node", "numpy"],
     extras_require={"test": ["pytest", "scipy"]},
-    zip_safe=False,
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="The paper's Van der Pol plant with its interference: pure model and a thin node.",

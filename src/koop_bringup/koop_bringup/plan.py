@@ -95,7 +95,7 @@ class PlannedNode(NamedTuple):
     Attributes
     ----------
     name : str
-        Of the node; of a container, that of the node by whose end the run is judged.
+        Name of the node; for a container, of the node by whose end the run is judged.
     package, executable : str
         Where to find it.
     arguments : tuple of str
@@ -210,9 +210,7 @@ def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
         values = {name: items | from_file[name] for name, items in values.items()}
         # a recorded run's own file names its recorder, which this launch may not start
         if any([items.pop("listeners", "next") != "next" for items in values.values()]):
-            notes.append(
-                f"{arguments['params']}: 'listeners' is not used: the launch says who must be there"
-            )
+            notes.append(f"{arguments['params']}: 'listeners' is not used: the launch sets it")
     for argument in ARGUMENTS:
         if argument.name in arguments and argument.node:
             if argument.node not in values:

@@ -67,7 +67,7 @@ def call_isolated(command: list[str]) -> int:
     environment = {
         name: value for name, value in os.environ.items() if name != "ROS_LOCALHOST_ONLY"
     }
-    # a rig's own default is the loopback; an empty text is that of Cyclone DDS, all of the network
+    # a rig's own default is the loopback; an empty text is Cyclone DDS's, all of the network
     environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "CYCLONEDDS_URI": ""}
     # Ctrl-C reaches it once, from here
     process = TiedProcess([*entrance(), *command], environment, **OWN_GROUP)

@@ -229,7 +229,7 @@ def with_parameter(scenario: Scenario, node: str, name: str, value: Any) -> Scen
 
 
 def with_controller(scenario: Scenario, file: Path) -> Scenario:
-    """Return a scenario whose lifter and controller are those of a parameter file.
+    """Return a scenario with the lifter and controller of a parameter file.
 
     The scenario's theta at the start remains: it is the plant's, too.
 

@@ -248,7 +248,7 @@ class ClientSession:
         elif self._watched is not None and not wanted:
             self._watched -= set(names)
         elif self._watched is not None and len(self._watched | set(names)) <= protocol.MANY:
-            self._watched |= set(names)  # also those of a node that is still to come
+            self._watched |= set(names)  # also names of a node that is still to come
 
     def _call(self, call: protocol.Call) -> None:
         service = self._source.services.get(call.service)

@@ -70,12 +70,10 @@ def read_columns(bag: BagReader, topic: str, fields: Sequence[str] | None = None
     return read_tables(bag, {topic: fields})[topic]
 
 
-def read_tables(
-    bag: BagReader, tables: Mapping[str, Sequence[str] | None], batch_bytes: int = BATCH_BYTES
-) -> dict[str, Columns]:
+def read_tables(bag: BagReader, tables: Mapping[str, Sequence[str] | None]) -> dict[str, Columns]:
     """Several topics in one pass over the bag: `{topic: fields}` to `{topic: columns}`."""
     parts: dict[str, list[Columns]] = {topic: [] for topic in tables}
-    for topic, columns in iter_tables(bag, tables, batch_bytes):
+    for topic, columns in iter_tables(bag, tables):
         parts[topic].append(columns)
     joined: dict[str, Columns] = {}
     for topic, fields in tables.items():

@@ -30,7 +30,7 @@ _FIELD = re.compile(
     r"^\s*(?P<type>[A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
 _MAX_DEPTH = 50  # types inside of types
-_MAX_FIELDS = 20_000  # with those of the types inside; the largest messages in use have hundreds
+_MAX_FIELDS = 20_000  # with the fields of types inside; the largest messages in use have hundreds
 
 
 def parse_definition(type_name: str, text: str) -> Struct:

@@ -18,8 +18,8 @@ class ParameterCollector:
     """Asks every node of a namespace once for all its parameters.
 
     Left out are the parameters of this start: `listeners`, and the recorder's `output`.
-    Who hands the file back starts another run: it would wait for nodes that are not there, or
-    be told to write where a recording is.
+    The file starts another run, which would wait for nodes that are not there, or write where a
+    recording is.
 
     Later changes need no asking: they are recorded from /parameter_events.
 
@@ -48,9 +48,8 @@ class ParameterCollector:
         }
         before = len(self.values)
         if self._own not in self.values:
-            declared: Any = self._node.get_parameters_by_prefix(
-                ""
-            )  # declared as values, are Parameters
+            # annotated as values, but they are Parameters
+            declared: Any = self._node.get_parameters_by_prefix("")
             self.values[self._own] = {
                 name: _plain(item.value)
                 for name, item in declared.items()

@@ -59,7 +59,7 @@ class TiedProcess(subprocess.Popen[bytes]):
     command : list of str
         Runs a program that calls ``end_with_parent``, as every node does.
     environment : mapping of str to str, optional
-        In place of that of this process.
+        Environment in place of this process's own.
     options
         Of :class:`subprocess.Popen`.
     """
@@ -90,7 +90,7 @@ class NodeProcess:
     command : list of str, optional
         The program, if it is not the node's executable.
     environment : mapping of str to str, optional
-        In place of that of this process.
+        Environment in place of this process's own.
     before : sequence of str
         Words before the command, of a program that starts it in another place.
     """

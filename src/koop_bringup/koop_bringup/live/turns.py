@@ -21,7 +21,7 @@ def take_turns(pids: Iterable[int], listeners: Iterable[int] = ()) -> None:
     pids : iterable of int
         Of the processes, all their threads there.
     listeners : iterable of int
-        Of those who hear the others and run beside them: batch work, too.
+        Processes that hear the others and run beside them: batch work, too.
     """
     if sys.platform != "linux":
         return

@@ -58,7 +58,7 @@ class Spec:
 
 
 def parameter(default: Any, description: str, **options: Any) -> Any:
-    """Declare one field of a configuration dataclass; the options are those of :class:`Spec`."""
+    """Declare one field of a configuration dataclass; the options are fields of :class:`Spec`."""
     return field(default=default, metadata={"spec": Spec(description, **options)})
 
 

@@ -1,7 +1,7 @@
 """Reads ROS 2 parameter files as the nodes read them. Pure: imports nothing of ROS.
 
 A command that reads a file itself can check it before a node is started, and say which of its
-values count. The rules are those of rcl: a key is the full name of a node, in which ``*`` stands
+values count. rcl's rules hold: a key is the full name of a node, in which ``*`` stands
 for one part and ``**`` for any number of them; what comes later in the file wins.
 """
 
@@ -90,7 +90,7 @@ class ParameterFile:
         ------
         ConfigError
             If the file has no parameters for any of them, names one in another namespace only, or
-            has a section whose name is nearly that of one.
+            has a section with nearly the name of one.
         """
         base = (self.namespace_of(nodes) if namespace is None else namespace).rstrip("/")
         merged = {node: self.values(f"{base}/{node}", names) for node, names in nodes.items()}

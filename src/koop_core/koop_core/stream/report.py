@@ -24,7 +24,7 @@ class Finding(NamedTuple):
 def summary(findings: Iterable[Finding]) -> Finding:
     """Return the most urgent level, and all texts that are not OK with the most urgent first.
 
-    Where all is OK, the texts are those of the OK findings.
+    Where all is OK, the texts are the OK findings' texts.
     """
     ordered = sorted(findings, key=lambda item: -_URGENCY.index(item.level))
     if not ordered:

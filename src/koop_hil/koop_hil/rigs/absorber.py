@@ -2,7 +2,7 @@
 
 Theta is the damper's natural frequency as a fraction of the structure's. Within a few per cent of
 the right one the damper takes more energy than the structure is fed, and only what chance forces
-excite is left; beside it the amplitude is that of a limit cycle at once. Near the edges of the
+excite is left; beside it the amplitude is a limit cycle's at once. Near the edges of the
 valley the oscillation grows and decays slowly.
 """
 

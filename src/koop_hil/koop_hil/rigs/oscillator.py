@@ -75,7 +75,7 @@ def galloping(theta_star: float) -> Derivative:
         Y'' + Y = n A [(U - U0) Y' - B/(A U) Y'^3 + C/(A U^3) Y'^5 - D/(A U^5) Y'^7]
 
     with U0 = 2 beta / (n A) the wind speed at which galloping begins. A, B, C and D are theirs,
-    from the measured side force. The mass parameter n is that of a light model. The damper works
+    from the measured side force. The mass parameter n belongs to a light model. The damper works
     best when it is tuned, at theta*: beta, and so U0, falls off to both sides as a resonance does.
     The state is [Y, Y'] in tenths of the prism's width.
     """

@@ -50,7 +50,7 @@ class RecordedRun:
     theta_star : float or None
         The best theta of our plant; None of a rig.
     model : KoopmanModel or None
-        The given one, else that of the first cost; None if it is not at hand.
+        The chosen model, else the model of the first cost; None if it is not at hand.
     """
 
     path: Path

@@ -13,7 +13,9 @@ from koop_core.errors import LiveError
 from koop_node.process.domain import current_domain, free_domain, only_observed
 
 TOPICS = ("state", "cost", "theta")  # that each have one publisher in a loop
-DISCOVERY = 4.0  # [s]: Fast DDS, as it comes, announces itself every 3 s to who missed the first
+DISCOVERY = (
+    4.0  # [s]: Fast DDS, as it comes, announces itself every 3 s, for those that missed the first
+)
 
 
 @contextmanager

@@ -166,7 +166,7 @@ class Client:
             return answer.current_state
 
         while not self._spin_until(asked.done, ASK_AGAIN, check):
-            # its state is asked for, not the transition again: who has done it would refuse that
+            # ask for its state, not for the transition again: done already, it would be refused
             if state().id == aim:  # the answer got lost
                 return
             if time.monotonic() > deadline:

@@ -69,7 +69,7 @@ def main() -> None:
         "components",
         nargs="+",
         metavar="COMPONENT",
-        help=f"those who listen first; one of {', '.join(sorted(components()))}; "
+        help=f"listeners first; one of {', '.join(sorted(components()))}; "
         "@NAMESPACE: in that namespace, such as @/rig",
     )
     options = parser.parse_args(remove_ros_args()[1:])

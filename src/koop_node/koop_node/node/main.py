@@ -148,7 +148,7 @@ def _spin(nodes: list[ManagedNode[Any]], priority: int, timers: schedule.Schedul
 
 
 def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:
-    """Return what ``--help`` of a node prints; ``path`` is that of its executable."""
+    """Return what ``--help`` of a node prints; ``path`` leads to its executable."""
     program = Path(path)
     if program.parent.parent.name == "lib":
         words = f"ros2 run {program.parent.name} {program.name}"
@@ -159,7 +159,7 @@ def help_of(node_class: type[ManagedNode[Any]], path: str) -> str:
 
 
 def refuse_other_arguments(args: list[str] | None = None) -> None:
-    """Raise InputError if there are arguments besides those of ROS, which rclpy would ignore."""
+    """Raise InputError on arguments besides ROS's own, which rclpy would ignore."""
     rest = remove_ros_args(args)
     rest = rest[1:] if args is None else rest
     if rest:

@@ -81,7 +81,7 @@ RunT = TypeVar("RunT", bound=Run)
 class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
     """Base of the nodes: lifecycle, parameters, diagnostics, end of the run.
 
-    ``make_run(node, entities)`` configures; the options are those of every rclpy node. ``run`` is
+    ``make_run(node, entities)`` configures; the options are every rclpy node's. ``run`` is
     there from configure to cleanup, the exit code of the process once the node has finished.
     """
 
@@ -168,7 +168,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         def configure() -> None:
             self.run = self._make_run(self, entities)
             self._while_configured = entities
-            if self._schedule is not None:  # the process is that of such nodes
+            if self._schedule is not None:  # the process runs such nodes
                 release_compiler()
 
         return self._attempt(configure, entities)

@@ -28,7 +28,7 @@ def current_domain() -> int:
 def free_domain() -> int:
     """Return a ROS domain that nobody takes part in, so that a loop may run beside.
 
-    Where the system does not tell who listens, it is the domain of the environment.
+    Where the system does not name listeners, it is the domain of the environment.
     """
     if (sockets := _sockets()) is None:
         return current_domain()

@@ -1,6 +1,6 @@
 """Ends a process with the one that started it, however that one ended. Pure: no ROS.
 
-Who starts the process holds the other end of its stdin and says so in its environment. When that
+The starting process holds the other end of its stdin and says so in its environment. When that
 end closes, with a clean exit or with SIGKILL, the process tells itself to stop, as SIGTERM would:
 a recorder closes its bag. A pipe, not the kernel's parent-death signal, because that one goes by
 the thread that started the process and is lost if the parent is gone before it is asked for.

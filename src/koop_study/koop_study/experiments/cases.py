@@ -54,7 +54,7 @@ class CaseTable:
     grid : tuple
         In place of values, a list for each parameter: all combinations.
     costs : tuple of str
-        Empty: those of the experiment.
+        Empty: the experiment's costs.
     settings : dict
         Further settings of this table.
     """

@@ -55,7 +55,7 @@ class FamilyConfig:
     shallower, apart : Range
         Of two valleys: level at the bottom of the wide one over L*, log-uniform; their distance.
     second : Range
-        Of two modes: frequency of the second over that of the first.
+        Two modes: frequency of the second over the first's.
     play : Range
         Backlash of theta, in u.
     amplitude_time : Range

@@ -67,7 +67,7 @@ def exposed(p: RigParams) -> RigParams:
 
 
 def noise_of(rig: Rig, steps: int, seed: int) -> RunNoise:
-    """Draw the numbers of a run of some steps; the amplitude is that of its second half."""
+    """Draw the numbers of a run of some steps; the amplitude belongs to its second half."""
     p = rig.params
     numbers = rig.noise(steps, seed)
     numbers[:, 2:] *= p.noise

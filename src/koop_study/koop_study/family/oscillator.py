@@ -9,7 +9,7 @@ a theta that rests over the step, so no step size is too large:
 
 In both the root mean square of |z| at a resting theta is L(theta) itself: the truth needs no
 simulation. With u in [0, 1] the position of theta in its range (on a log scale where the rig has
-one), u* that of the optimum and e the distance from u* beyond a flat bottom,
+one), u* the optimum's position and e the distance from u* beyond a flat bottom,
 
     L = L* sqrt(1 + (e / w)^2p)   to be minimised,      L = L* / sqrt(1 + (e / w)^2p)   maximised,
 
@@ -72,7 +72,7 @@ class RigParams(NamedTuple):
         u* at t = 0 and L*; of a monotone map, L at u = 1/2.
     width_below, width_above, flat, power : float
         w on the two sides of u*, half the width of the bottom, p; a monotone map has the slope of
-        log L in ``width_above``, two modes those of -log L_1 and log L_2 in both.
+        log L in ``width_above``, two modes the slopes of -log L_1 and log L_2 in both.
     saturation : float
         D, largest gain of a narrow map; infinite of others.
     apart, other_width, shallower : float
@@ -88,7 +88,7 @@ class RigParams(NamedTuple):
     mix : ndarray, shape (n, 5)
         m_1 to m_5 of each of n channels.
     second : float
-        Frequency of the second oscillation over that of the first.
+        Frequency of the second oscillation over the first's.
     offset, noise : ndarray, shape (n,)
         Offset and standard deviation of the white noise of each channel.
     tone : ndarray, shape (m,)

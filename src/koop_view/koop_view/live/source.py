@@ -214,7 +214,7 @@ class LiveSource(ViewSource):
     # -- parameters and services --------------------------------------------------------------
 
     def _take_parameters(self, served: Mapping[str, object]) -> None:
-        """Ask new nodes for their parameters, and forget those of nodes that have ended."""
+        """Ask new nodes for their parameters, and forget the parameters of ended nodes."""
         values, own = self._collector.values, self._node.get_fully_qualified_name()
         for node in values.keys() - served.keys() - {own}:
             del values[node]
