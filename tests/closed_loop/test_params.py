@@ -2,8 +2,6 @@
 
 from dataclasses import asdict
 
-import pytest
-
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bringup.plan import plan
 from koop_lab.cli.main import main
@@ -15,7 +13,8 @@ LEFT_OUT = {"listeners", "autostart", "initial_state"}  # of how it is started; 
 
 def test_the_file_of_koop_params_gives_every_node_its_defaults(start, probe, tmp_path, capsys):
     file = tmp_path / "rig.yaml"
-    assert main(["params", "--out", str(file), *NODES]) == 0
+    assert main(["params", *NODES]) == 0
+    file.write_text(capsys.readouterr().out)
     for node in NODES:
         start(node, "--params-file", str(file), "-p", "autostart:=false")
     asked = ParameterCollector(probe.node, "/")
@@ -40,19 +39,8 @@ def test_the_file_for_a_rig_feeds_the_launch(tmp_path, capsys):
     assert [node.name for node in planned.nodes] == ["recorder", "relay_esc", "koopman_lifter"]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["relay_ecs"], "unknown node 'relay_ecs': did you mean 'relay_esc'?"),
-        (["--out", "THERE"], "is there already: choose another --out"),
-        (["--out", "THERE/x"], "Not a directory"),
-    ],
-)
-def test_what_cannot_be_written_is_said_in_one_line(words, message, tmp_path, capsys):
-    there = tmp_path / "mine.yaml"
-    there.write_text("tuned for weeks")
-    assert main(["params", *(word.replace("THERE", str(there)) for word in words)]) == 2
+def test_an_unknown_node_is_said_in_one_line(capsys):
+    assert main(["params", "relay_ecs"]) == 2
     error = capsys.readouterr().err
-    assert message in error
+    assert "unknown node 'relay_ecs': did you mean 'relay_esc'?" in error
     assert error.count("\n") == 1
-    assert there.read_text() == "tuned for weeks"

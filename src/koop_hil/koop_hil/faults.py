@@ -2,7 +2,7 @@
 
     ok                                     nothing is wrong
     off                                    no message passes
-    stuck [value=v] [index=i]              the value stays: at v, else at the last good one
+    stuck [index=i]                        the value stays at the last good one
     garbage [kind=nan|inf|huge|short]      the value is not a measurement
     wrong [gain=g] [bias=b] [index=i]      the value is off
     slow [every=n]                         only every n-th message passes
@@ -25,7 +25,7 @@ from koop_core.config.parameter import ConfigError
 DEFAULTS: dict[str, dict[str, float | str]] = {
     "ok": {},
     "off": {},
-    "stuck": {"value": math.nan, "index": -1},
+    "stuck": {"index": -1},
     "garbage": {"kind": "nan"},
     "wrong": {"gain": 1.0, "bias": 0.0, "index": -1},
     "slow": {"every": 4},
@@ -69,7 +69,7 @@ def parse(text: str) -> Fault:
             number = settings[key] = float(value)
         except ValueError:
             raise ConfigError(f"fault {name}: {key} = '{value}' is not a number") from None
-        low = -math.inf if key in ("value", "gain", "bias", "index") else float(key == "every")
+        low = -math.inf if key in ("gain", "bias", "index") else float(key == "every")
         if not low <= number < 1e9:
             raise ConfigError(f"fault {name}: {key} = {value} is out of range")
     return Fault(name, settings)
@@ -132,8 +132,6 @@ class Channel:
                 continue
             if fault.name == "wrong":
                 changed[i] = fault["gain"] * values[i] + fault["bias"]
-            elif math.isfinite(fault["value"]):
-                changed[i] = fault["value"]
             elif i < len(self._last):
                 changed[i] = self._last[i]
         return changed

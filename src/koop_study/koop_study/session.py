@@ -23,10 +23,7 @@ INTERRUPTED = 130
 def run(args: argparse.Namespace) -> int:
     """Run ``koop study`` with its options; return the exit code.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If an experiment file or an option cannot be used.
+    Raises ConfigError if an experiment file or an option cannot be used.
     """
     begin = time.monotonic()
     if args.processes < 1:
@@ -63,10 +60,7 @@ def run_all(
 def choose(names: list[str], quick: bool) -> list[Experiment]:
     """Return the experiments of the files that are named; all of the repository without a name.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If there is no such file, or it cannot be used.
+    Raises ConfigError if there is no such file, or it cannot be used.
     """
     if not names:
         return read_folder(EXPERIMENTS, quick)

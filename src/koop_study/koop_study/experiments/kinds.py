@@ -82,10 +82,7 @@ def read(path: Path, quick: bool) -> Experiment:
 def read_folder(folder: Path, quick: bool) -> list[Experiment]:
     """Read every ``*.yaml`` of a folder, in the order of the report.
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If there is none, or one is wrong.
+    Raises ConfigError if there is none, or one is wrong.
     """
     experiments = [read(path, quick) for path in sorted(folder.glob("*.yaml"))]
     if not experiments:
