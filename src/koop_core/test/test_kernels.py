@@ -2,11 +2,14 @@
 
 import subprocess
 import sys
+from dataclasses import dataclass
 from typing import NamedTuple
 
+import numba
 import numpy as np
 import pytest
 
+from koop_core.config.parameter import constants, parameter, validate
 from koop_core.kernels import borrowed, direct, njit
 
 KERNELS = """
@@ -107,3 +110,22 @@ def test_a_borrowed_array_is_the_owners_memory(x):
         assert filled(x, np.array([True, False, True, True])) == 5.0
     assert x.tolist() == [[0.0] * 3, [0.0] * 3, [2.0] * 3, [3.0] * 3]
     assert sys.getrefcount(x) == references
+
+
+@dataclass(frozen=True)
+class Example:
+    share: float = parameter(0.1, "share", low=0.0, high=1.0)
+    count: int = parameter(3, "count", low=1)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+def test_a_kernel_takes_settings_as_constants_of_their_types() -> None:
+    settings = constants(Example(share=0.7))
+
+    def product(x: float) -> float:
+        return x * settings.share + settings.count % 2
+
+    assert numba.njit(product)(0.3) == product(0.3) == 0.3 * 0.7 + 1
+    assert (type(settings.share), type(settings.count)) == (float, int)
