@@ -275,7 +275,8 @@ def return_time(values: Mapping[str, Mapping[str, Any]]) -> float:
     """Return how long the guard may take to return theta at its end [s]; 0 without one."""
     if "koop_guard" not in values:
         return 0.0
-    config = build({"koop_guard": _node_values(values["koop_guard"])}, GUARD)["koop_guard"][GuardConfig]
+    guard = {"koop_guard": _node_values(values["koop_guard"])}
+    config = build(guard, GUARD)["koop_guard"][GuardConfig]
     assert isinstance(config, GuardConfig)
     return config.longest_return
 

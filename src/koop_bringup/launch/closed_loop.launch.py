@@ -155,7 +155,7 @@ class _Loop:
                 get_logger("launch").info(f"{text}: the loop ends")
                 if kind_of_end is Ending.FAILED:
                     self._failure = text
-                actions = self._end(event, found is Ending.DONE)
+                actions = self._end(event, kind_of_end is Ending.DONE)
             if context.is_shutdown:
                 self._raise()
             return actions
