@@ -15,6 +15,7 @@ NAMES = (
     "vdp_plant::PlantNode",
     "koopman_lifter::LifterNode",
     "relay_esc::EscNode",
+    "koop_guard::GuardNode",
     "koop_bag::RecorderNode",
     "koop_bag::PlayerNode",
 )
@@ -48,7 +49,7 @@ def container(own_domain):
 
 
 def test_a_container_runs_the_whole_loop_in_one_process(container, tmp_path):
-    recorder = container(NAMES[3], output=str(tmp_path / "run"))
+    recorder = container(NAMES[4], output=str(tmp_path / "run"))
     esc = container(NAMES[2], listeners="next recordernode")
     lifter = container(NAMES[1], listeners="next recordernode")
     plant = container(NAMES[0], listeners="next recordernode", pace="lockstep", duration=1.0)
@@ -81,7 +82,8 @@ def test_a_container_runs_the_whole_loop_in_one_process(container, tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_callback_for_a_qos_event_is_installed(container, tmp_path, name):
-    chosen = {"RecorderNode": {"output": str(tmp_path / "run")}, "PlayerNode": {"bag": GOLDEN}}
+    chosen = {"RecorderNode": {"output": str(tmp_path / "run")}, "PlayerNode": {"bag": GOLDEN},
+             "GuardNode": {"command": "/rig/theta:data"}}  # fmt: skip
     options = {"use_sim_time": True, **chosen.get(name.partition("::")[2], {})}
     node = container(name, autostart=False, **options)
     assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS

@@ -2,19 +2,22 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 from commission_rig import DT, RIG
-from koop_msgs.msg import GuardState
+from koop_msgs.msg import GuardState, PlantTruth
 from std_srvs.srv import Trigger
 from test_excite import wait
 
 from koop_bag.bag.reader import BagReader
 from koop_core.config import parameter_file
 from koop_guard.node import KEPT
+from koop_hil import installed
 from koop_tune.rig.rig_file import as_values
 
 pytestmark = pytest.mark.ros
@@ -123,6 +126,7 @@ ENDS = {
     "controller killed": (kill("esc"), 2),
     "lifter killed": (kill("lifter"), 2),
     "guard killed": (kill("guard"), 2),
+    "guard stopped": (lambda process, nodes: os.kill(nodes["guard"], signal.SIGSTOP), 2),
     "koop up killed": (lambda process, nodes: process.kill(), -9),
     "Ctrl-C": (lambda process, nodes: process.send_signal(signal.SIGINT), 0),
     "SIGTERM": (lambda process, nodes: process.send_signal(signal.SIGTERM), 0),
@@ -149,3 +153,31 @@ def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, tmp_p
     os.kill(nodes["lifter"], signal.SIGKILL)
     home(fast_rig)
     assert process.wait(LONG) == 2
+
+
+def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(koop, nodes_of, probe, tmp_path):
+    words = [sys.executable, installed("rigs") / "rig.py", "galloping", "--truth", "--until-eof"]
+    rig = subprocess.Popen([*map(str, words), "--readers", "2"], stdin=subprocess.PIPE)
+    try:
+        guard = {
+            "measured": "/state:x[0],x[1]", "command": "/theta:theta", "theta_min": -5.0,
+            "theta_max": 5.0, "theta_start": 2.0, "theta_safe": 2.5,
+        }  # fmt: skip
+        esc = {"step_size": 0.004, "theta_initial": 2.0, "rate_limit": 1.0}
+        values = {"koopman_lifter": {"cost": "raw"}, "relay_esc": esc, "koop_guard": guard}
+        file = tmp_path / "loop.yaml"
+        parameter_file.write(values, file)
+        file.write_text(file.read_text().replace("/**/", "/"))
+        truths = probe.collect(PlantTruth, "/ground_truth")
+        process = koop("up", file, "--out", "run")
+        probe.spin_until(lambda: truths and truths[-1].theta_applied < 1.8, "theta to move")
+        assert probe.node.count_publishers("/theta") == 1
+        os.kill(nodes_of(process)["esc"], signal.SIGKILL)
+        probe.spin_until(lambda: truths[-1].theta_applied == 2.5, "theta_safe")
+        assert process.wait(LONG) == 2
+        applied = [truth.theta_applied for truth in truths]
+        # the rig's actuator follows by 1 per second, too: more than that it cannot show
+        assert max(abs(b - a) for a, b in pairwise(applied)) <= 0.04 + 1e-9
+    finally:
+        rig.stdin.close()
+        rig.wait(LONG)

@@ -18,6 +18,7 @@ BENCHMARKS = {  # memory first: this process does not share pages with the nodes
     "memory": "resident memory of a node, of a loop, of each further loop in a container",
     "loop": "lockstep rate while recording, beside bare rclpy chains of the same messages",
     "realtime": "missed ticks, jitter and latency at 200 Hz, 500 Hz and 1 kHz, idle and busy",
+    "guard": "from a sample beyond its limit to the command on the way to safety, at 200 Hz",
     "fleet": "loops of 200 Hz that this machine holds, and what each costs",
     "record": "losses, cost and bytes of the recorder, and what a killed one lacks",
     "start": "koop --help, a node from start to active, the stop of a demo, a whole demo",
@@ -36,7 +37,7 @@ def register(commands: Any) -> None:
         + "\n".join(f"  {name:10}{what}" for name, what in BENCHMARKS.items()),
     )
     parser.add_argument(
-        "names", nargs="*", metavar="NAME", help="benchmarks (default: all, about 25 min)"
+        "names", nargs="*", metavar="NAME", help="benchmarks (default: all, about 30 min)"
     )
     parser.add_argument(
         "--duration", type=float, metavar="S", help="of each run (default: the benchmark's own)"

@@ -19,7 +19,7 @@ from koop_core.stream.monitor import StreamMonitor
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard, Status
 from koop_guard.node.twin import Twin
-from koop_guard.node.wire import Command
+from koop_guard.node.wire import Command, return_to_safe
 from koop_guard.note import find_theta, leave
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
@@ -114,17 +114,15 @@ class GuardRun(Run):
         if self._commands and not held:
             guard.note(Cause.ENDED, "the guard ends", now)
             self._announce()
-            safe_since = now
-            while (now := time.monotonic()) - safe_since < SAFETY.held:
-                self._say(now)
-                if not guard.at_safe:
-                    safe_since = now
-                time.sleep(min(max(self._config.period, 0.001), SAFETY.tick))
+            assert self._command is not None
+            return_to_safe(guard, self._config, self._command, self._say)
         if self._commands:
             leave(self._config.note, guard.theta, self._ids)
         self._announce()
         if self._twin is not None:
             self._twin.release(guard.theta)
+        if self._controller is not None:
+            self._node.destroy_client(self._controller)
         self._twin = self._command = self._controller = None
 
     @property
@@ -223,11 +221,16 @@ class GuardRun(Run):
                 guard.note(Cause.OTHER, text, now)
         if not controllers and guard.status is Status.FOLLOWING:
             guard.note(Cause.INACTIVE, "the controller is inactive or has ended", now)
-        if len(controllers) == 1:
-            service = f"{full_name(controllers[0])}/reset"
-            if self._controller is None or self._controller.srv_name != service:
-                self._controller = node.create_client(Trigger, service)
+        if len(controllers) == 1 and full_name(controllers[0]).startswith("/"):  # its name is known
+            self._find_reset(f"{full_name(controllers[0])}/reset")
         self._announce()
+
+    def _find_reset(self, service: str) -> None:
+        if self._controller is not None:
+            if self._controller.srv_name == service:
+                return
+            self._node.destroy_client(self._controller)
+        self._controller = self._node.create_client(Trigger, service)
 
     def _advance(self, now: float) -> float:
         """Move theta on; the twin knows it before the rig does."""

@@ -136,23 +136,15 @@ def _has_ended(guard_id: int, shared: SharedTheta) -> bool:
 
 
 def _take_over(client: Any, order: dict[str, Any], theta: float) -> None:
-    """Return theta to theta_safe."""
-    from koop_guard.node.wire import Command
+    """Return theta to theta_safe, as long as the rig is there."""
+    from koop_guard.node.wire import Command, return_to_safe
 
     config = GuardConfig(**order["config"])
     field = parse_source(config.command).fields[0]
     command = Command(client.node.create_publisher, order["kind"], order["topic"], field)
     guard = Guard(config, theta)
     guard.note(Cause.ENDED, "the guard was killed", time.monotonic())
-    while not command.publisher.get_subscription_count():
-        client.spin(0.01)
-    safe_since = time.monotonic()
-    while time.monotonic() - safe_since < SAFETY.held:
-        now = time.monotonic()
-        command.say(guard.advance(now))
-        if not guard.at_safe:
-            safe_since = now
-        time.sleep(min(max(config.period, 0.001), SAFETY.tick))
+    return_to_safe(guard, config, command, lambda now: command.say(guard.advance(now)))
     leave(config.note, guard.theta, order["publishers"])
 
 

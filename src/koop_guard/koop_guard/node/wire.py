@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
 from koop_msgs.msg import ControlInput
 
 from koop_core.config.fields import Path, check_fields, write_field
+from koop_guard.config import SAFETY, GuardConfig
+from koop_guard.guard import Guard
 from koop_node.node.managed import message_type
 from koop_node.node.qos import NEWEST, RELIABLE
 
@@ -52,3 +55,17 @@ class Command:
             return self.say(theta)
         answer.theta = theta
         return self.publisher.publish(answer)
+
+
+def return_to_safe(
+    guard: Guard, config: GuardConfig, command: Command, say: Callable[[float], object]
+) -> None:
+    """Let ``say(now)`` command a guard that has tripped until theta is safe or the rig is gone."""
+    safe_since = heard = time.monotonic()
+    while (now := time.monotonic()) - safe_since < SAFETY.held and now - heard < SAFETY.first:
+        if command.publisher.get_subscription_count():
+            heard = now
+            say(now)
+        if not guard.at_safe:
+            safe_since = now
+        time.sleep(min(max(config.period, 0.001), SAFETY.tick))
