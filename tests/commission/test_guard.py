@@ -155,7 +155,10 @@ def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, tmp_p
     assert process.wait(LONG) == 2
 
 
-def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(koop, nodes_of, probe, tmp_path):
+@pytest.mark.parametrize("victim", ["esc", "guard"])
+def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(
+    koop, nodes_of, probe, tmp_path, victim
+):
     words = [sys.executable, installed("rigs") / "rig.py", "galloping", "--truth", "--until-eof"]
     rig = subprocess.Popen([*map(str, words), "--readers", "2"], stdin=subprocess.PIPE)
     try:
@@ -172,7 +175,7 @@ def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(koop, nodes_of,
         process = koop("up", file, "--out", "run")
         probe.spin_until(lambda: truths and truths[-1].theta_applied < 1.8, "theta to move")
         assert probe.node.count_publishers("/theta") == 1
-        os.kill(nodes_of(process)["esc"], signal.SIGKILL)
+        os.kill(nodes_of(process)[victim], signal.SIGKILL)
         probe.spin_until(lambda: truths[-1].theta_applied == 2.5, "theta_safe")
         assert process.wait(LONG) == 2
         applied = [truth.theta_applied for truth in truths]

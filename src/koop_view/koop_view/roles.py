@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 
 GONE = 1.0  # [s] without any of its nodes: the loop has ended, before the page misses their reports
 STATE, COST, THETA = (f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput"))
+GUARD = "koop_msgs/msg/GuardState"
 KINDS = {STATE: "state", COST: "cost", THETA: "theta"}
 
 
@@ -21,6 +22,7 @@ class LoopNames:
     state: str | None = None
     cost: str | None = None
     theta: str | None = None
+    guard: str | None = None
 
 
 def namespace_of(name: str) -> str:
@@ -42,7 +44,7 @@ def find_loops(
     A lifter publishes a cost, a controller a control input; the plant is the node that publishes
     the state and is neither, for a lifter that reads a rig's own message publishes the state.
     Where a commander passes on what a controller says, the controller is the one that is managed,
-    and theta is what the rig gets.
+    and theta is what the rig gets; so it is with a guard.
 
     Parameters
     ----------
@@ -57,10 +59,12 @@ def find_loops(
     for node, topics in sorted(published.items(), key=lambda item: (item[0] in managed, item[0])):
         of_type = {kind: topic for topic, kind in sorted(topics.items(), key=_last_is_own)}
         outputs = {name: of_type[kind] for kind, name in KINDS.items() if kind in of_type}
-        if not outputs:
+        is_guard = GUARD in of_type
+        if not (outputs or is_guard):
             continue
         is_lifter, is_controller = "cost" in outputs, "theta" in outputs
         role = "lifter" if is_lifter else "controller" if is_controller else "plant"
+        role = "guard" if is_guard else role
         space = namespace_of(node)
         loop = result.get(space, LoopNames(space))
         if loop.theta == f"{space.rstrip('/')}/theta":

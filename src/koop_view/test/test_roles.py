@@ -1,6 +1,6 @@
 """The loops that are found among the nodes and topics of a domain."""
 
-from koop_view.roles import COST, GONE, STATE, THETA, KnownLoops, LoopNames, find_loops
+from koop_view.roles import COST, GONE, GUARD, STATE, THETA, KnownLoops, LoopNames, find_loops
 
 
 def test_loops_are_told_apart_by_namespace_and_by_what_their_nodes_publish():
@@ -34,6 +34,16 @@ def test_where_a_commander_passes_on_what_a_controller_says_theta_is_what_the_ri
     assert (alone.controller, alone.theta) == ("/zz_commander", "/theta")
     both = find_loops({**commander, "/esc": {"/verify/theta": THETA}}, {}, managed={"/esc"})["/"]
     assert (both.controller, both.theta) == ("/esc", "/theta")
+
+
+def test_a_guard_is_not_the_controller_although_the_rig_listens_to_its_theta():
+    esc = {"/esc": {"/theta_asked": THETA}}
+    own = {"/guard": {"/theta": THETA, "/guard/state": GUARD}, **esc}
+    loop = find_loops(own, {}, managed={"/esc", "/guard"})["/"]
+    assert (loop.controller, loop.guard, loop.theta) == ("/esc", "/guard", "/theta")
+    foreign = {"/guard": {"/rig/theta": "std_msgs/msg/Float64", "/guard/state": GUARD}}
+    loop = find_loops({**foreign, "/esc": {"/theta": THETA}}, {}, managed={"/esc", "/guard"})["/"]
+    assert (loop.controller, loop.guard, loop.theta) == ("/esc", "/guard", "/theta")
 
 
 def test_a_node_that_has_gone_keeps_its_place_as_long_as_its_loop_has_another():

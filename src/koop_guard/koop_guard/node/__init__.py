@@ -19,7 +19,7 @@ from koop_core.stream.monitor import StreamMonitor
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard, Status
 from koop_guard.node.twin import Twin
-from koop_guard.node.wire import Command, return_to_safe
+from koop_guard.node.wire import Command, Return, return_to_safe
 from koop_guard.note import find_theta, leave
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
@@ -46,7 +46,7 @@ class GuardRun(Run):
         self._answers = StreamMonitor(config.asked, self._silence, config.dt, newest_counts=True)
         self.inputs = (self._answers, self._states)
         self._header: Any = None
-        self._step, self._sent = -1, 0.0
+        self._last, self._sent = (0, 0.0), 0.0  # step of the newest state, and when it came
         self._said: object = None
         self._refused = ""
         self._start_twin: Callable[[], Twin]
@@ -55,6 +55,7 @@ class GuardRun(Run):
         self._ids: list[str] = []
         self._controller: Any = None  # its ~/reset
         self._rearming = False
+        self._return: Return | None = None
         self._state = entities.publisher(GuardState, "~/state", KEPT)
         entities.service(Trigger, "~/trip", self._on_trip)
         entities.service(Trigger, "~/rearm", self._on_rearm)
@@ -105,17 +106,27 @@ class GuardRun(Run):
 
         entities.when_typed(subscribers_of, self._knob.topic, command)
 
+    def may_end(self, number: int) -> bool:
+        """Return whether theta is where the end leaves it; SIGTERM says that the loop failed."""
+        if not self._commands or self._holds_at_end(number):
+            return True
+        now = time.monotonic()
+        self._guard.note(Cause.ENDED, "the loop ends", now)
+        if self._return is None:
+            assert self._command is not None
+            self._return = Return(self._guard, self._command)
+        return self._return.is_over(now)
+
     def deactivate(self) -> None:
-        """Return theta to theta_safe; this takes its time."""
+        """Return theta to theta_safe if it is not there; this takes its time."""
         guard, now = self._guard, time.monotonic()
         current = schedule.current()
-        orderly = current is None or current.asked != signal.SIGTERM
-        held = orderly and self._config.on_end == "hold" and guard.status is Status.FOLLOWING
-        if self._commands and not held:
+        held = self._holds_at_end(current.asked if current is not None else 0)
+        if self._commands and not held and not guard.at_safe:
             guard.note(Cause.ENDED, "the guard ends", now)
             self._announce()
             assert self._command is not None
-            return_to_safe(guard, self._config, self._command, self._say)
+            return_to_safe(guard, self._config, self._command, self._advance, self._last)
         if self._commands:
             leave(self._config.note, guard.theta, self._ids)
         self._announce()
@@ -124,6 +135,10 @@ class GuardRun(Run):
         if self._controller is not None:
             self._node.destroy_client(self._controller)
         self._twin = self._command = self._controller = None
+
+    def _holds_at_end(self, number: int) -> bool:
+        following = self._guard.status is Status.FOLLOWING
+        return following and self._config.on_end == "hold" and number != signal.SIGTERM
 
     @property
     def _commands(self) -> bool:
@@ -157,7 +172,7 @@ class GuardRun(Run):
         step, x = self._adapter.convert(message)
         if self._counts_steps:
             step = message.step
-        self._header, self._step = getattr(message, "header", None), step
+        self._header, self._last = getattr(message, "header", None), (max(step, 0), now)
         stamp = getattr(self._header, "stamp", None)
         self._states.hear(step, _seconds(stamp), now, written)
         self._guard.hear_state(x, now)
@@ -190,7 +205,7 @@ class GuardRun(Run):
         ):
             self._say(now)
         elif self._twin is not None:
-            self._twin.shared.write(guard.theta, now, self._commands)
+            self._twin.shared.write(guard.theta, now, self._commands, self._last)
         if guard.may_rearm_itself(now) and not self._rearming:
             self._reset_controller(by_hand=False)
         if (guard.status, guard.at_safe, guard.trip) != self._said:
@@ -236,13 +251,13 @@ class GuardRun(Run):
         """Move theta on; the twin knows it before the rig does."""
         theta = self._guard.advance(now)
         if self._twin is not None:
-            self._twin.shared.write(theta, now, True)
+            self._twin.shared.write(theta, now, True, self._last)
         self._sent = now
         return theta
 
     def _say(self, now: float) -> None:
         if self._command is not None:
-            self._command.say(self._advance(now), self._step, self._header)
+            self._command.say(self._advance(now), self._last[0], self._header)
 
     def _announce(self) -> None:
         """Publish the state if it is another one."""

@@ -29,32 +29,33 @@ from koop_guard.note import leave
 from koop_node.process.lifeline import OWN_GROUP, VARIABLE
 
 LOOK = 0.25  # [s] between two looks for a sign of life
-_LAYOUT = struct.Struct("<ddqq")  # theta, sign of life [s], whether it is commanded, twin is ready
+_WRITTEN = struct.Struct("<ddqqd")  # theta, sign of life [s], whether commanded, step, its time [s]
+_SIZE = _WRITTEN.size + 1  # and whether the twin is ready
 
 
 class SharedTheta:
     """Theta in memory that guard and twin share; written at each command, without a system call."""
 
     def __init__(self, descriptor: int) -> None:
-        self._memory = mmap.mmap(descriptor, _LAYOUT.size)
+        self._memory = mmap.mmap(descriptor, _SIZE)
 
-    def write(self, theta: float, now: float, commanded: bool) -> None:
-        """Write theta, a sign of life, and whether the twin is to take over."""
-        struct.pack_into("<ddq", self._memory, 0, theta, now, commanded)
+    def write(self, theta: float, now: float, commanded: bool, last: tuple[int, float]) -> None:
+        """Write theta, a sign of life, whether the twin is to take over, and the newest step."""
+        _WRITTEN.pack_into(self._memory, 0, theta, now, commanded, *last)
 
-    def read(self) -> tuple[float, float, bool]:
+    def read(self) -> tuple[float, float, bool, tuple[int, float]]:
         """Return what was last written."""
-        theta, alive, commanded, _ = _LAYOUT.unpack_from(self._memory)
-        return theta, alive, bool(commanded)
+        theta, alive, commanded, step, came = _WRITTEN.unpack_from(self._memory)
+        return theta, alive, bool(commanded), (step, came)
 
     @property
     def ready(self) -> bool:
         """Whether the twin can take over."""
-        return bool(_LAYOUT.unpack_from(self._memory)[3])
+        return bool(self._memory[_WRITTEN.size])
 
     @ready.setter
     def ready(self, value: bool) -> None:
-        struct.pack_into("<q", self._memory, 24, value)
+        self._memory[_WRITTEN.size] = value
 
 
 class Twin:
@@ -72,7 +73,7 @@ class Twin:
 
     def __init__(self, config: dict[str, Any], topic: str, kind: str, publishers: list[str]):
         with tempfile.TemporaryFile() as file:
-            file.truncate(_LAYOUT.size)
+            file.truncate(_SIZE)
             self.shared = SharedTheta(file.fileno())
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "koop_guard.node.twin", str(file.fileno())],
@@ -86,7 +87,7 @@ class Twin:
 
     def release(self, theta: float) -> None:
         """Let it go: theta is where it is to be."""
-        self.shared.write(theta, time.monotonic(), False)
+        self.shared.write(theta, time.monotonic(), False, (0, 0.0))
         with suppress(OSError):
             assert self.process.stdin is not None
             self.process.stdin.close()
@@ -118,9 +119,9 @@ def main(descriptor: int) -> int:
         shared.ready = True
         while not _has_ended(guard_id, shared):
             client.spin(0.0)  # what was discovered
-        theta, _, commanded = shared.read()
+        theta, _, commanded, last = shared.read()
         if commanded:
-            _take_over(client, order, theta)
+            _take_over(client, order, theta, last)
     return 0
 
 
@@ -128,14 +129,14 @@ def _has_ended(guard_id: int, shared: SharedTheta) -> bool:
     """Wait a moment for the end of the guard; kill one that has stopped."""
     if select.select([sys.stdin], [], [], LOOK)[0]:
         return not os.read(0, 1024)
-    _, alive, commanded = shared.read()
+    _, alive, commanded, _ = shared.read()
     if commanded and time.monotonic() - alive > SAFETY.stopped:
         with suppress(ProcessLookupError):
             os.kill(guard_id, signal.SIGKILL)
     return False
 
 
-def _take_over(client: Any, order: dict[str, Any], theta: float) -> None:
+def _take_over(client: Any, order: dict[str, Any], theta: float, last: tuple[int, float]) -> None:
     """Return theta to theta_safe, as long as the rig is there."""
     from koop_guard.node.wire import Command, return_to_safe
 
@@ -144,7 +145,7 @@ def _take_over(client: Any, order: dict[str, Any], theta: float) -> None:
     command = Command(client.node.create_publisher, order["kind"], order["topic"], field)
     guard = Guard(config, theta)
     guard.note(Cause.ENDED, "the guard was killed", time.monotonic())
-    return_to_safe(guard, config, command, lambda now: command.say(guard.advance(now)))
+    return_to_safe(guard, config, command, guard.advance, last)
     leave(config.note, guard.theta, order["publishers"])
 
 

@@ -14,6 +14,8 @@ from koop_guard.guard import Guard
 from koop_node.node.managed import message_type
 from koop_node.node.qos import NEWEST, RELIABLE
 
+SLOWER = 1e-3  # of a rig's clock: it refuses answers to steps that are still to come
+
 
 class Command:
     """Publishes theta as the rig takes it.
@@ -57,15 +59,38 @@ class Command:
         return self.publisher.publish(answer)
 
 
+class Return:
+    """Whether theta has returned: it was at theta_safe for a while, or the rig is gone."""
+
+    def __init__(self, guard: Guard, command: Command) -> None:
+        self._guard, self._command = guard, command
+        self._since = self._heard = time.monotonic()
+
+    def is_over(self, now: float) -> bool:
+        """Return whether nothing more needs to be commanded."""
+        if self._command.publisher.get_subscription_count():
+            self._heard = now
+        if not self._guard.at_safe:
+            self._since = now
+        return now - self._since > SAFETY.held or now - self._heard > SAFETY.first
+
+
 def return_to_safe(
-    guard: Guard, config: GuardConfig, command: Command, say: Callable[[float], object]
+    guard: Guard,
+    config: GuardConfig,
+    command: Command,
+    advance: Callable[[float], float],
+    last: tuple[int, float],
 ) -> None:
-    """Let ``say(now)`` command a guard that has tripped until theta is safe or the rig is gone."""
-    safe_since = heard = time.monotonic()
-    while (now := time.monotonic()) - safe_since < SAFETY.held and now - heard < SAFETY.first:
+    """Command theta until it has returned, where no states are heard any more.
+
+    ``advance(now)`` moves theta on; ``last`` is the step of the newest state with the steady time
+    at which it came [s]: a rig that is answered by its steps refuses answers to old ones.
+    """
+    over = Return(guard, command)
+    step, came = last
+    while not over.is_over(now := time.monotonic()):
         if command.publisher.get_subscription_count():
-            heard = now
-            say(now)
-        if not guard.at_safe:
-            safe_since = now
+            passed = int((now - came) * (1.0 - SLOWER) / config.period)
+            command.say(advance(now), step + passed)
         time.sleep(min(max(config.period, 0.001), SAFETY.tick))

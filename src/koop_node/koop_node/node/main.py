@@ -113,7 +113,7 @@ def _spin(nodes: list[ManagedNode[Any]], priority: int, timers: schedule.Schedul
     ended: list[ManagedNode[Any]] = []
     code = 0
     try:
-        while not (ended or timers.asked):
+        while not (ended or (timers.asked and all([node.may_end(timers.asked) for node in nodes]))):
             interrupted = Future()
             timers.interrupt = partial(interrupted.set_result, None)
             timers.run_due()

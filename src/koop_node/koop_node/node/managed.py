@@ -54,6 +54,10 @@ class Run:
     def activate(self, entities: Entities) -> None:
         """Start working; what is created through the entities ends with the active state."""
 
+    def may_end(self, number: int) -> bool:
+        """Return whether the process may end now; a signal asked for it. Called until it may."""
+        return True
+
     def deactivate(self) -> None:
         """Stop working, while the entities of the active state are still there."""
 
@@ -132,6 +136,10 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         if self.run is None:
             return "unconfigured"
         return "active" if self.active else "inactive"
+
+    def may_end(self, number: int) -> bool:
+        """Return whether the process, which a signal asked to end, may end now."""
+        return self.run is None or not self.active or self.run.may_end(number)
 
     def finish(self, exit_code: int = 0) -> None:
         """End the process after the current callback; in a container, end the work."""

@@ -197,7 +197,7 @@ class LiveSource(ViewSource):
         nodes = {
             node
             for loop in self.loops.values()
-            for node in (loop.plant, loop.lifter, loop.controller)
+            for node in (loop.plant, loop.lifter, loop.controller, loop.guard)
             if node is not None and node in served
         }
         for name, type_name in sorted(item for node in nodes for item in served[node].items()):

@@ -19,6 +19,7 @@ export interface LoopNames {
   state: string | null;
   cost: string | null;
   theta: string | null;
+  guard: string | null;
 }
 
 export interface ServerState {

@@ -27,6 +27,8 @@ export class Operator {
     onClick(byId("hold"), () => void this.call("hold θ", "hold", { data: true }));
     onClick(byId("resume"), () => void this.resume());
     onClick(byId("reset"), () => void this.reset());
+    onClick(byId("trip"), () => void this.call("trip", "trip", {}, "guard"));
+    onClick(byId("rearm"), () => void this.rearm());
     byId("limits-form").addEventListener("submit", (event) => {
       event.preventDefault();
       void this.setLimits();
@@ -50,12 +52,35 @@ export class Operator {
     allow("reset", "reset");
     allow("set-limits", "set_parameters_atomically");
     if (!limits) byId<HTMLButtonElement>("set-limits").disabled = true; // a commander has none
+    this.showGuard();
     byId("hold").classList.toggle("pressed", loop?.now.holding ?? false);
     byId("resume").classList.toggle("wanted", loop?.now.holding ?? false);
     if (!limits || limits.join() === this.shown) return;
     this.shown = limits.join();
     byId<HTMLInputElement>("theta-min").value = String(limits[0]);
     byId<HTMLInputElement>("theta-max").value = String(limits[1]);
+  }
+
+  /** A line about the guard, if the loop has one, and what may be done with it. */
+  private showGuard(): void {
+    const { loop, operate } = this.desk;
+    const guard = loop?.names.guard;
+    const report = guard ? loop?.reports.get(guard) : undefined;
+    byId("guard").hidden = !report;
+    if (!report) return;
+    const isTripped = report.values["status"] === "tripped";
+    setText(byId("guard-text"), `Guard: ${report.message}`);
+    const allow = (id: string, wanted: boolean): void => {
+      const offered = this.link.offers(`${guard}/${id}`);
+      byId<HTMLButtonElement>(id).disabled = !(operate && wanted && offered && !loop?.now.ended);
+    };
+    allow("rearm", isTripped);
+    allow("trip", !isTripped);
+  }
+
+  private async rearm(): Promise<void> {
+    const text = "The controller begins again at theta_safe, if the cause is gone.";
+    if (await confirm("Rearm the guard", text)) await this.call("rearm", "rearm", {}, "guard");
   }
 
   private number(name: string): number {
@@ -104,8 +129,13 @@ export class Operator {
     await this.call(what, "set_parameters_atomically", { parameters });
   }
 
-  /** Call a service of the controller and note its answer. */
-  private async call(what: string, service: string, request: Message): Promise<void> {
+  /** Call a service of the controller, or of the guard, and note its answer. */
+  private async call(
+    what: string,
+    service: string,
+    request: Message,
+    node: "controller" | "guard" = "controller",
+  ): Promise<void> {
     const outcome = make("span", { text: " …" });
     const entry = make("li", { data: { outcome: "asked" } }, make("b", { text: what }), outcome);
     byId("acts").prepend(entry);
@@ -113,10 +143,7 @@ export class Operator {
     let isDone = false;
     let words = "";
     try {
-      const answer = await this.link.call(
-        `${this.desk.loop?.names.controller}/${service}`,
-        request,
-      );
+      const answer = await this.link.call(`${this.desk.loop?.names[node]}/${service}`, request);
       const result = (answer["result"] ?? answer) as Message;
       const reason = String(result["message"] ?? result["reason"] ?? "");
       isDone = (result["success"] ?? result["successful"]) === true;

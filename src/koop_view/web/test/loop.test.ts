@@ -10,6 +10,7 @@ const names = {
   state: "/state",
   cost: "/cost",
   theta: "/theta",
+  guard: null,
 };
 const status = (name: string, more: Partial<Status> = {}): Status => ({
   name,
