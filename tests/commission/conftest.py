@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parent.parent / "view"))
 sys.path.insert(0, str(Path(__file__).parent))
 
 from commission_rig import RIG, FastRig

@@ -1,6 +1,7 @@
 """The guard of ``koop up`` on a foreign rig: whatever fails, theta returns to theta_safe."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
+from chromium import Chromium
 from commission_rig import DT, RIG
 from koop_msgs.msg import GuardState, PlantTruth
 from std_srvs.srv import Trigger
@@ -42,12 +44,12 @@ LOOP = {
 def up(fast_rig, koop, nodes_of, tmp_path):
     """Close the loop, and wait until the controller moves the rig."""
 
-    def start(out="run", **guard):
+    def start(out="run", options=(), **guard):
         values = {**LOOP, "koop_guard": {**LOOP["koop_guard"], **guard}}
         parameter_file.write(values, tmp_path / "loop.yaml")
         text = (tmp_path / "loop.yaml").read_text().replace("/**/", "/")
         (tmp_path / "loop.yaml").write_text(text)
-        process = koop("up", "loop.yaml", "--out", out)
+        process = koop("up", "loop.yaml", "--out", out, *options)
         count = len(fast_rig.moved)
         moved = lambda: len(fast_rig.moved) > count and fast_rig.theta < 0.7  # noqa: E731
         wait(moved, "the controller to move theta", process, LONG)
@@ -184,3 +186,25 @@ def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(
     finally:
         rig.stdin.close()
         rig.wait(LONG)
+
+
+def test_the_page_says_what_tripped_the_guard_and_rearms_it(up, fast_rig, tmp_path):
+    process, _ = up(options=["--serve", "0"])
+    log = tmp_path / "run" / "logs" / "view.log"
+    found = wait(lambda: re.search(r"http://\S+token=\S+", log.read_text()), "the page", process)
+    with Chromium(tmp_path, found[0]) as page:
+        text = "document.querySelector('#guard-text')?.textContent ?? ''"
+        ready = "document.querySelector('#ID').disabled === false"
+        page.wait(f"{text} === 'Guard: following'")
+        page.wait(ready.replace("ID", "trip"))
+        page.value("document.querySelector('#trip').click()")
+        page.wait(f"{text}.includes('tripped: ~/trip was called')")
+        home(fast_rig, process)
+        page.wait(ready.replace("ID", "rearm"))
+        page.picture(tmp_path / "tripped.png")
+        page.value("document.querySelector('#rearm').click()")
+        page.value("document.querySelector('#confirm-yes').click()")
+        page.wait(f"{text} === 'Guard: following'")
+        page.wait("document.querySelector('#acts').textContent.split('done').length === 3")
+        wait(lambda: fast_rig.theta < 0.7, "the controller to command again", process)
+        assert page.errors == []
