@@ -6,8 +6,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, replace
 
 GONE = 1.0  # [s] without any of its nodes: the loop has ended, before the page misses their reports
-STATE, COST, THETA = (f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput"))
-GUARD = "koop_msgs/msg/GuardState"
+STATE, COST, THETA, GUARD = (
+    f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput", "GuardState")
+)
 KINDS = {STATE: "state", COST: "cost", THETA: "theta"}
 
 

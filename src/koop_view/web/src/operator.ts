@@ -69,7 +69,8 @@ export class Operator {
     byId("guard").hidden = !report;
     if (!report) return;
     const isTripped = report.values["status"] === "tripped";
-    setText(byId("guard-text"), `Guard: ${report.message}`);
+    const where = isTripped ? `; θ is ${short(Number(report.values["theta"]))}` : "";
+    setText(byId("guard-text"), `Guard: ${report.message}${where}`);
     const allow = (id: string, wanted: boolean): void => {
       const offered = this.link.offers(`${guard}/${id}`);
       byId<HTMLButtonElement>(id).disabled = !(operate && wanted && offered && !loop?.now.ended);
