@@ -14,6 +14,7 @@ from recorded_rig import (
     write_bag,
 )
 
+from koop_guard.config import GUARD
 from koop_lab.cli.main import main
 from koop_loop import parameters
 from koop_study.commissioning.excitation import training_of
@@ -111,7 +112,10 @@ def test_a_bag_becomes_a_controller_with_its_reasons(bagged, capsys):
     assert loop.lifter.cost == "lifted"
     assert loop.load_model().model_id == load(folder / "out/model.npz").model_id
     assert "model: model.npz" in (folder / "out/controller.yaml").read_text()
-    assert loop.esc.command == "/knob:data"
+    assert loop.esc.command == ""
+    guard = parameters.read(folder / "out/controller.yaml", GUARD)["koop_guard"]
+    assert guard["command"] == "/knob:data"  # which alone commands the rig
+    assert guard["note"] == str(folder / ".rig.yaml.theta")
     assert rig.params.theta_min <= loop.esc.theta_min < rig.best()[0]
     assert rig.best()[0] < loop.esc.theta_max <= rig.params.theta_max
     assert loop.esc.step_size <= file_of(rig).theta_rate * rig.params.dt
