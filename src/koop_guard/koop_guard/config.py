@@ -119,6 +119,10 @@ class GuardConfig:
         """Time that theta needs from one limit to the other by the clock on the wall [s]."""
         return (self.theta_max - self.theta_min) / self.theta_rate / self.pace
 
+    def return_time(self, theta: float) -> float:
+        """Return how long theta takes to return to theta_safe [s], by the clock on the wall."""
+        return abs(theta - self.theta_safe) / self.theta_rate / self.pace
+
 
 @dataclass(frozen=True)
 class SafetySettings:

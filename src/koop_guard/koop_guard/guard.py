@@ -144,7 +144,7 @@ class Guard:
         self._config, self._settings = config, settings
         self._silence = settings.silence(config.period)
         self._late = max(settings.late_periods * config.period, 2.0 * settings.tick)
-        self.theta = self.target = min(max(theta, config.theta_min), config.theta_max)
+        self.theta = self.target = self._limit(theta)
         self.status, self.rearmed = Status.WAITING, 0
         self.trip: Trip | None = None
         self.x: tuple[float, ...] = ()
@@ -153,6 +153,17 @@ class Guard:
         self._arrived = self._usable = self._answered = self._old = -math.inf
         self._saturated = self._calm = math.inf
         self._causes: dict[Cause, tuple[str, float]] = {}
+
+    @property
+    def arrived(self) -> bool:
+        """Whether theta is at its target."""
+        return self.theta == self.target
+
+    @property
+    def reason(self) -> str:
+        """Why theta returns to theta_safe; empty: it does not."""
+        tripped = self.status is Status.TRIPPED and self.trip is not None
+        return self.trip.reason if tripped and self.trip is not None else ""
 
     @property
     def at_safe(self) -> bool:
@@ -187,7 +198,7 @@ class Guard:
         if self.status is Status.TRIPPED:
             return
         self.status = Status.FOLLOWING
-        self.target = min(max(theta, self._config.theta_min), self._config.theta_max)
+        self.target = self._limit(theta)
         self._saturated = min(self._saturated, now) if saturated else math.inf
         limit = self._config.at_limit / self._config.pace
         if 0.0 < limit < now - self._saturated:
@@ -238,6 +249,17 @@ class Guard:
         self.rearmed = 0 if by_hand else self.rearmed + 1
         self.status, self._answered = Status.FOLLOWING, now
 
+    def follow(self, first: float) -> None:
+        """Follow a controller that answers by a time [s] for the first time, unless tripped."""
+        if self.status is not Status.TRIPPED:
+            self.status, self._answered = Status.FOLLOWING, first
+
+    def go(self, theta: float) -> None:
+        """Move to a theta, unless tripped; no controller is expected to answer."""
+        if self.status is not Status.TRIPPED and math.isfinite(theta):
+            self.status, self._answered = Status.FOLLOWING, -math.inf
+            self.target = self._limit(theta)
+
     def may_rearm_itself(self, now: float) -> bool:
         """Return whether it is time for an automatic rearm."""
         trip, config = self.trip, self._config
@@ -248,13 +270,20 @@ class Guard:
 
     def advance(self, now: float) -> float:
         """Move theta on to its target, as far as the rate allows, and return it."""
-        elapsed = min(max(now - self._moved, 0.0), self._late)
-        self._moved = now
-        most = self._config.theta_rate * self._config.pace * elapsed
+        elapsed, self._moved = now - self._moved, now
+        return self.move(elapsed)
+
+    def move(self, elapsed: float) -> float:
+        """Move theta on by a time [s], of which no more than ``late`` counts, and return it."""
+        counted = min(max(elapsed, 0.0), self._late)
+        most = self._config.theta_rate * self._config.pace * counted
         change = self.target - self.theta
         near = abs(change) <= most * (1.0 + ROUNDED)
         self.theta = self.target if near else self.theta + math.copysign(most, change)
         return self.theta
+
+    def _limit(self, theta: float) -> float:
+        return min(max(theta, self._config.theta_min), self._config.theta_max)
 
     def _lasting(self, now: float) -> dict[Cause, str]:
         """Return the causes that were there a moment ago."""

@@ -1,6 +1,7 @@
 """Theta keeps limits and rate whatever comes in; a trip is latched until a rearm."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -233,3 +234,35 @@ def test_what_contradicts_itself_is_refused(values, reason):
     given = {name: getattr(CONFIG, name) for name in CONFIG.__dataclass_fields__} | values
     with pytest.raises(ConfigError, match=reason):
         GuardConfig(**given)
+
+
+def test_a_theta_that_is_sent_by_hand_waits_for_no_controller():
+    guard, now = Guard(CONFIG, 1.5), 10.0
+    guard.go(9.0)
+    for _ in range(1000):
+        now += DT
+        guard.hear_state((math.sin(now), math.cos(now)), now)
+        guard.hear_time(now)
+        guard.move(DT)
+    assert (guard.theta, guard.arrived, guard.reason) == (CONFIG.theta_max, True, "")
+    guard.follow(now + 1.0)  # a controller has a second to begin, then its silence counts
+    for _ in range(round((1.0 + SILENCE) / DT) + 1):
+        assert guard.reason == ""
+        now += DT
+        guard.hear_state((math.sin(now), math.cos(now)), now)
+        guard.hear_time(now)
+    assert guard.trip.cause is Cause.SILENT
+    guard.go(0.0)
+    assert guard.target == CONFIG.theta_safe
+
+
+def test_times_follow_the_pace_of_the_rig():
+    fast = replace(CONFIG, pace=4.0, dt=0.5)
+    assert CONFIG.return_time(2.0) == pytest.approx(1.5 / 4.0)
+    assert fast.return_time(2.0) == pytest.approx(1.5 / 16.0)
+    assert SAFETY.silence(CONFIG.period) == 1.0  # a busy machine needs that
+    assert SAFETY.silence(fast.period) == pytest.approx(2.5)
+    guard = Guard(replace(fast, dt=0.1), 2.0)
+    guard.go(-1.0)
+    assert guard.move(0.01) == pytest.approx(2.0 - 0.16)
+    assert guard.move(1e9) == pytest.approx(2.0 - 0.16 - 16.0 * 0.05)  # two periods, however late

@@ -20,7 +20,6 @@ from koop_commission.stages.session import (
     resumable,
     spell_time,
 )
-from koop_commission.theta.limits import compute_return_time
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError, LiveError
 from koop_guard.note import note_of
@@ -232,7 +231,7 @@ class Excitation:
                 f"file {left:.0f} s are left: set time = "
                 f"{round_up(2.0 * (self._elapsed + needed)):g} or more"
             )
-        back = compute_return_time(rig, rig.theta_max)
+        back = rig.guard.return_time(rig.theta_max)
         print(
             f"theta goes from {rig.theta_min:g} to {rig.theta_max:g} and back, then to where it "
             f"tells most: at most {spell_time(left, rig.pace)}, less if only what is fast reacts; "

@@ -26,7 +26,6 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -35,9 +34,11 @@ from rclpy.qos import QoSProfile
 
 from koop_commission.rig.graph import identify_publishers
 from koop_commission.theta.assignment import Assignment
-from koop_commission.theta.limits import SAFETY, LimitedTheta, describe_violation
 from koop_core.config.fields import parse_source, write_field
 from koop_core.errors import KoopError
+from koop_guard.config import SAFETY
+from koop_guard.guard import Cause, Guard
+from koop_guard.note import leave
 from koop_node.client.client import Client
 from koop_node.node.adapter import StateAdapter
 from koop_node.node.managed import message_type
@@ -46,7 +47,6 @@ from koop_tune.rig.rig_file import THETA
 
 REPORT = 0.5  # [s] between two reports
 REPORT_MOVING = 0.05  # [s]: if this process is killed, another goes on from the last theta reported
-TICK = 0.02  # [s] between two commands where no state asks for one
 LAG = 0.1  # [s] of states that wait to be answered
 
 
@@ -62,8 +62,8 @@ class Commander:
 
     Attributes
     ----------
-    theta : LimitedTheta
-        Value and target.
+    guard : Guard
+        Value and target of theta, and why it returns.
     following : bool
         Whether a controller is followed.
     since : float
@@ -76,14 +76,14 @@ class Commander:
         rig = assignment.rig
         self._client, self._rig = client, rig
         self.assignment = assignment
-        self.theta = LimitedTheta(rig, assignment.theta, assignment.theta)
-        self._silence = SAFETY.silence(rig)
+        self.guard = Guard(rig.guard, assignment.theta)
+        self._period = rig.dt / rig.pace  # [s] by the clock on the wall
         self._source = parse_source(assignment.source or rig.measured)
         self._kind = message_type(assignment.kind or rig.measured_type)
         self._adapter = StateAdapter(self._source, rig.dt)
         self._counts_steps = self._kind is MeasuredState
         node = client.node
-        self._answer = ControlInput(theta=self.theta.theta)
+        self._answer = ControlInput(theta=self.guard.theta)
         self._answers = node.create_publisher(ControlInput, THETA, RELIABLE)
         self._command: Any = None
         self._message: Any = self._answer
@@ -92,13 +92,12 @@ class Commander:
             self._message = self._answer if kind is ControlInput else kind()
             self._command = node.create_publisher(kind, rig.knob.topic, NEWEST)
         self._publishers: set[str] = set()
-        self._arrived = self._usable = self._sent = self._moved = time.monotonic()
+        self._sent = self._moved = time.monotonic()
         self._begun = False
         self._wanted: float | None = None
         self.since = math.inf
         self.step = -1
-        self._unusable: list[str] = []
-        self.following, self._answered, self._followed = False, math.inf, -1
+        self.following, self._followed = False, -1
         if assignment.follows:
             node.create_subscription(ControlInput, assignment.follows, self._on_answer, NEWEST)
 
@@ -111,10 +110,10 @@ class Commander:
 
     def listen(self) -> None:
         """Begin to answer states."""
-        self._arrived = self._usable = self.since = time.monotonic()
+        self.since = time.monotonic()
         # on a busy machine states are left out, so that no answer is late by more than LAG
         like = RELIABLE if self._counts_steps else BEST_EFFORT
-        depth = max(1, round(LAG * self._rig.pace / self._rig.dt))
+        depth = max(1, round(LAG / self._period))
         qos = QoSProfile(depth=depth, reliability=like.reliability)
         self._client.node.create_subscription(self._kind, self._source.topic, self._on_state, qos)
 
@@ -125,34 +124,28 @@ class Commander:
     def follow(self) -> None:
         """Follow the controller, which begins at this theta."""
         self.following, self._followed = True, -1
-        self._answered = time.monotonic() + SAFETY.hang - self._silence
+        self._wanted = None
+        self.guard.follow(time.monotonic() + SAFETY.hang)
 
     def give_up(self, reason: str) -> None:
         """Let theta return to theta_safe."""
-        self.theta = self.theta.give_up(reason)
+        self.guard.note(Cause.ASKED, reason, time.monotonic())
 
     def tick(self) -> None:
         """Detect silence, and command theta where no state asks for a command."""
         now = time.monotonic()
+        guard, gap = self.guard, max(SAFETY.tick, 2.0 * self._period)
         if self._wanted is not None and now - self.since > SAFETY.matched:
-            self.theta, self._wanted = self.theta.aim(self._wanted), None
-        if (unusable := now - self._usable) > (self._silence if self._begun else SAFETY.first):
-            topic = self._source.topic
-            self.give_up(
-                f"no message on {topic} for {unusable:.1f} s"
-                if now - self._arrived > self._silence or not self._unusable
-                else f"{', '.join(self._unusable)} on {topic} is not a number for {unusable:.1f} s"
-            )
-        if self.following and now - self._answered > self._silence:
-            self.give_up(f"the controller is silent for {self._silence:.1f} s")
-        period = self._rig.dt / self._rig.pace
-        gap = max(TICK, 2.0 * period)
-        if self.theta.reason and now - self._sent > gap:
+            guard.go(self._wanted)
+            self._wanted = None
+        guard.hear_time(now)
+        if not self._begun and now - self.since > SAFETY.first:
+            text = f"no message on {self._source.topic} for {now - self.since:.1f} s"
+            guard.note(Cause.RIG_SILENT, text, now)
+        if guard.reason and now - self._sent > gap:
             # of a time without a state, no more than passes between two ticks: theta never jumps
-            self._moved = max(self._moved, now - 2.0 * gap)
-            while now - self._moved > period and not self.theta.arrived:
-                self._moved += period
-                self.theta = self.theta.advance(self._rig.dt)
+            guard.move(min(now - self._moved, 2.0 * gap))
+            self._moved = now
             self._publish(now)
 
     def identify_rig(self) -> None:
@@ -162,52 +155,42 @@ class Commander:
 
     def leave(self) -> None:
         """Note the value at which theta of which rig is left: the next command begins there."""
-        if self.assignment.note:
-            words = [repr(self.theta.theta), *sorted(self._publishers)]
-            with suppress(OSError):
-                Path(self.assignment.note).write_text(" ".join(words) + "\n")
+        leave(self.assignment.note, self.guard.theta, self._publishers)
 
     def _on_state(self, message: Any) -> None:
-        now = self._arrived = time.monotonic()
+        now = time.monotonic()
         self._begun = True
         step, x = self._adapter.convert(message)
         if self._counts_steps:
             step = message.step
-        self._unusable = [
-            name for name, value in zip(self._rig.names, x, strict=False)
-            if not math.isfinite(value)
-        ]  # fmt: skip
-        if not self._unusable:
-            self._usable = now
-            if violation := describe_violation(self._rig, x):
-                self.give_up(violation)
-        elapsed = (now - self._moved) * self._rig.pace
+        self.guard.hear_state(x, now)
+        elapsed = now - self._moved
         if getattr(message, "lockstep", False):  # its time is counted in steps
-            elapsed = (step - self.step) * self._rig.dt
+            elapsed = (step - self.step) * self._period
         self.step, self._moved = step, now
         if hasattr(message, "header"):
             with suppress(AssertionError, TypeError):  # a package may have a header of its own
                 self._answer.header = message.header
-        if self.following and self._followed >= 0 and not self.theta.reason:
+        if self.following and self._followed >= 0 and not self.guard.reason:
             return  # the controller answers
-        self.theta = self.theta.advance(elapsed)
+        self.guard.move(elapsed)
         self._publish(now)
 
     def _on_answer(self, answer: ControlInput) -> None:
         """Pass on an answer of the controller that is followed."""
-        if not self.following or self.theta.reason or not math.isfinite(answer.theta):
+        if not self.following or self.guard.reason or not math.isfinite(answer.theta):
             return
         ahead = answer.step - self._followed if self._followed >= 0 else 1
-        self._answered, self._followed = time.monotonic(), answer.step
-        self.theta = self.theta.aim(answer.theta).advance(max(ahead, 0) * self._rig.dt)
-        answer.theta = self.theta.theta
+        self._followed = answer.step
+        self.guard.hear_answer(answer.theta, answer.saturated, time.monotonic())
+        answer.theta = self.guard.move(max(ahead, 0) * self._period)
         self._send(answer)
 
     def _publish(self, now: float) -> None:
         answer, rig = self._answer, self._rig
-        answer.step, answer.theta = max(self.step, 0), self.theta.theta
-        answer.holding = self.theta.arrived
-        answer.saturated = not rig.theta_min < self.theta.theta < rig.theta_max
+        answer.step, answer.theta = max(self.step, 0), self.guard.theta
+        answer.holding = self.guard.arrived
+        answer.saturated = not rig.theta_min < self.guard.theta < rig.theta_max
         self._send(answer)
         self._sent = now
 
@@ -274,7 +257,7 @@ def _run(client: Client, commander: Commander, lines: Lines, signals: list[int])
     reported: tuple[Any, ...] = ()
     when = safe_since = -math.inf
     while True:
-        client.spin(TICK)
+        client.spin(SAFETY.tick)
         now = time.monotonic()
         while not lines.waiting.empty():
             line, newest = lines.waiting.get(), now
@@ -293,20 +276,20 @@ def _run(client: Client, commander: Commander, lines: Lines, signals: list[int])
         elif commander.is_matched():
             commander.listen()
             listening = True
-        elif commander.theta.reason and not commander.assignment.rescue:
+        elif commander.guard.reason and not commander.assignment.rescue:
             return 0  # theta was never commanded
         elif now - begin > SAFETY.first:
             report(error=f"{commander.assignment.rig.knob.topic} has no subscriber")
             return 2
-        theta = commander.theta
-        news = (theta.arrived, None if commander.following else theta.target, theta.reason)
-        resting = theta.arrived and not commander.following
+        guard = commander.guard
+        news = (guard.arrived, None if commander.following else guard.target, guard.reason)
+        resting = guard.arrived and not commander.following
         if news != reported or now - when > (REPORT if resting else REPORT_MOVING):
             reported, when = news, now
             commander.identify_rig()
-            report(theta=theta.theta, arrived=theta.arrived, target=theta.target,
-                   reason=theta.reason, step=commander.step)  # fmt: skip
-        if not theta.safe:
+            report(theta=guard.theta, arrived=guard.arrived, target=guard.target,
+                   reason=guard.reason, step=commander.step)  # fmt: skip
+        if not guard.at_safe:
             safe_since = now
         elif closed and min(now - safe_since - SAFETY.held,
                             now - commander.since - SAFETY.matched) > 0.0:  # fmt: skip

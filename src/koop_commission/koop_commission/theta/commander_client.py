@@ -17,7 +17,6 @@ from typing import Any
 
 from koop_bringup.live.process import uninterrupted
 from koop_commission.theta.assignment import Assignment
-from koop_commission.theta.limits import compute_return_time
 from koop_core.errors import LiveError
 from koop_loop.ending import describe_end
 from koop_node.process.lifeline import OWN_GROUP
@@ -162,7 +161,7 @@ class CommanderClient:
 
     def _wait_until_safe(self) -> bool:
         """Wait until theta is at theta_safe; return whether it is, or was never commanded."""
-        deadline = time.monotonic() + compute_return_time(self._rig, self.theta) + PATIENCE
+        deadline = time.monotonic() + self._rig.guard.return_time(self.theta) + PATIENCE
         while time.monotonic() < deadline:
             if self.reason and self._report.get("arrived"):
                 return True

@@ -23,6 +23,7 @@ from koop_core.config.parameter import (
 )
 from koop_core.config.parameter_file import as_yaml
 from koop_core.config.yaml_file import LinedLoader, read_yaml
+from koop_guard.config import GuardConfig
 from koop_tune.rig.scale import Scale
 
 STATE, STATE_TYPE = "/state", "koop_msgs/msg/MeasuredState"
@@ -148,6 +149,12 @@ class RigFile:
         if self.speaks_state:
             return {}
         return {"measured": self.measured}
+
+    @property
+    def guard(self) -> GuardConfig:
+        """What the guard of this rig keeps."""
+        shared = {item.name for item in fields(GuardConfig)} & {item.name for item in fields(self)}
+        return GuardConfig(**{name: getattr(self, name) for name in shared})
 
     @property
     def names(self) -> tuple[str, ...]:
