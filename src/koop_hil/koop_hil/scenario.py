@@ -231,7 +231,7 @@ def with_parameter(scenario: Scenario, node: str, name: str, value: Any) -> Scen
 def with_controller(scenario: Scenario, file: Path) -> Scenario:
     """Return a scenario with the lifter and controller of a parameter file.
 
-    The scenario's theta at the start remains: it is the plant's, too.
+    The scenario's theta at the start and its command remain: they are the plant's, too.
 
     Raises ConfigError if the file cannot be used; names it.
     """
@@ -240,7 +240,10 @@ def with_controller(scenario: Scenario, file: Path) -> Scenario:
         parameters.build(by_node)
     except ConfigError as error:
         raise ConfigError(f"{file}: {error}") from None
-    by_node.get("relay_esc", {}).pop("theta_initial", None)
+    esc = by_node.get("relay_esc", {})
+    esc.pop("theta_initial", None)
+    if command := scenario.parameters.get("relay_esc", {}).get("command"):
+        esc.setdefault("command", command)  # a file with a guard names it there
     return replace(scenario, parameters={**scenario.parameters, **by_node})
 
 

@@ -191,7 +191,9 @@ def test_a_scenario_runs_with_the_controller_of_a_file(tmp_path):
     other = with_controller(scenario, tmp_path / "controller.yaml")
     model = str(tmp_path / "model.npz")
     assert other.parameters["koopman_lifter"] == {"cost": "lifted", "model": model}
-    assert other.parameters["relay_esc"] == {"law": "adaptive"}  # and theta_initial of the plant
+    # and theta_initial of the plant; a file with a guard leaves the command to that
+    command = scenario.parameters["relay_esc"]["command"]
+    assert other.parameters["relay_esc"] == {"law": "adaptive", "command": command}
     assert (other.setting, other.limits) == (scenario.setting, scenario.limits)
     (tmp_path / "controller.yaml").write_text("/**/relay_esc:\n  ros__parameters: {law: wide}\n")
     with pytest.raises(ConfigError, match=r"controller\.yaml: relay_esc: law = 'wide'"):
