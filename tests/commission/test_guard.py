@@ -12,7 +12,10 @@ from itertools import pairwise
 import pytest
 from chromium import Chromium
 from commission_rig import DT, RIG
-from koop_msgs.msg import GuardState, PlantTruth
+from koop_msgs.msg import ControlInput, GuardState, PlantTruth
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 from test_excite import wait
 
@@ -119,6 +122,32 @@ def test_a_rig_that_fails_trips_the_guard_until_it_is_rearmed(up, fast_rig, prob
         counts = {topic.name: topic.count for topic in bag.topics}
     assert counts["/koop_guard/state"] >= 4
     assert counts["/fast/knob"] > 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "cause"),
+    [
+        ("inactive", "controller inactive"),
+        ("/theta", "controller doubled"),
+        ("/fast/knob", "another commander"),
+        ("/fast", "rig doubled"),
+    ],
+)
+def test_who_publishes_what_is_watched(up, fast_rig, probe, fault, cause):
+    process, _ = up()
+    states = []
+    probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
+    if fault == "inactive":
+        off = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+        assert probe.call(ChangeState, "/relay_esc/change_state", off).success
+    else:
+        kinds = {"/theta": ControlInput, "/fast/knob": Float64, "/fast": Float64MultiArray}
+        probe.node.create_publisher(kinds[fault], fault, 10)
+    probe.spin_until(lambda: states and states[-1].status == GuardState.TRIPPED, "a trip")
+    home(fast_rig, process)
+    # on a busy machine the silence of a second is noticed before the look at the graph
+    assert states[-1].cause in (cause, "controller silent" if fault == "inactive" else cause)
+    assert not probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
 
 
 def kill(name):
