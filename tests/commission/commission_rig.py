@@ -10,11 +10,10 @@ from koop_tune.rig.rig_file import RigFile
 DT = 0.004
 OMEGA = 2.0 * math.pi * 20.0
 BEST = 0.8
+TYPES = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64")  # measured, command
 RIG = RigFile(
     measured="/fast:data[0],data[1]",
-    measured_type="std_msgs/msg/Float64MultiArray",
     command="/fast/knob:data",
-    command_type="std_msgs/msg/Float64",
     dt=DT,
     theta_min=-1.0,
     theta_max=2.0,

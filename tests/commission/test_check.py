@@ -47,9 +47,14 @@ def test_a_mistake_of_the_user_is_a_finding(fast_rig, probe):
     assert bad == ["graph"]
     assert "/slow has no publisher: is the rig running" in rows["graph"].text
     assert "/fast (std_msgs/msg/Float64MultiArray)" in rows["graph"].text
-    rows, bad = rows_of(replace(RIG, measured_type="std_msgs/msg/Float64", measured="/fast:data",
-                                channel_max=()), moves=False, listen=long)  # fmt: skip
-    assert "/fast is std_msgs/msg/Float64MultiArray, the rig file says" in rows["graph"].text
+    rows, bad = rows_of(replace(RIG, command="/slow/knob:data"), moves=False, listen=long)
+    assert "command: /slow/knob has no subscriber: is the rig running" in rows["graph"].text
+    other = probe.node.create_publisher(Float64, "/fast", 10)
+    rows, bad = rows_of(RIG, moves=False, listen=long)
+    assert bad == ["graph"]
+    types = "std_msgs/msg/Float64, std_msgs/msg/Float64MultiArray"
+    assert f"/fast has several message types: {types}" in rows["graph"].text
+    probe.node.destroy_publisher(other)
     second = probe.node.create_publisher(Float64MultiArray, "/fast", 10)
     rows, bad = rows_of(RIG, moves=False, listen=long)
     assert bad == ["arrival"]

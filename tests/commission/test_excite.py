@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from commission_rig import RIG, FastRig
+from commission_rig import RIG, TYPES, FastRig
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
@@ -39,11 +39,11 @@ SLOW = replace(RIG, theta_rate=2.0)
 
 def wait(condition, what, process=None, seconds=TIMEOUT):
     deadline = time.monotonic() + seconds
-    while not (found := condition()):
+    while not (result := condition()):
         assert time.monotonic() < deadline, what
         assert process is None or process.poll() is None, process.communicate()[1]
         time.sleep(0.02)
-    return found
+    return result
 
 
 def assert_walked(moved, rig):
@@ -68,7 +68,8 @@ def assert_walked(moved, rig):
 def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, reason):
     with Client("hears") as client:
         said = Listener(client, THETA, THETA_TYPE, (parse_field("theta"),), reliable=True)
-        with CommanderClient(Assignment(SLOW, SLOW.theta_start), tmp_path / "log") as commander:
+        assignment = Assignment(SLOW, SLOW.theta_start, SLOW.measured, *TYPES)
+        with CommanderClient(assignment, tmp_path / "log") as commander:
             commander.go(-1.0)
             client.wait_for(lambda: fast_rig.theta < -0.8, TIMEOUT, "theta to move")
             setattr(fast_rig, fault, True)
@@ -87,7 +88,8 @@ from koop_commission.theta.assignment import Assignment
 from koop_commission.theta.commander_client import CommanderClient
 from koop_tune.rig.rig_file import read
 rig = read(sys.argv[1])
-assignment = Assignment(rig, rig.theta_start, note=str(Path("note").resolve()))
+note = str(Path("note").resolve())
+assignment = Assignment(rig, rig.theta_start, rig.measured, *sys.argv[2:], note=note)
 with CommanderClient(assignment, Path("log")) as commander:
     commander.go(-1.0)
     while True:
@@ -98,7 +100,7 @@ with CommanderClient(assignment, Path("log")) as commander:
 
 def test_theta_goes_home_if_the_commander_itself_is_killed(fast_rig, tmp_path):
     rig_file.write(SLOW, tmp_path / "rig.yaml")
-    words = [sys.executable, "-c", HOLD, "rig.yaml"]
+    words = [sys.executable, "-c", HOLD, "rig.yaml", *TYPES]
     with subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
         wait(lambda: fast_rig.theta < 0.0, "theta to move", process)
         commander = int(
@@ -191,8 +193,7 @@ def test_a_time_that_is_too_short_is_refused_before_theta_moves(fast_rig, koop, 
 def test_what_cannot_be_recorded_is_refused_before_theta_moves(tmp_path):
     with pytest.raises(LiveError, match=r"MB are free, up to \d+ MB are needed: make room"):
         refuse_small_disk(RIG, tmp_path / "there", 1e12)
-    own = replace(RIG, measured="state:x[0]", measured_type="koop_msgs/msg/MeasuredState",
-                  channel_max=())  # fmt: skip
-    refuse_incomplete_state(own)
+    state = replace(RIG, measured="state:x[0]", channel_max=())
+    refuse_incomplete_state(state)
     with pytest.raises(ConfigError, match="the lifter takes all of"):
-        refuse_incomplete_state(replace(own, measured="state:x[1]"))
+        refuse_incomplete_state(replace(state, measured="state:x[1]"))

@@ -39,7 +39,7 @@ from koop_tune.rig.rig_file import RigFile
 DT = 0.01
 T = np.arange(6000) * DT
 RIG = RigFile(
-    "/a:x,y", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, -1.0, 3.0, 0.5, 2.0, 0.5,
+    "/a:x,y", "/b:z", DT, -1.0, 3.0, 0.5, 2.0, 0.5,
     channel_max=(5.0, 6.0),
 )  # fmt: skip
 RHYTHM = Rhythm(2000, 100.0, DT, 0.001, 0, "steps", 0.02)

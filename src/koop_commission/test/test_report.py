@@ -35,7 +35,7 @@ from koop_tune.search.rounds import LoopRun, Round, Verification
 
 DT = 0.01
 RIG = RigFile(
-    "/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, -1.0, 3.0, 0.5, 2.0, 0.5
+    "/a:x", "/b:z", DT, -1.0, 3.0, 0.5, 2.0, 0.5
 )  # fmt: skip
 THETA = [-1.0, 1.0, 3.0]
 BAND = {

@@ -33,7 +33,7 @@ from koop_tune.search.settings import VerificationSettings
 
 DT, PERIOD, TAU, BEST = 0.01, 0.5, 20.0, 0.7
 RIG = RigFile(
-    "/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, -1.0, 3.0, 0.5, 2.0, 0.5
+    "/a:x", "/b:z", DT, -1.0, 3.0, 0.5, 2.0, 0.5
 )  # fmt: skip
 BANDS = {
     "duration": 400.0, "runs": 64,

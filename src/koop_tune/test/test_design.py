@@ -14,7 +14,7 @@ from koop_tune.rig.rig_file import RigFile
 DT, PERIOD = 0.02, 0.5
 COUNT = 2 * DESIGN.first - 1  # first positions, up and down
 RIG = RigFile(
-    "/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, -1.0, 3.0, 0.5, 0.0, 0.5, time=3000.0
+    "/a:x", "/b:z", DT, -1.0, 3.0, 0.5, 0.0, 0.5, time=3000.0
 )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.findings import NoOptimum, decide
 from koop_tune.search.settings import TUNING
 
-RIG = RigFile("/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5)
+RIG = RigFile("/a:x", "/b:z", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5)
 
 
 def valley(u):

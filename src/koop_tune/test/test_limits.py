@@ -15,7 +15,7 @@ from koop_tune.search.limits import limit_theta
 from koop_tune.search.settings import TUNING, TuningSettings
 
 WIDE = RigFile(
-    "/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.01, 0.5, 60.0, 0.5, 1.0, 1.0
+    "/a:x", "/b:z", 0.01, 0.5, 60.0, 0.5, 1.0, 1.0
 )  # fmt: skip
 EVEN = replace(WIDE, theta_min=-5.0, theta_max=5.0, theta_start=2.0, theta_safe=2.0)
 RANGES = [(0.5, 60.0), (-5.0, 5.0), (1000.0, 1001.0), (-1e-4, 3e-4), (0.0, 1000.0), (0.5, 1.6)]

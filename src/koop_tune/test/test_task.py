@@ -15,7 +15,7 @@ from koop_tune.rig_model.surrogate import Times
 from koop_tune.search.settings import TuningSettings
 from koop_tune.search.task import Recorded, block_rms, cut_pieces, draw_surrogates, make_task
 
-RIG = RigFile("/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, 0.0, 1.0, 0.5, 0.5, 0.5)
+RIG = RigFile("/a:x", "/b:z", DT, 0.0, 1.0, 0.5, 0.5, 0.5)
 TIMES = Times(math.log(2.0), 0.0, 0.0, 0.0)
 
 

@@ -17,8 +17,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.tune_folders import find_bags, reading_of, tune_folders
 
 RIG = RigFile(
-    "/state:x[0],x[1]", "koop_msgs/msg/MeasuredState", "/knob:data", "std_msgs/msg/Float64",
-    0.01, 0.0, 1.0, 0.5, 0.5, 0.5,
+    "/state:x[0],x[1]", "/knob:data", 0.01, 0.0, 1.0, 0.5, 0.5, 0.5,
 )  # fmt: skip
 KNOB = np.dtype([("encoding", "<u4"), ("data", "<f8")])
 ANSWER = np.dtype(
@@ -56,8 +55,7 @@ def write(folder, topics, states=True):
 
 
 def test_the_loops_own_topics_are_read_where_the_bag_has_them(tmp_path):
-    other = replace(RIG, measured="/rig:data[0],data[1]",
-                    measured_type="std_msgs/msg/Float64MultiArray")  # fmt: skip
+    other = replace(RIG, measured="/rig:data[0],data[1]")
     loop = reading_of(write(tmp_path / "loop", ["/theta", "/knob"]), other)
     assert (str(loop.measured), str(loop.command)) == ("/state:x", "/theta:theta")
     bare = reading_of(write(tmp_path / "bare", ["/knob"], states=False), other)

@@ -21,7 +21,7 @@ from koop_tune.search.search import Trial, list_anchors, search
 from koop_tune.search.settings import SearchSettings, TuningSettings
 from koop_tune.search.tuning import SearchedCost, Tuning, choose, limit_slowdown, search_cost
 
-RIG = RigFile("/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5)
+RIG = RigFile("/a:x", "/b:z", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5)
 
 
 def valley(u):
@@ -52,7 +52,7 @@ def test_raw_is_chosen_where_no_model_is_better(scores, name, why):
 
 
 def test_runs_are_made_longer_only_while_the_best_is_not_good():
-    rig = RigFile("/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5,
+    rig = RigFile("/a:x", "/b:z", 0.02, 0.0, 1.0, 0.5, 0.5, 0.5,
                   time=1e6)  # fmt: skip
     times = []
 
@@ -73,7 +73,7 @@ def test_runs_are_made_longer_only_while_the_best_is_not_good():
     search_cost(uphill, 6.0, make_cost("raw", valley), rig, strict, lambda share: None)
     assert times == pytest.approx([1.8, 3.6])
     times.clear()
-    hurried = RigFile("/a:x", "a/msg/A", "/b:z", "std_msgs/msg/Float64", 0.02, 0.0, 1.0, 0.5, 0.5,
+    hurried = RigFile("/a:x", "/b:z", 0.02, 0.0, 1.0, 0.5, 0.5,
                       0.5, time=1.0)  # fmt: skip
     search_cost(uphill, 6.0, make_cost("raw", valley), hurried, strict, lambda share: None)
     assert len(times) == 2  # the second is made, and is too long for this rig
@@ -131,8 +131,7 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
 
 def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, tmp_path):
     far = replace(RIG, theta_min=0.5, theta_max=50.0, theta_start=1.0, theta_safe=40.0,
-                  objective="maximise", command="/theta:theta",
-                  command_type="koop_msgs/msg/ControlInput")  # fmt: skip
+                  objective="maximise", command="/theta:theta")  # fmt: skip
     task = replace(tuning.task, scale=far.scale, low=0.5, high=50.0, sense=-1.0, rate=0.5)
     findings = replace(tuning.findings, scale=far.scale, limits=ThetaLimits(0.5, 50.0))
     wide = replace(tuning, findings=findings, chosen=replace(tuning.chosen, task=task))

@@ -6,12 +6,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from koop_core.config.fields import Source, check_fields
-from koop_core.config.parameter import ConfigError
-from koop_core.errors import LiveError
+from koop_core.config.fields import check_fields
+from koop_core.errors import KoopError, LiveError
 from koop_node.client.client import Client
-from koop_node.node.graph import full_name
-from koop_tune.rig.rig_file import RigFile
+from koop_node.node.graph import full_name, message_type_of, publishers_of, subscribers_of
+from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
 
 DISCOVERY = 4.0  # [s]: Fast DDS announces itself every 3 s to those that missed the first time
 LEASE = 21.0  # [s] after which DDS forgets a participant that was killed
@@ -95,44 +94,45 @@ def describe_second_rig(client: Client, rig: RigFile) -> str:
     )
 
 
-def refuse_missing_topics(client: Client, rig: RigFile) -> None:
-    """Refuse a rig file that names what the live graph lacks.
+def find_types(client: Client, rig: RigFile) -> tuple[str, str]:
+    """Return the message types that a rig publishes and that it takes as its command.
 
     Raises
     ------
     koop_core.errors.LiveError
-        If the measured topic has no publisher or the command no subscriber, or the message type
-        is another.
+        If the measured topic has no publisher or the command no subscriber, a topic has several
+        message types, or the rig publishes another one on the loop's own topic.
     koop_core.config.parameter.ConfigError
         If a type is not installed or has no such field.
     """
     from koop_node.node.managed import message_type
 
-    for key, source, kind in _sides(rig):
-        try:
-            check_fields(source.fields, message_type(kind)())
-        except ConfigError as error:
-            raise ConfigError(f"{key}: {error}") from None
-
-    def is_complete() -> bool:
-        return bool(
-            find_nodes(client, rig.state.topic)[0] and find_nodes(client, rig.knob.topic)[1]
-        )
-
-    topics = find_topics(client, is_complete)
-    for key, source, kind in _sides(rig):
-        role = "publisher" if key == "measured" else "subscriber"
-        offered = [t for t in topics if (t.publishers if key == "measured" else t.subscribers)]
-        topic = next((t for t in offered if t.name == source.topic), None)
-        if topic is None:
+    sides = (
+        ("measured", "publisher", rig.state, publishers_of),
+        ("command", "subscriber", rig.knob, subscribers_of),
+    )
+    topics = find_topics(
+        client, lambda: all(ends(client.node, source.topic) for *_, source, ends in sides)
+    )
+    types = []
+    for key, role, source, ends in sides:
+        if not (endpoints := ends(client.node, source.topic)):
+            offered = [t for t in topics if (t.publishers if key == "measured" else t.subscribers)]
             others = ", ".join(f"{t.name} ({t.type})" for t in offered[:8]) or "none"
             raise LiveError(
                 f"{key}: {source.topic} has no {role}: is the rig running, in this ROS domain? "
                 f"Topics with a {role}: {others}"
             )
-        if topic.type != kind:
-            raise LiveError(f"{key}: {source.topic} is {topic.type}, the rig file says {kind}")
-
-
-def _sides(rig: RigFile) -> tuple[tuple[str, Source, str], tuple[str, Source, str]]:
-    return ("measured", rig.state, rig.measured_type), ("command", rig.knob, rig.command_type)
+        try:
+            kind = message_type_of(source.topic, endpoints)
+            check_fields(source.fields, message_type(kind)())
+        except KoopError as error:
+            raise type(error)(f"{key}: {error}") from None
+        types.append(kind)
+    measured, command = types
+    if rig.state.topic == STATE and measured != STATE_TYPE:
+        raise LiveError(
+            f"measured: {STATE} is {measured}, for the lifter it is {STATE_TYPE}: let the rig "
+            "publish on another topic"
+        )
+    return measured, command

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from koop_commission.fitness.samples import Samples
-from koop_core.config.fields import Path, check_fields, read_field
+from koop_core.config.fields import Path, Source, check_fields, read_field
 from koop_node.client.client import Client
 
 
@@ -35,6 +35,8 @@ class Listener:
 
     Attributes
     ----------
+    source, kind : Source, str
+        Topic with fields, and message type.
     last : object
         Newest message; None before the first.
     """
@@ -47,7 +49,7 @@ class Listener:
 
         message = message_type(kind)
         check_fields(paths, message())
-        self._paths = paths
+        self.source, self.kind = Source(topic, paths), kind
         self._arrival, self._stamp, self._x = array("d"), array("d"), array("d")
         self._step = array("q")
         self.last: Any = None
@@ -74,7 +76,7 @@ class Listener:
     def samples(self, begin: int = 0, end: int | None = None) -> Samples:
         """Return the samples from one message to before another."""
         end = self.count if end is None else end
-        n, arrival = len(self._paths), np.array(self._arrival[begin:end])
+        n, arrival = len(self.source.fields), np.array(self._arrival[begin:end])
         return Samples(
             arrival,
             np.array(self._stamp[begin:end]),
@@ -90,7 +92,7 @@ class Listener:
         self._arrival.append(time.monotonic())
         self._stamp.append(seconds)
         self._step.append(step if isinstance(step, int) else -1)
-        self._x.extend(read_field(path, message) for path in self._paths)
+        self._x.extend(read_field(path, message) for path in self.source.fields)
 
 
 def listen(

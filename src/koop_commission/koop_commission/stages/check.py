@@ -32,7 +32,7 @@ from koop_commission.fitness.settings import DEFAULTS, CheckSettings
 from koop_commission.rig.graph import (
     describe_second_rig,
     find_other_publishers,
-    refuse_missing_topics,
+    find_types,
 )
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.session import Session, spell_time
@@ -105,12 +105,12 @@ def check_rig(
     state, command = rig.state.topic, rig.knob.topic
     with Client("koop_check") as client:
         try:
-            refuse_missing_topics(client, rig)
+            state_type, command_type = find_types(client, rig)
         except LiveError as error:
             yield Finding(BAD, "graph", f"{error} (ROS domain {current_domain()})")
             return
         yield Finding(OK, "graph", f"{state} has a publisher, {command} has a subscriber")
-        listener = Listener(client, state, rig.measured_type, rig.state.fields)
+        listener = Listener(client, state, state_type, rig.state.fields)
         samples = _listen(listener, rig, settings)
         if text := describe_second_rig(client, rig):
             yield Finding(BAD, "arrival", text)
@@ -125,7 +125,7 @@ def check_rig(
             reason = "something above is BAD" if moves else "--still"
             yield Finding(NOTE, "theta", f"was not moved: {reason}")
             return
-        session, period = Session(rig, client, listener), choose_period(rig, samples)
+        session, period = Session(rig, client, listener, command_type), choose_period(rig, samples)
         try:
             with (
                 TemporaryDirectory() as folder,

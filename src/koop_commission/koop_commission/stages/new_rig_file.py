@@ -21,7 +21,6 @@ from koop_core.config.fields import Path as Field
 from koop_core.config.fields import (
     check_fields,
     check_topic,
-    check_type,
     format_field,
     numbers_of,
     parse_field,
@@ -124,16 +123,15 @@ class Interview:
         published = [t for t in self.topics if t.publishers and t.name not in CONTROLLER_TOPICS]
         head = "published topics" if published else "no topic is published: is the rig running?"
         topic, kind = _ask_topic("topic of the measured channels", published, head)
-        numbers: tuple[Field, ...] = ()
-        message = None
-        if topic in [t.name for t in published]:
-            message = listen(self.client, topic, kind, (), PATIENCE, most=1).last
+        message = listen(self.client, topic, kind, (), PATIENCE, most=1).last if kind else None
+        numbers = changing = tuple(numbers_of(message)) if message is not None else ()
         if message is None:
-            print(f"no message on {topic} in {PATIENCE:g} s: the fields cannot be shown")
-        elif not (numbers := tuple(numbers_of(message))):
+            print(f"no message on {topic}: the fields cannot be shown")
+        elif not numbers:
             raise ConfigError(f"{topic}: {kind} holds no numbers; nothing was written")
-        x = listen(self.client, topic, kind, numbers, LISTEN).samples().x
-        changing = tuple(path for k, path in enumerate(numbers) if np.ptp(x[:, k]) > 0.0)
+        else:
+            x = listen(self.client, topic, kind, numbers, LISTEN).samples().x
+            changing = tuple(path for k, path in enumerate(numbers) if np.ptp(x[:, k]) > 0.0)
         offered, rest = changing or numbers, len(numbers) - len(changing)
         shown = f"numbers in a message{' that change' * bool(changing)}: {_join(offered)}"
         shown += f"; {rest} others do not change" * bool(changing and rest)
@@ -150,7 +148,7 @@ class Interview:
         question = "fields of the measured channels, separated by commas"
         proposal = _join(offered[:MOST_CHANNELS])
         measured = ask(question, proposal, parse, shown * bool(numbers))
-        self.values |= {"measured": measured, "measured_type": kind}
+        self.values["measured"] = measured
         if not numbers:
             return None
         listener = listen(self.client, topic, kind, parse_source(measured).fields, LISTEN)
@@ -164,16 +162,17 @@ class Interview:
         subscribed.sort(key=lambda t: (bool(t.publishers), t.name))  # without a publisher first
         head = "topics with a subscriber" if subscribed else "no topic has a subscriber"
         topic, kind = _ask_topic("topic that takes theta", subscribed, head)
-        message = message_type(kind)()
-        names = [format_field(path) for path in numbers_of(message)]
+        message = message_type(kind)() if kind else None
+        names = [format_field(path) for path in numbers_of(message)] if message else ["data"]
 
         def parse(text: str) -> str:
-            check_fields((parse_field(text),), message)
+            path = parse_field(text)
+            if message is not None:
+                check_fields((path,), message)
             return f"{topic}:{text}"
 
         proposal = "theta" if "theta" in names else [*names, "data[0]"][0]
-        command = ask("field that takes theta", proposal, parse)
-        self.values |= {"command": command, "command_type": kind}
+        self.values["command"] = ask("field that takes theta", proposal, parse)
 
     def _ask_limits(self, samples: Samples | None) -> None:
         channels = parse_source(self.values["measured"]).fields
@@ -221,7 +220,7 @@ def parse_number(name: str, values: dict[str, Any], text: str) -> float:
 
 
 def _ask_topic(question: str, topics: Sequence[Topic], head: str) -> tuple[str, str]:
-    """Ask for a topic by its number or name, and for the type of one that does not exist."""
+    """Ask for a topic by its number or name; return it with its type, empty if it is not there."""
 
     def parse(text: str) -> str:
         if not text.isdecimal():
@@ -235,8 +234,7 @@ def _ask_topic(question: str, topics: Sequence[Topic], head: str) -> tuple[str, 
         for number, t in enumerate(topics, 1)
     ]
     name = ask(question, "1" if topics else "", parse, "\n".join(["", head, *rows]))
-    kind = next((topic.type for topic in topics if topic.name == name), None)
-    return name, kind or ask(f"message type of {name}, which does not exist now", "", check_type)
+    return name, next((topic.type for topic in topics if topic.name == name), "")
 
 
 def _propose_dt(samples: Samples | None) -> str:

@@ -17,8 +17,8 @@ from koop_commission.fitness.samples import refuse_dead
 from koop_commission.rig.graph import (
     describe_second_rig,
     find_other_publishers,
+    find_types,
     identify_publishers,
-    refuse_missing_topics,
 )
 from koop_commission.rig.listener import Listener
 from koop_commission.theta.assignment import Assignment
@@ -28,7 +28,7 @@ from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_guard.note import find_theta
 from koop_node.client.client import Client
-from koop_tune.rig.rig_file import STATE, STATE_TYPE, THETA, RigFile
+from koop_tune.rig.rig_file import STATE, STATE_TYPE, THETA, RigFile, state_source
 
 COST = "/cost"
 BYTES = 250.0  # of a bag for one state, with its cost and theta
@@ -45,7 +45,9 @@ class Session:
     client : Client
         Observer in the ROS domain.
     listener : Listener
-        Receives the states.
+        Receives the states, which the commander answers.
+    command_type : str
+        Message type of the command, ``pkg/msg/Type``.
     nodes : LiveNodes, optional
         Nodes that run beside.
 
@@ -60,19 +62,24 @@ class Session:
     """
 
     def __init__(
-        self, rig: RigFile, client: Client, listener: Listener, nodes: LiveNodes | None = None
+        self,
+        rig: RigFile,
+        client: Client,
+        listener: Listener,
+        command_type: str,
+        nodes: LiveNodes | None = None,
     ) -> None:
         self.client, self.listener = client, listener
         self.commander: CommanderClient
         self.still = 0
         self.show: Callable[[], object] = lambda: None
-        self._rig, self._nodes = rig, nodes
+        self._rig, self._command_type, self._nodes = rig, command_type, nodes
         self._bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
         self._checked = self._looked = 0.0
 
     @contextmanager
     def command_theta(
-        self, note: Path | None, log: Path, source: str = "", kind: str = "", follows: str = ""
+        self, note: Path | None, log: Path, follows: str = ""
     ) -> Iterator[CommanderClient]:
         """Command theta; at the end it returns to theta_safe.
 
@@ -82,8 +89,8 @@ class Session:
             File that notes where theta was left.
         log : Path
             File for what the commander prints.
-        source, kind, follows : str
-            As in :class:`koop_commission.theta.assignment.Assignment`.
+        follows : str
+            Topic of a controller that may be followed; empty: none.
         """
         rig = self._rig
         if others := find_other_publishers(self.client, rig.knob.topic, commanding=False):
@@ -94,7 +101,10 @@ class Session:
             print(remark, flush=True)
         path = str(note.resolve()) if note is not None else ""
         recorders = int(self._nodes is not None)
-        assignment = Assignment(rig, theta, source, kind, recorders, path, follows)
+        assignment = Assignment(
+            rig, theta, str(self.listener.source), self.listener.kind, self._command_type,
+            recorders, path, follows,
+        )  # fmt: skip
         try:
             with CommanderClient(assignment, log) as self.commander:
                 yield self.commander
@@ -199,22 +209,19 @@ def open_session(
     # the commander ends after the recorder: each recorded state has a theta
     with ExitStack() as last, ExitStack() as stack:
         client = stack.enter_context(Client(name))
-        refuse_missing_topics(client, rig)
+        _, command_type = find_types(client, rig)
         if text := describe_second_rig(client, rig):
             raise LiveError(text)
         stack.enter_context(nodes)
-        channels = ",".join(f"x[{i}]" for i in range(len(rig.names)))
-        source = rig.measured if rig.speaks_state else f"{STATE}:{channels}"
-        kind = rig.measured_type if rig.speaks_state else STATE_TYPE
-        state = parse_source(source)
-        listener = Listener(client, state.topic, kind, state.fields, reliable=True)
-        session = Session(rig, client, listener, nodes)
+        state = parse_source(state_source(len(rig.names)))
+        listener = Listener(client, state.topic, STATE_TYPE, state.fields, reliable=True)
+        session = Session(rig, client, listener, command_type, nodes)
         client.wait_for(
             lambda: client.node.count_subscribers(THETA) and client.node.count_publishers(COST),
             START_TIMEOUT, f"lifter and recorder (see {nodes.folder}/logs)", session.check_nodes,
         )  # fmt: skip
         log = nodes.folder / "logs" / "commander.log"
-        commander = last.enter_context(session.command_theta(note, log, source, kind, follows))
+        commander = last.enter_context(session.command_theta(note, log, follows))
         stack.callback(commander.return_to_safe)
         try:
             yield session

@@ -18,8 +18,10 @@ class Assignment:
         Command, limits, ``theta_safe``.
     theta : float
         Value that theta has now.
-    source, kind : str
-        Topic with fields, and type, of the states to answer; default: the measured channels.
+    source, state_type : str
+        Topic with fields, and message type, of the states to answer.
+    command_type : str
+        Message type of the command, ``pkg/msg/Type``.
     recorders : int
         Recorders that must subscribe to theta before it moves.
     note : str
@@ -32,8 +34,9 @@ class Assignment:
 
     rig: RigFile
     theta: float
-    source: str = ""
-    kind: str = ""
+    source: str
+    state_type: str
+    command_type: str
     recorders: int = 0
     note: str = ""
     follows: str = ""

@@ -78,18 +78,17 @@ class Commander:
         self.assignment = assignment
         self.guard = Guard(rig.guard, assignment.theta)
         self._period = rig.dt / rig.pace  # [s] by the clock on the wall
-        self._source = parse_source(assignment.source or rig.measured)
-        self._kind = message_type(assignment.kind or rig.measured_type)
+        self._source = parse_source(assignment.source)
+        self._kind = message_type(assignment.state_type)
         self._adapter = StateAdapter(self._source, rig.dt)
         self._counts_steps = self._kind is MeasuredState
         node = client.node
         self._answer = ControlInput(theta=self.guard.theta)
         self._answers = node.create_publisher(ControlInput, THETA, RELIABLE)
         self._command: Any = None
-        self._message: Any = self._answer
-        if not rig.takes_answers:
-            kind = message_type(rig.command_type)
-            self._message = self._answer if kind is ControlInput else kind()
+        kind = message_type(assignment.command_type)
+        self._message: Any = self._answer if kind is ControlInput else kind()
+        if rig.knob.topic != THETA or kind is not ControlInput:  # else it takes the answers
             self._command = node.create_publisher(kind, rig.knob.topic, NEWEST)
         self._publishers: set[str] = set()
         self._sent = self._moved = time.monotonic()

@@ -21,7 +21,7 @@ from rclpy.timer import Timer as RosTimer
 
 from koop_core.errors import KoopError
 from koop_node.node import schedule
-from koop_node.node.graph import Listeners, best_effort_only, publishers_of
+from koop_node.node.graph import Listeners, best_effort_only, message_type_of, publishers_of
 from koop_node.node.schedule import Timer
 from koop_node.node.wire import WireError, codec
 
@@ -269,7 +269,7 @@ class Entities:
             timer.cancel()
             self.waiting_for = ""
             try:
-                then(infos[0].topic_type)
+                then(message_type_of(topic, infos))
             except KoopError as error:
                 self._node.get_logger().error(str(error))
                 self.fail()

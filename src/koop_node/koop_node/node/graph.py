@@ -11,6 +11,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
+from koop_core.errors import LiveError
+
 NEXT = "next"
 """Among the listeners of a node: the next node of the loop, whatever its name is."""
 LOOP_TYPES = {f"koop_msgs/msg/{name}" for name in ("MeasuredState", "Cost", "ControlInput")}
@@ -70,6 +72,20 @@ def publishers_of(node: Node, topic: str) -> list[Any]:
 def subscribers_of(node: Node, topic: str) -> list[Any]:
     """Return the subscriptions of a topic by nodes that do not hide as observers."""
     return [info for info in node.get_subscriptions_info_by_topic(topic) if _visible(info)]
+
+
+def message_type_of(topic: str, endpoints: Sequence[Any]) -> str:
+    """Return the message type that the endpoints of a topic have, ``pkg/msg/Type``.
+
+    Raises
+    ------
+    koop_core.errors.LiveError
+        If they have several.
+    """
+    first, *others = sorted({info.topic_type for info in endpoints})
+    if others:
+        raise LiveError(f"{topic} has several message types: {', '.join([first, *others])}")
+    return str(first)
 
 
 def unheard(subscription: Subscription, publishers: Sequence[Any]) -> list[str]:

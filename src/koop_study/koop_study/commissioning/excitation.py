@@ -15,7 +15,7 @@ from koop_identify.recording.segmentation import BagReading
 from koop_study.family import oscillator
 from koop_study.family.rig import Rig
 from koop_tune.excitation.design import DESIGN, Design
-from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
+from koop_tune.rig.rig_file import RigFile, state_source
 
 LONGER = (1.0, 2.0, 4.0)  # times of the rig file, one after the other
 PERIODS = 10.0  # windows are as long as the slowest oscillation asks, an interference's too
@@ -65,13 +65,12 @@ def file_of(rig: Rig, rate: float, time: float) -> RigFile:
     time : float
         That the excitation may take: slowest times of the amplitude and ten periods.
     """
-    p, own = rig.params, rig.time
+    p = rig.params
     longest = time * (rig.slowest + PERIODS / rig.frequency)
-    fields = ",".join(f"x[{i}]" for i in range(rig.channels))
     return RigFile(
-        f"{STATE}:{fields}", STATE_TYPE, "/knob:data", dt=p.dt,
+        state_source(rig.channels), "/knob:data", dt=p.dt,
         theta_min=p.theta_min, theta_max=p.theta_max, theta_start=rig.theta_initial,
-        theta_rate=rate * (p.theta_max - p.theta_min) / own, theta_safe=rig.theta_initial,
+        theta_rate=rate * (p.theta_max - p.theta_min) / rig.time, theta_safe=rig.theta_initial,
         objective=rig.objective, time=max(longest, 1.0),
     )  # fmt: skip
 

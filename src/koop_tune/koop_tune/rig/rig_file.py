@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from koop_core.config.describe import WIDTH, allowed
-from koop_core.config.fields import Source, check_type, format_field, parse_source
+from koop_core.config.fields import Source, format_field, parse_source
 from koop_core.config.parameter import (
     ConfigError,
     mapping,
@@ -49,11 +49,10 @@ class RigFile:
         "measured channels as topic:field,field, such as /joint_states:position[0],velocity[0]; "
         "all in one message, and only those that oscillate",
     )
-    measured_type: str = parameter("", "message type of the measured channels, pkg/msg/Type")
-    command: str = parameter("", "what takes theta, as topic:field, such as /rig/theta:data")
-    command_type: str = parameter(
-        "std_msgs/msg/Float64",
-        "message type of the command; koop_msgs/msg/ControlInput answers each state by its step",
+    command: str = parameter(
+        "",
+        "what takes theta, as topic:field, such as /rig/theta:data; a koop_msgs/msg/ControlInput "
+        "answers each state by its step",
     )
     dt: float = parameter(
         0.0, "time between two messages of the measured channels", unit="s", low=1e-6, high=1.0
@@ -93,11 +92,6 @@ class RigFile:
         n = len(_source("measured", self.measured).fields)
         if len(_source("command", self.command).fields) != 1:
             raise ConfigError(f"command = {self.command!r}: theta is one field")
-        for name in ("measured_type", "command_type"):
-            try:
-                check_type(getattr(self, name))
-            except ConfigError as error:
-                raise ConfigError(f"{name}: {error}") from None
         if self.state.topic == self.knob.topic:
             raise ConfigError(f"command = {self.command!r}: is the topic of the measured channels")
         if self.theta_min >= self.theta_max:
@@ -134,14 +128,11 @@ class RigFile:
 
     @property
     def speaks_state(self) -> bool:
-        """Whether the rig itself publishes what the lifter listens to."""
-        standard = (self.state.topic, self.measured_type) == (STATE, STATE_TYPE)
-        return standard and self.names == tuple(f"x[{i}]" for i in range(len(self.names)))
+        """Whether the rig itself publishes what the lifter listens to, in its order.
 
-    @property
-    def takes_answers(self) -> bool:
-        """Whether the rig listens to the controller's own answers."""
-        return (self.knob.topic, self.command_type) == (THETA, THETA_TYPE)
+        A rig with another message type on that topic is refused where the graph is known.
+        """
+        return self.state == parse_source(state_source(len(self.names)))
 
     @property
     def lifter_input(self) -> dict[str, str]:
@@ -182,8 +173,8 @@ class RigFile:
         return 1.0 if self.objective == "minimise" else -1.0
 
 
-REQUIRED = ("measured", "measured_type", "command", "command_type", "dt", "theta_min", "theta_max",
-            "theta_rate", "theta_start", "theta_safe")  # fmt: skip
+REQUIRED = ("measured", "command", "dt", "theta_min", "theta_max", "theta_rate", "theta_start",
+            "theta_safe")  # fmt: skip
 
 
 def read(path: str | Path) -> RigFile:
@@ -241,6 +232,15 @@ def write(rig: RigFile, path: Path) -> None:
             file.write(written(rig))
     except FileExistsError:
         raise ConfigError(f"{path} is there already: name another file") from None
+
+
+def state_source(channels: int) -> str:
+    """Return the states of a loop as topic:field,field.
+
+    >>> state_source(2)
+    '/state:x[0],x[1]'
+    """
+    return f"{STATE}:{','.join(f'x[{i}]' for i in range(channels))}"
 
 
 def _source(name: str, text: str) -> Source:
