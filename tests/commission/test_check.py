@@ -55,6 +55,12 @@ def test_a_mistake_of_the_user_is_a_finding(fast_rig, probe):
     types = "std_msgs/msg/Float64, std_msgs/msg/Float64MultiArray"
     assert f"/fast has several message types: {types}" in rows["graph"].text
     probe.node.destroy_publisher(other)
+    other = probe.node.create_publisher(Float64MultiArray, "/state", 10)
+    state = replace(RIG, measured="/state:data[0]", channel_max=())
+    rows, bad = rows_of(state, moves=False, listen=long)
+    assert bad == ["graph"]
+    assert "/state is std_msgs/msg/Float64MultiArray, for the lifter it is" in rows["graph"].text
+    probe.node.destroy_publisher(other)
     second = probe.node.create_publisher(Float64MultiArray, "/fast", 10)
     rows, bad = rows_of(RIG, moves=False, listen=long)
     assert bad == ["arrival"]
