@@ -190,7 +190,7 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
     whole = Commissioning(ONE, file, tmp_path / "new")
     assert rig_file.read(tmp_path / "new/rig.yaml") == ONE
 
-    def tune(rig, folders, out, settings, note):
+    def tune(rig, folders, out, settings, note, **_):
         out.mkdir(exist_ok=True)
         (out / "controller.yaml").touch()
         with full_disk():
