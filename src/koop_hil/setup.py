@@ -21,6 +21,7 @@ setup(
         "koop_tune",
         "vdp_plant",
         "numpy",
+        "PyYAML",
         "tqdm",
     ],
     extras_require={

@@ -1,4 +1,4 @@
-"""Rigs to commission: their true maps are those of physics, and they say what was true."""
+"""Rigs to commission: their true maps are those of physics, their own logs say what was true."""
 
 import importlib.util
 import os
@@ -9,6 +9,7 @@ from argparse import Namespace
 
 import numpy as np
 import pytest
+import yaml
 from koop_msgs.msg import PlantTruth
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -21,6 +22,7 @@ sys.path[:0] = [str(RIGS)]
 
 import absorber  # noqa: E402
 import inverter  # noqa: E402
+import rig_log  # noqa: E402
 from static_map import true_amplitudes  # noqa: E402
 
 dpsim_needed = pytest.mark.skipif(
@@ -113,13 +115,14 @@ def test_a_map_is_printed_without_dds():
 
 
 @pytest.mark.ros
-def test_the_absorber_publishes_its_sensors_takes_theta_and_says_what_is_true(probe):
+def test_the_absorber_publishes_its_sensors_takes_theta_and_logs_what_is_true(probe, tmp_path):
     heard, truths = (
         probe.collect(JointState, "/structure"),
         probe.collect(PlantTruth, "/ground_truth"),
     )
     theta = probe.node.create_publisher(Float64, "/absorber", 1)
-    words = ["--duration", "20", "--scale", "10", "--truth"]
+    log = tmp_path / "log.csv"
+    words = ["--duration", "20", "--scale", "10", "--truth", "--log", str(log)]
     process = subprocess.Popen([sys.executable, str(RIGS / "rig.py"), "absorber", *words])
     try:
         probe.spin_until(lambda: theta.get_subscription_count() and heard, "the absorber")
@@ -134,14 +137,47 @@ def test_the_absorber_publishes_its_sensors_takes_theta_and_says_what_is_true(pr
         process.wait()
     assert process.returncode == 0
     probe.spin_until(lambda: len(heard) >= 1000 and truths[-1].step == 999, "the last sample")
-    expected = [m.step for m in truths]  # the first ones may not have been heard
+    steps = [m.step for m in truths]  # the first ones may not have been heard
     true, applied = np.array([(m.x[0], m.theta_applied) for m in truths]).T
     for index, (shape, wave) in enumerate(zip(absorber.SHAPE, absorber.WAVES, strict=True)):
-        measured = np.array([m.position[index] for m in heard])[expected]
-        t = absorber.DT * np.array(expected)
+        measured = np.array([m.position[index] for m in heard])[steps]
+        t = absorber.DT * np.array(steps)
         rest = measured - shape * true - wave * np.sin(absorber.WAVE * t)
         assert rest.std() == pytest.approx(absorber.NOISE, rel=0.2)  # of some 1000 samples
     assert 0.7 < applied[-1] <= 1.6  # on its way to the end of its stroke, at its own rate
+    lines = np.loadtxt(log, delimiter=",")
+    assert lines.shape == (20, 5)
+    last = [step >= 950 for step in steps]
+    assert lines[-1, 2] == pytest.approx(applied[last].mean(), rel=1e-5)
+    assert lines[-1, 3:] == pytest.approx([true[last].mean(), true[last].std()], rel=1e-5)
+
+
+def test_a_log_says_what_was_true_during_a_recording(tmp_path, monkeypatch, capsys):
+    dt, rng = 0.1, np.random.default_rng(0)
+    x = rng.normal(size=1000) + np.linspace(0.0, 3.0, 1000)  # the mean moves, too
+    log, clock = rig_log.Log(str(tmp_path / "log.csv"), dt), iter(range(1000, 1100))
+    monkeypatch.setattr(rig_log.time, "time", lambda: next(clock))
+    for k in range(1000):
+        log.add(k * dt, 0.5 + k / 1000.0, [x[k]])
+    bag = {
+        "starting_time": {"nanoseconds_since_epoch": 1040 * 10**9},
+        "duration": {"nanoseconds": 29 * 10**9},
+    }
+    (tmp_path / "bag").mkdir()
+    content = yaml.safe_dump({"rosbag2_bagfile_information": bag})
+    (tmp_path / "bag" / "metadata.yaml").write_text(content)
+    lines = np.loadtxt(tmp_path / "log.csv", delimiter=",")
+    part = rig_log.during(lines, tmp_path)
+    assert part[:, 0].tolist() == list(range(1040, 1070))
+    assert rig_log.amplitudes(part)[0] == pytest.approx(np.sqrt(2.0) * x[400:700].std(), rel=1e-4)
+    monkeypatch.setattr(sys, "argv", ["rig_log.py", str(tmp_path / "log.csv"), str(tmp_path)])
+    rig_log.main()
+    rows = capsys.readouterr().out.splitlines()[2:]
+    assert len(rows) == 10
+    until, low, _, high, _ = rows[0].split()  # of three lines, of a second each
+    assert [float(until), float(low), float(high)] == pytest.approx(
+        [42.9, 0.9045, 0.9245], abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,7 @@ def run(rig: Rig, args: argparse.Namespace) -> None:
 
     Raises ValueError if the rig breaks.
     """
+    from rig_log import Log
     from wire import Wire  # Cyclone DDS: a wrong argument is reported without it
 
     wire = Wire(args.state or rig.topics[0], args.theta or rig.topics[1], rig.message, args.truth)
@@ -105,6 +106,7 @@ def run(rig: Rig, args: argparse.Namespace) -> None:
     steps = round(args.duration / rig.dt) if args.duration else math.inf
     rng, actuator, changes = random.Random(args.seed), Actuator(rig.knob, rig.dt), sorted(args.at)
     command, answered, k = rig.knob.start, -1, 0
+    log = Log(args.log, rig.dt) if args.log else None
     while k < steps and not stop:
         t = k * rig.dt
         x, truth = rig.measure(t, rng)
@@ -116,6 +118,8 @@ def run(rig: Rig, args: argparse.Namespace) -> None:
             begin += late
         # the rig's own clock: its start is real time, its seconds are a little too long
         wire.say(round((wall + t) * 1e9), k, x, truth, actuator.theta, actuator.step)
+        if log:
+            log.add(t, actuator.theta, truth)
         for wanted, step in wire.heard():
             if step is None:
                 command = wanted
@@ -170,6 +174,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument(
         "--truth", action="store_true", help="also publish koop_msgs/PlantTruth on /ground_truth"
     )
+    parser.add_argument("--log", metavar="FILE", help="true state of every second, as CSV")
     parser.add_argument(
         "--map", nargs=3, type=float, metavar=("LOW", "HIGH", "POINTS"),
         help="only print the true amplitudes at so many held values of theta",
