@@ -9,14 +9,13 @@ from koop_tune.rig.rig_file import RigFile
 
 DT = 0.01
 RIG = RigFile(
-    "/a:x,y", "a/msg/A", "/b:z", "std_msgs/msg/Float64", DT, -1.0, 3.0, 0.5, 2.0, 0.5,
-    channel_max=(5.0, 6.0),
+    "/a:x,y", "/b:z", DT, -1.0, 3.0, 0.5, 2.0, 0.5, channel_max=(5.0, 6.0),
 )  # fmt: skip
 
 
 def test_an_assignment_is_read_as_it_was_written():
     rig = replace(RIG, channel_min=(-1.0, -2.0))
-    assignment = Assignment(rig, 1.5, "/state:x[0]", "koop_msgs/msg/MeasuredState", 1, "n", "/c")
+    assignment = Assignment(rig, 1.5, "/state:x[0]", "a/msg/A", "b/msg/B", 1, "n", "/c")
     assert Assignment.from_json(json.loads(json.dumps(assignment.as_json()))) == assignment
 
 
