@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from koop_core.config.fields import Source, parse_source
 from koop_core.config.parameter import ConfigError, NodeConfig, parameter, validate
@@ -80,19 +82,7 @@ class GuardConfig:
         n = len(self.source.fields)
         if self.source.topic == parse_source(self.command).topic:
             raise ConfigError(f"command = {self.command!r}: is the topic of the measured channels")
-        if self.theta_min >= self.theta_max:
-            raise ConfigError(
-                f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"
-            )
-        for name in ("theta_start", "theta_safe"):
-            if not self.theta_min <= (value := getattr(self, name)) <= self.theta_max:
-                raise ConfigError(
-                    f"{name} = {value:g}: must lie within [theta_min, theta_max] = "
-                    f"[{self.theta_min:g}, {self.theta_max:g}]"
-                )
-        for name in ("channel_min", "channel_max"):
-            if (count := len(getattr(self, name))) not in (0, n):
-                raise ConfigError(f"{name} has {count} values: one for each of {n} channels, or []")
+        check_limits(self, ("channel_min", "channel_max"), n)
 
     @property
     def source(self) -> Source:
@@ -122,6 +112,30 @@ class GuardConfig:
     def return_time(self, theta: float) -> float:
         """Return how long theta takes to return to theta_safe [s], by the clock on the wall."""
         return abs(theta - self.theta_safe) / self.theta_rate / self.pace
+
+
+def check_limits(rig: Any, channels: Sequence[str], n: int) -> None:
+    """Check theta's limits and start, and that each named value has one number a channel.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If values contradict each other.
+    """
+    if rig.theta_min >= rig.theta_max:
+        raise ConfigError(
+            f"theta_min = {rig.theta_min:g} must be below theta_max = {rig.theta_max:g}: "
+            "are they swapped?"
+        )
+    for name in ("theta_start", "theta_safe"):
+        if not rig.theta_min <= (value := getattr(rig, name)) <= rig.theta_max:
+            raise ConfigError(
+                f"{name} = {value:g}: must lie within [theta_min, theta_max] = "
+                f"[{rig.theta_min:g}, {rig.theta_max:g}]"
+            )
+    for name in channels:
+        if (count := len(getattr(rig, name))) not in (0, n):
+            raise ConfigError(f"{name} has {count} values: one for each of {n} channels, or []")
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from koop_core.config.parameter import (
 )
 from koop_core.config.parameter_file import as_yaml
 from koop_core.config.yaml_file import LinedLoader, read_yaml
-from koop_guard.config import GuardConfig
+from koop_guard.config import GuardConfig, check_limits
 from koop_tune.rig.scale import Scale
 
 STATE, STATE_TYPE = "/state", "koop_msgs/msg/MeasuredState"
@@ -94,20 +94,7 @@ class RigFile:
             raise ConfigError(f"command = {self.command!r}: theta is one field")
         if self.state.topic == self.knob.topic:
             raise ConfigError(f"command = {self.command!r}: is the topic of the measured channels")
-        if self.theta_min >= self.theta_max:
-            raise ConfigError(
-                f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}: "
-                "are they swapped?"
-            )
-        for name in ("theta_start", "theta_safe"):
-            if not self.theta_min <= (value := getattr(self, name)) <= self.theta_max:
-                raise ConfigError(
-                    f"{name} = {value:g}: must lie within [theta_min, theta_max] = "
-                    f"[{self.theta_min:g}, {self.theta_max:g}]"
-                )
-        for name in ("channel_min", "channel_max", "weights"):
-            if (count := len(getattr(self, name))) not in (0, n):
-                raise ConfigError(f"{name} has {count} values: one for each of {n} channels, or []")
+        check_limits(self, ("channel_min", "channel_max", "weights"), n)
         if self.weights and not (min(self.weights) >= 0.0 < max(self.weights)):
             raise ConfigError(f"weights = {list(self.weights)}: none is below 0, one is above 0")
         for low, high in zip(self.channel_min, self.channel_max, strict=False):
