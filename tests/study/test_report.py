@@ -83,11 +83,6 @@ def write_small(folder: Path) -> None:
         if content["experiment"] == "commission":
             names = ("usual", "two modes", "no optimum")
             content["strata"] = {name: content["strata"][name] for name in names}
-        if content["experiment"] == "laws":
-            quick = content["quick"]
-            quick["seeds"]["count"] = 2
-            quick["plants"][1]["plant"]["duration"] = 10
-            quick["plants"][0]["scenarios"]["jumps"]["scenario.jump_every"] = 100.0
         (folder / path.name).write_text(yaml.safe_dump(content))
 
 

@@ -17,7 +17,7 @@ def register(commands: Any) -> None:
     )
     parser.add_argument(
         "names", nargs="*", metavar="NAME",
-        help="such as modes, robustness or laws, of experiments/, or a file of your own (default: "
+        help="such as modes or robustness, of experiments/, or a file of your own (default: "
         "all of experiments/)",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="a small version, within minutes")

@@ -22,7 +22,6 @@ from koop_study.family.loop import (
     noise_of,
 )
 from koop_study.family.rig import Rig, draw
-from koop_study.family.scaled import unscaled
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
@@ -38,6 +37,7 @@ from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tuning import Tuning, tune
 from koopman_lifter.config import LifterConfig
+from relay_esc.config import EscConfig
 
 EARLIER, OTHER = 1_000_000, 2_000_000  # to the seed, of the excitation and of the other end's noise
 ENDS = (0, 1)
@@ -188,7 +188,11 @@ def with_defaults(rig: Rig, rate: float, noises: list[RunNoise]) -> Row:
     """Return how the nodes' defaults do, which know the rig's limits and dt, with the raw cost."""
     p = rig.params
     limit = rate * (p.theta_max - p.theta_min) / rig.time
-    controller = RigController(LifterConfig(dt=p.dt), unscaled(rig, limit))
+    esc = EscConfig(
+        theta_min=p.theta_min, theta_max=p.theta_max, theta_initial=rig.theta_initial,
+        rate_limit=limit, dt=p.dt, objective=rig.objective,
+    )  # fmt: skip
+    controller = RigController(LifterConfig(dt=p.dt), esc)
     runs = [close_from_end(rig, controller, end, noises[end], rig.seed + end * OTHER)
             for end in ENDS]  # fmt: skip
     return {"ratio": [run.ratio for run in runs], "converged": [run.converged for run in runs]}

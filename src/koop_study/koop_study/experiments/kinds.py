@@ -8,7 +8,7 @@ from typing import Any
 
 from koop_core.config.parameter import ConfigError, mapping, nearest
 from koop_core.config.yaml_file import read_yaml
-from koop_study.experiments import cases, commission, laws, modes, static_maps
+from koop_study.experiments import cases, commission, modes, static_maps
 from koop_study.experiments.spec import parse
 from koop_study.simulation import work
 from koop_study.workers.units import Unit
@@ -18,10 +18,9 @@ KINDS: dict[str, tuple[type[Any], Any]] = {  # configuration and module
     "modes": (modes.ModesConfig, modes),
     "static_maps": (static_maps.StaticMapsConfig, static_maps),
     "cases": (cases.CasesConfig, cases),
-    "laws": (laws.LawsConfig, laws),
     "commission": (commission.CommissionConfig, commission),
 }
-ORDER = ("modes", "static_maps", "closed_loop", "robustness", "sensitivity", "ablations", "laws")
+ORDER = ("modes", "static_maps", "closed_loop", "robustness", "sensitivity", "ablations")
 
 
 @dataclass(frozen=True)

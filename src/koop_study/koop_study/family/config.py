@@ -21,10 +21,10 @@ LIMITS = {  # what the ranges may be at most
     "channels": (1, 8), "frequency": (1e-3, 1e3), "theta_scale": (1e-6, 1e6),
     "optimum": (0.05, 0.95), "depth": (1.01, 1e3), "flat": (0.0, 0.4), "power": (0.5, 4.0),
     "amplitude_time": (1.0, 1e4), "amplitude": (1e-6, 1e6), "noise": (1e-6, 1e3),
-    "interference": (1e-3, 1e3), "drift": (0.0, 10.0), "jump": (0.0, 0.8),
-    "jump_every": (1.0, 1e6), "harmonic": (0.0, 1.0), "jitter": (0.0, 1.0), "width": (1e-3, 0.5),
-    "skirts": (0.01, 1.0), "shallower": (1.5, 100.0), "apart": (0.2, 0.5), "second": (1.5, 5.0),
-    "play": (0.0, 0.2), "quicker": (1.0, 1e3), "growth": (0.0, 3.0), "lower_tones": (1e-3, 8.0),
+    "interference": (1e-3, 1e3), "drift": (0.0, 10.0), "harmonic": (0.0, 1.0),
+    "jitter": (0.0, 1.0), "width": (1e-3, 0.5), "skirts": (0.01, 1.0),
+    "shallower": (1.5, 100.0), "apart": (0.2, 0.5), "second": (1.5, 5.0), "play": (0.0, 0.2),
+    "quicker": (1.0, 1e3), "growth": (0.0, 3.0), "lower_tones": (1e-3, 8.0),
     "upper_tones": (1e-3, 8.0),
 }  # fmt: skip
 
@@ -75,8 +75,6 @@ class FamilyConfig:
     drift : Range
         Motion of u* in an hour, or in a hundred slowest tau where these are longer: no law follows
         an optimum that leaves faster than the amplitude answers.
-    jump, jump_every : Range
-        u* jumps to and fro by ``jump``, ``jump_every`` slowest tau apart; no jumps where 0.
     harmonic, jitter : Range
         Second harmonic of a channel; random walk of the phase of a limit cycle in a period [rad].
     channels : Range
@@ -110,8 +108,6 @@ class FamilyConfig:
     lower_tones: Range = (0.1, 0.6)
     upper_tones: Range = (1.6, 4.0)
     drift: Range = (0.0, 0.1)
-    jump: Range = (0.0, 0.0)
-    jump_every: Range = (60.0, 60.0)
     harmonic: Range = (0.0, 0.2)
     jitter: Range = (0.0, 0.05)
     channels: Range = (1, 4)

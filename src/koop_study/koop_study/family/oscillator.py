@@ -79,8 +79,8 @@ class RigParams(NamedTuple):
         d, w' and s of a second valley.
     play : float
         b, backlash of theta, in u.
-    drift, jump, jump_every : float
-        Motion of u*: rate [1/s], turning at the margin; jump to and fro, and time between two [s].
+    drift : float
+        Motion of u* [1/s], turning at the margin.
     tau, exponent, tau_low, tau_high : float
         tau(theta) = tau (L / L*)^exponent within its limits [s].
     middle : float
@@ -118,8 +118,6 @@ class RigParams(NamedTuple):
     shallower: float
     play: float
     drift: float
-    jump: float
-    jump_every: float
     tau: float
     exponent: float
     tau_low: float
@@ -167,12 +165,11 @@ def theta_at(p: RigParams, u: float) -> float:
 @njit()
 def best_position(p: RigParams, t: float) -> float:
     """Return u* at a time [s]."""
-    if p.drift == 0.0 and p.jump == 0.0:
+    if p.drift == 0.0:
         return p.best
     inside = 1.0 - 2.0 * FAMILY.margin
     way = (p.best - FAMILY.margin + p.drift * t) % (2.0 * inside)
-    jumped = p.jump if math.floor(t / p.jump_every) % 2.0 == 1.0 else 0.0
-    return FAMILY.margin + (way if way <= inside else 2.0 * inside - way) + jumped
+    return FAMILY.margin + (way if way <= inside else 2.0 * inside - way)
 
 
 @njit()

@@ -16,7 +16,9 @@ from koop_study.family.settings import FAMILY
 
 HOUR = 3600.0  # [s]
 GRID = np.linspace(0.0, 1.0, 2001)  # of u, where a truth has no formula
-QUANTITIES = (  # each has random numbers of its own: a changed range changes nothing else
+# each has random numbers of its own, by its place: a changed range changes nothing else, and what
+# is not drawn any more (the optimum's jumps) keeps its place
+QUANTITIES = (
     "noise_driven", "frequency", "samples", "log_scaled", "theta_scale", "theta_offset", "map",
     "maximised", "optimum", "depth", "side", "flat", "power", "amplitude_time", "exponent",
     "amplitude", "channels", "mix", "harmonic", "jitter", "offset", "quiet", "noise", "clean",
@@ -104,7 +106,7 @@ class Rig:
         :meth:`best`; with one it is looked for among thetas a 2000th of the range apart.
         """
         p = self.params
-        if p.drift == 0.0 and p.jump == 0.0:
+        if p.drift == 0.0:
             return self.best()
         times = np.linspace(0.0, duration, 101)
         squares = np.mean([oscillator.levels(p, GRID, t) ** 2 for t in times], axis=0)
@@ -112,16 +114,8 @@ class Rig:
         return oscillator.theta_at(p, GRID[i]), math.sqrt(squares[i])
 
     def later(self, t: float) -> Rig:
-        """Return the rig as it is after ``t`` [s]: its optimum is where it has moved to by then.
-
-        Raises
-        ------
-        ValueError
-            If its optimum jumps: the next one would come at another time.
-        """
+        """Return the rig as it is after ``t`` [s]: its optimum is where it has moved to by then."""
         p = self.params
-        if p.jump:
-            raise ValueError("a rig whose optimum jumps has no later")
         if p.drift == 0.0:
             return self
         inside = 1.0 - 2.0 * FAMILY.margin
@@ -224,9 +218,6 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
     tau = d.of("amplitude_time") / frequency
     low, high = (time / frequency for time in config.amplitude_time)
     growth = config.growth
-    far = d.of("jump")
-    jump = far if best < 0.5 else -far  # towards the farther end, and not beyond
-    jump = min(max(best + jump, FAMILY.margin), 1.0 - FAMILY.margin) - best
     params = RigParams(
         kind=oscillator.NOISE_DRIVEN if noise_driven else oscillator.LIMIT_CYCLE,
         turn=2.0 * math.pi / samples,
@@ -241,8 +232,6 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
         **_map(d, chosen, best),
         play=d.of("play"),
         drift=0.0,
-        jump=jump,
-        jump_every=1.0,
         tau=tau,
         # a weak noise-driven oscillation is one of strong damping, which settles fast; a weak
         # limit cycle one whose growth is slow
@@ -263,10 +252,8 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
     params = _sensors(d, params._replace(middle=math.sqrt(settled.min() * settled.max())), chosen)
     start = float(d["start"].choice(GRID[np.abs(GRID - best) >= FAMILY.far]))
     rig = Rig(seed, chosen, frequency, oscillator.theta_at(params, start), params)
-    slow = rig.slowest
-    drift = d.of("drift") / max(HOUR, FAMILY.slow * slow) * d.sign("drift")
-    params = params._replace(drift=drift, jump_every=d.of("jump_every") * slow)
-    return replace(rig, params=params)
+    drift = d.of("drift") / max(HOUR, FAMILY.slow * rig.slowest) * d.sign("drift")
+    return replace(rig, params=params._replace(drift=drift))
 
 
 def _range(d: _Draws) -> tuple[float, float, bool]:

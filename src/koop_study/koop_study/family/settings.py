@@ -27,10 +27,6 @@ class FamilySettings:
     blocks: int = judged(200, "blocks that a run is averaged in", low=2)
     every: int = judged(16, "samples, of which one shows where theta leads to", low=1)
     good: float = judged(1.5, "amplitude over the best, of a converged loop", low=1.0)
-    levels: int = judged(16, "levels of theta in the recording of a contrast", low=2)
-    rest: float = judged(8.0, "hold at each, in the rig's time", low=1.0)
-    spacing: float = judged(12.0, "delays in a period", low=1.0)
-    grain: float = judged(1e-3, "resolution of a sensor over its signal, rms", low=0.0)
 
     def __post_init__(self) -> None:
         validate(self)

@@ -13,7 +13,6 @@ from koop_study.workers.units import Unit
 SIMULATION = "koop_study.simulation.work"
 WORK = {
     **{name: f"{SIMULATION}:{name}" for name in ("runs", "modes", "ramp", "settled", "trace")},
-    "law_runs": "koop_study.laws.run:law_runs",
     "commission_plant": "koop_study.commissioning.work:commission_plant",
 }
 

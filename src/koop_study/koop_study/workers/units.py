@@ -22,7 +22,7 @@ from typing import Any
 # packages all code of which decides results, but for the modules that know ROS
 PACKAGES = (
     "koop_core", "vdp_plant", "koopman_lifter", "relay_esc", "koop_loop", "koop_identify",
-    "koop_guard", "koop_tune", "koop_study.simulation", "koop_study.family", "koop_study.laws",
+    "koop_guard", "koop_tune", "koop_study.simulation", "koop_study.family",
     "koop_study.commissioning",
 )  # fmt: skip
 ROS = ("node.py", "executable.py")

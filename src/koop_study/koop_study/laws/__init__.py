@@ -1,1 +1,0 @@
-"""Relay and adaptive law, tuned alike, on the paper's plant and on random rigs."""
