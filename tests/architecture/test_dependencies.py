@@ -45,8 +45,6 @@ OPTIONAL = {
     "fsspec": "store",
     "jsbsim": "plants",
     "pyarrow": "export",
-    "pydmd": "bench",
-    "pykoop": "bench",
     "upath": "store",
 }
 PYPI = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 
@@ -27,7 +26,7 @@ def test_every_benchmark_is_a_module():
 def test_one_that_fails_loses_no_other():
     lines: list[str] = []
     figure = BenchFigure("speed", "2 steps/s", 0.5, "C")
-    settings = BenchSettings(None, None, Path("python"), lines.append)
+    settings = BenchSettings(None, None, lines.append)
     assert not run_benchmarks({"bad": fail, "good": lambda settings: [figure]}, settings)
     assert "| good | speed | 2 steps/s | 0.5 x C |" in lines[-1]
     text = "\n".join(lines)
@@ -37,7 +36,7 @@ def test_one_that_fails_loses_no_other():
 
 def test_a_promise_that_is_not_kept_is_a_failure():
     lines: list[str] = []
-    settings = BenchSettings(None, None, Path("python"), lines.append)
+    settings = BenchSettings(None, None, lines.append)
     late = BenchFigure("missing", "0.3 s", 1.5, "the limit", kept=False)
     assert not run_benchmarks({"record": lambda settings: [late]}, settings)
     assert "NOT KEPT" in lines[-1]

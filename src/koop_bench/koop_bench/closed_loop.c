@@ -1,14 +1,9 @@
 /* The offline closed loop in C, the yardstick of `koop bench offline`.
  *
  * The same operations in the same order as koop_loop.loop.run_kernel: measure, lift, project, detect,
- * relay, Runge-Kutta step. Reads numbers from standard input in the order of main(), runs the loop
- * once to touch the memory and `rounds` times against the clock, prints the best time in seconds on
- * the first line, then theta of every `every`-th step with all digits.
+ * relay, Runge-Kutta step.
  */
 #include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <time.h>
 
 typedef struct {
     double epsilon0, epsilon0_drift, drift_frequency, forcing_amplitude, forcing_frequency, mu,
@@ -16,10 +11,14 @@ typedef struct {
 } plant_t;
 
 typedef struct {
-    int lifted, p, n;
-    long *parent, *factor;
-    double *projector;
+    long lifted, p, n;
+    const long *parent, *factor;
+    const double *projector;
 } lifting_t;
+
+typedef struct {
+    double alpha_hp, alpha_lp;
+} detector_t;
 
 typedef struct {
     double alpha, step_size, dwell_samples, theta_min, theta_max, sense;
@@ -63,21 +62,22 @@ static double energy(const lifting_t *l, const double *state, double *z)
     if (!l->lifted)
         return sqrt((state[0] * state[0] + state[1] * state[1]) / 2.0);
     z[0] = 1.0;
-    for (int i = 1; i < l->p; i++)
+    for (long i = 1; i < l->p; i++)
         z[i] = z[l->parent[i]] * state[l->factor[i]];
     double total = 0.0;
-    for (int j = 0; j < l->n; j++) {
+    for (long j = 0; j < l->n; j++) {
         double c = 0.0;
-        for (int i = 0; i < l->p; i++)
+        for (long i = 0; i < l->p; i++)
             c += l->projector[j * l->p + i] * z[i];
         total += c * c;
     }
     return total;
 }
 
-static void run(const plant_t *q, const lifting_t *l, double alpha_hp, double alpha_lp,
-                const relay_t *e, double theta0, double x, double y, long steps, double *z,
-                double *measured, double *truth, double *r_out, double *theta_out)
+/* Fills the last four arrays, until y_out is not finite. */
+void run(const plant_t *q, const lifting_t *l, const detector_t *d, const relay_t *e, double theta0,
+         double x, double y, long steps, double *z, double *measured, double *truth, double *r_out,
+         double *theta_out)
 {
     double y_previous = 0.0, y_hp = 0.0, y_lp = 0.0, hp = 0.0, r_previous = 0.0, theta = theta0;
     double since_flip = 0.0;
@@ -89,10 +89,10 @@ static void run(const plant_t *q, const lifting_t *l, double alpha_hp, double al
         state[1] = y + i;
         double y_out = energy(l, state, z);
         if (!isfinite(y_out))
-            exit(3);
+            return;
         if (k > 0) {
-            y_hp = alpha_hp * y_hp + (1.0 - alpha_hp) * (y_out - y_previous);
-            y_lp = alpha_lp * y_lp + (1.0 - alpha_lp) * (y_hp * y_hp);
+            y_hp = d->alpha_hp * y_hp + (1.0 - d->alpha_hp) * (y_out - y_previous);
+            y_lp = d->alpha_lp * y_lp + (1.0 - d->alpha_lp) * (y_hp * y_hp);
             r = y_lp > 0.0 ? y_lp : 0.0;
             hp = e->alpha * hp + (1.0 - e->alpha) * (e->sense * (r - r_previous));
             since_flip += 1.0;
@@ -114,65 +114,4 @@ static void run(const plant_t *q, const lifting_t *l, double alpha_hp, double al
         theta_out[k] = theta;
         advance(q, k, &x, &y, theta);
     }
-}
-
-static double number(void)
-{
-    double value;
-    if (scanf("%lf", &value) != 1)
-        exit(2);
-    return value;
-}
-
-static double now(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-int main(void)
-{
-    long steps = (long)number(), rounds = (long)number(), every = (long)number();
-    double x = number(), y = number(), theta0 = number();
-    plant_t q;
-    double *fields = (double *)&q;
-    for (unsigned i = 0; i < sizeof q / sizeof(double); i++)
-        fields[i] = number();
-    double alpha_hp = number(), alpha_lp = number();
-    relay_t e = {number(), 0, 0, 0, 0, 0};
-    e.step_size = number();
-    e.dwell_samples = number();
-    e.theta_min = number();
-    e.theta_max = number();
-    e.sense = number();
-    lifting_t l;
-    l.lifted = (int)number();
-    l.p = (int)number();
-    l.n = (int)number();
-    l.parent = malloc(sizeof(long) * (size_t)l.p);
-    l.factor = malloc(sizeof(long) * (size_t)l.p);
-    l.projector = malloc(sizeof(double) * (size_t)(l.p * l.n));
-    for (int i = 0; i < l.p; i++)
-        l.parent[i] = (long)number();
-    for (int i = 0; i < l.p; i++)
-        l.factor[i] = (long)number();
-    for (int i = 0; i < l.p * l.n; i++)
-        l.projector[i] = number();
-    size_t size = sizeof(double) * (size_t)steps;
-    double *z = malloc(sizeof(double) * (size_t)l.p);
-    double *measured = malloc(2 * size), *truth = malloc(2 * size), *r = malloc(size),
-           *theta = malloc(size);
-    double best = HUGE_VAL;
-    for (long round = 0; round <= rounds; round++) {
-        double begin = now();
-        run(&q, &l, alpha_hp, alpha_lp, &e, theta0, x, y, steps, z, measured, truth, r, theta);
-        double spent = now() - begin;
-        if (round > 0 && spent < best)
-            best = spent;
-    }
-    printf("%.9g\n", best);
-    for (long k = 0; k < steps; k += every)
-        printf("%.17g\n", theta[k]);
-    return 0;
 }

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 from koop_bench.figures import BenchFigure, BenchSettings, figure_table, machine
@@ -21,9 +19,9 @@ BENCHMARKS = {  # memory first: this process does not share pages with the nodes
     "guard": "from a sample beyond its limit to the command on the way to safety, at 200 Hz",
     "fleet": "loops of 200 Hz that this machine holds, and what each costs",
     "record": "losses, cost and bytes of the recorder, and what a killed one lacks",
-    "start": "koop --help, a node from start to active, the stop of a demo, a whole demo",
-    "offline": "the offline loop beside C at -O2 and plain Python",
-    "identify": "identification beside NumPy, PyDMD and pykoop",
+    "start": "koop --help, a node from start to active, the end of a demo, a whole demo",
+    "offline": "the offline loop beside C at -O2",
+    "identify": "identification beside NumPy's least squares",
 }
 
 
@@ -45,10 +43,6 @@ def register(commands: Any) -> None:
     parser.add_argument(
         "--rounds", type=int, metavar="N", help="repetitions (default: the benchmark's own)"
     )
-    parser.add_argument(
-        "--python", type=Path, default=Path(sys.executable), metavar="FILE",
-        help="Python that has PyDMD and pykoop, for identify (default: this one)",
-    )  # fmt: skip
     parser.set_defaults(func=main)
 
 
@@ -63,7 +57,7 @@ def main(args: argparse.Namespace) -> int:
         raise InputError("--rounds must be positive")
     show = partial(print, flush=True)  # also into a pipe at once
     show(f"Measured by `koop bench {' '.join(args.names)}`".rstrip() + f" on {machine()}.")
-    settings = BenchSettings(args.duration, args.rounds, args.python, show)
+    settings = BenchSettings(args.duration, args.rounds, show)
     return 0 if run_benchmarks({name: load(name) for name in names}, settings) else 1
 
 

@@ -21,8 +21,6 @@ class BenchSettings:
     """Length of each measurement [s]; None: the benchmark's own."""
     rounds: int | None
     """Repetitions; None: the benchmark's own."""
-    python: Path
-    """Python that has PyDMD and pykoop."""
     show: Callable[[str], None]
     """Takes the lines that a benchmark prints as it goes on."""
 

@@ -1,11 +1,10 @@
-"""How long ``koop --help``, a node's start, a demo's stop and a whole demo take."""
+"""How long ``koop --help``, a node's start, a demo's end and a whole demo take."""
 
 from __future__ import annotations
 
 import itertools
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -21,13 +20,12 @@ from koop_bench.figures import BenchFigure, BenchSettings
 from koop_bench.memory import wait_until_active
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Monitor
-from koop_bringup.live.process import START_TIMEOUT, NodeProcess
+from koop_bringup.live.process import NodeProcess
 from koop_loop.parameters import COMPONENTS, make
 
 ROUNDS = 3
 DURATION = 2500.0  # [s] simulated, of the whole demo
 SHORT = 20.0  # [s] simulated
-RECORDED = 400  # steps after which a demo is stopped
 DEMO = [sys.executable, "-m", "koop_lab", "demo"]
 
 
@@ -52,7 +50,6 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
     )
     if entry.is_file():
         add("./koop --help", lambda: duration_of(entry, "--help"))
-        add("./koop demo --help", lambda: duration_of(entry, "demo", "--help"))
     with tempfile.TemporaryDirectory() as name:
         fresh = (Path(name) / str(number) for number in itertools.count())
         stop_at_end(next(fresh))  # compiles the kernels if they are not kept yet
@@ -60,7 +57,6 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
             start = partial(start_node, fresh, node)
             add(f"{node}, from start to its report of being active", start)
         add("a demo, from its last step to its last process", lambda: stop_at_end(next(fresh)))
-        add("a demo in real time, from Ctrl-C to its end", lambda: stop_early(next(fresh)))
         length = settings.duration or DURATION
         whole, loop = whole_demo(next(fresh), length)
     what = f"koop demo --duration {length:g}"
@@ -97,21 +93,6 @@ def stop_at_end(folder: Path) -> float:
     ended = time.time()
     with BagReader(folder / "bag") as bag:
         return ended - int(read_columns(bag, "/theta", ["publish_time"])["publish_time"][-1]) / 1e9
-
-
-def stop_early(folder: Path) -> float:
-    """Return the time that a demo in real time takes to end when it is stopped [s]."""
-    command = [*DEMO, "--pace", "realtime", "--duration", "60", "--out", str(folder)]
-    with Monitor("") as monitor:
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
-            monitor.wait_for(lambda: monitor.progress.step > RECORDED, START_TIMEOUT, "the demo")
-            begin = time.monotonic()
-        finally:
-            # as Ctrl-C, which a program that runs in the background ignores
-            process.send_signal(signal.SIGTERM)
-            process.wait()
-        return time.monotonic() - begin
 
 
 def whole_demo(folder: Path, duration: float) -> tuple[float, float]:
