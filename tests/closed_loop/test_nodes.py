@@ -74,14 +74,14 @@ def state_of(probe, node):
 class Ask:
     """Send one message and wait for the answer of the same step, however late it comes."""
 
-    def __init__(self, probe, in_type, in_topic, out_type, out_topic):
+    def __init__(self, probe, in_type, in_topic, out_type, out_topic, **fields):
         self.answers = probe.collect(out_type, out_topic)
         self.publisher = probe.publisher(in_type, in_topic)
-        self.in_type, self.probe = in_type, probe
+        self.in_type, self.probe, self.fields = in_type, probe, {"lockstep": True} | fields
 
     def __call__(self, step, **fields):
         before = len(self.answers)
-        self.publisher.publish(self.in_type(step=step, **{"lockstep": True} | fields))
+        self.publisher.publish(self.in_type(step=step, **self.fields | fields))
         self.probe.spin_until(lambda: len(self.answers) > before, f"the answer to step {step}")
         assert self.answers[-1].step == step
         return self.answers[-1]
@@ -109,7 +109,7 @@ def fresh_lifter(start, probe):
 @pytest.fixture(scope="module")
 def shared_esc(module_start, module_probe):
     module_start("relay_esc", "-r", "__ns:=/esc", dwell=0.0, step_size=0.01)
-    return Ask(module_probe, Cost, "/esc/cost", ControlInput, "/esc/theta")
+    return Ask(module_probe, Cost, "/esc/cost", ControlInput, "/esc/theta", dt=0.005)
 
 
 @pytest.fixture
@@ -303,7 +303,7 @@ def test_a_change_is_taken_whole_or_refused_whole_with_the_reason(tuned):
 
 
 def test_what_cannot_change_is_read_only(tuned):
-    refused = set_parameters(tuned, TUNED, dt=0.01)
+    refused = set_parameters(tuned, TUNED, law="adaptive")
     assert not refused.successful
     assert "read-only" in refused.reason
 
@@ -317,15 +317,15 @@ def test_limits_can_be_narrowed_past_the_first_theta_if_it_moves_too(tuned):
 
 
 def test_descriptors_carry_range_and_unit(tuned):
-    request = DescribeParameters.Request(names=["tau_f", "objective", "dt"])
-    tau_f, objective, dt = tuned.call(
+    request = DescribeParameters.Request(names=["tau_f", "objective", "law"])
+    tau_f, objective, law = tuned.call(
         DescribeParameters, "/tuned/relay_esc/describe_parameters", request
     ).descriptors
     assert tau_f.description.endswith("[s]")
     limits = tau_f.floating_point_range[0]
     assert (limits.from_value, limits.to_value) == (1e-3, 1e6)
     assert objective.additional_constraints == "one of minimise, maximise"
-    assert dt.read_only
+    assert law.read_only
     assert not tau_f.read_only
 
 
@@ -449,6 +449,28 @@ def test_the_controller_holds_on_a_cost_that_is_not_finite(esc):
     assert not primed.holding
     assert after.epsilon == moved[4].epsilon
     assert after.theta < primed.theta == moved[4].theta
+
+
+def test_the_sampling_time_is_that_of_the_costs(esc):
+    esc(0, r=1.0, dt=0.5)
+    rising = esc(1, r=2.0, dt=0.5)
+    assert rising.cost_rise_filtered == pytest.approx(1.0 - math.exp(-0.5 / 10.0))
+    joined = [esc(k, r=float(k), dt=1.0) for k in range(2, 14)]  # tau_f is 10 of these
+    assert [a.holding for a in joined] == [True] * 10 + [False] * 2
+    assert joined[0].cost_rise_filtered == 0.0
+    assert {a.theta for a in joined[:10]} == {rising.theta}
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.005, math.nan, 3.0])
+def test_the_controller_holds_on_a_cost_without_a_sampling_time(esc, dt):
+    esc(0, r=1.0)
+    moved = esc(1, r=0.9)
+    held = esc(2, r=0.8, dt=dt)
+    assert (held.holding, held.theta) == (True, moved.theta)
+    esc(3, r=0.7)
+    after = esc(4, r=0.6)
+    assert not after.holding
+    assert after.theta < moved.theta
 
 
 def test_hold_and_reset(esc, module_probe):

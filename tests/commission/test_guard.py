@@ -36,7 +36,7 @@ LOOP = {
         "cost": "raw", "dt": DT, "omega_h": 100.0, "omega_l": 20.0, "measured": RIG.measured,
     },
     "relay_esc": {
-        "dt": DT, "step_size": 0.004, "dwell": 0.2, "tau_f": 0.2, "theta_min": -1.0,
+        "step_size": 0.004, "dwell": 0.2, "tau_f": 0.2, "theta_min": -1.0,
         "theta_max": 0.9, "rate_limit": 4.0, "theta_initial": 0.5,
     },
     "koop_guard": {name: as_values(SLOW)[name] for name in SHARED},

@@ -55,7 +55,7 @@ CONSTANTS = {
         "cost": "raw", "dt": DT, "omega_h": 100.0, "omega_l": 20.0, "measured": ONE.measured,
     },
     "relay_esc": {
-        "law": "adaptive", "dt": DT, "step_size": 0.008, "step_ratio": 0.1, "dwell": 0.2,
+        "law": "adaptive", "step_size": 0.008, "step_ratio": 0.1, "dwell": 0.2,
         "tau_f": 0.2, "theta_min": -1.0, "theta_max": 2.0, "rate_limit": 4.0,
         "theta_initial": 1.5, "command": "/fast/knob:data",
     },

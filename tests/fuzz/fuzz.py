@@ -278,11 +278,16 @@ def _topics() -> dict[str, tuple[str, str, bytes]]:
     """Return the topics of a bag, each with a type of another kind and a message."""
     header = (("i", 1), ("I", 2), ("s", "a"))
     messages = {
-        "koop_msgs/msg/MeasuredState": cdr(*header, ("Q", 1), ("I", 2), ("d", 0.5), ("d", 2.0)),
+        "koop_msgs/msg/MeasuredState": cdr(
+            *header, ("Q", 1), ("?", 1), ("I", 2), ("d", 0.5), ("d", 2.0)
+        ),
         "sensor_msgs/msg/JointState": cdr(
             *header, ("I", 1), ("s", "joint"), ("I", 1), ("d", 1.0), ("I", 0), ("I", 0)
         ),
-        "koop_msgs/msg/Cost": cdr(*header, ("Q", 1), ("d", 1.0), ("d", 1.0), ("B", 1), ("s", "id")),
+        "koop_msgs/msg/Cost": cdr(
+            *header, ("Q", 1), ("?", 1), ("d", 0.01), ("d", 1.0), ("d", 1.0), ("B", 1), ("?", 0),
+            ("s", "id"),
+        ),
         "diagnostic_msgs/msg/DiagnosticArray": cdr(
             *header, ("I", 1), ("B", 0), *(("s", word) for word in "abc"),
             ("I", 1), ("s", "key"), ("s", "value"),

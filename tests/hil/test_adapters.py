@@ -99,7 +99,7 @@ def test_the_controller_also_speaks_what_the_rig_takes(start, probe, kind, field
     numbers = probe.collect(message, "/rig/theta")  # nobody listens to 'theta'
     cost = probe.publisher(Cost, "cost")
     for k in range(3):
-        cost.publish(Cost(step=k, r=1.0 - 0.1 * k))
+        cost.publish(Cost(step=k, r=1.0 - 0.1 * k, dt=0.005))
     probe.spin_until(lambda: len(numbers) == 3, "the numbers")
     (path,) = parse_source(f"/a:{field}").fields
     said = [read_field(path, number) for number in numbers]

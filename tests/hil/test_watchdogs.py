@@ -129,7 +129,7 @@ def test_the_controller_restarts_after_a_silence_without_turning(start, probe, r
 
     def send(steps, r):
         for k in steps:
-            cost.publish(Cost(step=k, r=r(k)))
+            cost.publish(Cost(step=k, r=r(k), dt=0.005))
         probe.spin_until(lambda: answers and answers[-1].step == steps[-1], "the answers")
 
     send(range(300), lambda k: 1.0 - 1e-4 * k)  # falls for longer than the dwell time
@@ -144,6 +144,21 @@ def test_the_controller_restarts_after_a_silence_without_turning(start, probe, r
     assert answers[-1].epsilon == -before.epsilon
 
 
+def test_a_controller_whose_costs_say_no_sampling_time_reports_it_and_joins_when_they_do(
+    start, probe, reports
+):
+    process = start("relay_esc")
+    answers = probe.collect(ControlInput, "theta")
+    cost = probe.publisher(Cost, "cost")
+    cost.publish(Cost(step=0, r=1.0))
+    reports.wait("/relay_esc", ERROR, "last step 0: r = nan, dt = 0.0 s")
+    for k in range(1, 5):
+        cost.publish(Cost(step=k, r=1.0, dt=0.005))
+    probe.spin_until(lambda: len(answers) == 5, "the answers")
+    assert [a.holding for a in answers] == [True] * 5
+    assert process.log.read_text().count("the costs are 0.005 s apart") == 1
+
+
 def test_a_reset_ramps_theta_back_at_the_rate_limit(start, probe):
     start("relay_esc", rate_limit=0.2, step_size=0.001, dwell=100.0)  # 0.001 a step
     answers = probe.collect(ControlInput, "theta")
@@ -151,7 +166,7 @@ def test_a_reset_ramps_theta_back_at_the_rate_limit(start, probe):
 
     def send(steps):
         for k in steps:
-            cost.publish(Cost(step=k, r=1.0))
+            cost.publish(Cost(step=k, r=1.0, dt=0.005))
         probe.spin_until(lambda: answers and answers[-1].step == steps[-1], "the answers")
 
     send(range(51))

@@ -254,7 +254,7 @@ def test_the_raw_cost_of_any_channels_needs_no_model_until_it_is_lifted(
 ):
     folder = tmp_path / "run"
     recorder = start("recorder", output=folder)
-    esc = {"dt": 0.01, "dwell": 0.05, "step_size": 0.01}
+    esc = {"dwell": 0.05, "step_size": 0.01}
     start("relay_esc", listeners="next recorder", **esc)
     options = {"cost": "raw", "dt": 0.01, "model": "/nowhere.npz"}
     lifter = start("koopman_lifter", listeners=LISTENERS, **options)

@@ -80,7 +80,6 @@ def test_both_ways_give_the_same_answer_to_another_cost(tmp_path, capfd):
     [
         ("relay_esc: {ros__parameters: {dwel: 2}}", "parameter 'dwel': did you mean 'dwell'?"),
         ("relay_esc: {ros__parameters: {dwell: -1}}", "relay_esc: dwell = -1: must be 0 to 1e+06"),
-        ("relay_esc: {ros__parameters: {dt: 0.01}}", "dt differs: lifter 0.005"),
         (["--model", "nowhere.npz"], "nowhere.npz: cannot be read"),
         (["--namespace", "/two"], "no koop_msgs/msg/MeasuredState on /two/state"),
     ],

@@ -124,10 +124,8 @@ def c_run(loop: TimedLoop, library: Path) -> Run:
     arrays = [np.ascontiguousarray(array) for array in lifting[:3]]
     described = CLifting(loop.lifter.source, p, rows, *(array.ctypes.data for array in arrays))
     # the structures of the source begin with the same numbers, in the same order
-    plant, detector, relay = (
-        (ctypes.c_double * len(numbers))(*map(float, numbers))
-        for numbers in (loop.plant.params(), loop.lifter.detector_params(), loop.esc.params())
-    )
+    parts = loop.plant.params(), loop.lifter.detector_params(), loop.esc.params(loop.plant.dt)
+    plant, detector, relay = ((ctypes.c_double * len(p))(*map(float, p)) for p in parts)
     start = (loop.esc.theta_initial, *initial_state(loop.plant))
     buffers = [np.empty(size) for size in (p, 2 * STEPS, 2 * STEPS, STEPS, STEPS)]
     function = ctypes.CDLL(str(library)).run

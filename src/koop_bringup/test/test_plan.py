@@ -44,9 +44,11 @@ def test_the_file_wins_over_defaults_and_only_a_given_argument_wins_over_the_fil
     planned = plan({**mine(), "record": "true", "seed": "3", "pace": "", "duration": ""})
     assert names(planned) == ["recorder", "relay_esc", "koopman_lifter", "vdp_plant"]
     options = planned.parameters
-    shared = {"dt": 0.005, "use_sim_time": False, "listeners": "next recorder"}
-    assert options["vdp_plant"] == {**shared, "pace": "lockstep", "duration": 20, "seed": 3}
-    assert options["koopman_lifter"] == {**shared, "cost": "raw"}
+    shared = {"use_sim_time": False, "listeners": "next recorder"}
+    assert options["vdp_plant"] == {
+        **shared, "dt": 0.005, "pace": "lockstep", "duration": 20, "seed": 3
+    }  # fmt: skip
+    assert options["koopman_lifter"] == {**shared, "dt": 0.005, "cost": "raw"}
     assert options["recorder"] == {
         "use_sim_time": False, "queue": 77
     }  # fmt: skip
@@ -138,8 +140,8 @@ def test_the_rig_s_own_program_is_started_where_the_file_names_one(mine):
 
 
 def test_one_dt_for_all_nodes(mine):
-    with pytest.raises(ConfigError, match=r"dt differs: relay_esc 0.005, koopman_lifter 0.01"):
-        plan(mine("koopman_lifter: {ros__parameters: {cost: raw, dt: 0.01}}"))
+    with pytest.raises(ConfigError, match=r"dt differs: koopman_lifter 0.01, vdp_plant 0.005 s"):
+        plan({**mine("koopman_lifter: {ros__parameters: {dt: 0.01}}"), "plant": "true"})
 
 
 def test_a_namespace_may_begin_with_an_underscore():
@@ -231,9 +233,7 @@ def test_sections_of_other_programs_are_not_minded(mine):
         "/**/driver: {ros__parameters: {gain: 1.0}}\n"
         "/**/koop_commander: {ros__parameters: {a: 1}}\n"
     )
-    assert plan({**mine(text + MINE)}).parameters["relay_esc"] == {
-        "dt": 0.005, "use_sim_time": False
-    }  # fmt: skip
+    assert plan({**mine(text + MINE)}).parameters["relay_esc"] == {"use_sim_time": False}
 
 
 def test_only_the_lifted_cost_needs_a_model_that_fits(mine):

@@ -117,7 +117,7 @@ def test_a_parameter_file_is_read_as_ros_reads_it(tmp_path):
     }
     file.write_text(yaml.safe_dump(content))
     parameters = make(read(file))
-    assert (parameters.plant.dt, parameters.lifter.dt, parameters.esc.dt) == (0.01,) * 3
+    assert (parameters.plant.dt, parameters.lifter.dt) == (0.01,) * 2
     assert parameters.lifter.omega_h == 5.0
     assert parameters.esc.dwell == 3.0
 

@@ -23,6 +23,7 @@ from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 
 classify = njit()(arrival.classify)
+timeout_of = njit()(arrival.timeout_of)
 
 
 class Controller(NamedTuple):
@@ -106,15 +107,14 @@ def control(
 
 
 @njit()
-def listen(
-    steps: NDArray[np.int64], timeout: float, dt: float, heard: Heard, arrivals: NDArray[np.int8]
-) -> Heard:
+def listen(steps: NDArray[np.int64], dt: float, heard: Heard, arrivals: NDArray[np.int8]) -> Heard:
     """Say of every message what a node's StreamMonitor would say.
 
     ``steps``, shape (M,), are in the order in which the messages came; ``arrivals``, shape (M,),
-    receives an :class:`koop_core.stream.arrival.Arrival` each. The stream resumes after a silence
-    of ``timeout`` [s]; ``dt`` [s] is the time between two steps. Returns the stream after.
+    receives an :class:`koop_core.stream.arrival.Arrival` each; ``dt`` [s] is the time between two
+    steps, 0 where no silence counts. Returns the stream after.
     """
+    timeout = timeout_of(dt)
     for i in range(steps.shape[0]):
         arrivals[i], heard = classify(heard, steps[i], timeout, dt)
     return heard

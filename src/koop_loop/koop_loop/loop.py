@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from koop_core.errors import InputError, KoopError
 from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import NOTHING, Arrival
-from koop_loop.kernel import Controller, LoopMemory, classify, control
+from koop_loop.kernel import Controller, LoopMemory, classify, control, timeout_of
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
@@ -86,9 +86,6 @@ class Exposure(NamedTuple):
         Control input that replaces the controller's.
     channels : ndarray of int, shape (n,)
         Components of the measured state that the lifter receives.
-    state_timeout, cost_timeout : float
-        Silence after which the state resumes for the lifter and the cost for the controller [s];
-        0: never.
     waves : Waves
         Of the plant, for as many steps as are known beforehand.
     """
@@ -98,8 +95,6 @@ class Exposure(NamedTuple):
     displaced: NDArray[np.float64]
     schedule: NDArray[np.float64]
     channels: NDArray[np.int64]
-    state_timeout: float
-    cost_timeout: float
     waves: Waves
 
 
@@ -128,7 +123,7 @@ def run_kernel(
     detector, relay = memory
     applied = relay.output
     now_r, now_theta = 0.0, relay.output
-    states_heard = costs_heard = NOTHING
+    heard, timeout = NOTHING, timeout_of(plant.dt)
     if exposure is not None:
         owner = np.empty(exposure.channels.shape[0])
         received = borrowed(owner)
@@ -153,17 +148,12 @@ def run_kernel(
                 state[0] += exposure.added[k, 0]
                 state[1] += exposure.added[k, 1]
             if exposure.lost.shape[0] == 0 or not exposure.lost[k]:
-                state_arrival, states_heard = classify(
-                    states_heard, k, exposure.state_timeout, plant.dt
-                )
-                cost_arrival, costs_heard = classify(
-                    costs_heard, k, exposure.cost_timeout, plant.dt
-                )
+                arrival, heard = classify(heard, k, timeout, plant.dt)
                 for i in range(exposure.channels.shape[0]):
                     received[i] = state[exposure.channels[i]]
                 now_r, detector, relay = control(
                     source, lifting, detector_params, relay_params, detector, relay,
-                    state_arrival, cost_arrival, False, False, k, received, work,
+                    arrival, arrival, False, False, k, received, work,
                 )  # fmt: skip
                 now_theta = relay.output
             if exposure.schedule.shape[0] > 0:
@@ -183,7 +173,7 @@ def run_kernel(
 def controller(lifter: LifterConfig, esc: EscConfig, model: KoopmanModel | None) -> Controller:
     """Return the kernel's parameters of lifter and controller."""
     lifting = model.lifting() if model is not None else cost.no_lifting()
-    return Controller(lifter.source, lifting, lifter.detector_params(), esc.params())
+    return Controller(lifter.source, lifting, lifter.detector_params(), esc.params(lifter.dt))
 
 
 def initial_state(plant: PlantConfig) -> tuple[float, float]:
@@ -254,8 +244,8 @@ def check_fit(
 
     ``channels`` is how many of the plant's two states the lifter is given.
     """
-    if not plant.dt == lifter.dt == esc.dt:
-        raise InputError(f"dt differs: plant {plant.dt}, lifter {lifter.dt}, esc {esc.dt} s")
+    if plant.dt != lifter.dt:
+        raise InputError(f"dt differs: plant {plant.dt}, lifter {lifter.dt} s")
     if plant.theta_initial != esc.theta_initial:
         raise InputError(
             f"theta_initial differs: plant {plant.theta_initial}, esc {esc.theta_initial}"

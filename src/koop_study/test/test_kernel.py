@@ -100,7 +100,7 @@ def test_what_follows_on_lost_states_is_told_by_the_timeouts_as_in_the_nodes() -
     states, costs = StreamMonitor("state", 0.5, 0.005), StreamMonitor("cost", 0.5, 0.005)
     detector, relay_state = cost.initial(), case.esc.initial()
     work = cost.workspace(cost.no_lifting())
-    params = case.lifter.detector_params(), case.esc.params()
+    params = case.lifter.detector_params(), case.esc.params(case.plant.dt)
     for k in np.flatnonzero(~lost).tolist():
         x = np.array(dynamics.measure(case.plant.params(), k, *trace.ground_truth[k]))
         arrivals = [int(monitor.hear(k, 0.0, 0.0)) for monitor in (states, costs)]

@@ -136,14 +136,14 @@ def closed(rig, esc, steps=20_000, drift=0.0, start=0.0):
     detector = LifterConfig(omega_h=10.0, omega_l=0.7, dt=DT).detector_params()
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
     draws = np.random.default_rng(1).random(1021)
-    run(rig, detector, esc.params(), esc.initial(), steps, drift, start, draws, u, power)
+    run(rig, detector, esc.params(DT), esc.initial(), steps, drift, start, draws, u, power)
     return u, power
 
 
 def esc_config(**changes):
     settings = {
         "step_size": 5e-4, "dwell": 4.5, "tau_f": 2.0, "theta_min": 0.0, "theta_max": 1.0,
-        "theta_initial": 0.0, "rate_limit": 1.0, "epsilon_initial": -1, "dt": DT,
+        "theta_initial": 0.0, "rate_limit": 1.0, "epsilon_initial": -1,
     }  # fmt: skip
     return EscConfig(**(settings | changes))
 

@@ -9,7 +9,7 @@ from surrogate_rigs import DT, make_surrogate, make_task
 
 from koop_core.stream.arrival import Arrival
 from koop_tune.rig_model.surrogate import BLOCKS
-from koop_tune.search.run import Outcome, judge_run, make_esc, make_lifter, slow_down, try_out
+from koop_tune.search.run import Outcome, judge_run, make_esc, make_lifter, try_out
 from koop_tune.search.search import (
     SEARCHED,
     Trial,
@@ -162,13 +162,13 @@ def test_a_coarse_run_comes_to_what_a_fine_one_does():
 def test_a_slowed_controller_does_with_one_sample_what_the_other_does_with_all():
     task = make_task(valley)
     esc = replace(make_esc(task, replace(list_anchors(task)[0], law="relay"), 0.2), rate_limit=0.0)
-    slow = slow_down(esc, 5, 0.01)
+    slow = replace(esc, step_size=5 * esc.step_size)
 
     def last(config, every, count):
-        params, state = config.params(), config.initial()
+        params, state = config.params(every * task.dt), config.initial()
         for k in range(count):
             arrival = Arrival.RESTART if k == 0 else Arrival.NEXT
-            r = valley(0.004 * k * every * esc.dt)  # a cost that falls, then rises
+            r = valley(0.004 * k * every * task.dt)  # a cost that falls, then rises
             state, _, _ = relay.answer(params, state, arrival, False, False, float(r), False)
         return state.output
 

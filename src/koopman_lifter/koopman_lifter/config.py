@@ -9,7 +9,7 @@ from pathlib import Path
 
 from koop_core.config.fields import Source, parse_source
 from koop_core.config.parameter import parameter, validate
-from koop_core.stream.arrival import timeout_of
+from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT
 from koopman_lifter.cost import LIFTED, RAW, DetectorParams, detector_params
 
 SOURCES = {"raw": RAW, "lifted": LIFTED}
@@ -45,8 +45,9 @@ class LifterConfig:
         low=0.0,
     )
     dt: float = parameter(
-        0.005, "sampling time of the state", unit="s", low=1e-6, high=1.0, read_only=True
-    )
+        0.005, "sampling time of the state", unit="s", low=SHORTEST_DT, high=LONGEST_DT,
+        read_only=True,
+    )  # fmt: skip
 
     measured: str = parameter(
         "",
@@ -65,14 +66,6 @@ class LifterConfig:
     def rig_source(self) -> Source | None:
         """Where the state comes from if not from the topic 'state'."""
         return parse_source(self.measured) if self.measured else None
-
-    @property
-    def timeout(self) -> float:
-        """Age at which the state is stale [s].
-
-        After such a silence the detector takes no difference to the state before it.
-        """
-        return timeout_of(self.dt)
 
     @property
     def source(self) -> int:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from koop_core.config.fields import Source, check_fields
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
-from koop_core.stream.arrival import Arrival
+from koop_core.stream.arrival import Arrival, timeout_of
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.adapter import StateAdapter
 from koop_node.node.entities import Writer
@@ -88,8 +88,9 @@ class LifterRun(Run):
         self._use(load_for(config, node.parameters[ModelConfig], self._seen))
         self._state = cost.initial()
         self._answer = codec(Cost).new()
+        self._answer.dt = config.dt
         self._topic = "state" if source is None else source.topic
-        self._input = StreamMonitor(self._topic, config.timeout, config.dt, may_end=True)
+        self._input = StreamMonitor(self._topic, timeout_of(config.dt), config.dt, may_end=True)
         self.inputs = (self._input,)
         self._publisher: Writer | None = None
 

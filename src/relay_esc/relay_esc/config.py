@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError, parameter, validate
-from koop_core.stream.arrival import timeout_of
 from relay_esc.elementary import log
 from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
 from relay_esc.swing import SWING
@@ -86,9 +85,6 @@ class EscConfig:
         "none",
         read_only=True,
     )
-    dt: float = parameter(
-        0.005, "sampling time of the cost", unit="s", low=1e-6, high=1.0, read_only=True
-    )
 
     def __post_init__(self) -> None:
         validate(self)
@@ -112,36 +108,24 @@ class EscConfig:
         if self.epsilon_initial == 0:
             raise ConfigError("epsilon_initial = 0: must be 1 or -1")
 
-    @property
-    def timeout(self) -> float:
-        """Age at which the cost is stale [s].
-
-        After such a silence filter and dwell time are reset.
-        """
-        return timeout_of(self.dt)
-
-    @property
-    def largest_change(self) -> float:
-        """Largest change of theta, or of its logarithm, in one step; infinite without a limit."""
-        return self.rate_limit * self.dt if self.rate_limit > 0.0 else math.inf
-
     def scaled(self, theta: float) -> float:
         """Return u of a theta: theta itself, or its logarithm."""
         return log(theta) if self.theta_scale == "log" else theta
 
-    def params(self) -> RelayParams:
-        """Return the values that ``relay_esc.relay.step`` takes."""
+    def params(self, dt: float) -> RelayParams:
+        """Return the values that ``relay_esc.relay.step`` takes at a sampling time [s]."""
+        largest_change = self.rate_limit * dt if self.rate_limit > 0.0 else math.inf
         return RelayParams(
-            math.exp(-self.dt / self.tau_f),
-            min(self.step_size, self.largest_change),
-            dwell_samples(self.dwell, self.dt),
+            math.exp(-dt / self.tau_f),
+            min(self.step_size, largest_change),
+            dwell_samples(self.dwell, dt),
             self.scaled(self.theta_min),
             self.scaled(self.theta_max),
             1.0 if self.objective == "minimise" else -1.0,
-            self.largest_change,
-            dwell_samples(max(self.dwell, self.tau_f), self.dt),
+            largest_change,
+            dwell_samples(max(self.dwell, self.tau_f), dt),
             self.law == "adaptive",
-            math.exp(-self.dt / (SWING.level_time * max(self.dwell, self.dt))),
+            math.exp(-dt / (SWING.level_time * max(self.dwell, dt))),
             self.step_ratio,
             self.lost,
             self.theta_scale == "log",

@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from koop_core.config.fields import Source, check_fields, parse_source, write_field
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
-from koop_core.stream.arrival import Arrival
+from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT, Arrival, timeout_of
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.entities import Writer
 from koop_node.node.graph import Listeners, listeners_of, subscribers_of
@@ -33,11 +33,11 @@ class EscRun(Run):
     def __init__(self, node: EscNode, entities: Entities) -> None:
         config = node.parameters[EscConfig]
         self._node = node
-        self._params = config.params()
         self._state = config.initial()
         self._answer = codec(ControlInput).new()
         self._answer.theta = self._state.output
-        self._input = StreamMonitor("cost", config.timeout, config.dt, may_end=True)
+        self._input = StreamMonitor("cost", timeout_of(LONGEST_DT), LONGEST_DT, may_end=True)
+        self._params = config.params(LONGEST_DT)  # until a cost says which dt it has
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
         self._hold_asked = False
@@ -86,8 +86,7 @@ class EscRun(Run):
         self._publisher = self._command = None
 
     def parameters_changed(self, names: set[str]) -> None:
-        config = self._node.parameters[EscConfig]
-        self._params = config.params()
+        self._params = self._node.parameters[EscConfig].params(self._input.dt)
 
     def samples(self) -> int:
         return self._input.count
@@ -111,11 +110,13 @@ class EscRun(Run):
         if relay.outside(self._params, self._state):
             return WARN, "theta is outside its limits", values
         if self._state.since_flip < 0:
-            wait = -self._state.since_flip * self._node.parameters[EscConfig].dt
+            wait = -self._state.since_flip * self._input.dt
             return WARN, f"joined a run: holding theta, seeking in {wait:.1f} s", values
         return (WARN, "holding theta", values) if answer.holding else (OK, "seeking", values)
 
     def _on_cost(self, cost: Any, written: float) -> None:
+        if cost.dt != self._input.dt:
+            self._take_dt(cost)
         arrival = self._input.hear_message(cost, time.monotonic(), written)
         if arrival >= Arrival.LATE or self._publisher is None:
             return
@@ -128,6 +129,17 @@ class EscRun(Run):
             write_field(self._field, self._own, self._answer.theta)
         self._command.publish(self._answer if self._own is None else self._own)
 
+    def _take_dt(self, cost: Any) -> None:
+        """Begin again at another sampling time; a cost whose own cannot be used has no r."""
+        if not SHORTEST_DT <= cost.dt <= LONGEST_DT:
+            cost.r, cost.settling = math.nan, False
+            return
+        self._input.follow(cost.dt)
+        self._params = self._node.parameters[EscConfig].params(cost.dt)
+        self._node.get_logger().info(
+            f"the costs are {cost.dt:g} s apart", throttle_duration_sec=1.0
+        )
+
     def _process(self, cost: Any, arrival: Arrival) -> None:
         origin = (cost.source, cost.model_id)
         switched, self._origin = origin != self._origin, origin
@@ -137,7 +149,7 @@ class EscRun(Run):
             self._hold_asked,
         )  # fmt: skip
         if not (math.isfinite(cost.r) or cost.settling):
-            self._input.reject(f"step {cost.step}: r = {cost.r}")
+            self._input.reject(f"step {cost.step}: r = {cost.r}, dt = {cost.dt} s")
         state = self._state
         answer.header = cost.header
         answer.step = cost.step

@@ -15,12 +15,12 @@ LAG = 3.0  # time constant of the detector behind the map [s]
 
 
 def config(**values):
-    options = {"law": "adaptive", "dt": DT, "step_size": DT / 15.0, "dwell": 10.0, "tau_f": 3.0}
+    options = {"law": "adaptive", "step_size": DT / 15.0, "dwell": 10.0, "tau_f": 3.0}
     return EscConfig(**{**options, **values})
 
 
 def answer(esc, state, r, arrival=Arrival.NEXT, *, switched=False, settling=False, hold=False):
-    return relay.answer(esc.params(), state, int(arrival), switched, settling, r, hold)
+    return relay.answer(esc.params(DT), state, int(arrival), switched, settling, r, hold)
 
 
 def seek(esc, seconds, optimum, noise=0.1, scale=1.0, sign=1.0, ripple=0.0, seed=1):
@@ -32,7 +32,7 @@ def seek(esc, seconds, optimum, noise=0.1, scale=1.0, sign=1.0, ripple=0.0, seed
     """
     steps = round(seconds / DT)
     disturbance = np.random.default_rng(seed).normal(0.0, noise, steps)
-    p, state, level = esc.params(), esc.initial(), 1.0
+    p, state, level = esc.params(DT), esc.initial(), 1.0
     theta, factor = np.empty(steps), np.empty(steps)
     for k in range(steps):
         error = theta[k - 1] - optimum(k * DT) if k else 0.0
@@ -95,7 +95,7 @@ def test_a_ripple_of_the_cost_as_long_as_two_legs_does_not_stop_it():
 @pytest.mark.parametrize(("second", "turns"), [(30.0, False), (300.0, True)])
 def test_a_wide_leg_turns_at_a_burst_only_if_it_is_large_beside_the_one_before(law, second, turns):
     esc = config(law=law)
-    p, state, r = esc.params(), esc.initial(), 1.0
+    p, state, r = esc.params(DT), esc.initial(), 1.0
     for k in range(130):  # of the first burst a fortieth is left when the second comes
         r = r * math.exp(-DT / LAG) + {10: 1000.0, 120: second}.get(k, 0.0)
         arrival = int(Arrival.NEXT if k else Arrival.RESTART)
@@ -122,7 +122,7 @@ def test_maximising_is_minimising_the_inverse():
 def arrived(esc=None):
     """Return a state that has arrived, with a narrow swing."""
     esc = esc or config()
-    p, state, rng = esc.params(), esc.initial(), np.random.default_rng(3)
+    p, state, rng = esc.params(DT), esc.initial(), np.random.default_rng(3)
     for k in range(9000):
         r = (1.0 + 4.0 * (state.output + 3.0) ** 2) * math.exp(0.05 * rng.normal())
         arrival = int(Arrival.NEXT if k else Arrival.RESTART)
@@ -133,7 +133,7 @@ def arrived(esc=None):
 
 def test_noise_alone_does_not_carry_a_narrow_swing_away_from_where_it_arrived():
     esc, begin, away = config(), arrived(), []
-    p = esc.params()
+    p = esc.params(DT)
     for seed in range(4):
         state, level, rng = begin, 0.0, np.random.default_rng(seed)
         for noise in rng.normal(0.0, 0.1, 20_000):
@@ -197,20 +197,20 @@ def test_a_reset_opens_the_swing_at_the_initial_theta():
 
 def test_confidence_is_lost_with_the_level():
     esc, state = config(), arrived()
-    _, noise, before = relay.insight(esc.params(), state)
+    _, noise, before = relay.insight(esc.params(DT), state)
     assert 0.0 < noise < 0.5
     assert before > 0.5
-    p = esc.params()
+    p = esc.params(DT)
     for _ in range(1000):
         state, _, _ = answer(esc, state, 1e6 * (1.1 + math.sin(state.since_flip)))
     assert relay.insight(p, state)[2] == 0.0
-    unknown = relay.insight(EscConfig().params(), EscConfig().initial())[1:]
+    unknown = relay.insight(EscConfig().params(DT), EscConfig().initial())[1:]
     assert all(math.isnan(v) for v in unknown)
 
 
 def test_the_gradient_is_that_of_the_map():
     esc = config(step_ratio=1.0)
-    p, state = esc.params(), esc.initial()
+    p, state = esc.params(DT), esc.initial()
     for k in range(300):  # far from the optimum, without a lag: ln r = 0.7 theta
         arrival = int(Arrival.NEXT if k else Arrival.RESTART)
         state, _, _ = relay.answer(p, state, arrival, False, False, math.exp(0.7 * state.u), False)

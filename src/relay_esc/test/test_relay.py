@@ -11,12 +11,14 @@ from koop_core.stream.arrival import Arrival
 from relay_esc import relay
 from relay_esc.config import EscConfig
 
+DT = 0.005  # [s]
 
-def run(config: EscConfig, costs, state=None):
+
+def run(config: EscConfig, costs, state=None, dt=DT):
     state = state or config.initial()
     states = []
     for r in costs:
-        state = relay.step(config.params(), state, float(r))
+        state = relay.step(config.params(dt), state, float(r))
         states.append(state)
     return states
 
@@ -34,10 +36,8 @@ def test_a_hand_computed_sequence():
     8       0.90625, dwell 1 < 2                1            +1       0
     8       0.453125, dwell 2: flip             2 -> 0       -1       1
     """
-    config = EscConfig(
-        dt=1.0, tau_f=1.0 / math.log(2.0), step_size=1.0, dwell=2.0, theta_initial=0.0
-    )
-    states = run(config, [4, 6, 6, 4, 4, 8, 8, 8])
+    config = EscConfig(tau_f=1.0 / math.log(2.0), step_size=1.0, dwell=2.0, theta_initial=0.0)
+    states = run(config, [4, 6, 6, 4, 4, 8, 8, 8], dt=1.0)
     assert [s.u for s in states] == [0, -1, 0, 1, 2, 1, 0, 1]
     assert [s.epsilon for s in states] == [1, 1, -1, -1, -1, 1, 1, -1]
     np.testing.assert_allclose(
@@ -50,7 +50,7 @@ def test_a_hand_computed_sequence():
 def test_the_filter_is_scipy_s():
     config = EscConfig()
     r = np.random.default_rng(1).normal(size=500).cumsum()
-    alpha = config.params().alpha
+    alpha = config.params(DT).alpha
     expected = lfilter([1 - alpha, -(1 - alpha)], [1, -alpha], r - r[0])
     np.testing.assert_allclose(
         [s.cost_rise_filtered for s in run(config, r)], expected, rtol=1e-9, atol=1e-12
@@ -98,9 +98,9 @@ def test_a_jump_of_the_cost_during_a_hold_causes_no_flip():
 
 def test_the_compiled_kernel_is_the_python_function():
     config = EscConfig()
-    state = relay.step(config.params(), config.initial(), 3.0)
-    assert relay.step(config.params(), state, 4.0) == relay.step.py_func(
-        config.params(), state, 4.0
+    state = relay.step(config.params(DT), config.initial(), 3.0)
+    assert relay.step(config.params(DT), state, 4.0) == relay.step.py_func(
+        config.params(DT), state, 4.0
     )
 
 
@@ -119,8 +119,10 @@ def test_a_bad_value_is_refused_with_the_reason(values, message):
         EscConfig(**values)
 
 
-def answer(config, state, r, arrival=Arrival.NEXT, *, switched=False, settling=False, hold=False):
-    return relay.answer(config.params(), state, int(arrival), switched, settling, r, hold)
+def answer(
+    config, state, r, arrival=Arrival.NEXT, *, switched=False, settling=False, hold=False, dt=DT
+):
+    return relay.answer(config.params(dt), state, int(arrival), switched, settling, r, hold)
 
 
 def same(state, **changes):
@@ -134,7 +136,7 @@ def test_an_answer_is_held_or_the_next_step_or_the_first():
     for r in (3.0, 2.5, 2.2):
         state, holding, _ = answer(config, state, r)
         assert not holding
-    moved = same(relay.step(config.params(), state, 9.0))
+    moved = same(relay.step(config.params(DT), state, 9.0))
     assert answer(config, state, 9.0)[:2] == (same(moved), False)
     assert answer(config, state, 9.0, hold=True)[:2] == (relay.hold(state), True)
     assert answer(config, state, math.nan)[:2] == (relay.hold(state), True)
@@ -156,14 +158,14 @@ def test_after_a_reset_filter_the_dwell_time_guards_what_has_not_settled():
 
 
 def test_a_controller_that_joins_holds_theta_while_its_filter_settles_and_then_dwells():
-    config = EscConfig(dwell=2.0, tau_f=3.0, dt=0.1)
+    config = EscConfig(dwell=2.0, tau_f=3.0)
     r = np.random.default_rng(7).normal(size=60).cumsum() + 0.2 * np.arange(60)
     state, held = config.initial(), []
     for k in range(60):
         arrival = Arrival.NEXT if k else Arrival.JOIN
         # neither a cost that is unusable nor a hold of the user's begins the wait again
         cost = math.nan if k == 5 else r[k]
-        state, holding, _ = answer(config, state, cost, arrival, hold=k == 9)
+        state, holding, _ = answer(config, state, cost, arrival, hold=k == 9, dt=0.1)
         held.append(holding)
         if k == 4:
             b = math.exp(-0.1 / 3.0)
@@ -245,8 +247,8 @@ def test_a_dwell_time_of_n_samples_is_n_samples():
 
 
 def test_holding_keeps_the_dwell_time_that_has_passed():
-    config = EscConfig(dt=1.0, dwell=3.0, step_size=1.0)
-    (*_, state) = run(config, [1.0, 2.0])  # one sample of the dwell time, the cost rises
+    config = EscConfig(dwell=3.0, step_size=1.0)
+    (*_, state) = run(config, [1.0, 2.0], dt=1.0)  # one sample of the dwell time, the cost rises
     state = relay.hold(relay.hold(state))
-    (_, waiting, flipped) = run(config, [3.0, 4.0, 5.0], state)
+    (_, waiting, flipped) = run(config, [3.0, 4.0, 5.0], state, 1.0)
     assert (waiting.epsilon, flipped.epsilon) == (1, -1)

@@ -30,6 +30,7 @@ class Arrival(IntEnum):
 
 
 SILENCE, SHORTEST = 20, 0.5  # samples; [s]
+SHORTEST_DT, LONGEST_DT = 1e-6, 1.0  # [s] sampling times of a loop
 
 
 def timeout_of(dt: float) -> float:

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from koop_core.stream.age import AgeMeter
-from koop_core.stream.arrival import NOTHING, WINDOW, Arrival, classify
+from koop_core.stream.arrival import NOTHING, WINDOW, Arrival, classify, timeout_of
 from koop_core.stream.report import ERROR, OK, STALE, WARN, Finding
 
 
@@ -105,6 +105,10 @@ class StreamMonitor:
                 self.restarts += last >= 0
             self._paused = False
         return arrival
+
+    def follow(self, dt: float) -> None:
+        """Take the stream for one of another sampling time [s], which follows on nothing."""
+        self.dt, self.timeout, self._stream = dt, timeout_of(dt), NOTHING
 
     def pause(self) -> None:
         """Stop listening, as an inactive node does: steps until the next message are not missed."""

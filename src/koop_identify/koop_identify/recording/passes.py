@@ -71,6 +71,6 @@ def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
     if step.size and not 0 <= step.min() <= step.max() < MAX_STEP:
         raise InputError("a step is not a count: the recording is damaged")
     kinds = np.empty(step.size, np.int8)
-    listen(step, 0.0, 0.0, NOTHING, kinds)
+    listen(step, 0.0, NOTHING, kinds)
     begins = (kinds == Arrival.RESTART) | (kinds == Arrival.JOIN)
     return kinds, np.cumsum(begins) * MAX_STEP + step

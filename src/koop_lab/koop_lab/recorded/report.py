@@ -250,7 +250,7 @@ def costs_of(run: RecordedRun, model: Path | None = None) -> dict[str, NDArray[n
         dt=signals.dt,
         measured="",
     )
-    esc, held = EscConfig(dt=signals.dt), np.ones(signals.step.size, np.bool_)
+    esc, held = EscConfig(), np.ones(signals.step.size, np.bool_)
     x = np.ascontiguousarray(signals.x)
     r, _ = OfflineLoop(esc).answer(lifter, esc, fitting, signals.step, x, held)
     return {f"r under {fitting.model_id}" if fitting is not None else "raw r": r, **costs}

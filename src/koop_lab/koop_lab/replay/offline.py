@@ -132,10 +132,10 @@ class OfflineLoop:
         origin = (lifter.source, model.model_id if model is not None else "")
         switched, self._origin = origin != self._origin, origin
         states = np.empty(step.size, np.int8)
-        self._states = listen(step, lifter.timeout, lifter.dt, self._states, states)
+        self._states = listen(step, lifter.dt, self._states, states)
         answered = states != Arrival.LATE
         arrivals = np.empty(np.count_nonzero(answered), np.int8)
-        self._costs = listen(step[answered], esc.timeout, esc.dt, self._costs, arrivals)
+        self._costs = listen(step[answered], lifter.dt, self._costs, arrivals)
         costs = np.full_like(states, Arrival.LATE)
         costs[answered] = arrivals
         r, theta = np.empty(step.size), np.empty(step.size)

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from koop_core.config.parameter import ConfigError
 from koop_identify.recording.recorded_parameters import (
     CONTROLLER,
     Models,
@@ -184,7 +183,5 @@ def _segments(
             used = {**used, change.node: {**used[change.node], **change.values}}
         loop = parameters.make(used)
         loop.load_model()
-        if loop.lifter.dt != loop.esc.dt:
-            raise ConfigError(f"dt differs: lifter {loop.lifter.dt}, controller {loop.esc.dt} s")
         segments.append(ReplaySegment(begin, end, loop, tuple(at[begin])))
     return tuple(segments)

@@ -190,7 +190,7 @@ def with_defaults(rig: Rig, rate: float, noises: list[RunNoise]) -> Row:
     limit = rate * (p.theta_max - p.theta_min) / rig.time
     esc = EscConfig(
         theta_min=p.theta_min, theta_max=p.theta_max, theta_initial=rig.theta_initial,
-        rate_limit=limit, dt=p.dt, objective=rig.objective,
+        rate_limit=limit, objective=rig.objective,
     )  # fmt: skip
     controller = RigController(LifterConfig(dt=p.dt), esc)
     runs = [close_from_end(rig, controller, end, noises[end], rig.seed + end * OTHER)

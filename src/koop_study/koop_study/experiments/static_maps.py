@@ -13,7 +13,7 @@ from koop_study.workers.units import Unit
 from koop_view.report.document import Column, Figure, Panel, Section, Series, Table
 from vdp_plant.config import PlantConfig
 
-SHARED = ("esc.dt", "esc.theta_initial")  # must be the plant's
+SHARED = "esc.theta_initial"  # must be the plant's
 COLUMNS = (
     Column("map", "map"),
     Column("convexity", "convexity [%]", ".0f"),
@@ -33,7 +33,7 @@ class StaticMapsConfig:
 
     def __post_init__(self) -> None:
         for name in [name for some in (self.settings, *self.costs.values()) for name in some]:
-            if name == "duration" or (name.startswith("esc.") and name not in SHARED):
+            if name == "duration" or (name.startswith("esc.") and name != SHARED):
                 raise ConfigError(f"{name}: has no effect on a static map, nor has the controller")
 
     def maps(self) -> list[tuple[str, float, dict[str, Any]]]:

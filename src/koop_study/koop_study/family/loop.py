@@ -128,7 +128,7 @@ def close(rig: Rig, controller: RigController, noise: RunNoise, seed: int) -> Cl
     x, theta = np.empty((steps, rig.channels)), np.empty(steps)
     _close(
         exposed(p), source, lifting, cost.workspace(lifting), controller.lifter.detector_params(),
-        esc.params(), esc.initial(), rig.initial(seed), noise.numbers, power, excess, x, theta,
+        esc.params(p.dt), esc.initial(), rig.initial(seed), noise.numbers, power, excess, x, theta,
     )  # fmt: skip
     ratio = math.sqrt(float(power[FAMILY.blocks // 2 :].mean())) / noise.best
     inside = np.flatnonzero(excess <= math.log(FAMILY.good))

@@ -56,7 +56,6 @@ def expose(
     seed: int,
     schedule: NDArray[np.float64] | None = None,
     channels: NDArray[np.int64] = BOTH,
-    timeouts: tuple[float, float] = (0.0, 0.0),
 ) -> Exposure:
     """Draw the disturbances of one run.
 
@@ -74,8 +73,6 @@ def expose(
         Control input for an open-loop run.
     channels : ndarray of int, shape (n,)
         Components of the measured state that the lifter receives.
-    timeouts : tuple of float
-        Silence after which the state, and the cost, resume [s].
     """
     rng = np.random.default_rng([seed, 1])
     t = np.arange(steps, dtype=np.float64) * plant.dt
@@ -96,7 +93,6 @@ def expose(
         displacement(config, steps, plant.dt),
         np.empty(0) if schedule is None else schedule,
         channels,
-        *timeouts,
         kept_waves(plant.params(), steps),
     )
 
@@ -137,9 +133,8 @@ def run(case: Case, schedule: NDArray[np.float64] | None = None) -> Trace:
     model = model_of(case)
     lifter = lifter_of(case, model)
     exposure = expose(
-        case.scenario, case.plant, case.steps, case.plant.seed, schedule, case.sensing.indices,
-        (lifter.timeout, case.esc.timeout),
-    )  # fmt: skip
+        case.scenario, case.plant, case.steps, case.plant.seed, schedule, case.sensing.indices
+    )
     t = np.arange(case.steps, dtype=np.float64) * case.plant.dt
     try:
         done = simulate(case.plant, lifter, case.esc, model, case.steps, exposure)

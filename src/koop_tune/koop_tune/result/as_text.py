@@ -146,7 +146,6 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
         + (" over theta_max: the rate of log theta" if logarithmic else ""),
         "objective": OF_RIG,
         "theta_initial": "theta_safe of the rig file: from there the guard lets it command",
-        "dt": OF_RIG,
     }  # fmt: skip
     esc = make_esc(tuning.task, c, rig.theta_safe)
     parameters: Parameters = {name: (getattr(esc, name), why) for name, why in reasons.items()}

@@ -136,23 +136,6 @@ def make_esc(task: Task, c: Constants, theta: float) -> EscConfig:
         objective="minimise" if task.sense > 0.0 else "maximise",
         theta_initial=theta,
         epsilon_initial=1,
-        dt=task.dt,
-    )
-
-
-def slow_down(esc: EscConfig, every: int, dt: float) -> EscConfig:
-    """Return a controller that needs only one of ``every`` samples for the same motion of theta.
-
-    Its unit of time is one in which its time step is ``dt``, which a controller may have.
-    """
-    unit = dt / (every * esc.dt)
-    return replace(
-        esc,
-        step_size=esc.step_size * every,
-        dwell=esc.dwell * unit,
-        tau_f=esc.tau_f * unit,
-        rate_limit=esc.rate_limit / unit,
-        dt=dt,
     )
 
 
@@ -186,13 +169,13 @@ def try_out(task: Task, c: Constants, number: int, seed: int, fine: bool = True)
     esc = replace(make_esc(task, c, theta), epsilon_initial=1 if end else -1)
     detector = make_lifter(task, c).detector_params()
     if s.coarse:
-        esc = slow_down(esc, every, task.settings.coarse_dt)
+        esc = replace(esc, step_size=esc.step_size * every)  # the same motion of theta
         detector = cost.detector_params(c.omega_h, c.omega_l, s.dt)._replace(alpha_hp=0.0)
     u, power = np.empty(BLOCKS), np.empty(BLOCKS)
     surrogate.run(
         s,
         detector,
-        esc.params(),
+        esc.params(s.dt),
         esc.initial(),
         steps,
         drift,

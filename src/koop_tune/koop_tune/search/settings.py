@@ -57,7 +57,6 @@ class SearchSettings:
     top: int = studied(12, "constants of the last coarse round", low=1)
     fine: int = studied(3, "constants that are run sample by sample", low=1)
     fine_runs: int = studied(12, "runs of each of these", low=1)
-    coarse_dt: float = parameter(0.01, "time step in blocks", unit="s", low=1e-6, high=1.0)
     convergence: Convergence = CONVERGENCE
 
     def __post_init__(self) -> None:
