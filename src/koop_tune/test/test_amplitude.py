@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from koop_tune.excitation.amplitude import (
     AMPLITUDE,
@@ -106,6 +107,31 @@ def test_the_background_is_subtracted_and_the_floor_is_what_of_it_is_not_known()
     assert np.all(np.abs(squares - exact) < 3.0 * (chance + AMPLITUDE.doubt * share))
     assert amplitude.log(squares)[0] == pytest.approx(np.log(amplitude.floor), abs=0.7)
     assert amplitude.log(np.array([-1.0]))[0] == pytest.approx(np.log(amplitude.floor))
+
+
+def test_a_line_in_the_skirt_of_a_noise_driven_oscillation_is_left_out():
+    # x_k = 2 rho cos(w) x_{k-1} - rho^2 x_{k-2} + e_k has a skirt that reaches everywhere
+    rng, size = np.random.default_rng(5), np.array([1.0, 0.3, 0.1, 0.05, 0.03])
+    rho, w = np.exp(-2 * np.pi * 0.3 * DT), 2 * np.pi * 5.0 * DT
+    t = np.arange(COUNT * LENGTH) * DT
+    holds = []
+    for a in size:
+        x = lfilter([1.0], [1.0, -2.0 * rho * np.cos(w), rho**2], rng.normal(size=t.size))
+        line = 0.1 * np.sin(2 * np.pi * 9.0 * t)
+        holds.append(WINDOWS.powers((a * x / x.std() + line)[:, None]))
+    assert levels(choose_amplitude(WINDOWS, holds), holds) == pytest.approx(size, rel=0.15)
+
+
+def test_the_background_is_that_of_holds_that_are_known():
+    # all groups react; the least of short holds alike is less than the background by chance
+    rng, floor = np.random.default_rng(6), 0.1
+    powers = [
+        rng.chisquare(2, (count, 1, WINDOWS.frequency.size)) / 2 * level
+        for level, count in [(1.0, 200), (floor, 200), *[(floor, 10)] * 12]
+    ]
+    amplitude = choose_amplitude(WINDOWS, powers)
+    background = amplitude.background / float(amplitude.weight.sum())
+    assert 0.7 * floor < background < 1.3 * floor
 
 
 def test_two_modes_that_trade_off_are_both_in_and_named_with_their_shares():

@@ -50,10 +50,12 @@ class Loaded:
     def after(self, first: int) -> Loaded:
         """Return the recording from a sample on."""
         theta = None if self.theta is None else self.theta[first:]
+        begins = self.begins[first:].copy()
+        begins[:1] = True
         return replace(
             self,
             x=self.x[:, first:],
-            begins=self.begins[first:],
+            begins=begins,
             theta=theta,
             time=self.time[first:],
         )

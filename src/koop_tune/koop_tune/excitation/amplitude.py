@@ -45,6 +45,9 @@ class AmplitudeSettings:
     slow: float = studied(
         0.1, "share of the power at the lowest frequencies that is left out", low=0.0
     )
+    skirt: float = studied(
+        0.05, "power over the channel's strongest group, where it is largest, left out", low=0.0
+    )
     minor: float = parameter(0.02, "share of the power of a mode that is named", low=0.0, high=1.0)
 
     def __post_init__(self) -> None:
@@ -262,7 +265,10 @@ def choose_amplitude(
     level = np.log(mean)
     reacts = (level - doubt).max(axis=0) - (level + doubt).min(axis=0) > settings.change
     reacts[:, : settings.lowest] = False  # a window has too little of a slow interference
-    background = _background(windows, mean, reacts, settings)
+    most = (mean * (1.0 + error)).min(axis=0)  # of a background; a short hold tells little
+    density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
+    reacts &= _is_part(mean, reacts, settings.skirt)
+    background = _background(windows, density, most, reacts, settings)
     motion = np.maximum(mean - background, 0.0)
     size = (motion * reacts).sum(axis=2).max(axis=0)
     hides = (background * reacts).sum(axis=1)
@@ -284,21 +290,29 @@ def whole_amplitude(windows: Windows, powers: Array) -> Amplitude:
     return Amplitude(windows, weight, 0.0, math.sqrt(TINY))
 
 
+def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np.bool_]:
+    """Return whether groups are more than the skirt of a line where they have most, (n, G)."""
+    strongest = (mean * reacts).max(axis=2, keepdims=True)
+    share = mean / np.maximum(strongest, 1e-300)
+    return np.asarray(np.take_along_axis(share, mean.argmax(axis=0)[None], axis=0)[0] > skirt)
+
+
 def _background(
-    windows: Windows, mean: Array, reacts: NDArray[np.bool_], settings: AmplitudeSettings
-) -> Array:
+    windows: Windows, density: Array, most: Array, reacts: NDArray[np.bool_],
+    settings: AmplitudeSettings,
+) -> Array:  # fmt: skip
     """Return F, shape (n, G): the density of the quietest of the quiet groups beside.
 
     Not of most of them: lines of interference are quiet groups too, and reach over several.
     """
     width = np.diff(np.array(windows.edges))
-    density, result = mean.mean(axis=0) / width, np.zeros(reacts.shape)
+    result = np.zeros(reacts.shape)
     for c, g in zip(*np.nonzero(reacts), strict=True):
         quiet = np.flatnonzero(~reacts[c])
         sides = (quiet[quiet < g][-settings.beside :], quiet[quiet > g][: settings.beside])
         levels = [float(density[c, side].min()) for side in sides if side.size]
         result[c, g] = min([*levels, math.inf]) * width[g] if levels else 0.0
-    return np.asarray(np.minimum(result, mean.min(axis=0)))
+    return np.asarray(np.minimum(result, most))
 
 
 def bridge_gaps(x: Array) -> Array:

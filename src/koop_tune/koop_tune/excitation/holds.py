@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,7 @@ class Hold:
         self.confirms = False
         self._parts = [x]
         self._known: tuple[Windows, Array] | None = None
+        self._level: tuple[Amplitude, int, Level] | None = None
 
     @property
     def x(self) -> Array:
@@ -81,8 +82,11 @@ class Hold:
         return powers[powers.shape[0] // 2 :]
 
     def level(self, amplitude: Amplitude, wander: float = 0.0) -> Level:
-        """Return its level; see :func:`find_level`."""
-        return find_level(amplitude, amplitude.squares(self.powers(amplitude.windows)), wander)
+        """Return its level; ``wander`` is what other holds showed of it: a short one sees less."""
+        if self._level is None or self._level[0] is not amplitude or self._level[1] != self.size:
+            squares = amplitude.squares(self.powers(amplitude.windows))
+            self._level = amplitude, self.size, find_level(amplitude, squares)
+        return self._level[2].at_least(wander)
 
 
 @dataclass(frozen=True)
@@ -95,24 +99,35 @@ class Level:
         Logarithm of the amplitude, and its standard error.
     skip, count : int
         Windows in which the rig settled, and all.
-    settled : bool
-        Whether it has.
     rise : float
         Logarithm of the level over the first window: above 0 where the oscillation grew.
-    wander : float
-        error^2 times the windows that count: the larger, the slower the amplitude comes and goes.
+    trend : float
+        The same of the second half of the windows that count over the first half.
     """
 
     mean: float
     error: float
     skip: int
     count: int
-    settled: bool
     rise: float
-    wander: float
+    trend: float
+
+    @property
+    def wander(self) -> float:
+        """error^2 times the windows that count: larger, the slower the amplitude wanders."""
+        return self.error**2 * (self.count - self.skip)
+
+    @property
+    def settled(self) -> bool:
+        """Whether the rig has settled."""
+        return self.skip < self.count // 2 and abs(self.trend) < max(TREND * self.error, SLIGHT)
+
+    def at_least(self, wander: float) -> Level:
+        """Return the level with an error that such a wander explains."""
+        return replace(self, error=math.sqrt(max(self.wander, wander) / (self.count - self.skip)))
 
 
-def find_level(amplitude: Amplitude, squares: Array, wander: float = 0.0) -> Level:
+def find_level(amplitude: Amplitude, squares: Array) -> Level:
     """Return the level of the windows of one hold.
 
     Parameters
@@ -121,25 +136,16 @@ def find_level(amplitude: Amplitude, squares: Array, wander: float = 0.0) -> Lev
         What is summed.
     squares : ndarray, shape (W,)
         A^2 in each window; W at least 2.
-    wander : float
-        What other holds showed of it: a short hold does not see how slowly it comes and goes.
     """
     logs = amplitude.log(squares)
     most = squares.size // 2
     skip = int(np.argmin(_marginal_error(logs, most)))
     mean, error = mean_level(squares[skip:], amplitude.floor)
-    count = squares.size - skip
-    own = error * error * count
-    error = math.sqrt(max(own, wander) / count)
-    half = squares.size - count // 2
+    half = squares.size - (squares.size - skip) // 2
     late, early = (
         mean_level(part, amplitude.floor)[0] for part in (squares[half:], squares[skip:half])
     )
-    trend = late - early
-    return Level(
-        mean, error, skip, squares.size, skip < most and abs(trend) < max(TREND * error, SLIGHT),
-        mean - float(logs[0]), own,
-    )  # fmt: skip
+    return Level(mean, error, skip, squares.size, mean - float(logs[0]), late - early)
 
 
 def _marginal_error(values: Array, most: int) -> Array:

@@ -163,7 +163,7 @@ def _split(u: NDArray[np.float64], moved: NDArray[np.bool_], same: float) -> lis
     """Return where rests begin and end; a way that is slower than what counts as rest is none."""
     bounds = [0, *(np.flatnonzero(moved) + 1).tolist(), u.size]
     slow = [a + np.flatnonzero(np.diff(u[a:b]) != 0.0) + 1 for a, b in pairwise(bounds)
-            if b > a and np.ptp(u[a:b]) > same]  # fmt: skip
+            if b > a + 1 and np.ptp(u[a:b]) > same]  # fmt: skip
     return sorted({*bounds, *(int(k) for part in slow for k in part)})
 
 
