@@ -22,6 +22,7 @@ from koop_study.family.loop import (
     noise_of,
 )
 from koop_study.family.rig import Rig, draw
+from koop_tune.excitation.design import TIME
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
@@ -81,7 +82,7 @@ def commission_plant(
     after = rig.later(recorded.elapsed)  # while theta was moved the optimum moved too
     loops = _Loops(after, seed, round(duration * rig.time / rig.params.dt))
     try:
-        if not recorded.design.ended:
+        if recorded.design.ended in ("", TIME):
             raise NoOptimum("time", "the time was over before the map was known")
         found = commissioned(rig, file, recorded, loops, seed, effort, row)
         row |= {"verdict": "tuned", "why": found.why, "doubt": found.findings.doubt,
