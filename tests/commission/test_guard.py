@@ -88,7 +88,7 @@ FAULTS = {
 }
 REASONS = {
     "spike": ("channel beyond its limit", "data[0] = 99 is beyond its limit 8"),
-    "not finite": ("channel not finite", "data[0] on /fast is not a number for 1.0 s"),
+    "not finite": ("channel not finite", "data[0] on /fast is not a finite number"),
     "stuck": ("channel stuck", "data[1] = 0.5 has not changed for"),
     "silent": ("rig silent", "no message on /fast for 1.0 s"),
 }

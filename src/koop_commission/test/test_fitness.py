@@ -152,7 +152,7 @@ def test_arrivals_are_judged_by_losses_interval_and_rate(rhythm, pace, level, te
         ({"low": -9.0}, BAD, "beyond its limit -4"),
         ({"held": 0.6}, BAD, "x rests at one value for 60 % of the time: stuck"),
         ({"held": 0.2}, NOTE, "rests at one value for 20 % of the time"),
-        ({"bad": 0.01}, NOTE, "1 % are not numbers"),
+        ({"bad": 0.01}, BAD, "1 % of x are not finite: the guard trips at the first"),
         ({"saturated": 0.1}, NOTE, "saturated for 10 % of the time"),
         ({"quantum": 0.2}, NOTE, "resolution 0.2; coarse"),
         ({"quantum": 0.1}, OK, "resolution 0.1"),

@@ -153,11 +153,11 @@ class SafetySettings:
         origin="one message that is late by a whole period loses no speed",
     )  # fmt: skip
     silent_periods: float = parameter(
-        20.0, "periods without a usable message after which the rig is silent", low=2.0,
+        20.0, "periods without a message after which the rig is silent", low=2.0,
         origin=_JUDGED,
     )  # fmt: skip
     silent: float = parameter(
-        1.0, "shortest time without a usable message after which the rig is silent", unit="s",
+        1.0, "shortest time without a message after which the rig is silent", unit="s",
         low=0.1, origin=_JUDGED,
     )  # fmt: skip
     calm: float = parameter(
@@ -169,12 +169,20 @@ class SafetySettings:
         origin="less than one false alarm in a year at 1 kHz",
     )  # fmt: skip
     stuck_memory: float = parameter(
-        1000.0, "samples over which the share of repeated values is known", low=10.0,
+        1000.0, "samples over which the share of repeated values and the noise are known", low=10.0,
         origin=_JUDGED,
+    )  # fmt: skip
+    stuck_recent: float = parameter(
+        25.0, "samples over which the recent motion of a channel is known", low=1.0,
+        origin="simulated: an oscillation that dies away by 1/e in a period did not trip",
     )  # fmt: skip
     stuck_steps: float = parameter(
         3.0, "steps of its resolution by which a channel must have moved to be stuck now", low=1.0,
         origin=_JUDGED,
+    )  # fmt: skip
+    stuck_noise: float = parameter(
+        2.5, "mean third difference of a noisy channel that moves less, in steps", low=2.0,
+        origin="simulated: at most 2.4 of any oscillation with noise below 0.5 steps",
     )  # fmt: skip
     tick: float = parameter(
         0.02, "time between two commands where no message asks for one", unit="s", low=1e-3,
@@ -205,7 +213,7 @@ class SafetySettings:
         validate(self)
 
     def silence(self, period: float) -> float:
-        """Return the time without a usable message after which a rig is silent [s].
+        """Return the time without a message after which a rig is silent [s].
 
         ``period`` is the time between two messages on the same clock [s].
         """

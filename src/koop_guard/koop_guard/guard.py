@@ -79,38 +79,70 @@ class RepeatMeter:
     """How often a channel repeats its value, and whether it does so for too long.
 
     Where a share p of the samples repeats the one before, n in a row do so by chance with
-    probability p^n. The share is known from the changes only: a run that lasts does not excuse
-    itself. A channel that moved by few steps of its resolution before may rest below it.
+    probability p^n. All is known from the changes only: a run that lasts does not excuse itself.
+
+    Nor is a channel stuck that rests: its motion has died away below its resolution. That is
+    excluded in two ways. An oscillation takes its time to die away: a channel that has just moved
+    by several steps about its recent mean does not rest. And noise does not die away: third
+    differences, which hardly pass an oscillation of 8 samples or more, say how much of what moved
+    the channel by few steps was noise; noise of more than 0.6 steps changes two samples in five.
+
+    Parameters
+    ----------
+    settings : SafetySettings
+        What counts as chance, rest and noise.
+
+    Attributes
+    ----------
+    run : int
+        Repetitions in a row until now.
     """
 
     def __init__(self, settings: SafetySettings = SAFETY) -> None:
         self._settings = settings
-        self._share, self._last = NEVER_STUCK, math.nan
-        self._mean = self._spread = 0.0
+        self._share = self._recent_share = NEVER_STUCK
+        self._last, self._before = math.nan, (math.nan, math.nan, math.nan)
+        self._mean = self._spread = self._noise = self._differences = 0.0
         self._resolution = math.inf
         self.run = 0
 
     def hear(self, value: float) -> None:
         """Take the next value."""
+        a, b, c = self._before
+        self._before = (b, c, value)
+        if not math.isnan(a):
+            self._differences += abs(value - 3.0 * c + 3.0 * b - a)
         if value == self._last:
             self.run += 1
             return
-        weight = (self.run + 1) / (self._settings.stuck_memory + self.run + 1)
-        self._share += weight * (self.run / (self.run + 1) - self._share)
+        samples = self.run + 1
+        weight = samples / (self._settings.stuck_memory + samples)
+        recent = samples / (self._settings.stuck_recent + samples)
+        self._share += weight * (self.run / samples - self._share)
+        self._recent_share += recent * (self.run / samples - self._recent_share)
         if math.isnan(self._last):
             self._mean = value
         else:
-            self._resolution = min(self._resolution, abs(value - self._last))
-            self._mean += weight * (self._last - self._mean)
-            self._spread += weight * (abs(self._last - self._mean) - self._spread)
+            if (step := abs(value - self._last)) < self._resolution:
+                self._resolution, self._noise = step, 0.0  # it was judged by too large a step
+            self._mean += recent * (self._last - self._mean)
+            self._spread += recent * (abs(self._last - self._mean) - self._spread)
+            if not self._moves:
+                self._noise += weight * (self._differences / samples - self._noise)
+        self._differences = 0.0
         self.run, self._last = 0, value
+
+    @property
+    def _moves(self) -> bool:
+        return self._spread >= self._settings.stuck_steps * self._resolution
 
     @property
     def longest(self) -> float:
         """Repetitions in a row that neither chance nor rest explains."""
-        if self._spread < self._settings.stuck_steps * self._resolution < math.inf:
+        noisy = self._noise >= self._settings.stuck_noise * self._resolution
+        if self._resolution < math.inf and not (self._moves or noisy):
             return math.inf
-        share = max(self._share, 1.0 / self._settings.stuck_memory)
+        share = max(self._share, self._recent_share, 1.0 / self._settings.stuck_memory)
         return math.log(self._settings.stuck_chance) / math.log(share)
 
 
@@ -150,7 +182,7 @@ class Guard:
         self.x: tuple[float, ...] = ()
         self._repeats = [RepeatMeter(settings) for _ in config.names]
         self._moved = math.inf
-        self._arrived = self._usable = self._answered = self._old = -math.inf
+        self._arrived = self._answered = self._old = -math.inf
         self._saturated = self._calm = math.inf
         self._causes: dict[Cause, tuple[str, float]] = {}
 
@@ -173,12 +205,11 @@ class Guard:
     def hear_state(self, x: Sequence[float], now: float) -> None:
         """Judge a sample of the rig."""
         self._arrived, self.x = now, tuple(x)
-        if self._usable == -math.inf:
-            self._usable = now
         config = self._config
-        if not all(map(math.isfinite, x)):
-            return  # hear_time judges for how long
-        self._usable = now
+        names = [n for n, value in zip(config.names, x, strict=False) if not math.isfinite(value)]
+        if names:
+            text = f"{', '.join(names)} on {config.source.topic} is not a finite number"
+            return self.note(Cause.NOT_FINITE, text, now)
         if violation := describe_violation(config, x):
             self.note(Cause.BEYOND, violation, now)
         for name, value, meter in zip(config.names, x, self._repeats, strict=False):
@@ -212,13 +243,6 @@ class Guard:
         topic = self._config.source.topic
         if self._arrived > -math.inf and (age := now - self._arrived) > self._silence:
             self.note(Cause.RIG_SILENT, f"no message on {topic} for {age:.1f} s", now)
-        elif self._usable > -math.inf and (age := now - self._usable) > self._silence:
-            names = [
-                name for name, value in zip(self._config.names, self.x, strict=False)
-                if not math.isfinite(value)
-            ]  # fmt: skip
-            text = f"{', '.join(names)} on {topic} is not a number for {age:.1f} s"
-            self.note(Cause.NOT_FINITE, text, now)
         heard = now - self._arrived < 0.5 * self._silence  # without a state there is no answer
         if heard and self._answered > -math.inf and (age := now - self._answered) > self._silence:
             if now - self._old < self._silence:

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,6 +19,7 @@ CONFIG = GuardConfig(
     theta_rate=4.0, theta_start=1.5, theta_safe=0.5, channel_min=(-3.0, -9.0),
     channel_max=(3.0, 9.0),
 )  # fmt: skip
+CONFIG_1 = GuardConfig(measured="/rig:x", command="/rig/theta:data", dt=DT)
 SILENCE = SAFETY.silence(DT)
 CALM = SAFETY.calm
 
@@ -99,7 +101,8 @@ def test_only_a_rearm_lets_the_controller_command_again(events):
     [
         ({"x": lambda k: 3.5}, DT, Cause.BEYOND, "x = 3.5 is beyond its limit 3"),
         ({"x": lambda k: -3.5}, DT, Cause.BEYOND, "x = -3.5 is beyond its limit -3"),
-        ({"x": lambda k: math.nan}, SILENCE, Cause.NOT_FINITE, "x on /rig is not a number for 1.0"),
+        ({"x": lambda k: math.nan}, DT, Cause.NOT_FINITE, "x on /rig is not a finite number"),
+        ({"x": lambda k: math.inf}, DT, Cause.NOT_FINITE, "x on /rig is not a finite number"),
         ({"x": lambda k: 0.25}, SILENCE, Cause.STUCK, "x = 0.25 has not changed for 2"),
         ({"x": None}, SILENCE, Cause.RIG_SILENT, "no message on /rig for 1.0 s"),
         ({"asked": None}, SILENCE, Cause.SILENT, "the controller is silent for 1.0 s"),
@@ -128,7 +131,7 @@ def test_nothing_is_commanded_before_the_controller_answers_and_short_gaps_do_no
     assert loop.run(5.0, asked=None).status is Status.WAITING
     assert set(loop.thetas) == {1.5}
     loop.run(1.0)
-    for fault in ({"x": None}, {"asked": None}, {"x": lambda k: math.nan}, {"old": True}):
+    for fault in ({"x": None}, {"asked": None}, {"old": True}):
         loop.run(0.9 * SILENCE, **fault)
         assert loop.run(0.5).status is Status.FOLLOWING
         assert loop.guard.theta == 1.0
@@ -196,8 +199,6 @@ def test_automatic_rearms_are_counted_and_their_pause_doubles():
 
 
 def test_how_long_a_channel_may_repeat_follows_from_how_often_it_does():
-    import numpy as np
-
     rng = np.random.default_rng(0)
     for resolution, low, high in ((1e-9, 3.0, 6.0), (0.2, 8.0, 20.0)):
         meter, longest = RepeatMeter(), 0
@@ -205,17 +206,57 @@ def test_how_long_a_channel_may_repeat_follows_from_how_often_it_does():
             meter.hear(value)
             longest = max(longest, meter.run)
             assert meter.run <= meter.longest
-        # the chance that two samples round alike is 0 and about 0.2 / (2 sqrt(pi)) = 0.056
+        # the chance that two samples round alike is 0 and about 0.2 / (2 sqrt(pi)) = 0.056; the
+        # share of the last 25 samples may be twice that
         assert low <= meter.longest <= high
 
 
-def test_an_oscillation_that_dies_away_below_the_resolution_is_not_stuck():
-    loop = Loop()
+def trips(values):
+    """Return whether a channel of a rig with these values, in steps, is found stuck."""
+    guard = Guard(CONFIG_1, 0.0)
+    for k, value in enumerate(np.round(values).tolist()):
+        guard.hear_state((value,), k * DT)
+        if guard.reason:
+            assert guard.trip.cause is Cause.STUCK
+            return True
+    return False
 
-    def damped(k):
-        return round(2.0 * math.exp(-k / 2000.0) * math.sin(0.3 * k) / 0.01) * 0.01
 
-    assert loop.run(120.0, x=damped).status is Status.FOLLOWING
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("period", [10, 23.7, 100, 400])
+@pytest.mark.parametrize("fade", [3.0, 30.0])
+def test_an_oscillation_that_dies_away_below_the_resolution_is_not_stuck(noise, period, fade):
+    """Failed before: what fell from 100 steps within 1000 samples was stuck at rest."""
+    rng = np.random.default_rng(int(1e3 * noise + period))
+    for size in (2.0, 30.0, 1000.0):
+        k = np.arange(3000 + round(fade * period * 8.0) + 1000)
+        amplitude = size * np.exp(-np.maximum(k - 3000, 0) / (fade * period))
+        x = amplitude * np.sin(2.0 * np.pi * k / period) + rng.uniform(-0.5, 0.5)
+        assert not trips(x + noise * rng.normal(size=k.size))
+
+
+@pytest.mark.parametrize(
+    ("size", "noise", "found"),
+    [
+        (0.0, 0.7, True),  # noise alone moves it: it cannot rest
+        (1.0, 0.7, True),
+        (3.0, 1.0, True),
+        (30.0, 0.0, True),  # it cannot have come to rest at once
+        (30.0, 0.3, True),
+        (1.0, 0.0, False),  # these two may have died away
+        (2.0, 0.2, False),
+    ],
+)
+def test_a_channel_is_stuck_if_neither_chance_nor_rest_explains_that_it_is_still(
+    size, noise, found
+):
+    """Failed before: what had moved by less than 3 steps was never stuck, however noisy."""
+    rng = np.random.default_rng(3)
+    for period in (10.3, 25.0, 60.0):
+        k = np.arange(5000)
+        x = size * np.sin(2.0 * np.pi * k / period) + 0.2 + noise * rng.normal(size=k.size)
+        assert not trips(x)
+        assert trips(np.append(x, np.full(3000, x[-1]))) is found
 
 
 @pytest.mark.parametrize(

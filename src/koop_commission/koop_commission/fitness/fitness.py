@@ -99,6 +99,9 @@ def judge_channel(
     span = f"{name} {summary.low:.4g} to {summary.high:.4g}"
     if summary.bad == 1.0:
         return Finding(BAD, "channel", f"{name} is never a number: dead sensor, or another field")
+    if summary.bad:
+        text = f"{100 * summary.bad:.2g} % of {name} are not finite: the guard trips at the first"
+        return Finding(BAD, "channel", text)
     if summary.dead:
         return Finding(BAD, "channel", f"{name} is always {summary.low:g}: dead sensor")
     if summary.low < low or summary.high > high:
@@ -112,8 +115,6 @@ def judge_channel(
     if summary.quantum:
         text += f", resolution {summary.quantum:.3g}"
     notes = []
-    if summary.bad:
-        notes.append(f"{100 * summary.bad:.2g} % are not numbers")
     if summary.held > settings.stuck / 5.0:
         notes.append(rests)
     if summary.saturated:
