@@ -2,12 +2,15 @@
 
 import os
 import re
+import shlex
 import signal
+import struct
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 from chromium import Chromium
@@ -166,12 +169,18 @@ ENDS = {
 
 
 @pytest.mark.parametrize("end", ENDS)
-def test_theta_is_at_theta_safe_whatever_ends_the_loop(up, fast_rig, end):
+def test_theta_is_at_theta_safe_whatever_ends_the_loop(up, fast_rig, end, tmp_path):
     process, nodes = up()
     action, code = ENDS[end]
     action(process, nodes)
     home(fast_rig)
     assert process.wait(LONG) == code
+    if code >= 0:
+        # failed before for a guard that was killed: the recorder ended before its twin was done
+        assert "theta is left at 1; theta_safe = 1" in process.stderr.read()
+        with BagReader(tmp_path / "run" / "bag") as bag:
+            *_, last = bag.messages(["/fast/knob"])
+        assert struct.unpack("<d", last.data[4:]) == (SAFE,)
     wait(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values()), "the nodes")
 
 
@@ -185,6 +194,36 @@ def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, tmp_p
     os.kill(nodes["lifter"], signal.SIGKILL)
     home(fast_rig)
     assert process.wait(LONG) == 2
+
+
+@pytest.mark.parametrize(
+    ("code", "expected", "said"),
+    [
+        ("", 0, "theta is left at 1; theta_safe = 1"),
+        ("0", 0, "the rig's program has ended and hears no command: theta is as it left it"),
+        ("3", 2, "the rig's program has ended and hears no command: theta is as it left it"),
+    ],
+)
+def test_a_rigs_program_hears_theta_return_before_it_is_ended(
+    koop, own_domain, tmp_path, code, expected, said
+):
+    heard, end = tmp_path / "heard", tmp_path / "end"
+    words = [sys.executable, Path(__file__).with_name("rig_program.py"), heard, end]
+    values = {**LOOP, "rig": {"command": shlex.join(map(str, words))}}
+    file = tmp_path / "loop.yaml"
+    parameter_file.write(values, file)
+    file.write_text(file.read_text().replace("/**/", "/"))
+    process = koop("up", file, "--out", "run")
+    theta = lambda: float((heard.exists() and heard.read_text()) or "nan")  # noqa: E731
+    wait(lambda: theta() < 0.7, "the controller to move theta", process, LONG)
+    if code:
+        (tmp_path / "part").write_text(code)
+        (tmp_path / "part").rename(end)
+    else:
+        process.send_signal(signal.SIGINT)
+    assert process.wait(LONG) == expected
+    assert (theta() == SAFE) == (not code)
+    assert said in process.stderr.read()
 
 
 @pytest.mark.parametrize("victim", ["esc", "guard"])

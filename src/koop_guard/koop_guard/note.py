@@ -7,6 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
+THETA_LEFT = "theta is left at"  # begins the last words of guard and twin
+
 
 class ThetaRange(Protocol):
     """What of a rig bounds the note."""

@@ -18,6 +18,7 @@ from koop_bringup.live.turns import take_turns
 from koop_bringup.plan import return_time
 from koop_core.config import parameter_file
 from koop_core.errors import LiveError
+from koop_guard.note import THETA_LEFT
 from koop_loop.ending import Ending, ending
 from koop_loop.parameters import COMPONENTS, EXECUTABLES, LoopParameters
 from koop_node.client.alone import TOPICS, alone
@@ -73,6 +74,8 @@ class LiveNodes:
         self._in_turn = False
         """Whether the nodes work one after the other."""
         self._nodes: dict[str, NodeProcess] = {}
+        self._theta_left = ""
+        """Where theta of the rig is, once the guard has ended."""
         self._stack = ExitStack()
 
     def __enter__(self) -> LiveNodes:
@@ -112,10 +115,30 @@ class LiveNodes:
         The guard comes first: theta returns while all else works. SIGINT tells it that the end is
         an orderly one.
         """
-        if "koop_guard" in self._nodes:
-            timeout = return_time(self._values) + STOP_TIMEOUT
-            self._nodes["koop_guard"].stop(to_guard, timeout)
+        self._end_guard(to_guard)
         return {node: process.stop() for node, process in reversed(self._nodes.items())}
+
+    @uninterrupted()
+    def _end_guard(self, number: int) -> None:
+        """Stop the guard, wait for its twin, and say where theta is."""
+        guard = self._nodes.get("koop_guard")
+        if guard is None or self._theta_left:
+            return
+        rig = self._nodes.get("rig")
+        gone = rig is not None and rig.poll() is not None
+        timeout = return_time(self._values) + STOP_TIMEOUT
+        guard.stop(number, timeout)
+        if guard.outlived(timeout):
+            text = f"the guard's twin has not returned theta after {timeout:.0f} s"
+        elif gone:
+            text = "the rig's program has ended and hears no command: theta is as it left it"
+        else:
+            lines = [line for line in guard.last_lines(20).splitlines() if THETA_LEFT in line]
+            killed = "guard and twin have ended: theta is where they left it"
+            silent = killed if guard.poll() else "theta was not commanded"
+            text = lines[-1].rpartition("]: ")[2] if lines else silent
+        self._theta_left = text
+        self._note(text)
 
     def run(self, on_progress: Callable[[Progress], None]) -> None:
         """Wait until the plant has done its steps, then stop the other nodes.
@@ -183,6 +206,7 @@ class LiveNodes:
             if end is Ending.DONE:
                 return True
             if end is Ending.FAILED:
+                self._end_guard(signal.SIGTERM)  # the recorder still works
                 raise process.failure()
             self.lost.append(node)
             self._note(f"{process.failure()}\nthe loop goes on without it")

@@ -19,7 +19,7 @@ from koop_core.stream.monitor import StreamMonitor
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard, Status
 from koop_guard.node.twin import Twin
-from koop_guard.node.wire import Command, Return, return_to_safe
+from koop_guard.node.wire import Command, Return, describe_theta, return_to_safe
 from koop_guard.note import find_theta, leave
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
@@ -130,6 +130,8 @@ class GuardRun(Run):
         if self._commands:
             leave(self._config.note, guard.theta, self._ids)
         self._announce()
+        if self._commands:
+            self._node.get_logger().info(describe_theta(guard, self._config))
         if self._twin is not None:
             self._twin.release(guard.theta)
         if self._controller is not None:

@@ -138,7 +138,7 @@ def _has_ended(guard_id: int, shared: SharedTheta) -> bool:
 
 def _take_over(client: Any, order: dict[str, Any], theta: float, last: tuple[int, float]) -> None:
     """Return theta to theta_safe, as long as the rig is there."""
-    from koop_guard.node.wire import Command, return_to_safe
+    from koop_guard.node.wire import Command, describe_theta, return_to_safe
 
     config = GuardConfig(**order["config"])
     field = parse_source(config.command).fields[0]
@@ -147,6 +147,7 @@ def _take_over(client: Any, order: dict[str, Any], theta: float, last: tuple[int
     guard.note(Cause.ENDED, "the guard was killed", time.monotonic())
     return_to_safe(guard, config, command, guard.advance, last)
     leave(config.note, guard.theta, order["publishers"])
+    print(f"the guard was killed; {describe_theta(guard, config)}", flush=True)
 
 
 if __name__ == "__main__":

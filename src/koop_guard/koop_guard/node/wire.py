@@ -11,6 +11,7 @@ from koop_msgs.msg import ControlInput
 from koop_core.config.fields import Path, check_fields, write_field
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Guard
+from koop_guard.note import THETA_LEFT
 from koop_node.node.managed import message_type
 from koop_node.node.qos import NEWEST, RELIABLE
 
@@ -73,6 +74,11 @@ class Return:
         if not self._guard.at_safe:
             self._since = now
         return now - self._since > SAFETY.held or now - self._heard > SAFETY.first
+
+
+def describe_theta(guard: Guard, config: GuardConfig) -> str:
+    """Say where theta is left."""
+    return f"{THETA_LEFT} {guard.theta:g}; theta_safe = {config.theta_safe:g}"
 
 
 def return_to_safe(
