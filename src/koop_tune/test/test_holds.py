@@ -66,26 +66,26 @@ def test_the_settling_is_skipped_and_its_rise_is_told(step):
     rng, tau = np.random.default_rng(2), 8.0
     k = np.arange(120)
     level = hold_logs(-1.0 - step * np.exp(-k / tau) + rng.normal(0.0, 0.02, k.size))
-    assert level.settled
+    assert level.is_settled()
     assert level.mean == pytest.approx(-1.0, abs=0.02)
     # until what is left of the step is about the error of the mean
     assert 2.0 * tau < level.skip < tau * math.log(3.0 / 0.005)
     assert level.rise == pytest.approx(step, abs=0.1)
     assert level.count == 120
     flat = hold_logs(rng.normal(0.0, 0.02, 120))
-    assert flat.settled
+    assert flat.is_settled()
     assert abs(flat.mean) < 4.0 * flat.error
 
 
 def test_a_trend_is_not_settled():
     rng = np.random.default_rng(3)
     noise = rng.normal(0.0, 0.02, 80)
-    assert not hold_logs(np.linspace(0.0, 1.0, 80) + noise).settled
-    assert not hold_logs(np.linspace(1.0, 0.0, 80) + noise).settled
+    assert not hold_logs(np.linspace(0.0, 1.0, 80) + noise).is_settled()
+    assert not hold_logs(np.linspace(1.0, 0.0, 80) + noise).is_settled()
     slow = -3.0 * np.exp(-np.arange(80) / 60.0)  # the rig is at 1.3 of its time constants
-    assert not hold_logs(slow + noise).settled
+    assert not hold_logs(slow + noise).is_settled()
     late = np.where(np.arange(80) < 60, 0.0, 2.0)  # it grows when all seemed settled
-    assert not hold_logs(late + noise).settled
+    assert not hold_logs(late + noise).is_settled()
 
 
 def test_a_short_hold_is_no_surer_than_others_showed():

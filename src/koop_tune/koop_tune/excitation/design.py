@@ -69,6 +69,7 @@ class DesignSettings:
     error: float = studied(0.03, "standard error that is good enough", low=1e-3)
     error_of_span: float = studied(0.05, "the same over the map's span, if more", low=0.0)
     error_of_worse: float = studied(0.15, "the same over what it is worse than the best, if more")
+    trend: float = studied(0.3, "change within a hold that may be, over that error", low=0.0)
     often: int = studied(3, "holds at a place after which no better value is expected", low=1)
     improvement: float = studied(0.03, "expected improvement that is none", low=1e-3)
     steep: float = studied(1.3, "amplitude over the best of a neighbour that is too far", low=1.0)
@@ -409,7 +410,8 @@ class Design:
         if count < self._most:
             level = hold.level(self._summed, self._usual)
             worse = self.rig.sense * level.mean - self._best
-            if not level.settled or level.error > max(self._target, worse * s.error_of_worse):
+            enough = max(self._target, worse * s.error_of_worse)
+            if level.error > enough or not level.is_settled(s.trend * enough):
                 return False
         hold.confirms = self._growth
         self.holds.append(hold)

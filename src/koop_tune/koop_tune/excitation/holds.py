@@ -117,9 +117,10 @@ class Level:
         """error^2 times the windows that count: larger, the slower the amplitude wanders."""
         return self.error**2 * (self.count - self.skip)
 
-    @property
-    def settled(self) -> bool:
-        """Whether the rig has settled."""
+    def is_settled(self, slight: float = 0.0) -> bool:
+        """Return whether the rig has settled, or changes less than a slight log amplitude."""
+        if abs(self.trend) < slight:
+            return True
         return self.skip < self.count // 2 and abs(self.trend) < max(TREND * self.error, SLIGHT)
 
     def at_least(self, wander: float) -> Level:
