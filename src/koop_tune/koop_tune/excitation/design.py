@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from koop_core.config.parameter import parameter, validate
 from koop_core.errors import InputError
 from koop_tune.excitation.amplitude import (
+    AMPLITUDE,
     Amplitude,
     Windows,
     choose_amplitude,
@@ -75,6 +76,7 @@ class DesignSettings:
     steep: float = studied(1.3, "amplitude over the best of a neighbour that is too far", low=1.0)
     gap: float = studied(0.055, "widest gap between two holds, in ranges", low=0.0)
     edge: float = studied(0.5, "width of the valley that may be unknown, over its own", low=0.0)
+    longer: int = parameter(4, "windows if nothing, or something slower, reacts, in these", low=2)
     rounds: int = studied(3, "times at the first positions if nothing reacts", low=1)
     finest: float = parameter(0.004, "the same in ranges, if more", low=1e-4)
     same: float = studied(0.25, "distance of two holds at one place, over the valley", low=0.0)
@@ -213,7 +215,9 @@ class Design:
         s = self._settings
         self._growth = self._brief = False
         if not self._queue and self._check_lag and self._lags():
-            self._begin_again()
+            self._patience *= 2.0
+            self._check_lag = True
+            self._begin_again(self.windows.length)
         if self._queue:
             return Move(self._queue[0], why="over the range")
         static_map = None if self.amplitude is None else self.static_map()
@@ -222,8 +226,8 @@ class Design:
                 self.ended = FLAT
                 return None
             self._rounds += 1
-            self._queue = first_positions(s.first, self.holds[-1].u < 0.5)
-            return Move(self._queue[0], why="again: nothing reacted")
+            self._begin_again(s.longer * self.windows.length)
+            return Move(self._queue[0], why="again, with longer windows: nothing reacted")
         grid = static_map.grid[::4]
         held = (np.abs(static_map.u[:, None] - grid) < s.finest).sum(axis=0)
         gain = np.where(held < s.often, static_map.expected_improvement(grid), 0.0)
@@ -238,7 +242,10 @@ class Design:
             return end._replace(why="whether an end is the best")
         if (edge := self._unknown_edge(static_map)) is not None:
             return Move(edge, why="where the valley ends")
-        return self._confirm(static_map)
+        if (move := self._confirm(static_map)) is None and (length := self._slower()) is not None:
+            self._begin_again(length)
+            return Move(self._queue[0], why="again, with longer windows: what is slower reacts too")
+        return move
 
     def _lags(self) -> bool:
         """Return whether the rig was still on its way at the first positions: it is slow.
@@ -259,12 +266,23 @@ class Design:
         lags = way * share - 2.0 * error > self._settings.lag
         return lags and self._patience < self._settings.patience
 
-    def _begin_again(self) -> None:
-        """Go to the first positions again, with twice the patience."""
-        self._patience *= 2.0
-        self._check_lag = True
+    def _begin_again(self, length: int) -> None:
+        """Go to the first positions again, with windows of so many samples."""
         self._queue = first_positions(self._settings.first, self.holds[-1].u < 0.5)
+        self.windows = self.windows._replace(length=length)
         self.since, self.holds = self._elapsed, []
+
+    def _slower(self) -> int | None:
+        """Return the samples of windows in which something slower reacts than these resolve."""
+        s, lowest = self._settings, self.windows.frequency[AMPLITUDE.lowest]
+        for longer in (s.longer, s.longer**2):
+            windows = self.windows._replace(length=longer * self.windows.length)
+            holds = [h for h in self.holds if h.size >= s.fewest * windows.length]
+            powers = [windows.powers(h.x[h.size // 2 :]) for h in holds]
+            amplitude = choose_amplitude(windows, powers, self.rig.weights) if powers else None
+            if amplitude is not None and amplitude.weight[:, windows.frequency < lowest].any():
+                return windows.length
+        return None
 
     def _tolerance(self, static_map: StaticMap) -> float:
         return max(self._settings.improvement, 0.5 * float(np.median(static_map.error)))
