@@ -149,6 +149,7 @@ class Design:
         self._hold = Hold(rig.u_start, 0, np.empty((0, len(rig.names))))
         self._growth = self._brief = False
         self._usual, self._target, self._best = 0.0, settings.error, math.inf
+        self._expected = -math.inf
         self._least = self._most = self._next = settings.fewest
         up = rig.u_start <= 0.5
         held = np.array([hold.u for hold in self.holds])
@@ -237,6 +238,8 @@ class Design:
             return Move(between, why="between the best and a neighbour that is far worse")
         if (gap := self._gap(static_map)) is not None:
             self._brief = True
+            y, deviation = static_map.predict(np.array([gap]))
+            self._expected = float(y[0] - 2.0 * deviation[0])
             return Move(gap, why="a gap in which a narrow valley would hide")
         if (end := self._doubtful_end(static_map)) is not None:
             return end._replace(why="whether an end is the best")
@@ -427,6 +430,10 @@ class Design:
         self._next = count + 1 + int(s.soon * count)
         if count < self._most:
             level = hold.level(self._summed, self._usual)
+            if self._brief and self.rig.sense * level.mean + 2.0 * level.error < self._expected:
+                self._brief = False  # a valley, or an oscillation that has not grown yet
+                self._least = min(self._needed_windows(), self._most)
+                return False
             worse = self.rig.sense * level.mean - self._best
             enough = max(self._target, worse * s.error_of_worse)
             if level.error > enough or not level.is_settled(s.trend * enough):
