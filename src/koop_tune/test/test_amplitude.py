@@ -86,8 +86,8 @@ def test_nothing_that_reacts_is_no_amplitude():
     rng = np.random.default_rng(2)
     holds = [hold(rng, [(2.0, 1.0), (9.0, 5.0)], noise=0.3) for _ in U]
     assert choose_amplitude(WINDOWS, holds) is None
-    whole = whole_amplitude(WINDOWS, np.concatenate(holds))
-    assert levels(whole, holds) == pytest.approx(np.ones(U.size), rel=0.05)
+    x = np.sin(np.arange(COUNT * LENGTH) * [[2.0 * DT], [9.0 * DT]]).T * [1.0, 30.0]
+    assert levels(whole_amplitude(WINDOWS, x), [WINDOWS.powers(x)]) == pytest.approx(1.0, rel=0.05)
 
 
 def test_the_background_is_subtracted_and_the_floor_is_what_of_it_is_not_known():

@@ -283,10 +283,10 @@ def choose_amplitude(
     return Amplitude(windows, weight, hidden, math.sqrt(settings.doubt * hidden + TINY))
 
 
-def whole_amplitude(windows: Windows, powers: Array) -> Amplitude:
-    """Return the amplitude of everything, from powers (W, n, G): what reacts is unknown."""
-    variance = np.maximum(powers.mean(axis=0).sum(axis=1), 1e-300)
-    weight = np.repeat(1.0 / variance[:, None], powers.shape[2], axis=1) / variance.size
+def whole_amplitude(windows: Windows, x: Array) -> Amplitude:
+    """Return the amplitude of everything, from samples, shape (M, n): what reacts is unknown."""
+    variance = np.maximum(bridge_gaps(x).var(axis=0), 1e-300)
+    weight = np.repeat(1.0 / variance[:, None], windows.frequency.size, axis=1) / variance.size
     return Amplitude(windows, weight, 0.0, math.sqrt(TINY))
 
 

@@ -386,7 +386,7 @@ class Design:
         if self.amplitude is not None:
             return self.amplitude
         assert self._heard is not None, "look first"
-        return whole_amplitude(self.windows, self._heard.powers(self.windows))
+        return whole_amplitude(self.windows, self._heard.x)
 
     # -- how long theta is held -----------------------------------------------------------------
 
@@ -454,6 +454,7 @@ class Design:
     def _choose(self) -> None:
         """Choose what is summed, and the windows for it, from all holds so far."""
         holds = [*([self._heard] if self._heard else []), *self.holds]
+        holds = [hold for hold in holds if hold.size >= 2 * self.windows.length]
         if len(holds) < 2:
             return
         s = self._settings
