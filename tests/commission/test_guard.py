@@ -1,5 +1,6 @@
 """The guard of ``koop up`` on a foreign rig: whatever fails, theta returns to theta_safe."""
 
+import itertools
 import os
 import re
 import shlex
@@ -11,11 +12,12 @@ import time
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from random import random
 
 import pytest
 from chromium import Chromium
 from commission_rig import DT, RIG
-from koop_msgs.msg import ControlInput, GuardState, PlantTruth
+from koop_msgs.msg import ControlInput, GuardState, MeasuredState, PlantTruth
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64, Float64MultiArray
@@ -151,6 +153,49 @@ def test_who_publishes_what_is_watched(up, fast_rig, probe, fault, cause):
     # on a busy machine the silence of a second is noticed before the look at the graph
     assert states[-1].cause in (cause, "controller silent" if fault == "inactive" else cause)
     assert not probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
+
+
+def test_old_answers_trip_and_the_pauses_of_automatic_rearms_grow(start, probe):
+    options = {"measured": "state:x[0]", "command": "/knob:data", "theta_safe": 1.0, "dt": 0.05,
+               "theta_start": 0.5, "rearms": 2, "rearm_pause": 1.0}  # fmt: skip
+    node = probe.node
+    sources = [node.create_publisher(*of, 10) for of in ((MeasuredState, "state"),
+                                                         (ControlInput, "theta"))]  # fmt: skip
+    resets = []
+    node.create_service(Trigger, "/probe/reset", lambda _, answer: resets.append(0) or answer)
+    knob, states, step = probe.collect(Float64, "/knob"), [], itertools.count(1)
+    node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
+    start("koop_guard", **options)
+
+    def until(condition, what, age=0.0):
+        """Be rig and controller, whose answers are to states of an age [s], until it is so."""
+
+        def both():
+            state, answer = MeasuredState(step=next(step), x=[random()]), ControlInput(theta=0.8)
+            now, answer.step = time.monotonic(), state.step
+            for message, second in ((state, now), (answer, now - age)):
+                message.header.stamp.sec = int(second)
+                message.header.stamp.nanosec = int(second % 1.0 * 1e9)
+            for source, message in zip(sources, (state, answer), strict=True):
+                source.publish(message)
+            return condition()
+
+        probe.spin_until(both, what)
+
+    for rearmed in range(3):
+        until(lambda: knob and knob[-1].data == 0.8, "the controller to be followed")
+        assert len(resets) == rearmed
+        until(lambda: states[-1].status == GuardState.TRIPPED, "a trip", 2.0)
+        assert states[-1].cause == "controller too old"
+        assert states[-1].rearms_left == 2 - rearmed
+        since = time.monotonic()
+        until(lambda: not states[-1].rearm_refused, "the cause to be gone")
+        assert knob[-1].data == 1.0
+        if rearmed < 2:
+            until(lambda: states[-1].status == GuardState.FOLLOWING, "an automatic rearm")
+            # no sooner than 2.5 s without the cause and the pause, 1 s and then 2 s
+            assert time.monotonic() - since >= 2.4 + 2.0**rearmed
+    assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
 
 
 def kill(name):
