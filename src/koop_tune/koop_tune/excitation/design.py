@@ -75,6 +75,7 @@ class DesignSettings:
     improvement: float = studied(0.03, "expected improvement that is none", low=1e-3)
     steep: float = studied(1.3, "amplitude over the best of a neighbour that is too far", low=1.0)
     gap: float = studied(0.055, "widest gap between two holds, in ranges", low=0.0)
+    rival: float = studied(3.0, "amplitude over the best of a second valley that is looked into")
     edge: float = studied(0.5, "width of the valley that may be unknown, over its own", low=0.0)
     longer: int = parameter(4, "windows if nothing, or something slower, reacts, in these", low=2)
     rounds: int = studied(3, "times at the first positions if nothing reacts", low=1)
@@ -241,6 +242,8 @@ class Design:
             y, deviation = static_map.predict(np.array([gap]))
             self._expected = float(y[0] - 2.0 * deviation[0])
             return Move(gap, why="a gap in which a narrow valley would hide")
+        if (beside := self._beside_rival(static_map)) is not None:
+            return Move(beside, why="beside a second valley, which may be deeper than was seen")
         if (end := self._doubtful_end(static_map)) is not None:
             return end._replace(why="whether an end is the best")
         if (edge := self._unknown_edge(static_map)) is not None:
@@ -308,6 +311,24 @@ class Design:
         best, places = static_map.best(), np.unique([hold.u for hold in self.holds])
         middles = 0.5 * (places[1:] + places[:-1])[np.diff(places) > self._settings.gap]
         return float(min(middles, key=lambda u: abs(u - best))) if middles.size else None
+
+    def _beside_rival(self, static_map: StaticMap) -> float | None:
+        """Return a position beside the floor of a second valley, a ridge away from the best."""
+        s, best, u = self._settings, static_map.best(), np.unique(static_map.u)
+        y, deviation = static_map.predict(u)
+        for i in np.argsort(y):
+            if y[i] > static_map.least + math.log(s.rival):
+                break
+            way = np.flatnonzero((u - u[i]) * (u - best) < 0.0)
+            beside = [k for k in (i - 1, i + 1) if 0 <= k < u.size]
+            if not way.size or min(y[k] for k in beside) < y[i]:
+                continue
+            top = way[np.argmax(y[way])]
+            if y[top] - y[i] > 2.0 * math.hypot(deviation[top], deviation[i]):
+                for k in beside:
+                    if abs(u[k] - u[i]) > 0.5 * s.gap:
+                        return float(0.5 * (u[k] + u[i]))
+        return None
 
     def _doubtful_end(self, static_map: StaticMap) -> Move | None:
         """Return an end that may be as good as the best, or the best if that is known less well."""

@@ -110,7 +110,7 @@ class VerificationSettings:
     smoothed: int = studied(3, "windows in whose mean an amplitude counts as converged", low=1)
     errors: float = studied(2.0, "standard errors that a band is widened by", low=0.0)
     sure: float = parameter(
-        1.64, "standard errors by which an amplitude may be larger than measured", low=0.0,
+        1.0, "standard errors by which an amplitude may be larger than measured", low=0.0,
         origin="one in twenty",
     )  # fmt: skip
     later: float = studied(1.2, "time to converge, over the band", low=1.0)
