@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from koop_core.config.parameter import parameter, validate
 from koop_tune.origin import studied
 
+LOBE = 3  # bins to each side to which a line reaches in a Blackman window
 TINY = 1e-12  # share of a power that rounding leaves
 Array = NDArray[np.float64]
 
@@ -293,8 +294,8 @@ def whole_amplitude(windows: Windows, x: Array) -> Amplitude:
 def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np.bool_]:
     """Return whether groups are more than the skirt of a line where they have most, (n, G)."""
     strongest = (mean * reacts).max(axis=2, keepdims=True)
-    share = mean / np.maximum(strongest, 1e-300)
-    return np.asarray(np.take_along_axis(share, mean.argmax(axis=0)[None], axis=0)[0] > skirt)
+    part = mean > skirt * strongest
+    return np.asarray(np.take_along_axis(part, mean.argmax(axis=0)[None], axis=0)[0])
 
 
 def _background(
@@ -305,13 +306,17 @@ def _background(
 
     Not of most of them: lines of interference are quiet groups too, and reach over several.
     """
-    width = np.diff(np.array(windows.edges))
+    edges = np.array(windows.edges)
+    width = np.diff(edges)
     result = np.zeros(reacts.shape)
     for c, g in zip(*np.nonzero(reacts), strict=True):
         quiet = np.flatnonzero(~reacts[c])
         sides = (quiet[quiet < g][-settings.beside :], quiet[quiet > g][: settings.beside])
         levels = [float(density[c, side].min()) for side in sides if side.size]
         result[c, g] = min([*levels, math.inf]) * width[g] if levels else 0.0
+        near = quiet[(edges[quiet + 1] > edges[g] - LOBE) & (edges[quiet] < edges[g + 1] + LOBE)]
+        if (density[c, near] * width[g] > most[c, g]).any():
+            result[c, g] = most[c, g]  # a line leaks into it
     return np.asarray(np.minimum(result, most))
 
 

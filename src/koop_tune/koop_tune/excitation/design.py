@@ -228,6 +228,7 @@ class Design:
                 self.ended = FLAT
                 return None
             self._rounds += 1
+            self._patience *= 2.0  # noise hides less in longer holds
             self._begin_again(s.longer * self.windows.length)
             return Move(self._queue[0], why="again, with longer windows: nothing reacted")
         grid = static_map.grid[::4]
