@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from vdp_plant.waves import Waves
 
 STATE_NAMES = ("x", "y")
 PLAIN = Delays(len(STATE_NAMES))  # the state as it is measured
+Sense = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,11 @@ def simulated_gram(
     config: TrainingConfig,
     delays: Delays = PLAIN,
     moments: TrajectoryMoments | None = None,
+    sense: Sense = lambda states: states,
 ) -> tuple[Gram, int]:
     """Simulate the training trajectories and sum them up, also in ``moments`` where given.
+
+    ``sense`` returns the measured channels of a trajectory, by default its states.
 
     Returns
     -------
@@ -107,9 +111,10 @@ def simulated_gram(
         if states is None:
             dropped += 1
         else:
-            gram.add_trajectory(delays.embed(states))
+            sensed = sense(states)
+            gram.add_trajectory(delays.embed(sensed))
             if moments is not None:
-                moments.add(states)
+                moments.add(sensed)
     return gram, dropped
 
 

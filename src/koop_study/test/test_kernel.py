@@ -9,13 +9,14 @@ import pytest
 
 from koop_core.stream.monitor import StreamMonitor
 from koop_lab.commands.simulate import run as simulated
-from koop_loop.loop import simulate
+from koop_loop.loop import LoopDiverged, simulate
 from koop_loop.parameters import make
 from koop_loop.training import train
 from koop_study.simulation import maps
 from koop_study.simulation.case import Case, ScenarioConfig, override, seeded
 from koop_study.simulation.learning import interference, model_of
 from koop_study.simulation.run import expose, measure, run
+from koop_study.simulation.work import runs
 from koopman_lifter import cost
 from relay_esc import relay
 from vdp_plant import dynamics
@@ -211,13 +212,10 @@ def test_second_channel_gets_gain_and_lag() -> None:
 
 
 def test_a_run_that_diverges_counts_as_the_worst() -> None:
-    case = override(
-        Case(),
-        {"duration": 50.0, "cost": "raw", "plant.initial_state": [1e3, 1e3]},
-    )  # fmt: skip
-    trace = run(case)
-    assert trace.diverged
-    row = measure(case, trace)
+    settings = {"duration": 50.0, "cost": "raw", "plant.initial_state": [1e3, 1e3]}
+    with pytest.raises(LoopDiverged):
+        run(override(Case(), settings))
+    (row,) = runs(settings, [0])
     assert row["iae"] == np.inf
     assert row["converged"] == 0.0
 

@@ -8,12 +8,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_loop.training import TrainingConfig, trajectories
+from koop_loop.training import TrainingConfig, simulated_gram
 from koop_study.simulation.case import Case, ScenarioConfig, SensingConfig
 from koopman_lifter.contrast import TrajectoryMoments, with_contrast
 from koopman_lifter.edmd import Gram
 from koopman_lifter.model import KoopmanModel, build
-from koopman_lifter.observables import Monomials
 from vdp_plant.config import PlantConfig
 
 
@@ -40,29 +39,18 @@ def second_channel(
 def learn(
     plant: PlantConfig, scenario: ScenarioConfig, training: TrainingConfig, sensing: SensingConfig
 ) -> tuple[Gram, TrajectoryMoments]:
-    """Sum up the snapshot pairs of the training trajectories, and for the contrast each of them.
-
-    Raises
-    ------
-    ValueError
-        If every trajectory diverged.
-    """
+    """Sum up the snapshot pairs of the training trajectories, and for the contrast each of them."""
     delays = sensing.embedding(plant.dt)
-    gram, moments = Gram.empty(Monomials(delays.n, training.degree)), TrajectoryMoments(delays)
-    added: NDArray[np.float64] | None = None
-    for states in trajectories(plant, training):
-        if states is None:
-            continue
-        if added is None:
-            t = np.arange(states.shape[1], dtype=np.float64) * plant.dt
-            added = second_channel(scenario, plant, t)
+    moments = TrajectoryMoments(delays)
+    t = np.arange(round(training.duration / plant.dt) + 1, dtype=np.float64) * plant.dt
+    added = second_channel(scenario, plant, t)
+
+    def sense(states: NDArray[np.float64]) -> NDArray[np.float64]:
         if added.size and training.corrupted:
             states[1] += added
-        sensed = states[sensing.indices]
-        gram.add_trajectory(delays.embed(sensed))
-        moments.add(sensed)
-    if added is None:
-        raise ValueError("every training trajectory diverged")
+        return np.asarray(states[sensing.indices])
+
+    gram, _ = simulated_gram(plant, training, delays, moments, sense)
     return gram, moments
 
 

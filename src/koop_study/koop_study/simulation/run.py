@@ -7,14 +7,14 @@ is displaced by s is the same plant fed with theta - s.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
-from koop_loop.loop import Exposure, LoopDiverged, check_fit, simulate
+from koop_loop.loop import Exposure, LoopResult, check_fit, simulate
 from koop_loop.metrics import evaluate
 from koop_study.simulation.case import Case, ScenarioConfig
 from koop_study.simulation.learning import model_of, second_channel
@@ -97,50 +97,22 @@ def expose(
     )
 
 
-@dataclass(frozen=True)
-class Trace:
-    """Cost and control input of one run, one row a step, both of no row if the plant diverged.
-
-    Attributes
-    ----------
-    t : ndarray, shape (M,)
-        Time [s].
-    r, theta : ndarray, shape (M,) or (0,)
-        Cost and control input.
-    ground_truth : ndarray, shape (M, 2) or (0, 2)
-        True state.
-    """
-
-    t: NDArray[np.float64]
-    r: NDArray[np.float64]
-    theta: NDArray[np.float64]
-    ground_truth: NDArray[np.float64]
-
-    @property
-    def diverged(self) -> bool:
-        """True if the plant's state left the finite numbers."""
-        return self.theta.size < self.t.size
-
-
-def run(case: Case, schedule: NDArray[np.float64] | None = None) -> Trace:
+def run(case: Case, schedule: NDArray[np.float64] | None = None) -> LoopResult:
     """Run ``case``; with ``schedule``, shape (M,), theta follows it and the controller is idle.
 
     Raises
     ------
     koop_core.config.parameter.ConfigError
         If the parts of the case do not fit together.
+    koop_loop.loop.LoopDiverged
+        If the plant's state left the finite numbers.
     """
     model = model_of(case)
     lifter = lifter_of(case, model)
     exposure = expose(
         case.scenario, case.plant, case.steps, case.plant.seed, schedule, case.sensing.indices
     )
-    t = np.arange(case.steps, dtype=np.float64) * case.plant.dt
-    try:
-        done = simulate(case.plant, lifter, case.esc, model, case.steps, exposure)
-    except LoopDiverged:
-        return Trace(t, np.empty(0), np.empty(0), np.empty((0, 2)))
-    return Trace(t, done.r, done.theta, done.ground_truth)
+    return simulate(case.plant, lifter, case.esc, model, case.steps, exposure)
 
 
 def lifter_of(case: Case, model: KoopmanModel | None) -> LifterConfig:
@@ -162,10 +134,15 @@ def lifter_of(case: Case, model: KoopmanModel | None) -> LifterConfig:
 Row = dict[str, float | None]
 
 
-def measure(case: Case, trace: Trace, r_star: float | None = None) -> Row:
-    """Return the paper's metrics of a run; theta* may have moved.
+DIVERGED: Row = {
+    "iae": math.inf, "ise": math.inf, "t_theta": None, "e_r_ss": None, "tail": math.inf,
+    "reached": 0.0, "converged": 0.0,
+}  # fmt: skip
+"""A run that diverged counts as the worst of all, not as absent."""
 
-    A run that diverged has infinite errors: it counts as the worst of all, not as absent.
+
+def measure(case: Case, trace: LoopResult, r_star: float | None = None) -> Row:
+    """Return the paper's metrics of a run; theta* may have moved.
 
     Returns
     -------
@@ -173,11 +150,6 @@ def measure(case: Case, trace: Trace, r_star: float | None = None) -> Row:
         ``iae``, ``ise``, ``t_theta`` (None if never reached), ``e_r_ss`` (None without an r*),
         ``tail`` (mean error over the last 30 %), ``reached`` and ``converged`` (1 or 0).
     """
-    if trace.diverged:
-        return {
-            "iae": math.inf, "ise": math.inf, "t_theta": None, "e_r_ss": None,
-            "tail": math.inf, "reached": 0.0, "converged": 0.0,
-        }  # fmt: skip
     displaced = displacement(case.scenario, trace.t.size, case.plant.dt)
     theta = trace.theta - displaced if displaced.size else trace.theta
     metrics = evaluate(trace.t, theta, trace.r, case.plant.theta_star, r_star)

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
+from koop_loop.loop import LoopDiverged
 from koop_loop.metrics import LOGGING_START
 from koop_loop.thinning import extremes
 from koop_study.simulation import maps
 from koop_study.simulation.case import Case, ScenarioConfig, case_of, override
 from koop_study.simulation.learning import learn
-from koop_study.simulation.run import measure, run
+from koop_study.simulation.run import DIVERGED, Row, measure, run
 from koopman_lifter.edmd import edmd
 from koopman_lifter.modes import decompose, select
 
@@ -35,10 +36,14 @@ def check(work: str, arguments: dict[str, Any]) -> None:
 
 def runs(settings: dict[str, Any], seeds: list[int], with_r_star: bool = False) -> list[Any]:
     """Run closed loops and return the metrics of each seed."""
-    cases = [case_of(settings, seed) for seed in seeds]
-    return [
-        measure(case, run(case), maps.optimal_cost(case) if with_r_star else None) for case in cases
-    ]
+    return [_figures(case_of(settings, seed), with_r_star) for seed in seeds]
+
+
+def _figures(case: Case, with_r_star: bool) -> Row:
+    try:
+        return measure(case, run(case), maps.optimal_cost(case) if with_r_star else None)
+    except LoopDiverged:
+        return DIVERGED
 
 
 def modes(settings: dict[str, Any], seed: int) -> dict[str, Any]:
