@@ -8,7 +8,7 @@ The time of reception comes from DDS and does not depend on when a message is fe
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from importlib import import_module
 from operator import itemgetter
 from typing import Any
@@ -111,21 +111,7 @@ class RecordedTopic:
             self.subscription = self._subscribe()
 
     def _subscribe(self) -> Any:
-        reliability, durability = self._wanted
-        profile = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=self._queue,
-            reliability=reliability,
-            durability=durability,
-        )
-        return self._node.create_subscription(
-            self._type,
-            self.name,
-            polled,
-            profile,
-            raw=True,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-        )
+        return subscribe(self._node, self._type, self.name, self._queue, *self._wanted)
 
 
 class WatchedNode:
@@ -150,15 +136,36 @@ Taken = tuple[int, RecordedTopic | WatchedNode, int, bytes]
 
 
 def _take(source: RecordedTopic | WatchedNode, kind: Any, taken: list[Taken]) -> None:
-    take, append = source.subscription.handle.take_message, taken.append
+    for received, sent, data in waiting(source.subscription, kind):
+        taken.append((received, source, sent, data))
+
+
+def subscribe(
+    node: Node,
+    kind: Any,
+    name: str,
+    depth: int,
+    reliability: ReliabilityPolicy,
+    durability: DurabilityPolicy,
+) -> Any:
+    """Return a raw subscription that is polled; the node's executor must not get to see it."""
+    profile = QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability, durability=durability
+    )
+    events = SubscriptionEventCallbacks(use_default_callbacks=False)
+    return node.create_subscription(kind, name, polled, profile, raw=True, event_callbacks=events)
+
+
+def waiting(subscription: Any, kind: Any) -> Iterator[tuple[int, int, bytes]]:
+    """Take the messages that wait: when received and sent [ns], and the serialized message."""
+    take = subscription.handle.take_message
     for _ in range(_AT_ONCE):
         item = take(kind, True)
         if item is None:
             return
         data, info = item
         # not every DDS gives the time of reception
-        received = info["received_timestamp"] or time.time_ns()
-        append((received, source, info["source_timestamp"], data))
+        yield info["received_timestamp"] or time.time_ns(), info["source_timestamp"], data
 
 
 def fetch(topics: Collection[RecordedTopic], nodes: Iterable[WatchedNode] = ()) -> list[Row]:

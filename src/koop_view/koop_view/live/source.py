@@ -14,18 +14,19 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import DurabilityPolicy as Durability
+from rclpy.qos import ReliabilityPolicy as Reliability
 from rclpy.serialization import deserialize_message, serialize_message
 
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
 from koop_bag.recorder.parameters import ParameterCollector
-from koop_bag.recorder.topics import message_class
+from koop_bag.recorder.topics import message_class, subscribe, waiting
 from koop_core.errors import one_line
 from koop_view import protocol
 from koop_view.config import ViewConfig
 from koop_view.live.services import OFFERED, ServiceCaller, describe, load, unpack
-from koop_view.live.topic import ViewedTopic
 from koop_view.protocol import AdvertisedChannel, AdvertisedService
 from koop_view.roles import KnownLoops, find_loops
 from koop_view.session import ClientSession, Refused, ViewSource
@@ -36,6 +37,7 @@ LOOK = 0.5  # [s] between looks at the graph
 PAUSE = 1.5  # [s] without a report, of which there is one per second
 EVENTS = 20  # of the executor at a time
 LINE = 200  # bytes of the line beside the loops
+WAITING = 200  # messages that DDS keeps between two polls; of more, the oldest are lost
 MOST = 1000  # channels: a broken domain may have any number
 DIAGNOSTICS, CHANGES = "/diagnostics", "/parameter_events"
 
@@ -63,7 +65,7 @@ class LiveSource(ViewSource):
         self._known = KnownLoops()
         self._reported: dict[str, float] = {}  # when a node's newest report came [s]
         self._types: dict[str, str] = {}  # of the topics and services that were examined
-        self._topics: dict[str, ViewedTopic] = {}
+        self._topics: dict[str, tuple[Any, Any]] = {}  # subscription and message class
         self._viewers: dict[str, list[tuple[ClientSession, int]]] = {}
         self._numbers = iter(range(1, 2**32))
         self._listen()
@@ -97,20 +99,26 @@ class LiveSource(ViewSource):
         self._listen()
 
     def _listen(self) -> None:
-        """Subscribe to the topics that are viewed, and to no other."""
+        """Subscribe to the topics that are viewed, and to no other.
+
+        Topics of a loop are read best effort: no writer keeps or repeats anything for a viewer. Of
+        the log, the last lines from before are wanted, too.
+        """
         wanted = {DIAGNOSTICS, CHANGES, *self._viewers}
         for name in self._topics.keys() - wanted:
-            self._topics.pop(name).close()
+            self._node.destroy_subscription(self._topics.pop(name)[0])
         for name in wanted - self._topics.keys():
-            kind = self._types.get(name) or COMMON_TOPICS[name]
-            is_common, is_log = name in COMMON_TOPICS, name == "/rosout"
-            self._topics[name] = ViewedTopic(self._node, name, kind, is_common, is_log)
+            kind = message_class(self._types.get(name) or COMMON_TOPICS[name])
+            reliable = Reliability.RELIABLE if name in COMMON_TOPICS else Reliability.BEST_EFFORT
+            kept = Durability.TRANSIENT_LOCAL if name == "/rosout" else Durability.VOLATILE
+            made = subscribe(self._node, kind, name, WAITING, reliable, kept)
+            self._topics[name] = made, kind
 
     def _poll(self, now: float) -> None:
         for _ in range(EVENTS if self._caller.waiting else 2):
             self._executor.spin_once(timeout_sec=0.0)
         for name, topic in list(self._topics.items()):
-            taken = topic.take()
+            taken = [(received, data) for received, _, data in waiting(*topic)]
             for viewer, subscription in self._viewers.get(name, ()):
                 for received, data in taken:
                     viewer.deliver(subscription, received, data)
