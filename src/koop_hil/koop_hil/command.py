@@ -8,12 +8,9 @@ from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_core.config.parameter import ConfigError
-from koop_core.config.yaml_file import one_setting
 from koop_hil import report
 from koop_hil.run import run
-from koop_hil.scenario import find, read, shipped, with_controller, with_parameter
-from koop_identify.recording.recorded_parameters import CONTROLLER
-from koop_loop.parameters import build
+from koop_hil.scenario import find, read, shipped, with_controller
 from koop_tune.folder import find_controller
 
 
@@ -25,10 +22,6 @@ def register(commands: Any) -> None:
     )
     parser.add_argument("--all", action="store_true", help="every scenario of the workspace")
     parser.add_argument("--list", action="store_true", help="only name the scenarios")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NODE.PARAMETER=VALUE", dest="settings",
-        help="a parameter in every scenario, such as relay_esc.law=adaptive; repeatable",
-    )  # fmt: skip
     parser.add_argument(
         "--controller", type=Path, metavar="FILE",
         help="lifter and controller of every scenario from this parameter file, or from the folder "
@@ -52,10 +45,6 @@ def main(args: argparse.Namespace) -> int:
     if args.controller is not None:
         file, _ = find_controller(args.controller)
         scenarios = [with_controller(item, file) for item in scenarios]
-    for text in args.settings:
-        node, parameter, value = one_setting(text, CONTROLLER)
-        build({node: {parameter: value}})  # names what is wrong
-        scenarios = [with_parameter(item, node, parameter, value) for item in scenarios]
     out = args.out or default_folder("hil")
     verdicts = []
     for scenario in scenarios:

@@ -222,12 +222,6 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     return scenario
 
 
-def with_parameter(scenario: Scenario, node: str, name: str, value: Any) -> Scenario:
-    """Return a scenario in which a node has another parameter."""
-    keys = {**scenario.parameters.get(node, {}), name: value}
-    return replace(scenario, parameters={**scenario.parameters, node: keys})
-
-
 def with_controller(scenario: Scenario, file: Path) -> Scenario:
     """Return a scenario with the lifter and controller of a parameter file.
 

@@ -1,6 +1,5 @@
 """The pure parts of the harness: scenario files, faults, reports."""
 
-import argparse
 import math
 import os
 import re
@@ -13,7 +12,6 @@ import pytest
 
 from koop_core.config.parameter import ConfigError
 from koop_hil import faults, installed
-from koop_hil.command import main, register
 from koop_hil.faults import Channel
 from koop_hil.processes import Processes
 from koop_hil.scenario import (
@@ -22,7 +20,6 @@ from koop_hil.scenario import (
     parse,
     read,
     with_controller,
-    with_parameter,
 )
 
 
@@ -166,21 +163,6 @@ def test_a_rig_without_its_middleware_says_how_to_get_it(tmp_path):
     assert (done.returncode, done.stderr) == (1, "rig: none here: pip install cyclonedds\n")
 
 
-def test_a_scenario_runs_with_another_parameter_and_keeps_the_rest():
-    scenario = read(find("rig-paper"))
-    other = with_parameter(scenario, "relay_esc", "law", "adaptive")
-    assert other.parameters["relay_esc"] == {**scenario.parameters["relay_esc"], "law": "adaptive"}
-    assert other.parameters["koopman_lifter"] == scenario.parameters["koopman_lifter"]
-    assert (other.setting, other.limits) == (scenario.setting, scenario.limits)
-    assert "law" not in scenario.parameters["relay_esc"]
-
-
-def parsed(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    register(parser.add_subparsers())
-    return parser.parse_args(["hil", *words])
-
-
 def test_a_scenario_runs_with_the_controller_of_a_file(tmp_path):
     scenario = read(find("rig-jsbsim-throttle"))
     (tmp_path / "model.npz").write_bytes(b"")
@@ -198,16 +180,3 @@ def test_a_scenario_runs_with_the_controller_of_a_file(tmp_path):
     (tmp_path / "controller.yaml").write_text("/**/relay_esc:\n  ros__parameters: {law: wide}\n")
     with pytest.raises(ConfigError, match=r"controller\.yaml: relay_esc: law = 'wide'"):
         with_controller(scenario, tmp_path / "controller.yaml")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ("relay_esc.law=wide", "relay_esc: law = 'wide': must be one of relay, adaptive"),
-        ("recorder.output=x", "write koopman_lifter.PARAMETER=VALUE or relay_esc.PARAMETER=VALUE"),
-    ],
-)
-def test_a_setting_for_every_scenario_that_cannot_be_used_is_named(options, message, tmp_path):
-    args = parsed("rig-paper", "--set", options, "--out", str(tmp_path))
-    with pytest.raises(ConfigError, match=message):
-        main(args)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,16 +55,3 @@ LinedLoader.add_constructor("tag:yaml.org,2002:map", LinedLoader.construct_lined
 LinedLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
 )
-
-
-def one_setting(text: str, nodes: Sequence[str]) -> tuple[str, str, Any]:
-    """Return node, parameter and value of `node.parameter=value`, or raise ConfigError."""
-    name, equals, value = text.partition("=")
-    node, dot, parameter = name.strip().partition(".")
-    if not (equals and dot) or node not in nodes:
-        ways = " or ".join(f"{name}.PARAMETER=VALUE" for name in nodes)
-        raise ConfigError(f"--set {text}: write {ways}")
-    try:
-        return node, parameter, yaml.safe_load(value)
-    except yaml.YAMLError:
-        raise ConfigError(f"--set {text}: '{value}' is not a value in YAML") from None
