@@ -4,31 +4,28 @@ import json
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from commission_rig import RIG, TYPES, FastRig
+from std_msgs.msg import Float64
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
+from koop_bringup.live.loop import LiveNodes
 from koop_commission.rig.graph import identify_publishers
+from koop_commission.rig.guarded_theta import GUARD, guard_section
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.excite import read_holds
-from koop_commission.stages.session import refuse_incomplete_state, refuse_small_disk
-from koop_commission.theta.assignment import Assignment
-from koop_commission.theta.commander_client import CommanderClient
-from koop_core.config.fields import parse_field
+from koop_commission.stages.session import Session, refuse_incomplete_state, refuse_small_disk
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_guard.note import find_theta, note_of
 from koop_node.client.client import Client
 from koop_tune.excitation import progress
 from koop_tune.rig import rig_file
-from koop_tune.rig.rig_file import THETA, THETA_TYPE
 
 pytestmark = pytest.mark.ros
 TIMEOUT = 40.0
@@ -66,60 +63,44 @@ def assert_walked(moved, rig):
     ],
 )
 def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, reason):
-    with Client("hears") as client:
-        said = Listener(client, THETA, THETA_TYPE, (parse_field("theta"),), reliable=True)
-        assignment = Assignment(SLOW, SLOW.theta_start, SLOW.measured, *TYPES)
-        with CommanderClient(assignment, tmp_path / "log") as commander:
-            commander.go(-1.0)
-            client.wait_for(lambda: fast_rig.theta < -0.8, TIMEOUT, "theta to move")
+    told = []
+    nodes = LiveNodes(tmp_path, {GUARD: guard_section(SLOW, None, answers=False)}, rig=True)
+    with Client("koop_test") as client, nodes:
+        client.node.create_subscription(Float64, SLOW.knob.topic, told.append, 1000)
+        listener = Listener(client, SLOW.state.topic, TYPES[0], SLOW.state.fields)
+        session = Session(SLOW, client, listener, TYPES[1], nodes)
+        with session.command_theta():
+            session.theta.go(-1.0)
+            session.wait_until(lambda: fast_rig.theta < -0.8)
             setattr(fast_rig, fault, True)
             with pytest.raises(LiveError, match=reason):
-                wait(commander.check, "the fault")
-        client.wait_for(lambda: said.last.theta == SLOW.theta_safe, TIMEOUT, "all that was said")
+                client.wait_for(bool, TIMEOUT, "the fault", session.check)
+        assert session.theta.value == SLOW.theta_safe
     assert_walked(fast_rig.moved, SLOW)
     # the way home does not make up for the time of the silence
-    assert np.abs(np.diff(said.samples().x[:, 0])).max() <= SLOW.theta_rate * STEP
+    theta = [message.data for message in told]
+    assert np.abs(np.diff(theta)).max() <= SLOW.theta_rate * STEP
 
 
-HOLD = """
-import sys, time
-from pathlib import Path
-from koop_commission.theta.assignment import Assignment
-from koop_commission.theta.commander_client import CommanderClient
-from koop_tune.rig.rig_file import read
-rig = read(sys.argv[1])
-note = str(Path("note").resolve())
-assignment = Assignment(rig, rig.theta_start, rig.measured, *sys.argv[2:], note=note)
-with CommanderClient(assignment, Path("log")) as commander:
-    commander.go(-1.0)
-    while True:
-        commander.check()
-        time.sleep(0.1)
-"""
-
-
-def test_theta_goes_home_if_the_commander_itself_is_killed(fast_rig, tmp_path):
+def test_theta_goes_home_if_the_guard_itself_is_killed(fast_rig, koop, nodes_of, tmp_path):
     rig_file.write(SLOW, tmp_path / "rig.yaml")
-    words = [sys.executable, "-c", HOLD, "rig.yaml", *TYPES]
-    with subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
-        wait(lambda: fast_rig.theta < 0.0, "theta to move", process)
-        commander = int(
-            subprocess.run(
-                ["pgrep", "-P", str(process.pid), "-f", "koop_commission.theta.commander"],
-                capture_output=True, text=True, check=True,
-            ).stdout
-        )  # fmt: skip
-        os.kill(commander, signal.SIGKILL)
-        wait(lambda: fast_rig.theta == SLOW.theta_safe, "theta to come home")
-        said = process.communicate(timeout=TIMEOUT)[1]
-    assert "the commander was killed by signal 9" in said
+    process = koop("excite", "rig.yaml", "--out", "run")
+    wait(lambda: fast_rig.theta < 0.0, "theta to move", process)
+    os.kill(nodes_of(process)["guard"], signal.SIGKILL)
+    wait(lambda: fast_rig.theta == SLOW.theta_safe, "theta to come home")
+    said = process.communicate(timeout=TIMEOUT)[1]
+    assert process.returncode == 2
+    assert said == (
+        "koop excite: error: koop_guard was killed by signal 9. theta was returned to "
+        "theta_safe = 1; to resume: ./koop excite rig.yaml --out run\n"
+    )
     assert_walked(fast_rig.moved, SLOW)
     # the next command goes on from there, but not if the rig was started again
-    note, topic = tmp_path / "note", SLOW.state.topic
+    note, topic = note_of(tmp_path / "rig.yaml"), SLOW.state.topic
     with Client("looks") as client:
         wait(lambda: client.spin(0.1) or identify_publishers(client, topic), "the rig")
         first = identify_publishers(client, topic)
-        assert find_theta(note, SLOW, first) == (SLOW.theta_safe, "")
+        wait(lambda: find_theta(note, SLOW, first) == (SLOW.theta_safe, ""), "the note")
         again = FastRig()
         try:
             wait(

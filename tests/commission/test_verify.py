@@ -1,4 +1,4 @@
-"""``koop verify`` and ``koop commission``: the loop is closed on a leash, whoever fails."""
+"""``koop verify`` and ``koop commission``: the loop is closed behind the guard, whoever fails."""
 
 import json
 import re
@@ -15,7 +15,6 @@ from test_excite import TIMEOUT, assert_walked, wait, whole
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_commission.command import Commissioning
-from koop_commission.stages.closed_loop import THETA_ASKED
 from koop_core.config import parameter_file
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -75,7 +74,7 @@ def disk_fills(rig, process):
 
 
 FAULTS = {
-    # by the samples of the command or by the guard's rules in the commander, which is first
+    # by the samples of the command or by the guard's rules, which is first
     sensor_dies: r"data\[0\] (is 0\.5 and does not change: dead sensor|= 0\.5 has not changed)",
     disk_fills: "recorder has ended: ",
 }
@@ -96,7 +95,7 @@ def tuned(tmp_path):
     return folder
 
 
-def test_the_loop_is_closed_on_a_leash_and_goes_on_where_it_was_stopped(
+def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
     fast_rig, tuned, koop, tmp_path, capfd
 ):
     first = koop("verify", "rig.yaml", tuned)
@@ -126,9 +125,9 @@ def test_the_loop_is_closed_on_a_leash_and_goes_on_where_it_was_stopped(
         truth = 0.3 + (run["start"] - BEST) ** 2
         assert run["amplitude_before"] == pytest.approx(truth, rel=0.1)
         theta, topics = whole(tuned / run["bag"])
-        assert {"/fast", "/fast/knob", "/state", "/cost", "/theta", THETA_ASKED} <= topics
+        assert {"/fast", "/fast/knob", "/state", "/cost", "/theta", "/theta_asked"} <= topics
         with BagReader(tuned / run["bag"]) as reader:
-            said = read_columns(reader, THETA_ASKED, ["step", "theta"])
+            said = read_columns(reader, "/theta_asked", ["step", "theta"])
         begin, end = run["closed"]["steps"]
         both = np.intersect1d(theta["step"], said["step"])
         both = both[(both > begin) & (both < end)]

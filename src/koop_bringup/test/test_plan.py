@@ -229,10 +229,7 @@ def test_a_section_that_would_be_ignored_beside_valid_ones_is_refused(mine, text
 
 
 def test_sections_of_other_programs_are_not_minded(mine):
-    text = (
-        "/**/driver: {ros__parameters: {gain: 1.0}}\n"
-        "/**/koop_commander: {ros__parameters: {a: 1}}\n"
-    )
+    text = "/**/driver: {ros__parameters: {gain: 1.0}}\n/**/camera: {ros__parameters: {a: 1}}\n"
     assert plan({**mine(text + MINE)}).parameters["relay_esc"] == {"use_sim_time": False}
 
 

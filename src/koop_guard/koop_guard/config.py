@@ -72,6 +72,12 @@ class GuardConfig:
     note: str = parameter(
         "", "file that notes where theta of the rig was left; empty: none", read_only=True
     )
+    answers: bool = parameter(
+        False,
+        "whether it answers each state on theta with what it commands, as a controller does; the "
+        "controller itself is then heard on theta_asked",
+        read_only=True,
+    )
 
     def __post_init__(self) -> None:
         validate(self)
@@ -96,8 +102,9 @@ class GuardConfig:
 
     @property
     def asked(self) -> str:
-        """Topic of the controller: ``theta``, or another where the rig itself listens to that."""
-        return ASKED if parse_source(self.command).topic.lstrip("/") == THETA else THETA
+        """Topic of the controller: ``theta``, or another where that is what the rig is told."""
+        told = self.answers or parse_source(self.command).topic.lstrip("/") == THETA
+        return ASKED if told else THETA
 
     @property
     def period(self) -> float:
@@ -189,8 +196,8 @@ class SafetySettings:
         high=0.1, origin=_JUDGED,
     )  # fmt: skip
     hang: float = parameter(
-        30.0, "time without a sign of life of the command after which it hangs", unit="s", low=1.0,
-        origin=_JUDGED,
+        30.0, "time without a message of who set a target after which that hangs", unit="s",
+        low=1.0, origin=_JUDGED,
     )  # fmt: skip
     stopped: float = parameter(
         8.0, "time without a sign of life of the guard after which its twin kills it", unit="s",

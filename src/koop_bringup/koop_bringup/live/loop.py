@@ -81,9 +81,9 @@ class LiveNodes:
     def __enter__(self) -> LiveNodes:
         by_others = self._rig and not self._program
         with ExitStack() as stack:
-            stack.enter_context(
-                alone(self._namespace, [t for t in TOPICS if t != "state" or not by_others])
-            )
+            topics = [t for t in TOPICS if t != "state" or not by_others]
+            only_guard = set(self._values) == {"koop_guard"}  # which is no loop
+            stack.enter_context(alone(self._namespace, [] if only_guard else topics))
             logs = self.folder / "logs"
             logs.mkdir(parents=True, exist_ok=True)
             file = logs / "given_parameters.yaml"
@@ -112,15 +112,14 @@ class LiveNodes:
     def _stop_all(self, to_guard: int = signal.SIGTERM) -> dict[str, int]:
         """Stop the sources before the recorder, so that it records all that they said.
 
-        The guard comes first: theta returns while all else works. SIGINT tells it that the end is
-        an orderly one.
+        The guard comes first: theta returns while all else works.
         """
-        self._end_guard(to_guard)
+        self.stop_guard(to_guard)
         return {node: process.stop() for node, process in reversed(self._nodes.items())}
 
     @uninterrupted()
-    def _end_guard(self, number: int) -> None:
-        """Stop the guard, wait for its twin, and say where theta is."""
+    def stop_guard(self, number: int = signal.SIGTERM) -> None:
+        """Stop the guard, wait for its twin, and say where theta is; SIGINT: an orderly end."""
         guard = self._nodes.get("koop_guard")
         if guard is None or self._theta_left:
             return
@@ -206,7 +205,7 @@ class LiveNodes:
             if end is Ending.DONE:
                 return True
             if end is Ending.FAILED:
-                self._end_guard(signal.SIGTERM)  # the recorder still works
+                self.stop_guard()  # the recorder still works
                 raise process.failure()
             self.lost.append(node)
             self._note(f"{process.failure()}\nthe loop goes on without it")

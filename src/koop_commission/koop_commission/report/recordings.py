@@ -25,7 +25,7 @@ COLUMNS = (
     Column("size", "MB", ".1f"),
     Column("whole", "closed", words=True),
 )
-INTRO = "States recorded in the first seconds, before theta is commanded, have no theta."
+INTRO = "States recorded before the first command and after the last one have no theta."
 
 
 def make_recordings(c: Contents) -> Section:

@@ -15,7 +15,6 @@ from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
 DISCOVERY = 4.0  # [s]: Fast DDS announces itself every 3 s to those that missed the first time
 LEASE = 21.0  # [s] after which DDS forgets a participant that was killed
 HIDDEN = ("/rosout", "/parameter_events", "/diagnostics", "/clock", "/tf", "/tf_static")
-COMMANDER = "/koop_commander"
 
 
 class Topic(NamedTuple):
@@ -71,16 +70,11 @@ def identify_publishers(client: Client, topic: str) -> set[str]:
     return {bytes(info.endpoint_gid).hex() for info in infos}
 
 
-def find_other_publishers(client: Client, topic: str, commanding: bool) -> list[str]:
-    """Return the other nodes that publish a command.
-
-    ``commanding``: the commander of this process does, too; its name is known a little later than
-    its publisher.
-    """
-    names = list(find_nodes(client, topic)[0])
-    if commanding and names:
-        names.remove(COMMANDER if COMMANDER in names else names[0])
-    return sorted(set(names))
+def describe_other_commanders(client: Client, rig: RigFile) -> str:
+    """Return in words that others command the rig; empty: none does."""
+    if names := sorted(set(find_nodes(client, rig.knob.topic)[0])):
+        return f"{rig.knob.topic} is commanded by {', '.join(names)}: stop that"
+    return ""
 
 
 def describe_second_rig(client: Client, rig: RigFile) -> str:

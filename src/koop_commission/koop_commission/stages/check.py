@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_bringup.live.loop import LiveNodes
 from koop_commission.fitness.fitness import (
     BAD,
     NOTE,
@@ -30,10 +31,11 @@ from koop_commission.fitness.recording import check_recording
 from koop_commission.fitness.samples import Samples, refuse_dead
 from koop_commission.fitness.settings import DEFAULTS, CheckSettings
 from koop_commission.rig.graph import (
+    describe_other_commanders,
     describe_second_rig,
-    find_other_publishers,
     find_types,
 )
+from koop_commission.rig.guarded_theta import GUARD, guard_section
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.session import Session, spell_time
 from koop_core.errors import LiveError
@@ -103,7 +105,7 @@ def check_rig(
         Times and thresholds.
     """
     state, command = rig.state.topic, rig.knob.topic
-    with Client("koop_check") as client:
+    with Client("_koop_check") as client:
         try:
             state_type, command_type = find_types(client, rig)
         except LiveError as error:
@@ -116,8 +118,7 @@ def check_rig(
             yield Finding(BAD, "arrival", text)
             return
         findings = [Finding(OK, "command", f"{command} has no other publisher")]
-        if others := find_other_publishers(client, command, commanding=False):
-            text = f"{command} is commanded by {', '.join(others)}: stop that"
+        if text := describe_other_commanders(client, rig):
             findings = [Finding(BAD, "command", text)]
         findings += judge_samples(rig, samples, rig.pace, settings)
         yield from findings
@@ -125,13 +126,14 @@ def check_rig(
             reason = "something above is BAD" if moves else "--still"
             yield Finding(NOTE, "theta", f"was not moved: {reason}")
             return
-        session, period = Session(rig, client, listener, command_type), choose_period(rig, samples)
+        period = choose_period(rig, samples)
         try:
-            with (
-                TemporaryDirectory() as folder,
-                session.command_theta(note, Path(folder) / "commander.log"),
-            ):
-                yield _move_theta(rig, session, period, rng or random.Random(), settings)
+            with TemporaryDirectory() as folder:
+                sections = {GUARD: guard_section(rig, note, answers=False)}
+                with LiveNodes(Path(folder), sections, rig=True) as nodes:
+                    session = Session(rig, client, listener, command_type, nodes, note)
+                    with session.command_theta():
+                        yield _move_theta(rig, session, period, rng or random.Random(), settings)
         except LiveError as error:
             yield Finding(BAD, "theta", f"{error}: theta returns to {rig.theta_safe:g}")
 
@@ -153,7 +155,7 @@ def _move_theta(
     rig: RigFile, session: Session, period: float, rng: random.Random, settings: CheckSettings
 ) -> Finding:
     """Test with blocks of growing length until the rig reacts or the time is over."""
-    theta = session.commander.theta
+    theta = session.theta.value
     other = rig.scale.step_away(theta, settings.step)
     finding = None
     for factor, stages in SERIES:
@@ -194,8 +196,7 @@ def _observe(
     rig: RigFile, session: Session, theta: float, settle: int, blocks: Blocks
 ) -> NDArray[np.float64]:
     """Move theta, let the rig settle, and return the features of the block that follows."""
-    session.commander.go(theta)
-    session.wait_until(lambda: session.commander.arrived)
+    session.go(theta)
     session.wait_for_states(settle, "settling")
     begin = session.listener.count
     session.wait_for_states(blocks.windows.length, "observing")

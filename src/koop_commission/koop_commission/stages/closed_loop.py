@@ -12,16 +12,17 @@ import numpy as np
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
 from koop_bringup.plan import plan
+from koop_commission.rig.guarded_theta import GUARD, guard_section
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.session import Session, open_session, spell_time
 from koop_core.config.fields import parse_field
+from koop_guard.config import ASKED
 from koop_tune.excitation import progress
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig.rig_file import THETA, THETA_TYPE, RigFile
 from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure
 from koop_tune.search.rounds import LoopRun
 
-THETA_ASKED = "/koop_verify/theta"  # what the controller asks for; the commander passes it on
 BEFORE = 8  # windows before the loop is closed, and after it at the theta that it reached
 LINES, QUIET = 8, 5.0  # lines about a closed loop at most, and time between two at least [s]
 LONGER = 2.0  # factor by which a loop that may agree yet is closed for longer
@@ -69,9 +70,9 @@ class ClosedLoop:
         count = 1
         while (run := self.folder / f"verify-{self.number}" / f"start-{count}").exists():
             count += 1
-        remaps = [f"{ESC}:theta:={THETA_ASKED}"]
+        remaps = [f"{ESC}:theta:={ASKED}"]
         nodes = LiveNodes(run, self._plan_nodes(run, start), rig=True, remaps=remaps)
-        with open_session("koop_verify", self.rig, nodes, self.note, THETA_ASKED) as session:
+        with open_session(self.rig, nodes, self.note) as session:
             return self._drive(session, start, str((run / "bag").relative_to(self.folder)))
 
     def _plan_nodes(self, run: Path, start: float) -> dict[str, dict[str, Any]]:
@@ -79,7 +80,7 @@ class ClosedLoop:
         file = self.folder / TUNED / CONTROLLER
         arguments = {"params": str(file), "plant": "false", "record": "true", "output": str(run)}
         parameters = plan(arguments).parameters
-        parameters.pop("koop_guard", None)  # here the commander keeps the limits
+        parameters[GUARD] = guard_section(self.rig, self.note)  # the limits of the rig
         u = self.aim.scale.u(np.array([start, self.aim.theta]))
         parameters["koopman_lifter"]["listeners"] = "recorder"  # it works before the controller
         parameters[ESC] |= {
@@ -87,7 +88,7 @@ class ClosedLoop:
             "theta_initial": start,
             "epsilon_initial": -1 if u[0] <= u[1] else 1,
             "command": "",
-            "listeners": "next recorder",
+            "listeners": f"{GUARD} recorder",
         }
         return parameters
 
@@ -110,7 +111,7 @@ class ClosedLoop:
         begin = states.count
         session.wait_for_states(rest, "before")
         before = states.samples(begin, begin + rest).x
-        session.commander.follow()
+        session.theta.follow()
         session.client.change_state(f"/{ESC}", "activate", START_TIMEOUT, session.check)
         session.wait_until(lambda: _has_direction(answers))
         closed, first = states.count, answers.count
@@ -150,7 +151,7 @@ class ClosedLoop:
             x = states.samples(max(closed, due - tail), due).x
             if x.shape[0] >= amplitude.windows.length:
                 level = math.exp(float(amplitude.logs(x).mean()))
-                theta = session.commander.theta
+                theta = session.theta.value
                 at = (due - closed) * dt
                 print(f"{at:6.0f} s  theta {theta:<9.4g} amplitude {level:.3g}", flush=True)
 

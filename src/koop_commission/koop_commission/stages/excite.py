@@ -13,6 +13,7 @@ import numpy as np
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveNodes
+from koop_commission.rig.guarded_theta import GUARD, guard_section
 from koop_commission.stages.session import (
     Session,
     open_session,
@@ -125,9 +126,11 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
 
     lifter = {"cost": "raw", "dt": rig.dt, "listeners": "recorder", **rig.lifter_input}
     recorder = {"output": str(folder / part)}
-    parameters: dict[str, dict[str, Any]] = {"recorder": recorder, "koopman_lifter": lifter}
+    parameters: dict[str, dict[str, Any]] = {
+        "recorder": recorder, "koopman_lifter": lifter, GUARD: guard_section(rig, note),
+    }  # fmt: skip
     nodes = LiveNodes(folder / part, parameters, rig=True)
-    with open_session("koop_excite", rig, nodes, note) as session:
+    with open_session(rig, nodes, note) as session:
         state.parts.append(part)
         Excitation(rig, folder, state, holds, session).run()
     return state
@@ -204,7 +207,7 @@ class Excitation:
 
     def _listen(self) -> None:
         """Choose the first windows from the oscillation before theta moves."""
-        dt, theta = self._rig.dt, self._session.commander.theta
+        dt, theta = self._rig.dt, self._session.theta.value
         print(f"listening before theta moves, at theta = {theta:.4g}", flush=True)
         while self._design.listens(x := self._listener.samples(self._first).x):
             self._session.wait_for_states(math.ceil(0.2 * DESIGN.shortest / dt), "listening")

@@ -1,4 +1,4 @@
-"""A live rig whose theta a commander moves, and the nodes beside it that listen and record."""
+"""A live rig whose theta a guard moves, and the nodes beside it that listen and record."""
 
 from __future__ import annotations
 
@@ -6,29 +6,29 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 from tqdm import tqdm
 
 from koop_bringup.live.loop import LiveNodes
-from koop_bringup.live.process import START_TIMEOUT
+from koop_bringup.live.process import START_TIMEOUT, uninterrupted
 from koop_commission.fitness.samples import refuse_dead
 from koop_commission.rig.graph import (
+    describe_other_commanders,
     describe_second_rig,
-    find_other_publishers,
     find_types,
     identify_publishers,
 )
+from koop_commission.rig.guarded_theta import GuardedTheta
 from koop_commission.rig.listener import Listener
-from koop_commission.theta.assignment import Assignment
-from koop_commission.theta.commander_client import CommanderClient
 from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_guard.note import find_theta
+from koop_loop.ending import describe_end
 from koop_node.client.client import Client
-from koop_tune.rig.rig_file import STATE, STATE_TYPE, THETA, RigFile, state_source
+from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile, state_source
 
 COST = "/cost"
 BYTES = 250.0  # of a bag for one state, with its cost and theta
@@ -45,15 +45,17 @@ class Session:
     client : Client
         Observer in the ROS domain.
     listener : Listener
-        Receives the states, which the commander answers.
+        Receives the states.
     command_type : str
         Message type of the command, ``pkg/msg/Type``.
-    nodes : LiveNodes, optional
-        Nodes that run beside.
+    nodes : LiveNodes
+        The guard, and what runs beside.
+    note : Path, optional
+        File that notes where theta was left.
 
     Attributes
     ----------
-    commander : CommanderClient
+    theta : GuardedTheta
         Moves theta, within :meth:`command_theta`.
     still : int
         Samples after which a channel that does not change is dead; 0: never.
@@ -67,53 +69,47 @@ class Session:
         client: Client,
         listener: Listener,
         command_type: str,
-        nodes: LiveNodes | None = None,
+        nodes: LiveNodes,
+        note: Path | None = None,
     ) -> None:
         self.client, self.listener = client, listener
-        self.commander: CommanderClient
+        theta, remark = find_theta(note, rig, identify_publishers(client, rig.state.topic))
+        if remark:
+            print(remark, flush=True)
+        self.theta = GuardedTheta(client, rig, command_type, theta)
         self.still = 0
         self.show: Callable[[], object] = lambda: None
-        self._rig, self._command_type, self._nodes = rig, command_type, nodes
+        self._rig, self._nodes = rig, nodes
         self._bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
         self._checked = self._looked = 0.0
 
     @contextmanager
-    def command_theta(
-        self, note: Path | None, log: Path, follows: str = ""
-    ) -> Iterator[CommanderClient]:
-        """Command theta; at the end it returns to theta_safe.
+    def command_theta(self) -> Iterator[None]:
+        """Begin to command theta; at the end it returns to theta_safe.
 
-        Parameters
-        ----------
-        note : Path or None
-            File that notes where theta was left.
-        log : Path
-            File for what the commander prints.
-        follows : str
-            Topic of a controller that may be followed; empty: none.
+        Raises
+        ------
+        koop_core.errors.LiveError
+            If it ends early, or theta may not be at theta_safe.
         """
-        rig = self._rig
-        if others := find_other_publishers(self.client, rig.knob.topic, commanding=False):
-            raise LiveError(f"{rig.knob.topic} is commanded by {', '.join(others)}: stop that")
-        publishers = identify_publishers(self.client, rig.state.topic)
-        theta, remark = find_theta(note, rig, publishers)
-        if remark:
-            print(remark, flush=True)
-        path = str(note.resolve()) if note is not None else ""
-        recorders = int(self._nodes is not None)
-        assignment = Assignment(
-            rig, theta, str(self.listener.source), self.listener.kind, self._command_type,
-            recorders, path, follows,
-        )  # fmt: skip
         try:
-            with CommanderClient(assignment, log) as self.commander:
-                yield self.commander
+            self.theta.go(self.theta.value)
+            self.client.wait_for(
+                lambda: self.theta.arrived, START_TIMEOUT,
+                f"the guard (see {self._nodes.folder}/logs)", self.check,
+            )  # fmt: skip
+            yield
         finally:
-            self._bar.close()
+            with uninterrupted():
+                self._bar.close()
+                self._nodes.stop_guard()
+                self.theta.wait_until_safe()
 
     def check_nodes(self) -> None:
         """Raise LiveError if the recorder or another node has ended."""
-        for process in self._nodes.ended() if self._nodes is not None else ():
+        for process in self._nodes.ended():
+            if (code := process.process.returncode) < 0:
+                raise LiveError(describe_end(process.node, code))
             *_, last = ["", *process.last_lines(1).splitlines()]
             words = re.sub(r"^(\[[^]]*\] )*(\[[^]]*\]: )?", "", last)
             if not words and not shutil.disk_usage(process.log.parent).free:
@@ -140,11 +136,11 @@ class Session:
         self.wait_until(lambda: self.listener.count >= first + count)
 
     def go(self, theta: float) -> None:
-        """Move theta, and wait for the first state that is answered after its arrival."""
-        self.commander.go(theta)
-        self.wait_until(lambda: self.commander.arrived)
-        step = self.commander.step
-        self.wait_until(lambda: self.listener.last is not None and self.listener.last.step >= step)
+        """Move theta, and wait for the first state after its arrival."""
+        self.theta.go(theta)
+        self.wait_until(lambda: self.theta.arrived)
+        count = self.listener.count
+        self.wait_until(lambda: self.listener.count > count)
 
     def check(self) -> None:
         """Look after the rig, ten times a second at most; raise as :meth:`wait_until` does."""
@@ -152,24 +148,19 @@ class Session:
         if now < self._checked + 0.1:
             return
         self._checked = now
-        self.commander.check()
+        self.theta.check()
         if now < self._looked + 1.0:
             return
         self._looked = now
         self.check_nodes()
         self.refuse_dead()
-        if text := describe_second_rig(self.client, self._rig):
-            raise LiveError(text)
-        topic = self._rig.knob.topic
-        if others := find_other_publishers(self.client, topic, commanding=True):
-            raise LiveError(f"{topic} is also commanded by {', '.join(others)}")
         self.show()
 
     def draw(self, phase: str, elapsed: float, total: float, more: str = "") -> None:
         """Draw the progress of a phase, in seconds."""
         self._bar.set_description_str(phase, refresh=False)
         self._bar.total, self._bar.n = total, min(elapsed, total)
-        words = f"theta {self.commander.theta:+.4g}" + f", {more}" * bool(more)
+        words = f"theta {self.theta.value:+.4g}" + f", {more}" * bool(more)
         self._bar.set_postfix_str(words, refresh=True)
 
     def refuse_dead(self) -> None:
@@ -180,23 +171,17 @@ class Session:
 
 
 @contextmanager
-def open_session(
-    name: str, rig: RigFile, nodes: LiveNodes, note: Path | None = None, follows: str = ""
-) -> Iterator[Session]:
+def open_session(rig: RigFile, nodes: LiveNodes, note: Path | None = None) -> Iterator[Session]:
     """Start the nodes beside a rig and command its theta; at the end theta returns first.
 
     Parameters
     ----------
-    name : str
-        Name of this node in the ROS domain.
     rig : RigFile
         The rig, which runs.
     nodes : LiveNodes
-        Lifter and recorder, and others that run beside.
+        Guard, lifter and recorder, and others that run beside.
     note : Path, optional
         File that notes where theta was left.
-    follows : str
-        Topic of a controller that may be followed.
 
     Raises
     ------
@@ -206,28 +191,26 @@ def open_session(
         If the rig file names what does not exist.
     """
     refuse_incomplete_state(rig)
-    # the commander ends after the recorder: each recorded state has a theta
-    with ExitStack() as last, ExitStack() as stack:
-        client = stack.enter_context(Client(name))
+    with Client("_koop_session") as client:  # hidden: the guard waits for the rig to listen
         _, command_type = find_types(client, rig)
-        if text := describe_second_rig(client, rig):
-            raise LiveError(text)
-        stack.enter_context(nodes)
-        state = parse_source(state_source(len(rig.names)))
-        listener = Listener(client, state.topic, STATE_TYPE, state.fields, reliable=True)
-        session = Session(rig, client, listener, command_type, nodes)
-        client.wait_for(
-            lambda: client.node.count_subscribers(THETA) and client.node.count_publishers(COST),
-            START_TIMEOUT, f"lifter and recorder (see {nodes.folder}/logs)", session.check_nodes,
-        )  # fmt: skip
-        log = nodes.folder / "logs" / "commander.log"
-        commander = last.enter_context(session.command_theta(note, log, follows))
-        stack.callback(commander.return_to_safe)
-        try:
-            yield session
-        except LiveError as error:
-            where = f"theta was returned to theta_safe = {rig.theta_safe:g}"
-            raise LiveError(f"{error}. {where}") from error
+        for describe in (describe_second_rig, describe_other_commanders):
+            if text := describe(client, rig):
+                raise LiveError(text)
+        with nodes:
+            state = parse_source(state_source(len(rig.names)))
+            listener = Listener(client, state.topic, STATE_TYPE, state.fields, reliable=True)
+            session = Session(rig, client, listener, command_type, nodes, note)
+            client.wait_for(
+                lambda: client.node.count_subscribers(COST) and client.node.count_publishers(COST),
+                START_TIMEOUT, f"lifter and recorder (see {nodes.folder}/logs)",
+                session.check_nodes,
+            )  # fmt: skip
+            with session.command_theta():
+                try:
+                    yield session
+                except LiveError as error:
+                    where = f"theta was returned to theta_safe = {rig.theta_safe:g}"
+                    raise LiveError(f"{error}. {where}") from error
 
 
 @contextmanager

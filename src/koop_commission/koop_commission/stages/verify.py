@@ -34,7 +34,7 @@ def register(commands: Any) -> None:
     parser = commands.add_parser(
         "verify",
         description="Closes the loop with the controller of 'koop tune', from both ends of "
-        "theta's range, records it, and compares it with the prediction. A commander keeps theta "
+        "theta's range, records it, and compares it with the prediction. The guard keeps theta "
         "within its limits and rate and returns it to theta_safe, as in 'koop excite'. The same "
         "command resumes an interrupted one. Exit code 0 only if the rig is damped.",
     )

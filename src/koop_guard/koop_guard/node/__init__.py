@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
 from koop_msgs.msg import ControlInput, GuardState, MeasuredState
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from koop_core.config.fields import check_fields, parse_source
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
-from koop_guard.config import SAFETY, GuardConfig
+from koop_guard.config import SAFETY, THETA, GuardConfig
 from koop_guard.guard import Cause, Guard, Status
 from koop_guard.node.twin import Twin
 from koop_guard.node.wire import Command, Return, describe_theta, return_to_safe
@@ -47,11 +49,17 @@ class GuardRun(Run):
         self.inputs = (self._answers, self._states)
         self._header: Any = None
         self._last, self._sent = (0, 0.0), 0.0  # step of the newest state, and when it came
+        self._moved = 0  # step at which theta moved last
+        self._lockstep = False
+        self._begun = math.inf  # when the rig could first be commanded [s]
+        self._target, self._target_heard = math.nan, math.inf
+        self._to_target = False  # whether theta moves there, not to what the controller asks for
+        self._answer: Any = None
         self._said: object = None
         self._refused = ""
-        self._start_twin: Callable[[], Twin]
         self._command: Command | None = None
         self._twin: Twin | None = None
+        self._order: tuple[Any, ...] = ()  # what the twin may have to command
         self._ids: list[str] = []
         self._controller: Any = None  # its ~/reset
         self._rearming = False
@@ -62,11 +70,14 @@ class GuardRun(Run):
 
     def activate(self, entities: Entities) -> None:
         config, source = self._config, self._config.source
+        full = self._knob.topic.lstrip("/")
 
         def command(name: str) -> None:
             self._command = Command(
                 entities.publisher, name, self._knob.topic, self._knob.fields[0]
             )
+            if config.answers and not (self._command.answers and full == THETA):
+                self._answer = entities.publisher(ControlInput, THETA, RELIABLE)
             kind = name
             entities.when_typed(publishers_of, source.topic, lambda name: listen(name, kind))
 
@@ -81,8 +92,9 @@ class GuardRun(Run):
                 self._node.get_logger().warning(remark)
             self._guard = Guard(config, theta)
             topic = self._node.resolve_topic_name(self._knob.topic)
-            self._start_twin = lambda: Twin(asdict(config), topic, kind, self._ids)
-            self._twin = self._start_twin()
+            self._order = (asdict(config), topic, kind, self._ids)
+            assert self._twin is not None
+            self._twin.prepare(*self._order)
             entities.waiting_for = "waiting for its twin"
             waiting = entities.timer(0.05, lambda: begin(state, waiting))
 
@@ -99,11 +111,16 @@ class GuardRun(Run):
             entities.when_heard(rig, lambda: follow())
 
         def follow() -> None:
+            self._begun = time.monotonic()
             entities.dated_subscription(ControlInput, config.asked, self._on_answer, RELIABLE)
+            entities.subscription(Float64, "~/target", self._on_target, KEPT)
+            if self._answer is not None:
+                entities.dated_subscription(MeasuredState, "state", self._answer_state, RELIABLE)
             entities.timer(SAFETY.tick, self._on_tick)
             entities.timer(LOOK, self._look)
             self._look()
 
+        self._twin = Twin()  # its start takes the longest
         entities.when_typed(subscribers_of, self._knob.topic, command)
 
     def may_end(self, number: int) -> bool:
@@ -136,7 +153,8 @@ class GuardRun(Run):
             self._twin.release(guard.theta)
         if self._controller is not None:
             self._node.destroy_client(self._controller)
-        self._twin = self._command = self._controller = None
+        self._twin = self._command = self._controller = self._answer = None
+        self._to_target, self._target, self._target_heard = False, math.nan, math.inf
 
     def _holds_at_end(self, number: int) -> bool:
         following = self._guard.status is Status.FOLLOWING
@@ -167,31 +185,54 @@ class GuardRun(Run):
             return WARN, "nothing is commanded: the controller has not answered yet", values
         if twin is not None and not twin.shared.ready:
             return WARN, "the guard's twin is not ready", values
-        return OK, "following", values
+        return OK, "moves theta to ~/target" if self._to_target else "following", values
 
     def _on_state(self, message: Any, written: float) -> None:
         now = time.monotonic()
         step, x = self._adapter.convert(message)
         if self._counts_steps:
-            step = message.step
+            step, self._lockstep = message.step, message.lockstep
         self._header, self._last = getattr(message, "header", None), (max(step, 0), now)
         stamp = getattr(self._header, "stamp", None)
         self._states.hear(step, _seconds(stamp), now, written)
-        self._guard.hear_state(x, now)
-        if self._guard.status is Status.TRIPPED:
+        guard = self._guard
+        guard.hear_state(x, now)
+        if self._to_target:  # not before the rig receives
+            guard.go(self._target if now - self._begun > SAFETY.matched else guard.theta)
+        if self._to_target or guard.status is Status.TRIPPED:
             self._say(now)
+
+    def _answer_state(self, state: Any, written: float) -> None:
+        """Answer a state of the loop with what is commanded, where no controller does."""
+        guard = self._guard
+        if self._to_target or guard.status is Status.TRIPPED:
+            answer = ControlInput(theta=guard.theta, step=state.step, holding=guard.arrived)
+            answer.header = state.header
+            self._answer.publish(answer)
+
+    def _on_target(self, target: Any) -> None:
+        """Move theta to a target from now on; not a number: follow the controller again."""
+        self._target_heard = now = time.monotonic()
+        if math.isfinite(target.data):
+            self._to_target = True
+        elif math.isfinite(self._target):
+            self._guard.follow(now + SAFETY.hang)
+        self._target = target.data
 
     def _on_answer(self, answer: Any, written: float) -> None:
         now = time.monotonic()
         if self._command is None:
             return
         arrival = self._answers.hear(answer.step, _seconds(answer.header.stamp), now, written)
-        if arrival is Arrival.LATE:
+        if arrival is Arrival.LATE or (self._to_target and math.isfinite(self._target)):
             return
         old = arrival is Arrival.TOO_OLD or self._is_past(answer)
         self._guard.hear_answer(answer.theta, answer.saturated, now, old)
         if self._guard.status is Status.FOLLOWING and not old:
+            self._to_target = False
             self._command.pass_on(answer, self._advance(now))
+            if self._answer is not None:
+                self._answer.publish(answer)
 
     def _is_past(self, answer: Any) -> bool:
         """Return whether an answer is to a state of long ago, by the rig's own stamps."""
@@ -202,6 +243,9 @@ class GuardRun(Run):
     def _on_tick(self) -> None:
         now, guard = time.monotonic(), self._guard
         guard.hear_time(now)
+        if now - self._target_heard > SAFETY.hang:
+            text = f"who set a target gave no sign of life for {SAFETY.hang:g} s"
+            guard.note(Cause.SILENT, text, now)
         if guard.status is Status.TRIPPED and now - self._sent > max(
             SAFETY.tick, 2.0 * self._config.period
         ):
@@ -210,7 +254,7 @@ class GuardRun(Run):
             self._twin.shared.write(guard.theta, now, self._commands, self._last)
         if guard.may_rearm_itself(now) and not self._rearming:
             self._reset_controller(by_hand=False)
-        if (guard.status, guard.at_safe, guard.trip) != self._said:
+        if self._news() != self._said:
             self._announce()
 
     def _look(self) -> None:
@@ -218,7 +262,8 @@ class GuardRun(Run):
         now, guard, node = time.monotonic(), self._guard, self._node
         if self._twin is not None and self._twin.process.poll() is not None:
             node.get_logger().error("the guard's twin has ended: another one is started")
-            self._twin = self._start_twin()
+            self._twin = Twin()
+            self._twin.prepare(*self._order)
         config = self._config
         controllers = publishers_of(node, config.asked)
         if guard.status is not Status.WAITING:
@@ -236,7 +281,7 @@ class GuardRun(Run):
             if commanding:
                 text = f"{self._knob.topic} is also commanded by {', '.join(commanding)}"
                 guard.note(Cause.OTHER, text, now)
-        if not controllers and guard.status is Status.FOLLOWING:
+        if not (controllers or self._to_target) and guard.status is Status.FOLLOWING:
             guard.note(Cause.INACTIVE, "the controller is inactive or has ended", now)
         if len(controllers) == 1 and full_name(controllers[0]).startswith("/"):  # its name is known
             self._find_reset(f"{full_name(controllers[0])}/reset")
@@ -251,7 +296,11 @@ class GuardRun(Run):
 
     def _advance(self, now: float) -> float:
         """Move theta on; the twin knows it before the rig does."""
-        theta = self._guard.advance(now)
+        steps, self._moved = self._last[0] - self._moved, self._last[0]
+        if self._lockstep and steps:  # its time is counted in steps
+            theta = self._guard.move(steps * self._config.period)
+        else:
+            theta = self._guard.advance(now)
         if self._twin is not None:
             self._twin.shared.write(theta, now, True, self._last)
         self._sent = now
@@ -260,6 +309,12 @@ class GuardRun(Run):
     def _say(self, now: float) -> None:
         if self._command is not None:
             self._command.say(self._advance(now), self._last[0], self._header)
+
+    def _news(self) -> object:
+        """Return what is announced as soon as it changes."""
+        guard = self._guard
+        arrived = guard.arrived and (self._to_target or guard.status is Status.TRIPPED)
+        return guard.status, arrived and guard.theta, guard.trip
 
     def _announce(self) -> None:
         """Publish the state if it is another one."""
@@ -273,7 +328,7 @@ class GuardRun(Run):
             message.tripped_theta, message.tripped_x = trip.theta, list(trip.x)
         message.rearm_refused = guard.refusal(now)
         message.rearms_left = max(self._config.rearms - guard.rearmed, 0)
-        said = (guard.status, guard.at_safe, trip)
+        said = self._news()
         if said != self._said or message.rearm_refused != self._refused:
             if trip is not None and guard.status is Status.TRIPPED and said != self._said:
                 self._node.get_logger().error(
@@ -325,7 +380,8 @@ class GuardNode(ManagedNode[GuardRun]):
 
     Theta keeps its limits and its rate. It returns to theta_safe, and stays there until
     ``~/rearm``, when a measured channel is beyond its limit, not finite, stuck or silent, when the
-    controller is silent, too old, inactive or doubled, and after ``~/trip``. An orderly end does
+    controller is silent, too old, inactive or doubled, and after ``~/trip``. While ``~/target``
+    holds a number, theta moves there and the controller is not heard. An orderly end does
     what ``on_end`` says; if the guard is killed, its twin returns theta to theta_safe.
     """
 

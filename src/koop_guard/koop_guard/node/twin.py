@@ -59,19 +59,9 @@ class SharedTheta:
 
 
 class Twin:
-    """The twin, seen from the guard.
+    """The twin, seen from the guard; it is ready a while after :meth:`prepare`."""
 
-    Parameters
-    ----------
-    config : dict
-        Values of the guard's configuration.
-    topic, kind : str
-        Full name and message type of the command.
-    publishers : list of str
-        Ids of the rig's publishers, for the note.
-    """
-
-    def __init__(self, config: dict[str, Any], topic: str, kind: str, publishers: list[str]):
+    def __init__(self) -> None:
         with tempfile.TemporaryFile() as file:
             file.truncate(_SIZE)
             self.shared = SharedTheta(file.fileno())
@@ -82,8 +72,24 @@ class Twin:
                 env={name: value for name, value in os.environ.items() if name != VARIABLE},
                 **OWN_GROUP,  # Ctrl-C reaches the guard, which lets it go
             )
+
+    def prepare(self, config: dict[str, Any], topic: str, kind: str, publishers: list[str]) -> None:
+        """Say what it may have to command.
+
+        Parameters
+        ----------
+        config : dict
+            Values of the guard's configuration.
+        topic, kind : str
+            Full name and message type of the command.
+        publishers : list of str
+            Ids of the rig's publishers, for the note.
+        """
         order = {"config": config, "topic": topic, "kind": kind, "publishers": publishers}
-        self._write(json.dumps(order).encode() + b"\n")
+        with suppress(OSError):
+            assert self.process.stdin is not None
+            self.process.stdin.write(json.dumps(order).encode() + b"\n")
+            self.process.stdin.flush()
 
     def release(self, theta: float) -> None:
         """Let it go: theta is where it is to be."""
@@ -97,12 +103,6 @@ class Twin:
             self.process.kill()
             self.process.wait()
 
-    def _write(self, data: bytes) -> None:
-        with suppress(OSError):
-            assert self.process.stdin is not None
-            self.process.stdin.write(data)
-            self.process.stdin.flush()
-
 
 def main(descriptor: int) -> int:
     """Wait for the guard's end; return theta to theta_safe if it was killed."""
@@ -110,12 +110,12 @@ def main(descriptor: int) -> int:
         signal.signal(number, signal.SIG_IGN)
     guard_id = os.getppid()
     shared = SharedTheta(descriptor)
-    if not (line := sys.stdin.buffer.readline()):
-        return 0
-    order = json.loads(line)
     from koop_node.client.client import Client
 
     with Client("_koop_guard_twin", guest=False) as client:
+        if not (line := sys.stdin.buffer.readline()):
+            return 0
+        order = json.loads(line)
         shared.ready = True
         while not _has_ended(guard_id, shared):
             client.spin(0.0)  # what was discovered

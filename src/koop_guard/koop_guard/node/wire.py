@@ -54,10 +54,11 @@ class Command:
 
     def pass_on(self, answer: Any, theta: float) -> None:
         """Command a theta with all else that the controller answered."""
-        if not self.answers:
-            return self.say(theta)
         answer.theta = theta
-        return self.publisher.publish(answer)
+        if self.answers:
+            self.publisher.publish(answer)
+        else:
+            self.say(theta)
 
 
 class Return:

@@ -61,7 +61,7 @@ def is_empty(domain: int) -> bool:
 
 def _published(domain: int, topics: list[str]) -> bool:
     """Return whether one of the topics has a publisher."""
-    if is_empty(domain):
+    if not topics or is_empty(domain):
         return False
     from koop_node.client.client import Client  # needs ROS
 

@@ -1,0 +1,119 @@
+"""Theta of a live rig, moved through the guard, which alone commands the rig."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from koop_core.config.fields import read_field
+from koop_core.errors import LiveError
+from koop_node.client.client import Client
+from koop_tune.rig.rig_file import RigFile
+
+GUARD = "koop_guard"
+SIGN_OF_LIFE = 1.0  # [s] between two messages to the guard
+PATIENCE = 20.0  # [s] beyond the time to return, after which theta may be elsewhere
+ROUNDED = 1e-6  # share of theta's range by which a command of few digits may be off
+
+
+def guard_section(rig: RigFile, note: Path | None, answers: bool = True) -> dict[str, Any]:
+    """Return the guard's parameters; ``answers``: a lifter and a recorder run beside."""
+    path = str(note.resolve()) if note is not None else ""
+    values = asdict(replace(rig.guard, note=path, answers=answers))
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items() if v != ()}
+
+
+class GuardedTheta:
+    """Theta, as the rig is told it.
+
+    Parameters
+    ----------
+    client : Client
+        Observer in the ROS domain.
+    rig : RigFile
+        The rig.
+    command_type : str
+        Message type of the command, ``pkg/msg/Type``.
+    theta : float
+        Value that theta has now.
+    """
+
+    def __init__(self, client: Client, rig: RigFile, command_type: str, theta: float) -> None:
+        from koop_msgs.msg import GuardState
+        from rclpy.qos import qos_profile_sensor_data
+        from std_msgs.msg import Float64
+
+        from koop_guard.node import KEPT
+        from koop_node.node.managed import message_type
+
+        self._client, self._rig = client, rig
+        self._kind, self._command = message_type(command_type), b""
+        self._target, self._before = Float64(data=theta), theta
+        self._state = GuardState()
+        self._said = -math.inf
+        node = client.node
+        self._publisher = node.create_publisher(Float64, f"/{GUARD}/target", KEPT)
+        node.create_subscription(GuardState, f"/{GUARD}/state", self._on_state, KEPT)
+        node.create_subscription(
+            self._kind, rig.knob.topic, self._on_command, qos_profile_sensor_data, raw=True
+        )
+
+    @property
+    def value(self) -> float:
+        """What the rig was told last."""
+        from rclpy.serialization import deserialize_message
+
+        if not self._command:
+            return self._before
+        return read_field(self._rig.knob.fields[0], deserialize_message(self._command, self._kind))
+
+    @property
+    def arrived(self) -> bool:
+        """Whether theta is at the target of :meth:`go`."""
+        state = self._state
+        return state.status == state.FOLLOWING and state.theta == self._target.data
+
+    def go(self, theta: float) -> None:
+        """Move theta to a value, within limits and rate."""
+        self._say(min(max(theta, self._rig.theta_min), self._rig.theta_max))
+
+    def follow(self) -> None:
+        """Let the controller, which begins at this theta, move it until :meth:`go`."""
+        self._say(math.nan)
+
+    def check(self) -> None:
+        """Give a sign of life; raise LiveError if the guard returns theta to theta_safe."""
+        if self._state.status == self._state.TRIPPED:
+            raise LiveError(self._state.reason)
+        if time.monotonic() - self._said > SIGN_OF_LIFE:
+            self._say(self._target.data)
+
+    def wait_until_safe(self) -> None:
+        """Wait until theta is at theta_safe, as it is once the guard has ended, or its twin.
+
+        Raises
+        ------
+        koop_core.errors.LiveError
+            If it may not be there.
+        """
+        rig = self._rig
+        if not self._command:
+            return  # it was never commanded
+        self._client.wait_for(
+            lambda: abs(self.value - rig.theta_safe) <= ROUNDED * rig.span,
+            rig.guard.longest_return + PATIENCE,
+            f"theta may not be at theta_safe = {rig.theta_safe:g}",
+        )
+
+    def _say(self, target: float) -> None:
+        self._said, self._target.data = time.monotonic(), target
+        self._publisher.publish(self._target)
+
+    def _on_state(self, state: Any) -> None:
+        self._state = state
+
+    def _on_command(self, data: bytes) -> None:
+        self._command = data

@@ -1,1 +1,0 @@
-"""Who commands theta, and within which limits."""
