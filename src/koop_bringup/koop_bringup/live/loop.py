@@ -114,14 +114,21 @@ class LiveNodes:
 
         The guard comes first: theta returns while all else works.
         """
-        self.stop_guard(to_guard)
+        self._end_guard(to_guard)
         return {node: process.stop() for node, process in reversed(self._nodes.items())}
+
+    def _end_guard(self, number: int = signal.SIGTERM) -> None:
+        """Stop the guard, if that was not done, and say where theta is."""
+        if not self._theta_left:
+            self.stop_guard(number)
+            if self._theta_left:
+                self._note(self._theta_left)
 
     @uninterrupted()
     def stop_guard(self, number: int = signal.SIGTERM) -> None:
-        """Stop the guard, wait for its twin, and say where theta is; SIGINT: an orderly end."""
+        """Stop the guard and wait for its twin; SIGINT: an orderly end."""
         guard = self._nodes.get("koop_guard")
-        if guard is None or self._theta_left:
+        if guard is None:
             return
         rig = self._nodes.get("rig")
         gone = rig is not None and rig.poll() is not None
@@ -137,7 +144,6 @@ class LiveNodes:
             silent = killed if guard.poll() else "theta was not commanded"
             text = lines[-1].rpartition("]: ")[2] if lines else silent
         self._theta_left = text
-        self._note(text)
 
     def run(self, on_progress: Callable[[Progress], None]) -> None:
         """Wait until the plant has done its steps, then stop the other nodes.
@@ -205,7 +211,7 @@ class LiveNodes:
             if end is Ending.DONE:
                 return True
             if end is Ending.FAILED:
-                self.stop_guard()  # the recorder still works
+                self._end_guard()  # the recorder still works
                 raise process.failure()
             self.lost.append(node)
             self._note(f"{process.failure()}\nthe loop goes on without it")
