@@ -55,7 +55,7 @@ def test_a_rig_of_one_sensor_is_damped(start, probe, tmp_path, capfd):
         omega_l=0.6,
     )  # fmt: skip
     start(
-        "relay_esc", command="/knob:data", dt=DT, theta_initial=-1.0, step_size=DT / 15.0,
+        "relay_esc", command="/knob:data", theta_initial=-1.0, step_size=DT / 15.0,
         tau_f=3.0,
     )  # fmt: skip
     turned = probe.collect(Float64, "/knob")

@@ -205,7 +205,7 @@ def controller_of(rig: Rig, speed: float) -> RigController:
     """Return the raw cost and a relay that moves theta by so many ranges in the rig's own time."""
     p = rig.params
     esc = EscConfig(
-        theta_min=p.theta_min, theta_max=p.theta_max, theta_initial=rig.theta_initial, dt=p.dt,
+        theta_min=p.theta_min, theta_max=p.theta_max, theta_initial=rig.theta_initial,
         step_size=speed * (p.theta_max - p.theta_min) * p.dt / rig.time, dwell=rig.time,
         tau_f=rig.time, objective=rig.objective,
     )  # fmt: skip
