@@ -232,7 +232,8 @@ def test_a_verdict_says_not_damped_exactly_where_there_are_faults(aim, good):
         assert ("koop up there" in said) == (not faults)
         if faults:
             assert faults[0] in said
-            assert "'time'" in said  # what to do
+            assert "leave theta at 0.7, the best of the map, or" in said  # what to do
+            assert said.endswith("choose another --out.")  # the same command would say the same
         else:
             worse = any(find_disagreements(aim, item) for item in runs)
             assert ("not as predicted" in said) == worse

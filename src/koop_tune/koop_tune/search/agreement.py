@@ -291,8 +291,9 @@ def verdict(
     worse = [text for run in runs for text in find_disagreements(aim, run)]
     if faults:
         last = (
-            f"The rig is not damped after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; run "
-            "the same command with a longer 'time' in the rig file"
+            f"The rig is not damped after {rounds} round{'s' * (rounds != 1)}: {faults[0]}; leave "
+            f"theta at {aim.theta:.4g}, the best of the map, or set theta_min and theta_max closer "
+            "around it, or a longer 'time', and choose another --out"
         )
     elif worse:
         last = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"
