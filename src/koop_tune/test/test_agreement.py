@@ -133,7 +133,7 @@ def test_each_of_what_damped_means_is_asked_of_every_loop(aim, good, change, mes
 def test_a_reduction_that_its_error_explains_is_none(aim, good):
     still = replace(good, amplitude_before=1.05, amplitude=1.0, reduction=1.05, error=0.04)
     (fault,) = find_faults(aim, [still, still])
-    assert "from neither start the amplitude changes by more than its error" in fault
+    assert "from neither start the amplitude falls by more than its error" in fault
     assert find_faults(aim, [still, good]) == []  # from the worse start it fell
     assert find_faults(aim, [replace(still, error=0.01)]) == []
 
@@ -182,6 +182,7 @@ def test_only_what_is_worse_than_the_band_disagrees(aim, good, change, message):
     ending = "damped as predicted" if message is None else "damped, but not as predicted"
     assert f"The rig is {ending}" in said
     assert "./koop up there runs it." in said
+    assert said.count(aim.name) == 1
 
 
 def factor(text):

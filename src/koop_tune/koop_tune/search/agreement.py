@@ -261,7 +261,8 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
             )
     gains = [math.log(run.reduction) - aim.settings.errors * run.error for run in runs]
     if max(gains) <= 0.0:
-        faults.append("from neither start the amplitude changes by more than its error")
+        verb = "falls" if aim.sense > 0 else "rises"
+        faults.append(f"from neither start the amplitude {verb} by more than its error")
     for run in runs:
         if math.log(run.reduction) < -aim.settings.errors * run.error - math.log(good):
             faults.append(f"the amplitude is worse than before by {1.0 / run.reduction:.3g}")
@@ -286,7 +287,8 @@ def verdict(
     where : str
         Folder that ``koop up`` runs.
     """
-    lines = [describe_run(aim, run, start) for run, start in zip(runs, starts, strict=True)]
+    names = [f" of {aim.name}"] + [""] * (len(runs) - 1)  # it may be long: once
+    lines = [describe_run(aim, *items) for items in zip(runs, starts, names, strict=True)]
     faults = find_faults(aim, runs)
     worse = [text for run in runs for text in find_disagreements(aim, run)]
     if faults:
@@ -302,8 +304,8 @@ def verdict(
     return " ".join([*lines, last + "."])
 
 
-def describe_run(aim: Aim, run: Measured, start: float) -> str:
-    """Return what a loop did to the amplitude, in a sentence."""
+def describe_run(aim: Aim, run: Measured, start: float, name: str = "") -> str:
+    """Return what a loop did to the amplitude, whose name may follow, in a sentence."""
     change, doubt = math.log(run.reduction), aim.settings.errors * run.error
     if abs(change) <= doubt:
         how = "does not change beyond its error"
@@ -313,6 +315,6 @@ def describe_run(aim: Aim, run: Measured, start: float) -> str:
     took = run.time_to_converge
     when = "never near the best" if took is None else f"near the best after {took:.3g} s"
     return (
-        f"From theta = {start:.4g} the loop comes to {run.theta:.4g}, {when}; the amplitude of "
-        f"{aim.name} {how} and is {run.excess:.3g} times the best of the map."
+        f"From theta = {start:.4g} the loop comes to {run.theta:.4g}, {when}; the amplitude{name} "
+        f"{how} and is {run.excess:.3g} times the best of the map."
     )
