@@ -64,7 +64,7 @@ def assert_walked(moved, rig):
 )
 def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, reason):
     told = []
-    nodes = LiveNodes(tmp_path, {GUARD: guard_section(SLOW, None, answers=False)}, rig=True)
+    nodes = LiveNodes(tmp_path, {GUARD: guard_section(SLOW, None)}, rig=True)
     with Client("koop_test") as client, nodes:
         client.node.create_subscription(Float64, SLOW.knob.topic, told.append, 1000)
         listener = Listener(client, SLOW.state.topic, TYPES[0], SLOW.state.fields)

@@ -72,12 +72,6 @@ class GuardConfig:
     note: str = parameter(
         "", "file that notes where theta of the rig was left; empty: none", read_only=True
     )
-    answers: bool = parameter(
-        False,
-        "whether it answers each state on theta with what it commands, as a controller does; the "
-        "controller itself is then heard on theta_asked",
-        read_only=True,
-    )
 
     def __post_init__(self) -> None:
         validate(self)
@@ -102,9 +96,8 @@ class GuardConfig:
 
     @property
     def asked(self) -> str:
-        """Topic of the controller: ``theta``, or another where that is what the rig is told."""
-        told = self.answers or parse_source(self.command).topic.lstrip("/") == THETA
-        return ASKED if told else THETA
+        """Topic of the controller: ``theta``, or another where the rig itself listens to that."""
+        return ASKED if parse_source(self.command).topic.lstrip("/") == THETA else THETA
 
     @property
     def period(self) -> float:

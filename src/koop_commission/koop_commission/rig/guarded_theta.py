@@ -10,6 +10,7 @@ from typing import Any
 
 from koop_core.config.fields import read_field
 from koop_core.errors import LiveError
+from koop_guard.config import ASKED, THETA
 from koop_node.client.client import Client
 from koop_tune.rig.rig_file import RigFile
 
@@ -19,10 +20,18 @@ PATIENCE = 20.0  # [s] beyond the time to return, after which theta may be elsew
 ROUNDED = 1e-6  # share of theta's range by which a command of few digits may be off
 
 
-def guard_section(rig: RigFile, note: Path | None, answers: bool = True) -> dict[str, Any]:
-    """Return the guard's parameters; ``answers``: a lifter and a recorder run beside."""
+def guard_remaps(rig: RigFile) -> list[str]:
+    """Let ``theta`` be what the rig is told, ``theta_asked`` what a controller asks for."""
+    asked = [f"relay_esc:{THETA}:={ASKED}"]
+    if rig.guard.asked == ASKED:
+        return asked
+    return [*asked, f"{GUARD}:{THETA}:={ASKED}", f"{GUARD}:~/theta:={THETA}"]
+
+
+def guard_section(rig: RigFile, note: Path | None) -> dict[str, Any]:
+    """Return the guard's parameters."""
     path = str(note.resolve()) if note is not None else ""
-    values = asdict(replace(rig.guard, note=path, answers=answers))
+    values = asdict(replace(rig.guard, note=path))
     return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items() if v != ()}
 
 

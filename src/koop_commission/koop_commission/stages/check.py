@@ -129,7 +129,7 @@ def check_rig(
         period = choose_period(rig, samples)
         try:
             with TemporaryDirectory() as folder:
-                sections = {GUARD: guard_section(rig, note, answers=False)}
+                sections = {GUARD: guard_section(rig, note)}
                 with LiveNodes(Path(folder), sections, rig=True) as nodes:
                     session = Session(rig, client, listener, command_type, nodes, note)
                     with session.command_theta():

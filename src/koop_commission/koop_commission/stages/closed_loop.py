@@ -12,11 +12,10 @@ import numpy as np
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
 from koop_bringup.plan import plan
-from koop_commission.rig.guarded_theta import GUARD, guard_section
+from koop_commission.rig.guarded_theta import GUARD, guard_remaps, guard_section
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.session import Session, open_session, spell_time
 from koop_core.config.fields import parse_field
-from koop_guard.config import ASKED
 from koop_tune.excitation import progress
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig.rig_file import THETA, THETA_TYPE, RigFile
@@ -70,7 +69,7 @@ class ClosedLoop:
         count = 1
         while (run := self.folder / f"verify-{self.number}" / f"start-{count}").exists():
             count += 1
-        remaps = [f"{ESC}:theta:={ASKED}"]
+        remaps = guard_remaps(self.rig)
         nodes = LiveNodes(run, self._plan_nodes(run, start), rig=True, remaps=remaps)
         with open_session(self.rig, nodes, self.note) as session:
             return self._drive(session, start, str((run / "bag").relative_to(self.folder)))

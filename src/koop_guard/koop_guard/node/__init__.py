@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from koop_core.config.fields import check_fields, parse_source
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
-from koop_guard.config import SAFETY, THETA, GuardConfig
+from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard, Status
 from koop_guard.node.twin import Twin
 from koop_guard.node.wire import Command, Return, describe_theta, return_to_safe
@@ -70,14 +70,11 @@ class GuardRun(Run):
 
     def activate(self, entities: Entities) -> None:
         config, source = self._config, self._config.source
-        full = self._knob.topic.lstrip("/")
 
         def command(name: str) -> None:
             self._command = Command(
                 entities.publisher, name, self._knob.topic, self._knob.fields[0]
             )
-            if config.answers and not (self._command.answers and full == THETA):
-                self._answer = entities.publisher(ControlInput, THETA, RELIABLE)
             kind = name
             entities.when_typed(publishers_of, source.topic, lambda name: listen(name, kind))
 
@@ -113,9 +110,7 @@ class GuardRun(Run):
         def follow() -> None:
             self._begun = time.monotonic()
             entities.dated_subscription(ControlInput, config.asked, self._on_answer, RELIABLE)
-            entities.subscription(Float64, "~/target", self._on_target, KEPT)
-            if self._answer is not None:
-                entities.dated_subscription(MeasuredState, "state", self._answer_state, RELIABLE)
+            entities.subscription(Float64, "~/target", lambda m: self._on_target(m, entities), KEPT)
             entities.timer(SAFETY.tick, self._on_tick)
             entities.timer(LOOK, self._look)
             self._look()
@@ -210,8 +205,11 @@ class GuardRun(Run):
             answer.header = state.header
             self._answer.publish(answer)
 
-    def _on_target(self, target: Any) -> None:
+    def _on_target(self, target: Any, entities: Entities) -> None:
         """Move theta to a target from now on; not a number: follow the controller again."""
+        if self._answer is None:
+            self._answer = entities.publisher(ControlInput, "~/theta", RELIABLE)
+            entities.dated_subscription(MeasuredState, "state", self._answer_state, RELIABLE)
         self._target_heard = now = time.monotonic()
         if math.isfinite(target.data):
             self._to_target = True
