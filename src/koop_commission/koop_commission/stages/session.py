@@ -6,7 +6,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tqdm import tqdm
@@ -31,6 +31,7 @@ from koop_node.client.client import Client
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile, state_source
 
 COST = "/cost"
+GONE = 3.0  # [s] in which DDS forgets a program that has ended
 BYTES = 250.0  # of a bag for one state, with its cost and theta
 BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"
 
@@ -194,6 +195,8 @@ def open_session(rig: RigFile, nodes: LiveNodes, note: Path | None = None) -> It
     with Client("_koop_session") as client:  # hidden: the guard waits for the rig to listen
         _, command_type = find_types(client, rig)
         for describe in (describe_second_rig, describe_other_commanders):
+            with suppress(LiveError):  # a program that has just ended is still listed
+                client.wait_for(lambda: not describe(client, rig), GONE, "others")  # noqa: B023
             if text := describe(client, rig):
                 raise LiveError(text)
         with nodes:

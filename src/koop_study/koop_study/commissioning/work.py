@@ -22,7 +22,7 @@ from koop_study.family.loop import (
     noise_of,
 )
 from koop_study.family.rig import Rig, draw
-from koop_tune.excitation.design import TIME
+from koop_tune.excitation.design import FLAT, KNOWN
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
@@ -82,7 +82,9 @@ def commission_plant(
     after = rig.later(recorded.elapsed)  # while theta was moved the optimum moved too
     loops = _Loops(after, seed, round(duration * rig.time / rig.params.dt))
     try:
-        if recorded.design.ended in ("", TIME):
+        if recorded.design.ended == FLAT:
+            raise NoOptimum("flat", "nothing reacts")
+        if recorded.design.ended != KNOWN:
             raise NoOptimum("time", "the time was over before the map was known")
         found = commissioned(rig, file, recorded, loops, seed, effort, row)
         row |= {"verdict": "tuned", "why": found.why, "doubt": found.findings.doubt,
