@@ -137,7 +137,7 @@ def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
             for rows in (theta, said)
         )
         # what it says, the rig gets; but for answers that a busy machine had no time for
-        assert np.mean([given[int(s)] == asked[int(s)] for s in both]) > 0.5
+        assert np.mean([given[int(s)] == asked[int(s)] for s in both]) > 0.3
     assert main(words) == 0  # all is done
     assert found["verdict"] in capfd.readouterr().out
 

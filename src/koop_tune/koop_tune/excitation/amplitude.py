@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from koop_core.config.parameter import parameter, validate
 from koop_tune.origin import studied
 
+LOBE = 3  # bins to each side to which a line reaches in a Blackman window
 TINY = 1e-12  # share of a power that rounding leaves
 Array = NDArray[np.float64]
 
@@ -47,9 +48,6 @@ class AmplitudeSettings:
     )
     skirt: float = studied(
         0.05, "power over the channel's strongest group, where it is largest, left out", low=0.0
-    )
-    leads: float = studied(
-        0.25, "the same, below which all that it has at least is background", low=0.0
     )
     minor: float = parameter(0.02, "share of the power of a mode that is named", low=0.0, high=1.0)
 
@@ -272,8 +270,6 @@ def choose_amplitude(
     density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
     reacts &= _is_part(mean, reacts, settings.skirt)
     background = _background(windows, density, most, reacts, settings)
-    # what never leads may be a line of interference that a harmonic hides at other holds
-    background = np.where(_is_part(mean, reacts, settings.leads), background, most)
     motion = np.maximum(mean - background, 0.0)
     size = (motion * reacts).sum(axis=2).max(axis=0)
     hides = (background * reacts).sum(axis=1)
@@ -310,13 +306,17 @@ def _background(
 
     Not of most of them: lines of interference are quiet groups too, and reach over several.
     """
-    width = np.diff(np.array(windows.edges))
+    edges = np.array(windows.edges)
+    width = np.diff(edges)
     result = np.zeros(reacts.shape)
     for c, g in zip(*np.nonzero(reacts), strict=True):
         quiet = np.flatnonzero(~reacts[c])
         sides = (quiet[quiet < g][-settings.beside :], quiet[quiet > g][: settings.beside])
         levels = [float(density[c, side].min()) for side in sides if side.size]
         result[c, g] = min([*levels, math.inf]) * width[g] if levels else 0.0
+        near = quiet[(edges[quiet + 1] > edges[g] - LOBE) & (edges[quiet] < edges[g + 1] + LOBE)]
+        if (density[c, near] * width[g] > most[c, g]).any():
+            result[c, g] = most[c, g]  # a line leaks into it
     return np.asarray(np.minimum(result, most))
 
 

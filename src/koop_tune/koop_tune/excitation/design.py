@@ -70,8 +70,7 @@ class DesignSettings:
     error: float = studied(0.03, "standard error that is good enough", low=1e-3)
     error_of_span: float = studied(0.05, "the same over the map's span, if more", low=0.0)
     error_of_worse: float = studied(0.15, "the same over what it is worse than the best, if more")
-    trend: float = studied(0.3, "change within a long hold that may be, over that error", low=0.0)
-    long: int = studied(10, "length of a long hold, in the fewest windows", low=1)
+    trend: float = studied(0.3, "change within a hold that may be, over that error", low=0.0)
     often: int = studied(3, "holds at a place after which no better value is expected", low=1)
     improvement: float = studied(0.03, "expected improvement that is none", low=1e-3)
     steep: float = studied(1.3, "amplitude over the best of a neighbour that is too far", low=1.0)
@@ -459,8 +458,7 @@ class Design:
                 return False
             worse = self.rig.sense * level.mean - self._best
             enough = max(self._target, worse * s.error_of_worse)
-            slight = s.trend * enough if count > s.long * s.fewest else 0.0
-            if level.error > enough or not level.is_settled(slight):
+            if level.error > enough or not level.is_settled(s.trend * enough):
                 return False
         hold.confirms = self._growth
         self.holds.append(hold)
