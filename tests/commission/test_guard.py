@@ -198,6 +198,57 @@ def test_old_answers_trip_and_the_pauses_of_automatic_rearms_grow(start, probe):
     assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
 
 
+@pytest.mark.parametrize("aim", [0.25, 0.0])
+def test_the_arrival_of_theta_at_a_target_is_announced(start, probe, aim):
+    node, steps, states = probe.node, itertools.count(1), []
+    state = node.create_publisher(MeasuredState, "state", 10)
+    target = node.create_publisher(Float64, "/koop_guard/target", KEPT)
+    node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
+    start("koop_guard", measured="state:x[0]", command="/knob:data", theta_start=0.5, dt=0.005)
+    probe.collect(Float64, "/knob")
+
+    def until(theta):
+        def is_there():
+            state.publish(MeasuredState(step=next(steps), x=[random()]))
+            target.publish(Float64(data=theta))
+            return states and (states[-1].status, states[-1].theta) == (GuardState.FOLLOWING, theta)
+
+        probe.spin_until(is_there, f"theta at {theta}")
+
+    for theta in (0.5, aim, 0.4):
+        until(theta)
+
+
+def test_a_step_that_the_guard_answered_is_not_answered_again_by_a_controller_behind(start, probe):
+    node, dt, behind = probe.node, 0.005, 200  # steps: more than a message may be overtaken by
+    said = probe.collect(ControlInput, "/koop_guard/theta")
+    state, asked = (node.create_publisher(*of, 10) for of in ((MeasuredState, "state"),
+                                                              (ControlInput, "theta")))  # fmt: skip
+    target = node.create_publisher(Float64, "/koop_guard/target", KEPT)
+    start("koop_guard", measured="state:x[0]", command="/knob:data", theta_safe=1.0,
+          theta_start=0.5, dt=dt)  # fmt: skip
+    knob, steps, follows = probe.collect(Float64, "/knob"), itertools.count(1), []
+
+    def until(condition, what):
+        """Be rig and who sets a target, and then the controller, until it is so."""
+
+        def publish():
+            step = next(steps)
+            state.publish(MeasuredState(step=step, x=[random()]))
+            target.publish(Float64(data=float("nan") if follows else 0.5))
+            if follows:
+                asked.publish(ControlInput(step=step - behind, theta=0.8))
+            return condition()
+
+        probe.spin_until(publish, what)
+
+    until(lambda: said and said[-1].step > 2 * behind and knob, "the guard's own answers")
+    follows.append(last := said[-1].step)
+    until(lambda: said[-1].step > last + behind and said[-1].theta == 0.8, "the controller's")
+    assert knob[-1].data == pytest.approx(0.8, abs=0.3)
+    assert all(a.step < b.step for a, b in pairwise(said))
+
+
 def kill(name):
     return lambda process, nodes: os.kill(nodes[name], signal.SIGKILL)
 

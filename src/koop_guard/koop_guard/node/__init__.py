@@ -55,6 +55,7 @@ class GuardRun(Run):
         self._target, self._target_heard = math.nan, math.inf
         self._to_target = False  # whether theta moves there, not to what the controller asks for
         self._answer: Any = None
+        self._answered = -1  # newest step that the guard answered itself
         self._said: object = None
         self._refused = ""
         self._command: Command | None = None
@@ -199,11 +200,12 @@ class GuardRun(Run):
 
     def _answer_state(self, state: Any, written: float) -> None:
         """Answer a state of the loop with what is commanded, where no controller does."""
-        guard = self._guard
+        guard, self._answered = self._guard, min(self._answered, state.step)  # a run may restart
         if self._to_target or guard.status is Status.TRIPPED:
             answer = ControlInput(theta=guard.theta, step=state.step, holding=guard.arrived)
             answer.header = state.header
             self._answer.publish(answer)
+            self._answered = state.step
 
     def _on_target(self, target: Any, entities: Entities) -> None:
         """Move theta to a target from now on; not a number: follow the controller again."""
@@ -229,8 +231,8 @@ class GuardRun(Run):
         if self._guard.status is Status.FOLLOWING and not old:
             self._to_target = False
             self._command.pass_on(answer, self._advance(now))
-            if self._answer is not None:
-                self._answer.publish(answer)
+            if self._answer is not None and answer.step > self._answered:
+                self._answer.publish(answer)  # a controller that was behind would answer twice
 
     def _is_past(self, answer: Any) -> bool:
         """Return whether an answer is to a state of long ago, by the rig's own stamps."""
@@ -312,7 +314,7 @@ class GuardRun(Run):
         """Return what is announced as soon as it changes."""
         guard = self._guard
         arrived = guard.arrived and (self._to_target or guard.status is Status.TRIPPED)
-        return guard.status, arrived and guard.theta, guard.trip
+        return guard.status, guard.theta if arrived else None, guard.trip  # False would be 0.0
 
     def _announce(self) -> None:
         """Publish the state if it is another one."""
