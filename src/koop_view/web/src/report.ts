@@ -71,7 +71,7 @@ function seriesOf(s: Series, single: boolean): uPlot.Series[] {
 
 /** Series and bands of a panel. Those of one name share a row of the legend: a median, its band. */
 function curves(panel: Panel): Pick<uPlot.Options, "series" | "bands"> {
-  const series: uPlot.Series[] = [{ label: "at", value: (_u, x) => place(panel, x) }];
+  const series: uPlot.Series[] = [{ label: panel.x_label, value: (_u, x) => place(panel, x) }];
   const bands: uPlot.Band[] = [];
   const lowEdges = new Map<string, number>(); // of a band or bars, by name
   const single = isSingle(panel);
