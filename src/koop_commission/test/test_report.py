@@ -190,6 +190,11 @@ def test_the_static_map_has_holds_fit_errors_and_the_best_theta_with_its_valley(
     assert bars.upper == pytest.approx(np.array([4.0, 1.0, 3.0]) * math.exp(0.2))
     (mark,) = panel.marks
     assert (mark.x, mark.low, mark.high) == (0.9, 0.8, 1.1)
+    static = {**TUNED["static_map"], "error": [math.inf, 0.1, 0.1]}  # the first was cut short
+    short = make_static_map(contents({**TUNED, "static_map": static}))
+    bars = short.figures[0].panels[0].series[-1]
+    assert (bars.y[0], bars.upper[0], bars.upper[1] > bars.y[1]) == (4.0, 4.0, True)
+    assert [row[2] for row in short.tables[0].rows] == [None, 10.0, 10.0]
     monotone = make_static_map(contents({**REFUSED, "verdict": "monotone", "theta_best": 2.9}))
     assert monotone.figures[0].panels[0].marks[0].x == 3.0  # the limit
     assert "Refused (monotone)" in monotone.intro

@@ -20,7 +20,7 @@ from koop_tune.rig.rig_file import RigFile, as_values
 from koop_view.report.document import Cell, Column, Figure, Mark, Panel, Section, Series, Table
 
 ERRORS = 2.0  # standard errors that are drawn
-LONGEST = 3.0  # error bar, of a logarithm: of a value that theta had once, no error is known
+LARGEST = 1.0  # error of a logarithm that is known; a hold that was cut short tells none
 Rows = list[tuple[Cell, ...]]
 
 
@@ -66,9 +66,9 @@ def make_static_map(c: Contents) -> Section:
     series: list[Series] = []
     marks: tuple[Mark, ...] = ()
     intro = (
-        "The amplitude to which the rig settled at each hold of theta, with two standard errors; 1 "
-        "is the strongest motion seen. Curve and band: the map that fits, within two standard "
-        "errors; where the band is wide nobody has looked."
+        "The amplitude to which the rig settled at each hold of theta, with two standard errors "
+        "where they are known; 1 is the strongest motion seen. Curve and band: the map that fits, "
+        "within two standard errors; where the band is wide nobody has looked."
     )
     if "static_map" in c.tuned:
         curve, best = c.tuned["static_map"]["curve"], c.tuned["theta_best"]
@@ -104,7 +104,7 @@ def make_static_map(c: Contents) -> Section:
         Column("amplitude", "amplitude"),
         Column("error", "standard error [%]", ".2g"),
     )
-    errors = [100.0 * error for error in static.error]
+    errors = [100.0 * error if error < LARGEST else None for error in static.error]
     rows: Rows = list(zip(static.theta, static.amplitude, errors, strict=True))
     tables = [Table("map", "The same in numbers", columns, rows, detail=True)]
     if c.excitation.holds:
@@ -211,8 +211,8 @@ def _step_apart(theta: Sequence[float]) -> list[float]:
 def _bars(
     theta: Sequence[float], level: Sequence[float], error: Sequence[float], color: int
 ) -> Series:
-    """Return error bars; ``error`` is the standard error of the logarithm."""
-    factors = [math.exp(min(ERRORS * e, LONGEST)) for e in error]
+    """Return error bars; ``error`` is the standard error of the logarithm, if it is known."""
+    factors = [math.exp(ERRORS * e) if e < LARGEST else 1.0 for e in error]
     low = [y / factor for y, factor in zip(level, factors, strict=True)]
     high = [y * factor for y, factor in zip(level, factors, strict=True)]
     return Series("hold, two standard errors", theta, low, "bars", high, color)
