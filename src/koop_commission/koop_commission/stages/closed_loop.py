@@ -17,6 +17,7 @@ from koop_commission.rig.listener import Listener
 from koop_commission.stages.session import Session, open_session, spell_time
 from koop_core.config.fields import parse_field
 from koop_tune.excitation import progress
+from koop_tune.excitation.holds import mean_level
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig.rig_file import THETA, THETA_TYPE, RigFile
 from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure
@@ -149,7 +150,8 @@ class ClosedLoop:
             _wait_for(session, due)
             x = states.samples(max(closed, due - tail), due).x
             if x.shape[0] >= amplitude.windows.length:
-                level = math.exp(float(amplitude.logs(x).mean()))
+                squares = amplitude.squares(amplitude.windows.powers(x))
+                level = math.exp(mean_level(squares, amplitude.floor)[0])
                 theta = session.theta.value
                 at = (due - closed) * dt
                 print(f"{at:6.0f} s  theta {theta:<9.4g} amplitude {level:.3g}", flush=True)
