@@ -21,7 +21,7 @@ TITLE = "Closed loop, predicted and measured"
 COMPARED = (
     Column("what", ""),
     Column("start", "from theta"),
-    Column("time_to_converge", "converged after [s]", ".3g"),
+    Column("time_to_converge", "converged within [s]", ".3g"),
     Column("distance", "distance from the best theta, of the range", ".3g"),
     Column("amplitude_before", "amplitude before", ".3g"),
     Column("amplitude", "amplitude after", ".3g"),

@@ -141,7 +141,7 @@ def format_round(item: Round) -> str:
         return [name, *cells, band.as_text(unit)]
 
     rows = [
-        row("converges in [s]", [run.time_to_converge for run in runs], p.converges),
+        row("converges within [s]", [run.time_to_converge for run in runs], p.converges),
         row("|theta - theta*| [% of range]", [run.distance for run in runs], p.distance, 100.0),
         row("amplitude over the best", [run.excess for run in runs], p.excess),
         row("reduction, a factor of", [run.reduction for run in runs], p.reduction),

@@ -77,7 +77,7 @@ def as_words(tuning: Tuning) -> str:
             f"law {c.law}, omega_h {c.omega_h:.3g} rad/s, omega_l {c.omega_l:.3g} rad/s, "
             f"dwell {c.dwell:.3g} s, tau_f {c.tau_f:.3g} s",
             f"predicted, from either end of the range ({p.runs} runs; median, 5 to 95 %):",
-            f"  converges in {p.converges.as_text()} s",
+            f"  converges within {p.converges.as_text()} s",
             f"  then |theta - theta*| is {p.distance.as_text(100.0)} % {span} on average",
             f"  amplitude over the best one {p.excess.as_text()}",
             f"  amplitude {direction} by a factor of {p.reduction.as_text()}",

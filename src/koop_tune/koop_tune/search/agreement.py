@@ -313,7 +313,7 @@ def describe_run(aim: Aim, run: Measured, start: float, name: str = "") -> str:
         falls = (change > 0.0) == (aim.sense > 0.0)
         how = f"{'falls' if falls else 'rises'} by a factor of {math.exp(abs(change)):.3g}"
     took = run.time_to_converge
-    when = "never near the best" if took is None else f"near the best after {took:.3g} s"
+    when = "never near the best" if took is None else f"near the best within {took:.3g} s"
     return (
         f"From theta = {start:.4g} the loop comes to {run.theta:.4g}, {when}; the amplitude{name} "
         f"{how} and is {run.excess:.3g} times the best of the map."
