@@ -191,7 +191,9 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
         settings["model"] = str((folder / str(settings["model"])).resolve())
     limits = mapping(top.get("limits", {}), "limits")
     refuse_unknown(limits, [item.name for item in fields(Limits)], "key", "limits")
-    parameters = mapping(top.get("parameters", {}), "parameters")
+    sections = mapping(top.get("parameters", {}), "parameters")
+    by_node = {str(node): mapping(values, str(node)) for node, values in sections.items()}
+    parameters.build({node: by_node[node] for node in CONTROLLER if node in by_node})
     events = top.get("events", [])
     if not isinstance(events, list):
         raise ConfigError("events must be a list")
@@ -212,7 +214,7 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     scenario = Scenario(
         name,
         setting,
-        {str(node): mapping(values, str(node)) for node, values in parameters.items()},
+        by_node,
         happens,
         Limits(**limits),
         {str(node): level for node, level in levels.items()},

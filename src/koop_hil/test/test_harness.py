@@ -104,6 +104,7 @@ def test_a_fault_that_is_none_is_refused(text):
         ({"limits": {"tail": 1}}, "limits: unknown key 'tail': did you mean"),
         ({"levels": {"relay_esc": "BAD"}}, "must be WARN, ERROR or STALE"),
         ({"rig_options": "--at 1:throttle=1"}, "rig_options: only of a rig"),
+        ({"parameters": {"relay_esc": {"dt": 0.1}}}, "relay_esc: unknown parameter 'dt'"),
     ],
 )
 def test_a_scenario_that_means_nothing_is_refused(content, message):
