@@ -74,6 +74,25 @@ def test_a_daemon_of_ros2cli_is_not_waited_for():
 
 
 @pytest.mark.ros
+def test_nodes_that_end_are_waited_for(monkeypatch):
+    """The command that started them was killed, and is given again at once."""
+    from std_msgs.msg import Float64
+
+    with Client("killed") as client:
+        publisher = client.node.create_publisher(Float64, "theta", 1)
+        spin = Client.spin
+
+        def end_and_spin(other, seconds):
+            if other.count_publishers("/theta"):
+                client.node.destroy_publisher(publisher)
+            spin(other, seconds)
+
+        monkeypatch.setattr(Client, "spin", end_and_spin)
+        with alone():
+            assert client.count_publishers("/theta") == 0
+
+
+@pytest.mark.ros
 @pytest.mark.parametrize("topic", ["state", "theta"])
 def test_nodes_that_were_started_by_hand_are_seen(topic):
     from diagnostic_msgs.msg import DiagnosticArray

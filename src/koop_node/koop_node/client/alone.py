@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import socket
 import sys
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 
@@ -16,6 +15,7 @@ TOPICS = ("state", "cost", "theta")  # that each have one publisher in a loop
 DISCOVERY = (
     4.0  # [s]: Fast DDS, as it comes, announces itself every 3 s, for those that missed the first
 )
+ENDING = 6.0  # [s] in which the nodes of a loop end whose command was killed
 
 
 @contextmanager
@@ -24,7 +24,7 @@ def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[None]
 
     Two commands on one machine that start at the same moment are told apart by a name that the
     system gives to one of them only; a loop of other hosts, or of nodes that were started by hand,
-    shows in the graph.
+    shows in the graph. Nodes whose command was just killed are given time to end.
 
     Raises LiveError if there is a loop already.
     """
@@ -60,15 +60,16 @@ def is_empty(domain: int) -> bool:
 
 
 def _published(domain: int, topics: list[str]) -> bool:
-    """Return whether one of the topics has a publisher."""
+    """Return whether one of the topics has a publisher that stays."""
     if not topics or is_empty(domain):
         return False
     from koop_node.client.client import Client  # needs ROS
 
     with Client("koop_look") as client:
-        deadline = time.monotonic() + DISCOVERY
-        while time.monotonic() < deadline:
-            if any(client.count_publishers(topic) for topic in topics):
-                return True
-            client.spin(0.05)
-    return False
+
+        def is_published() -> bool:
+            return any(client.count_publishers(topic) for topic in topics)
+
+        return client.spin_until(is_published, DISCOVERY) and not client.spin_until(
+            lambda: not is_published(), ENDING
+        )

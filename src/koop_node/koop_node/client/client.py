@@ -86,11 +86,13 @@ class Client:
         LiveError
             If the condition did not become true in so many seconds.
         """
-        if not (result := self._spin_until(condition, seconds, check)):
+        if not (result := self.spin_until(condition, seconds, check)):
             raise LiveError(f"{what}: timed out after {seconds:g} s")
         return result
 
-    def _spin_until(self, condition: Callable[[], Result], seconds: float, check: Check) -> Result:
+    def spin_until(
+        self, condition: Callable[[], Result], seconds: float, check: Check = None
+    ) -> Result:
         """Spin until a condition is true or the time is over; return what it last was."""
         deadline = time.monotonic() + seconds
         while not (result := condition()) and time.monotonic() <= deadline:
@@ -165,7 +167,7 @@ class Client:
             answer = self.call(GetState, f"{node}/get_state", GetState.Request(), left, check)
             return answer.current_state
 
-        while not self._spin_until(asked.done, ASK_AGAIN, check):
+        while not self.spin_until(asked.done, ASK_AGAIN, check):
             # ask for its state, not for the transition again: done already, it would be refused
             if state().id == aim:  # the answer got lost
                 return
