@@ -1,7 +1,7 @@
 """The scenario files, run and judged by pytest; `koop hil` runs the same files by hand.
 
-By default a rig, a fault and a second controller, shortened; KOOP_HIL names scenarios or files that
-are run as they are, and `all` is every scenario:
+By default a rig and a fault, shortened; KOOP_HIL names scenarios or files that are run as they are,
+and `all` is every scenario:
 
     KOOP_HIL=all ./koop test tests/hil/test_scenarios.py --junitxml=hil.xml
 """
@@ -40,7 +40,6 @@ def judged():
     return [
         shortened("rig-other", theta_initial=0.0, duration=60.0, time_scale=6.0),
         shortened("kill-lifter", [(4.0, 4.0)], duration=64.0),
-        shortened("second-controller", [(8.0, 16.0)], duration=96.0, time_scale=8.0),
     ]
 
 

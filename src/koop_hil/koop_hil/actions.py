@@ -12,7 +12,6 @@ from koop_hil import faults
 from koop_identify.recording.recorded_parameters import CONTROLLER
 
 NODES = ("plant", *CONTROLLER)
-SECOND = "second_controller"  # it stands by if an event is about it
 TICK = 0.02  # [s] between looks at the clock
 
 
@@ -110,12 +109,6 @@ ACTIONS: dict[str, Action] = {
         _one_of("pause", *NODES),
         lambda loop, what: loop.processes.pause(what, True),
         lambda loop, what: loop.processes.pause(what, False),
-    ),
-    SECOND: Action(
-        lambda what, folder: number(what, SECOND),
-        lambda loop, what: loop.monitor.change_state(SECOND, "activate"),
-        lambda loop, what: loop.monitor.change_state(SECOND, "deactivate"),
-        publishers=True,
     ),
     "set": Action(_check_parameters, _set),
     "cut": Action(

@@ -11,7 +11,6 @@ from koop_bringup.live.process import NodeProcess
 from koop_core.config import parameter_file
 from koop_core.errors import LiveError
 from koop_hil import installed
-from koop_hil.actions import SECOND
 from koop_hil.hosts import OtherHost
 from koop_hil.scenario import Scenario
 
@@ -41,7 +40,6 @@ class Processes:
         self._order = [
             "recorder",  # listeners first
             "relay_esc",
-            *([SECOND] if scenario.second_controller else []),
             "koopman_lifter",
             *(["fault_injector"] if scenario.injects else []),
             "plant",
@@ -64,7 +62,7 @@ class Processes:
     def start(self, name: str) -> None:
         """Start a process of the scenario."""
         arguments, command = self._command(name)
-        node = name if command else {"plant": "vdp_plant", SECOND: "relay_esc"}.get(name, name)
+        node = "vdp_plant" if name == "plant" and not command else name
         remote = self._other_host is not None and name == self._scenario.setting.remote
         before = tuple(self._other_host.words) if remote and self._other_host else ()
         log = self.logs / f"{name}.log"
@@ -118,11 +116,6 @@ class Processes:
         }
         for node, values in self._scenario.parameters.items():
             nodes.setdefault(node, {}).update(values)
-        if self._scenario.second_controller:
-            nodes[SECOND] = {**nodes["relay_esc"], "autostart": False}
-            for event in self._scenario.events:
-                if event.action == SECOND:  # it wants another theta, and nothing else
-                    nodes[SECOND] |= {"theta_initial": event.what, "step_size": 0.0}
         for values in nodes.values():
             values["listeners"] = "next recorder"
         return nodes
@@ -133,8 +126,6 @@ class Processes:
         match name:
             case "recorder":
                 return ["--ros-args", "-p", f"output:={self.logs.parent}"], None
-            case "second_controller":
-                return [*ros, "-r", f"__node:={SECOND}"], None
             case "fault_injector":
                 return ros, [sys.executable, "-m", "koop_hil.fault_injector"]
             case "plant":

@@ -20,14 +20,6 @@ def line(verdict: Verdict) -> str:
         f"at most {verdict.max_error:.2f}, out of tolerance for {out:.1f} s, "
         f"oldest acting answer {verdict.answer_age:.2f} s"
     )
-    return f"{verdict.name:<24} {state}  {', '.join([figures, *remarks(verdict)])}"
-
-
-def remarks(verdict: Verdict) -> list[str]:
-    """Return remarks on what is unusual about a run."""
-    notes = []
     if verdict.simulated < WHOLE * verdict.duration:
-        notes.append(f"theta known for {verdict.simulated:.0f} of {verdict.duration:.0f} s")
-    if verdict.answered_twice:
-        notes.append(f"{verdict.answered_twice} answers of a second controller")
-    return notes
+        figures += f", theta known for {verdict.simulated:.0f} of {verdict.duration:.0f} s"
+    return f"{verdict.name:<24} {state}  {figures}"

@@ -13,7 +13,7 @@ from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError, mapping, parameter, refuse_unknown, validate
 from koop_core.config.yaml_file import read_yaml
 from koop_hil import installed
-from koop_hil.actions import ACTIONS, NODES, SECOND, number
+from koop_hil.actions import ACTIONS, NODES, number
 from koop_identify.recording.recorded_parameters import CONTROLLER
 from koop_loop import parameters
 from vdp_plant.config import PlantConfig
@@ -33,8 +33,7 @@ class Event:
     action : str
         A key of :data:`koop_hil.actions.ACTIONS`.
     what : object
-        ``{topic: fault}``, a node, the second controller's theta, ``second_controller``,
-        ``{node: {parameter: value}}`` or ``link``.
+        ``{topic: fault}``, a node, ``{node: {parameter: value}}`` or ``link``.
     """
 
     at: float
@@ -59,12 +58,8 @@ class Limits:
     time_out_of_tolerance: float = parameter(
         NO_LIMIT, "how long theta may be out of tolerance from the first event on", unit="s"
     )
-    answered_twice: int = parameter(0, "answers that a second controller gave besides")
     answer_age: float = parameter(
         NO_LIMIT, "real age of a state when the answer to it begins to act", unit="s"
-    )
-    sent_age: float = parameter(
-        NO_LIMIT, "age of a state when an answer to it is sent and moves theta", unit="s"
     )
     covered: float = parameter(0.3, "least share of the duration for which theta is known")
     unrecorded: int = parameter(
@@ -144,11 +139,6 @@ class Scenario:
         logarithmic = self.parameters.get("relay_esc", {}).get("theta_scale") == "log"
         return np.log(theta / best) if logarithmic else theta - best
 
-    @property
-    def second_controller(self) -> bool:
-        """Whether a second controller stands by."""
-        return any(event.action == SECOND for event in self.events)
-
 
 def shipped() -> list[Path]:
     """Return the scenario files that come with the package."""
@@ -209,8 +199,6 @@ def parse(name: str, content: Any, folder: Path) -> Scenario:
     happens = tuple(_event(item, folder) for item in events)
     if not setting.remote and any(event.action == "cut" for event in happens):
         raise ConfigError("cut: there is a link only if 'remote' names what runs on another host")
-    if len({event.what for event in happens if event.action == SECOND}) > 1:
-        raise ConfigError(f"{SECOND}: one theta in all events")
     scenario = Scenario(
         name,
         setting,

@@ -14,7 +14,7 @@ from pathlib import Path
 from koop_bringup.live.monitor import LEVELS, Monitor
 from koop_bringup.live.process import START_TIMEOUT
 from koop_core.errors import LiveError
-from koop_hil.actions import ACTIONS, SECOND, TICK, Loop
+from koop_hil.actions import ACTIONS, TICK, Loop
 from koop_hil.hosts import other_host
 from koop_hil.processes import Processes
 from koop_hil.scenario import Scenario
@@ -65,8 +65,6 @@ def run(scenario: Scenario, folder: Path, progress: Callable[[float, str], None]
             processes.refuse_dead,
         )
         refuse_others(monitor, scenario.topics)
-        if scenario.second_controller:
-            monitor.change_state(SECOND, "configure", START_TIMEOUT)
         record = _play(scenario, monitor, processes, progress)
     record.failures += [text for text in processes.failures if text not in record.failures]
     return record

@@ -11,7 +11,7 @@ import numpy as np
 from koop_bag.bag.columns import Columns, read_tables
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
-from koop_hil.answers import age_acting, age_sent, answered_twice
+from koop_hil.answers import age_acting
 from koop_hil.scenario import NO_LIMIT, Scenario
 from koop_hil.supervisor import RunRecord
 from koop_loop.settings import METRICS
@@ -19,13 +19,10 @@ from koop_loop.settings import METRICS
 FIELDS = {
     "state": ["step", "publish_time"],
     "cost": ["step"],
-    "theta": ["step", "publish_time", "theta"],
+    "theta": ["step"],
     "ground_truth": ["step", "log_time", "publish_time", "theta_applied", "theta_step"],
 }
-LIMITED = (
-    "tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answered_twice",
-    "answer_age", "sent_age",
-)  # fmt: skip
+LIMITED = ("tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answer_age")
 
 
 @dataclass
@@ -47,11 +44,8 @@ class Verdict:
     unrecorded : int
         Messages that must have been there but are not in the bag: of steps that were jumped
         over, states whose cost, and costs whose theta was recorded.
-    answered_twice : int
-        Answers besides the first to one cost, as of a second controller.
-    answer_age, sent_age : float
-        Largest age of a state [s of real time] when the answer to it began to act on the plant,
-        and when an answer that moved theta was sent.
+    answer_age : float
+        Largest age of a state [s of real time] when the answer to it began to act on the plant.
     levels : dict
         Levels reported on /diagnostics.
     failures : list of str
@@ -70,9 +64,7 @@ class Verdict:
     unrecorded: int = 0
     duration: float = math.nan
     simulated: float = math.nan
-    answered_twice: int = 0
     answer_age: float = math.nan
-    sent_age: float = math.nan
     levels: dict[str, list[str]] = field(default_factory=dict)
     failures: list[str] = field(default_factory=list)
     skipped: str = ""
@@ -106,11 +98,7 @@ def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:
         np.setdiff1d(steps[answer], steps[question]).size
         for question, answer in (("state", "cost"), ("cost", "theta"))
     )
-    verdict.answered_twice = answered_twice(recorded["cost"], recorded["theta"])
-    if scenario.second_controller and not verdict.answered_twice:
-        verdict.failures.append("the second controller did nothing")
     verdict.answer_age = age_acting(recorded["state"], recorded["ground_truth"])
-    verdict.sent_age = age_sent(recorded["state"], recorded["theta"])
     _judge_theta(scenario, record, recorded["ground_truth"], verdict)
     for figure in LIMITED:
         value, limit = getattr(verdict, figure), getattr(scenario.limits, figure)

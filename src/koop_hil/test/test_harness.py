@@ -96,11 +96,6 @@ def test_a_fault_that_is_none_is_refused(text):
         ({"remote": "recorder"}, "remote = 'recorder': must be one of"),
         ({"events": [{"cut": "link"}]}, "there is a link only if 'remote'"),
         ({"remote": "plant", "events": [{"cut": "plant"}]}, "cut: link, not 'plant'"),
-        (
-            {"events": [{"second_controller": 1}, {"second_controller": 2}]},
-            "one theta in all events",
-        ),
-        ({"events": [{"second_controller": "x"}]}, "second_controller: 'x' is not a number"),
         ({"limits": {"tail": 1}}, "limits: unknown key 'tail': did you mean"),
         ({"levels": {"relay_esc": "BAD"}}, "must be WARN, ERROR or STALE"),
         ({"rig_options": "--at 1:throttle=1"}, "rig_options: only of a rig"),
