@@ -20,8 +20,7 @@ setup(
         "zstandard",
     ],
     extras_require={
-        "test": ["hypothesis", "mcap-ros2-support", "pyarrow", "pytest", "rosbags"],
-        "export": ["pyarrow"],
+        "test": ["hypothesis", "mcap-ros2-support", "pytest", "rosbags"],
         "store": ["fsspec", "universal-pathlib", "s3fs"],
     },
     maintainer="koop maintainers",

@@ -44,7 +44,6 @@ OPTIONAL = {
     "dpsimpy": "plants",
     "fsspec": "store",
     "jsbsim": "plants",
-    "pyarrow": "export",
     "upath": "store",
 }
 PYPI = {

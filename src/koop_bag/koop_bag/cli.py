@@ -44,10 +44,9 @@ def register(commands: Any) -> None:
     recover.add_argument("target", type=Path, nargs="?", help="default: beside it, _recovered")
     recover.set_defaults(func=_recover)
 
-    export = bag.add_parser("export", help="write CSV or Parquet, one file a topic")
+    export = bag.add_parser("export", help="write CSV, one file a topic")
     export.add_argument("bag", type=Path)
     export.add_argument("-o", "--out", type=Path, help="folder; default: beside it, _export")
-    export.add_argument("--format", choices=("csv", "parquet"), default="csv")
     export.add_argument("--topic", action="append", help="only this topic; may be repeated")
     export.set_defaults(func=_export)
 
@@ -103,7 +102,7 @@ def _export(args: argparse.Namespace) -> int:
 
     folder = args.out or _beside(args.bag, "export")
     with BagReader(args.bag) as reader:
-        for topic, path in export(reader, folder, args.format, args.topic, warn).items():
+        for topic, path in export(reader, folder, args.topic, warn).items():
             print(f"{topic}: {path}")
     return 0
 
