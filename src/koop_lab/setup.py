@@ -41,6 +41,7 @@ setup(
             "params = koop_lab.commands.params:register",
             "replay = koop_lab.commands.replay:register",
             "simulate = koop_lab.commands.simulate:register",
+            "status = koop_lab.commands.status:register",
             "train = koop_lab.commands.train:register",
             "up = koop_lab.commands.up:register",
         ],

@@ -353,6 +353,40 @@ def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(
         rig.wait(LONG)
 
 
+def test_any_terminal_is_told_how_the_loop_is_and_may_end_it(up, fast_rig, koop, probe, tmp_path):
+    process, nodes = up()
+
+    def asked(*words):
+        asking = koop("status", *words)
+        text, error = asking.communicate(timeout=LONG)
+        assert error == ""
+        return asking.returncode, text
+
+    def healthy():
+        return asked("run")[0] == 0
+
+    wait(healthy, "a healthy loop", process, LONG)
+    code, text = asked(tmp_path / "run")
+    assert code == 0
+    for words in (f"process {process.pid} of user {os.geteuid()}", "\n  healthy\n",
+                  "guard following", "measured /fast:data[0],data[1], command /fast/knob:data",
+                  f"run: {tmp_path}/run, recording, ", "running for 00:"):  # fmt: skip
+        assert words in text
+    shown = float(re.search(r"theta = (\S+), guard", text)[1])
+    assert any(abs(shown - theta) < 1e-3 for _, theta in fast_rig.moved)
+    assert asked("nowhere") == (3, "no loop runs of nowhere\n")
+    os.kill(nodes["recorder"], signal.SIGKILL)
+    wait(lambda: "recorder has ended" in asked("run")[1], "the recorder's end", process)
+    assert probe.call(Trigger, "/koop_guard/trip", Trigger.Request()).success
+    wait(lambda: "tripped: ~/trip was called" in asked("run")[1], "the trip", process)
+    assert asked("run")[0] == 1
+    code, text = asked("loop.yaml", "--stop")
+    assert (code, "ended: theta is left at 1; theta_safe = 1" in text) == (0, True)
+    assert fast_rig.theta == SAFE
+    assert process.wait(LONG) == 1  # as after Ctrl-C, without its recorder
+    assert not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values())
+
+
 def test_the_page_says_what_tripped_the_guard_and_rearms_it(up, fast_rig, tmp_path):
     process, _ = up(options=["--serve", "0"])
     log = tmp_path / "run" / "logs" / "view.log"

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import signal
+import socket
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from koop_bag.recorder.config import RecorderConfig
+from koop_bringup.live.health import describe_loop, find_faults
 from koop_bringup.live.monitor import Monitor, Progress
 from koop_bringup.live.process import START_TIMEOUT, STOP_TIMEOUT, NodeProcess, uninterrupted
 from koop_bringup.live.turns import take_turns
@@ -22,6 +25,7 @@ from koop_guard.note import THETA_LEFT
 from koop_loop.ending import Ending, ending
 from koop_loop.parameters import COMPONENTS, EXECUTABLES, LoopParameters
 from koop_node.client.alone import TOPICS, alone
+from koop_node.client.desk import Desk
 
 
 class LiveNodes:
@@ -50,6 +54,8 @@ class LiveNodes:
         What a reader of the results should know.
     lost : list of str
         Nodes that ended while the run went on.
+    file : Path or None
+        Parameter file of the loop, by which ``koop status`` may find it.
     """
 
     def __init__(
@@ -65,6 +71,7 @@ class LiveNodes:
         self.folder = folder
         self.notes: list[str] = []
         self.lost: list[str] = []
+        self.file: Path | None = None
         self._values = values
         self._namespace = namespace
         self._rig = rig
@@ -76,6 +83,9 @@ class LiveNodes:
         self._nodes: dict[str, NodeProcess] = {}
         self._theta_left = ""
         """Where theta of the rig is, once the guard has ended."""
+        self._begun = time.monotonic()
+        self._place: socket.socket | None = None
+        self._desk: Desk | None = None
         self._stack = ExitStack()
 
     def __enter__(self) -> LiveNodes:
@@ -83,7 +93,8 @@ class LiveNodes:
         with ExitStack() as stack:
             topics = [t for t in TOPICS if t != "state" or not by_others]
             only_guard = set(self._values) == {"koop_guard"}  # which is no loop
-            stack.enter_context(alone(self._namespace, [] if only_guard else topics))
+            self._place = stack.enter_context(alone(self._namespace, [] if only_guard else topics))
+            stack.callback(self._close_desk)
             logs = self.folder / "logs"
             logs.mkdir(parents=True, exist_ok=True)
             file = logs / "given_parameters.yaml"
@@ -152,13 +163,19 @@ class LiveNodes:
         ------
         LiveError
             If a node ends before its time or with an exit code other than 0.
+        KeyboardInterrupt
+            If ``koop status --stop`` asks for it.
         """
         started = time.monotonic()
+        self._desk = Desk(self._place) if self._place is not None else None
         state, alone_on_it = f"{self._namespace}/state", True
         with Monitor(self._namespace) as monitor:
             while not self._done():
                 monitor.spin(0.05)
                 on_progress(monitor.progress)
+                describe = partial(self._describe, monitor.progress)
+                if self._desk is not None and self._desk.answer(describe):
+                    raise KeyboardInterrupt
                 if self._in_turn and monitor.progress.step:
                     self._in_turn = False
                     pids = self.process_ids()
@@ -178,6 +195,21 @@ class LiveNodes:
                         f"the loop did not start in {START_TIMEOUT:g} s: see {self.folder}/logs"
                     )
         self.end()
+
+    def _describe(self, progress: Progress) -> dict[str, Any]:
+        """Return the answer to ``koop status``."""
+        now = time.monotonic()
+        faults = find_faults(progress, self._values, self.lost, now)
+        recorded = "recorder" in self._values and "recorder" not in self.lost
+        text = describe_loop(
+            progress, faults, self._values, self.folder, recorded, now - self._begun
+        )
+        places = [str(path.resolve()) for path in (self.folder, self.file) if path is not None]
+        return {"healthy": not faults, "text": text, "places": places}
+
+    def _close_desk(self) -> None:
+        if self._desk is not None:
+            self._desk.close(self._theta_left or "theta was not guarded")
 
     def end(self) -> None:
         """Stop all that runs.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,6 +24,8 @@ class Progress:
         All values by node.
     findings : dict
         By node, its level and message if it is not OK.
+    heard : dict
+        By node, steady time of its last report [s].
     """
 
     step: int = 0
@@ -31,6 +34,7 @@ class Progress:
     r: float = math.nan
     values: dict[str, dict[str, str]] = field(default_factory=dict)
     findings: dict[str, str] = field(default_factory=dict)
+    heard: dict[str, float] = field(default_factory=dict)
 
 
 class Monitor(Client):
@@ -65,6 +69,7 @@ class Monitor(Client):
             self.progress.values[node] = values
             self.levels[node] = level = status.level[0]
             progress = self.progress
+            progress.heard[node] = time.monotonic()
             progress.findings.pop(node, None)
             if level:
                 progress.findings[node] = f"{node} {LEVELS[level]}: {status.message}"

@@ -68,6 +68,7 @@ def main(args: argparse.Namespace) -> int:
         planned.composed,
         planned.remaps,
     )
+    nodes.file = find_controller(args.file)[0]
     try:
         with nodes, served(args.serve, folder / "logs"):
             try:

@@ -12,6 +12,7 @@ from koop_core.errors import LiveError
 from koop_node.process.domain import current_domain, free_domain, only_observed
 
 TOPICS = ("state", "cost", "theta")  # that each have one publisher in a loop
+PREFIX = "koop/"  # of the name that a loop holds, before its domain and its namespace
 DISCOVERY = (
     4.0  # [s]: Fast DDS, as it comes, announces itself every 3 s, for those that missed the first
 )
@@ -19,8 +20,10 @@ ENDING = 6.0  # [s] in which the nodes of a loop end whose command was killed
 
 
 @contextmanager
-def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[None]:
+def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[socket.socket | None]:
     """Hold the place of the one loop, which will publish these topics, while the context lasts.
+
+    It gives the socket that holds the place, where :mod:`koop_node.client.desk` may answer.
 
     Two commands on one machine that start at the same moment are told apart by a name that the
     system gives to one of them only; a loop of other hosts, or of nodes that were started by hand,
@@ -29,28 +32,28 @@ def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[None]
     Raises LiveError if there is a loop already.
     """
     domain = current_domain()
-    with _claimed(f"koop/{domain}{namespace}") as first:
+    with _claimed(f"{PREFIX}{domain}{namespace}") as (first, place_socket):
         if not first or _published(domain, [f"{namespace}/{topic}" for topic in topics]):
             place = f"{domain}, in the namespace {namespace}" if namespace else str(domain)
             raise LiveError(
                 f"another loop runs on ROS domain {place}: it goes on, this one was not started. "
                 f"Set ROS_DOMAIN_ID to a free one, such as {free_domain()}"
             )
-        yield
+        yield place_socket
 
 
 @contextmanager
-def _claimed(name: str) -> Iterator[bool]:
+def _claimed(name: str) -> Iterator[tuple[bool, socket.socket | None]]:
     """Take a name of the machine, or say that it is taken; the end of the process frees it."""
     if sys.platform != "linux":  # elsewhere there are no names without a file
-        yield True
+        yield True, None
         return
-    with socket.socket(socket.AF_UNIX) as place:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as place:
         first = False
         with suppress(OSError):
             place.bind(f"\0{name}")
             first = True
-        yield first
+        yield first, place
 
 
 def is_empty(domain: int) -> bool:

@@ -1,0 +1,90 @@
+"""What a running loop says of itself: whether it is healthy, and its status in a few lines."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+from koop_bringup.live.monitor import LEVELS, Progress
+
+SILENT = 10.0  # [s] without a report of a node, which reports once a second
+MENDED_SOON = (LEVELS[0], LEVELS[1])  # levels at which a loop is healthy
+
+
+def find_faults(
+    progress: Progress, nodes: Collection[str], lost: Collection[str], now: float
+) -> list[str]:
+    """Return in words why a loop is not healthy; empty if it is.
+
+    Parameters
+    ----------
+    progress : Progress
+        What its nodes report.
+    nodes, lost : collection of str
+        Those that were started, and those of them that have ended.
+    now : float
+        Steady time [s].
+    """
+    faults = [f"{node} has ended" for node in lost]
+    for node in nodes:
+        if node not in lost and now - progress.heard.get(node, -math.inf) > SILENT:
+            faults.append(f"{node} is silent")
+    guard = progress.values.get("koop_guard", {})
+    for node, text in progress.findings.items():
+        of_guard = node == "koop_guard" and guard.get("status") != "following"
+        if of_guard or text.split()[1].rstrip(":") not in MENDED_SOON:
+            faults.append(text)
+    return faults
+
+
+def describe_loop(
+    progress: Progress,
+    faults: Collection[str],
+    values: Mapping[str, Mapping[str, Any]],
+    folder: Path,
+    recorded: bool,
+    running: float,
+) -> str:
+    """Return the status of a loop: health, theta, rig, folder, recording and time.
+
+    Parameters
+    ----------
+    progress, faults
+        As in :func:`find_faults`.
+    values : mapping
+        Parameters by node.
+    folder : Path
+        Of the run.
+    recorded : bool
+        Whether its recorder runs.
+    running : float
+        Time since its start [s].
+    """
+    guard = values.get("koop_guard")
+    status = progress.values.get("koop_guard", {}).get("status", "not heard yet")
+    lifter = values.get("koopman_lifter", {})
+    rig = "the simulated plant"
+    if "vdp_plant" not in values:
+        rig = f"measured {guard['measured'] if guard else lifter.get('measured', 'state')}"
+    if guard is not None:
+        rig += f", command {guard['command']}"
+    theta = progress.values.get("koop_guard", {}).get("theta", progress.theta)
+    size = sum(file.stat().st_size for file in (folder / "bag").glob("*"))
+    return "\n".join(
+        [
+            "  " + ("not healthy: " + "; ".join(faults) if faults else "healthy"),
+            f"  theta = {float(theta):.6g}" + f", guard {status}" * (guard is not None),
+            f"  rig: {rig}",
+            f"  run: {folder.resolve()}, "
+            + (f"recording, {size / 1e6:.1f} MB" if recorded else "not recording"),
+            f"  running for {_spell(running)}, step {progress.step}",
+        ]
+    )
+
+
+def _spell(seconds: float) -> str:
+    days, rest = divmod(int(seconds), 86400)
+    return f"{days} d " * (days > 0) + time.strftime("%H:%M:%S", time.gmtime(rest))

@@ -1,0 +1,131 @@
+"""Where a running loop answers the programs of its machine: at the name that holds its place.
+
+A question is one packet, ``status`` or ``stop``; the answer is one packet of JSON. Who asks is told
+by the kernel. Linux only, and pure: no ROS.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from koop_core.errors import LiveError
+from koop_node.client.alone import PREFIX
+
+STATUS, STOP = "status", "stop"
+MOST = 16  # that are answered at a time
+LONGEST = 65536  # [B] of an answer
+PATIENCE = 5.0  # [s] for an answer to ``status``
+_CREDENTIALS = struct.Struct("3i")  # of unix(7): process, user, group
+
+
+class Desk:
+    """Answers between two steps of a loop, and waits for nobody.
+
+    Parameters
+    ----------
+    place : socket
+        Of :func:`koop_node.client.alone.alone`.
+    """
+
+    def __init__(self, place: socket.socket) -> None:
+        place.listen(MOST)
+        place.setblocking(False)
+        self._place = place
+        self._asking: list[socket.socket] = []
+        self._waiting: list[socket.socket] = []
+        """Those who asked to stop and wait for the end."""
+
+    def answer(self, describe: Callable[[], dict[str, Any]]) -> bool:
+        """Answer all who have asked; return whether one who may do so asked to stop."""
+        with suppress(BlockingIOError):
+            while len(self._asking) < MOST:
+                asking, _ = self._place.accept()
+                asking.setblocking(False)
+                self._asking.append(asking)
+        stop = False
+        for asking in list(self._asking):
+            try:
+                question = asking.recv(64).decode(errors="replace")
+            except BlockingIOError:
+                continue
+            except OSError:
+                question = ""
+            self._asking.remove(asking)
+            if question == STOP and credentials(asking)[1] in (0, os.geteuid()):
+                self._waiting.append(asking)
+                stop = True
+            else:
+                refused = {"refused": "its user or root may stop it"}
+                _say(asking, describe() if question == STATUS else refused)
+        return stop
+
+    def close(self, words: str) -> None:
+        """Tell those who wait for the end what it left behind."""
+        for asking in self._waiting:
+            _say(asking, {"text": words})
+        for asking in self._asking:
+            asking.close()
+        self._asking, self._waiting = [], []
+
+
+def _say(asking: socket.socket, answer: dict[str, Any]) -> None:
+    with suppress(OSError), asking:  # it may have gone
+        asking.send(json.dumps(answer).encode())
+
+
+def credentials(peer: socket.socket) -> tuple[int, int]:
+    """Return process and user at the other end, as the kernel knows them."""
+    data = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    process, user, _ = _CREDENTIALS.unpack(data)
+    return process, user
+
+
+def find_loops() -> list[str]:
+    """Return the names of the loops of this machine, as ``koop/DOMAIN/NAMESPACE``."""
+    lines = Path("/proc/net/unix").read_text().splitlines()[1:]
+    names = {line.rpartition(" @")[2] for line in lines if f" @{PREFIX}" in line}
+    return sorted(names)
+
+
+def ask(name: str, question: str, patience: float | None = PATIENCE) -> dict[str, Any]:
+    """Ask a loop, and return its answer, with its ``pid`` and ``user``.
+
+    Parameters
+    ----------
+    name : str
+        Of :func:`find_loops`.
+    question : str
+        ``status``, or ``stop``, which is answered at the end.
+    patience : float, optional
+        For the answer [s]; None: any time.
+
+    Raises
+    ------
+    koop_core.errors.LiveError
+        If it does not answer.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as loop:
+        loop.settimeout(patience)
+        process = user = 0
+        try:
+            loop.connect(f"\0{name}")
+            process, user = credentials(loop)
+            loop.send(question.encode())
+            data = loop.recv(LONGEST)
+        except ConnectionRefusedError:
+            raise LiveError("does not answer: it starts, or koop up did not start it") from None
+        except TimeoutError:
+            raise LiveError(f"process {process}: hangs: no answer in {patience:g} s") from None
+        except OSError as error:
+            raise LiveError(f"does not answer: {error}") from None
+    if not data:
+        raise LiveError("ended without a word: theta is left to guard and twin, see its logs")
+    answer: dict[str, Any] = json.loads(data)
+    return {**answer, "pid": process, "user": user}

@@ -1,0 +1,99 @@
+"""A loop answers at the name that holds its place; only its user may stop it."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+
+from koop_core.errors import LiveError
+from koop_node.client.alone import PREFIX, _claimed
+from koop_node.client.desk import STATUS, STOP, Desk, ask, find_loops
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="names without a file")
+ANSWER = {"healthy": True, "text": "all is well"}
+STRANGER = """
+import socket, sys
+with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as loop:
+    loop.connect(chr(0) + sys.argv[1])
+    for question in sys.argv[2:]:
+        loop.send(question.encode())
+    print(loop.recv(65536).decode())
+"""
+
+
+@pytest.fixture
+def name():
+    return f"{PREFIX}99/test{os.getpid()}"
+
+
+class Loop(threading.Thread):
+    """Answers until it is asked to stop."""
+
+    def __init__(self, place):
+        super().__init__()
+        self.desk, self.over = Desk(place), threading.Event()
+        self.stopped = False
+
+    def run(self):
+        while not (self.over.is_set() or self.stopped):
+            self.stopped = self.desk.answer(lambda: ANSWER)
+        self.desk.close("theta is left at 1")
+
+
+@pytest.fixture
+def loop(name):
+    with _claimed(name) as (first, place):
+        assert first
+        loop = Loop(place)
+        loop.start()
+        yield loop
+        loop.over.set()
+        loop.join()
+
+
+def test_a_loop_says_how_it_is_until_it_is_stopped(name, loop):
+    assert name in find_loops()
+    for _ in range(40):  # more than are answered at a time
+        answer = ask(name, STATUS)
+        assert {key: answer[key] for key in ANSWER} == ANSWER
+    assert (answer["pid"], answer["user"]) == (os.getpid(), os.geteuid())
+    assert "refused" in ask(name, "dance")
+    assert not loop.stopped
+    assert ask(name, STOP)["text"] == "theta is left at 1"
+    assert loop.stopped
+
+
+def test_who_asks_nothing_keeps_nobody_waiting(name, loop):
+    import socket
+
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as silent:
+        silent.connect(f"\0{name}")
+        assert ask(name, STATUS)["healthy"]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root is also another user")
+def test_another_user_may_look_but_not_stop(name, loop):
+    def asked(question):
+        words = [sys.executable, "-S", "-c", STRANGER, name, question]
+        done = subprocess.run(
+            words, user=65534, group=65534, cwd="/", capture_output=True, text=True, check=True
+        )
+        return done.stdout
+
+    assert "all is well" in asked(STATUS)
+    assert "refused" in asked(STOP)
+    assert not loop.stopped
+
+
+def test_a_loop_that_hangs_or_ends_without_a_word_is_told(name):
+    with _claimed(name) as (_, place):
+        with pytest.raises(LiveError, match="does not answer: it starts"):
+            ask(name, STATUS)
+        place.listen()
+        with pytest.raises(LiveError, match=f"process {os.getpid()}: hangs"):
+            ask(name, STATUS, 0.05)
+    with pytest.raises(LiveError, match="does not answer"):
+        ask(name, STATUS)
+    assert name not in find_loops()
