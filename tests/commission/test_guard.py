@@ -5,10 +5,12 @@ import os
 import re
 import shlex
 import signal
+import socket
 import struct
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -385,6 +387,40 @@ def test_any_terminal_is_told_how_the_loop_is_and_may_end_it(up, fast_rig, koop,
     assert fast_rig.theta == SAFE
     assert process.wait(LONG) == 1  # as after Ctrl-C, without its recorder
     assert not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values())
+
+
+def test_the_service_manager_is_told_that_the_loop_goes_on_and_is_not_if_it_does_not(
+    up, koop, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.setblocking(False)
+        said = []
+
+        def says(words):
+            with suppress(BlockingIOError):
+                while True:
+                    said.append((time.monotonic(), manager.recv(4096).decode()))
+            return said and words in said[-1][1]
+
+        process, nodes = up()
+        wait(lambda: says("STATUS=healthy"), "a healthy loop", process, LONG)
+        assert said[0][1].startswith("READY=1\nWATCHDOG=1\n")
+        os.kill(nodes["lifter"], signal.SIGSTOP)
+
+        def silent():
+            says("")
+            return "koopman_lifter is silent" in koop("status", "run").communicate(timeout=LONG)[0]
+
+        wait(silent, "the lifter's silence to be noticed", process, LONG)
+        last = said[-1][0]
+        assert time.monotonic() - last > 3.0  # the others reported meanwhile
+        os.kill(nodes["lifter"], signal.SIGCONT)
+        wait(lambda: says("WATCHDOG=1") and said[-1][0] > last, "a sign of life", process, LONG)
+        process.send_signal(signal.SIGTERM)  # as systemd does
+        assert process.wait(LONG) == 0
+        assert says("STOPPING=1")
 
 
 def test_the_page_says_what_tripped_the_guard_and_rearms_it(up, fast_rig, tmp_path):

@@ -16,6 +16,7 @@ from typing import Any
 from koop_bag.recorder.config import RecorderConfig
 from koop_bringup.live.health import describe_loop, find_faults
 from koop_bringup.live.monitor import Monitor, Progress
+from koop_bringup.live.notify import ServiceManager
 from koop_bringup.live.process import START_TIMEOUT, STOP_TIMEOUT, NodeProcess, uninterrupted
 from koop_bringup.live.turns import take_turns
 from koop_bringup.plan import return_time
@@ -84,6 +85,7 @@ class LiveNodes:
         self._theta_left = ""
         """Where theta of the rig is, once the guard has ended."""
         self._begun = time.monotonic()
+        self._manager = ServiceManager()
         self._place: socket.socket | None = None
         self._desk: Desk | None = None
         self._stack = ExitStack()
@@ -125,6 +127,7 @@ class LiveNodes:
 
         The guard comes first: theta returns while all else works.
         """
+        self._manager.end()
         self._end_guard(to_guard)
         return {node: process.stop() for node, process in reversed(self._nodes.items())}
 
@@ -173,6 +176,7 @@ class LiveNodes:
             while not self._done():
                 monitor.spin(0.05)
                 on_progress(monitor.progress)
+                self._report(monitor.progress)
                 describe = partial(self._describe, monitor.progress)
                 if self._desk is not None and self._desk.answer(describe):
                     raise KeyboardInterrupt
@@ -195,6 +199,12 @@ class LiveNodes:
                         f"the loop did not start in {START_TIMEOUT:g} s: see {self.folder}/logs"
                     )
         self.end()
+
+    def _report(self, progress: Progress) -> None:
+        """Tell the service manager that the loop goes on, if it does."""
+        faults = find_faults(progress, self._values, self.lost, time.monotonic())
+        nodes = [node for node in self._values if node not in self.lost]
+        self._manager.report(progress, nodes, "; ".join(faults) or "healthy")
 
     def _describe(self, progress: Progress) -> dict[str, Any]:
         """Return the answer to ``koop status``."""

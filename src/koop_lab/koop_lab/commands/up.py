@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.monitor import Progress
 from koop_bringup.live.served import add_serve_option, served
 from koop_bringup.plan import ALL_NODES, ARGUMENTS, Plan, plan
+from koop_bringup.service import describe_commands, describe_unit, unit_folder, unit_name
 from koop_core.config import parameter_file
+from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError
 from koop_lab.recorded.report import describe, read
 from koop_tune.folder import find_controller
@@ -47,6 +50,12 @@ def register(commands: Any) -> None:
     for argument in ARGUMENTS:
         if argument.name in OPTIONS:
             parser.add_argument(f"--{argument.name}", metavar="VALUE", help=argument.meaning)
+    parser.add_argument(
+        "--install",
+        action="store_true",
+        help="start nothing: write a systemd unit that does, with these options, with the machine "
+        "(root) or for this user; print the commands",
+    )
     add_serve_option(parser)
     parser.set_defaults(func=main)
 
@@ -54,6 +63,8 @@ def register(commands: Any) -> None:
 def main(args: argparse.Namespace) -> int:
     """Entry point; returns the exit code: 1 if the run went on without its recorder."""
     planned, folder = read_options(args)
+    if args.install:
+        return install(args, planned)
     for note in planned.notes:
         print(f"note: {note}")
     started = ", ".join([node.name for node in planned.nodes] + ["rig"] * bool(planned.program))
@@ -85,6 +96,24 @@ def main(args: argparse.Namespace) -> int:
     except KoopError as error:
         print(f"no figures of the run: {error}")
     return 1 if nodes.lost else 0
+
+
+def install(args: argparse.Namespace, planned: Plan) -> int:
+    """Write the unit of a service, and say how it is started; return the exit code."""
+    if args.out:
+        raise ConfigError("--install: without --out, each start has a run folder of its own")
+    system = os.geteuid() == 0
+    name = unit_name(find_controller(args.file)[1])
+    given = {option: getattr(args, option) for option in (*OPTIONS, "serve")}
+    options = ["--composed"] * args.composed
+    options += [f"--{key}={value}" for key, value in given.items() if value is not None]
+    text = describe_unit(name, args.file, options, planned, system)
+    Path("recordings").mkdir(exist_ok=True)
+    unit = unit_folder(system) / name
+    unit.parent.mkdir(parents=True, exist_ok=True)
+    unit.write_text(text)
+    print(f"written: {unit}; next:\n{describe_commands(name, args.file, system)}")
+    return 0
 
 
 def read_options(args: argparse.Namespace) -> tuple[Plan, Path]:
