@@ -130,6 +130,8 @@ def test_a_handful_of_messages_is_one_finding():
         ({"lost": 10}, 1.0, NOTE, "lost 10 (0.5 %)"),
         ({"lost": 200}, 1.0, BAD, "too many"),
         ({"interval": 0.02}, 1.0, BAD, "a message every 0.02 s, but dt = 0.01: dt is wrong"),
+        ({"interval": 0.02, "source": "stamps"}, 1.0, BAD, "dt is wrong, or pace, or messages are"),
+        ({"interval": 0.005, "source": "stamps"}, 2.0, BAD, "stamps do not count the rig's own"),
         ({"rate": 95.0}, 1.0, NOTE, "expected 100 a second"),  # a simulation that is a bit slow
         ({"rate": 95.0, "source": "arrival"}, 1.0, BAD, "expected 100 a second"),
         ({"rate": 200.0}, 1.0, BAD, "set 'pace' in the rig file"),

@@ -30,7 +30,7 @@ COUNTED = {
 
 
 class Finding(NamedTuple):
-    """A line of the check: ``ok``, ``note`` or ``BAD``, what it is about, and what was summary."""
+    """A line of the check: ``ok``, ``note`` or ``BAD``, what it is about, and what was found."""
 
     level: str
     name: str
@@ -73,7 +73,10 @@ def judge_arrivals(
     )
     if abs(rhythm.interval / dt - 1.0) > settings.near:
         cause = "dt is wrong, or pace" + ", or messages are lost" * (rhythm.interval > dt)
-        text = f"a message every {rhythm.interval:.4g} s, but dt = {dt:g}: {cause}; {text}"
+        if rhythm.source == "stamps" and pace != 1.0:
+            cause += ", or the stamps do not count the rig's own time"
+        per = " of the rig's time" * (pace != 1.0)
+        text = f"a message every {rhythm.interval:.4g} s{per}, but dt = {dt:g}: {cause}; {text}"
         return Finding(BAD, "arrival", text)
     if rhythm.share > settings.lost_badly:
         return Finding(BAD, "arrival", f"{text}: too many")

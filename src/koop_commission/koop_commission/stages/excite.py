@@ -234,11 +234,11 @@ class Excitation:
                 f"file {left:.0f} s are left: set time = "
                 f"{round_up(2.0 * (self._elapsed + needed)):g} or more"
             )
-        back = rig.guard.return_time(rig.theta_max)
+        back = max(map(rig.guard.return_time, (rig.theta_min, rig.theta_max)))
         print(
             f"theta goes from {rig.theta_min:g} to {rig.theta_max:g} and back, then to where it "
             f"tells most: at most {spell_time(left, rig.pace)}, less if only what is fast reacts; "
-            f"Ctrl-C ends it, theta returns to {rig.theta_safe:g} in up to {back:.0f} s\n"
+            f"Ctrl-C ends it, theta returns to {rig.theta_safe:g} within {back:.2g} s here\n"
             "[s] of the rig's time; amplitude 1 is the strongest motion seen so far",
             flush=True,
         )

@@ -30,7 +30,7 @@ STATE, STATE_TYPE = "/state", "koop_msgs/msg/MeasuredState"
 THETA, THETA_TYPE = "/theta", "koop_msgs/msg/ControlInput"
 HEAD = """\
 # A rig, for 'koop check' and 'koop excite': what its messages cannot tell. Times are seconds of the
-# rig's own time; theta is the one knob that is turned, in the rig's own unit.
+# rig's own time; theta is in the rig's own unit.
 """
 
 
