@@ -185,6 +185,16 @@ def test_only_what_is_worse_than_the_band_disagrees(aim, good, change, message):
     assert said.count(aim.name) == 1
 
 
+def test_a_figure_outside_the_band_that_errors_allow_is_named(aim, good):
+    near = replace(good, error=0.1, excess=1.2, reduction=4.0)  # 1.05 exp(0.2) = 1.28
+    assert find_disagreements(aim, near) == []
+    said = verdict(aim, [good, near], [-1.0, 3.0], 1, "there")
+    assert "damped as predicted: ./koop up there runs it; outside the band, within what" in said
+    assert "ended at 1.2 times the best amplitude, at most 1.05 were predicted" in said
+    inside = replace(near, excess=1.0, time_to_converge=50.0)
+    assert "outside" not in verdict(aim, [inside, inside], [-1.0, 3.0], 1, "there")
+
+
 def factor(text):
     """Return the factor by which a description says that the amplitude falls or rises."""
     return float(re.search(r"(?:falls|rises) by a factor of (\S+)", text)[1])

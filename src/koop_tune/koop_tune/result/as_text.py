@@ -59,6 +59,12 @@ def as_table(findings: Findings, tuning: Tuning | None = None) -> str:
             score = f"{scores[name]:.3g}" if name in scores else "-"
             rows.append([name, where, f"{clearest_map.evidence:.3g}", score])
         lines += ["", table(["cost", "best at theta", "evidence (Δχ²)", "score"], rows)]
+        if scores:
+            lines.append(
+                "score: nine in ten runs of the search come to less; it weighs the amplitude over "
+                "the best one, the time to converge and a moving optimum: 1 is perfect; it ranks "
+                "the costs and predicts nothing"
+            )
         lines += [f"{c.cost.name}: {c.cost.problem}" for c in findings.costs if c.cost.problem]
     return "\n".join(lines)
 

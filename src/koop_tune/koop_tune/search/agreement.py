@@ -213,15 +213,16 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     )
 
 
-def find_disagreements(aim: Aim, run: Measured) -> list[str]:
+def find_disagreements(aim: Aim, run: Measured, allowance: float = 1.0) -> list[str]:
     """Return the figures that are worse than predicted, in words.
 
-    A prediction that allows almost anything is not confirmed by anything.
+    A prediction that allows almost anything is not confirmed by anything. The bands are widened by
+    a share of the allowance for errors of the measurement; 0: what lies outside of the bands.
     """
-    p, worse = aim.predicted, []
-    widened = math.exp(aim.settings.errors * run.error)
+    p, s, worse = aim.predicted, aim.settings, []
+    widened = math.exp(allowance * s.errors * run.error)
     late, took = p.converges.high, run.time_to_converge
-    limit = aim.settings.later * late + aim.settings.smoothed * aim.window
+    limit = late + allowance * ((s.later - 1.0) * late + s.smoothed * aim.window)
     if (math.inf if took is None else took) > limit:
         outcome = "did not converge" if took is None else f"took {took:.4g} s to converge"
         worse.append(f"{outcome}, at most {late:.4g} s were predicted")
@@ -301,6 +302,8 @@ def verdict(
         last = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"
     else:
         last = f"The rig is damped as predicted: ./koop up {where} runs it"
+        if outside := [text for run in runs for text in find_disagreements(aim, run, 0.0)]:
+            last += f"; outside the band, within what errors allow: {', and '.join(outside)}"
     return " ".join([*lines, last + "."])
 
 
