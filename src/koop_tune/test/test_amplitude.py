@@ -122,6 +122,16 @@ def test_a_line_in_the_skirt_of_a_noise_driven_oscillation_is_left_out():
     assert levels(choose_amplitude(WINDOWS, holds), holds) == pytest.approx(size, rel=0.15)
 
 
+@pytest.mark.parametrize("periods", [2.8, 4.0, 5.6])
+def test_a_line_in_the_lowest_bins_is_no_background_of_itself(periods):
+    # a window of few periods: the line leaks into the lowest bins, which count for nothing
+    rng, size = np.random.default_rng(7), np.linspace(0.1, 1.0, 10)
+    frequency = periods / WINDOWS.seconds
+    holds = [hold(rng, [(frequency, a), (40.0 * frequency, 0.15)], noise=0.005) for a in size]
+    found = levels(choose_amplitude(WINDOWS, holds), holds)
+    assert found == pytest.approx(size, rel=0.15)  # of the least, few bins away from the mean
+
+
 def test_the_background_is_that_of_holds_that_are_known():
     # all groups react; the least of short holds alike is less than the background by chance
     rng, floor = np.random.default_rng(6), 0.1

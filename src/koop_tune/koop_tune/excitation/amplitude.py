@@ -265,9 +265,9 @@ def choose_amplitude(
     doubt = settings.errors / math.sqrt(2.0) * error  # of two holds alike: errors of the change
     level = np.log(mean)
     reacts = (level - doubt).max(axis=0) - (level + doubt).min(axis=0) > settings.change
-    reacts[:, : settings.lowest] = False  # a window has too little of a slow interference
     most = (mean * (1.0 + error)).min(axis=0)  # of a background; a short hold tells little
     density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
+    reacts[:, : settings.lowest] = False  # a window has too little of a slow interference
     reacts &= _is_part(mean, reacts, settings.skirt)
     background = _background(windows, density, most, reacts, settings)
     motion = np.maximum(mean - background, 0.0)
