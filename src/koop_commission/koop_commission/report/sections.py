@@ -169,8 +169,8 @@ def make_costs(c: Contents) -> Section:
         Column("problem", "problem", words=True),
     )
     title = (
-        "Candidates. Evidence: by how many standard errors, squared, both ends are worse; score: of "
-        "the search, amplitude and time to converge, also with a moving optimum; 1 is perfect"
+        "Candidates. Evidence: by how many standard errors, squared, both ends are worse; score of "
+        "the search: amplitude and time to converge, also of a moving optimum; 1 is perfect"
     )
     figure = Figure("costs-figure", "r against theta", tuple(panels), columns=2)
     table = Table("costs", title, columns, rows)
