@@ -198,7 +198,7 @@ def test_the_options_of_play_are_parameters_of_the_player():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"split_size": -1.0}, "split_size"),
+        ({"keep_size": -1.0}, "keep_size"),
         ({"topics": "state a:b"}, "'a:b' is neither a name nor name:pkg/msg/Type"),
         ({"queue": 1}, "queue"),
     ],

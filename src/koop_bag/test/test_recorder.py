@@ -1,6 +1,7 @@
 """The recorder as a process, real DDS, real signals; bags judged by readers of others."""
 
 import hashlib
+import random
 import signal
 import sys
 import time
@@ -9,7 +10,7 @@ import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from koop_bag_messages import LOOP
-from koop_bag_ros import Recorder, Talker, publish
+from koop_bag_ros import Recorder, Talker, publish, wait_until
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
@@ -25,9 +26,12 @@ from koop_bag.bag.info import describe
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
+from koop_bag.errors import BagError
 from koop_bag.recorder.topics import message_class
 
 pytestmark = pytest.mark.ros
+
+BLOB = "std_msgs/msg/UInt8MultiArray"
 
 
 def padded(data):
@@ -267,6 +271,50 @@ def test_steps_that_a_node_skips_while_it_is_inactive_are_not_lost(tmp_path, mes
         (topic,) = describe(reader).topics
         assert reader.inactive_steps("/state") == 480
     assert (topic.steps.lost, topic.steps.inactive) == (2, 480)
+
+
+def publish_blobs(talker, recorder, count, size=10_000):
+    """Publish numbered messages that no compression makes smaller, and wait for the last."""
+    (publisher,) = talker.publishers({"/blob": BLOB}).values()
+    for k in range(count):
+        data = k.to_bytes(4, "little") + random.Random(k).randbytes(size)
+        publisher.publish(publisher.msg_type(data=data))
+
+    def recorded():
+        numbers = read_blobs(recorder.folder)
+        return numbers and numbers[-1] == count - 1
+
+    wait_until(recorded, "the last message")
+
+
+def read_blobs(folder):
+    """Return the numbers of the messages in a bag, or in a file, also while it is recorded."""
+    try:
+        with BagReader(folder) as reader:
+            return [read_number(message.data) for message in reader.messages()]
+    except BagError:
+        return []
+
+
+def read_number(data):
+    """Return the number of a message: after the header, the layout and the length."""
+    return int.from_bytes(data[16:20], "little")
+
+
+def test_a_ring_keeps_the_newest_files_for_other_readers(tmp_path):
+    ring = ("-p", f"topics:=/blob:{BLOB}", "-p", "keep_size:=0.5")
+    with Recorder(tmp_path / "run", *ring) as recorder, Talker() as talker:
+        publish_blobs(talker, recorder, 150)
+        recorder.stop()
+        assert recorder.process.returncode == 0, recorder.output()
+    bag = tmp_path / "run" / "bag"
+    assert sum(path.stat().st_size for path in bag.glob("*.mcap")) < 600_000
+    assert not (bag / "bag_0.mcap").exists()
+    with AnyReader([bag]) as reader:
+        numbers = [read_number(raw) for *_, raw in reader.messages()]
+        assert reader.message_count == len(numbers)
+    assert numbers == list(range(numbers[0], 150))
+    assert len(numbers) > 30
 
 
 def test_a_folder_that_holds_a_recording_is_refused_with_one_line(tmp_path, write_loop):

@@ -1,6 +1,7 @@
 """Bags read back by readers that share no code with the writer."""
 
 import resource
+import shutil
 import struct
 import zlib
 from collections import Counter
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 import zstandard
-from koop_bag_messages import LOOP, PERIOD, START
+from koop_bag_messages import LOOP, PERIOD, START, Messages
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
@@ -19,12 +20,16 @@ from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
+from koop_bag.bag.losses import count_losses
 from koop_bag.bag.metadata import OfferedQos
 from koop_bag.bag.reader import BagReader
+from koop_bag.bag.recover import recover
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagWriteError, DiskFullError
 from koop_core.config.parameter import ConfigError
+
+MESSAGES = Messages()
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -135,6 +140,86 @@ def test_a_bag_splits_by_size_and_every_file_stands_alone(write_loop):
     assert total == 8000
     with AnyReader([folder]) as reader:
         assert reader.message_count == sum(1 for _ in reader.messages()) == 8000
+
+
+def record(folder, n, **options):
+    """Write n messages of /state and, from the middle on, of /cost; yield after each second."""
+    with BagWriter(folder, WriterOptions(compression="none", **options)) as writer:
+        topics = {"/state": writer.add_topic("/state", load_schema(LOOP["/state"]))}
+        for k in range(n):
+            if k == n // 2:
+                topics["/cost"] = writer.add_topic("/cost", load_schema(LOOP["/cost"]))
+            for topic, channel in topics.items():
+                now = START + k * PERIOD
+                writer.write(channel, now, now, MESSAGES.loop(topic, k))
+            if k % 200 == 199:
+                yield writer
+
+
+def read_steps(folder):
+    """Return the steps by topic as rosbags reads them, checked against the bag's description."""
+    info = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    actual, times = {}, []
+    with AnyReader([folder]) as reader:
+        for connection, time, raw in reader.messages():
+            step = reader.deserialize(raw, connection.msgtype).step
+            actual.setdefault(connection.topic, []).append(step)
+            times.append(time)
+    described = {
+        topic["topic_metadata"]["name"]: topic["message_count"]
+        for topic in info["topics_with_message_count"]
+        if topic["message_count"]
+    }
+    assert described == {topic: len(steps) for topic, steps in actual.items()}
+    assert info["message_count"] == len(times)
+    assert info["starting_time"]["nanoseconds_since_epoch"] == min(times)
+    assert info["duration"]["nanoseconds"] == max(times) - min(times)
+    assert info["relative_file_paths"] == [file["path"] for file in info["files"]]
+    return actual
+
+
+def test_a_ring_by_size_keeps_the_newest_files_and_describes_them_truly(tmp_path):
+    folder, keep = tmp_path / "run", 200_000
+    for seconds, writer in enumerate(record(folder, 5_000, keep_bytes=keep), start=1):
+        assert writer.bytes_written == sum(f.stat().st_size for f in folder.glob("*.mcap"))
+        # a file may outgrow its part by the chunk in progress, its summary and its description
+        assert writer.bytes_written < keep + 40_000
+        if seconds in (12, 20):  # read while it is recorded
+            steps = read_steps(folder)["/state"]
+            assert steps == list(range(steps[0], steps[-1] + 1))
+            assert steps[0] > 0
+    steps = read_steps(folder)
+    for topic in ("/state", "/cost"):  # a file may end between the two
+        assert steps[topic] == list(range(steps[topic][0], 5_000))
+    assert sum(f.stat().st_size for f in folder.glob("*.mcap")) > keep / 2
+    with BagReader(folder) as reader:
+        assert reader.complete
+        assert [m.sequence for m in reader.messages(["/state"])] == [k + 1 for k in steps["/state"]]
+    assert count_losses(steps["/state"]).lost == 0
+
+
+def test_a_ring_by_age_keeps_what_is_younger_and_little_more(tmp_path):
+    folder, keep = tmp_path / "run", 5.0
+    for _ in record(folder, 4_000, keep_seconds=keep):  # 20 s
+        pass
+    steps = read_steps(folder)["/state"]
+    assert steps == list(range(steps[0], 4_000))
+    # the oldest file may be a tenth older, the next one is not yet complete
+    assert keep <= len(steps) * PERIOD * 1e-9 <= 1.3 * keep
+
+
+def test_a_ring_that_was_killed_is_read_as_far_as_it_was_written(tmp_path):
+    copy = tmp_path / "copy"
+    for writer in record(tmp_path / "run", 4_000, keep_bytes=300_000):
+        if writer.topics[-1].name == "/cost" and not copy.exists():  # in the middle
+            shutil.copytree(tmp_path / "run", copy)
+    with BagReader(copy) as reader:
+        assert not reader.complete
+        files = [path.name for path in reader.files]
+        assert reader.description()["relative_file_paths"] == files
+        torn = [m.sequence for m in reader.messages(["/state"])]
+    recover(copy, tmp_path / "whole")
+    assert read_steps(tmp_path / "whole")["/state"] == [number - 1 for number in torn]
 
 
 def descriptions(path):
@@ -267,7 +352,7 @@ def fill(folder, limit):
         with file_limit(limit), pytest.raises(DiskFullError) as caught:
             writer.write_many(rows)
         assert writer.closed
-    return writer.topics[0].count, str(caught.value)
+    return writer.message_count, str(caught.value)
 
 
 @pytest.mark.parametrize("limit", [100_000, 200_000, 300_000, 999_983])

@@ -23,7 +23,7 @@ def choose(tmp_path):
 
 MINE = """
 vdp_plant: {ros__parameters: {pace: scaled, time_scale: 4, duration: 30, seed: 5, listeners: it}}
-recorder: {ros__parameters: {split_size: 5.0, output: /nowhere}}
+recorder: {ros__parameters: {keep_size: 5.0, output: /nowhere}}
 """
 
 
@@ -32,7 +32,7 @@ def test_the_file_wins_over_the_usual_values_of_the_command(choose):
     pace = parameters.pace
     assert (pace.pace, pace.time_scale, pace.duration) == ("scaled", 4.0, 30.0)
     assert parameters.plant.seed == 5
-    assert recorder.split_size == 5.0
+    assert recorder.keep_size == 5.0
     usual, _ = choose("relay_esc: {ros__parameters: {dwell: 3.0}}")
     assert (usual.pace.pace, usual.pace.duration) == ("lockstep", 2500.0)
 
@@ -50,7 +50,7 @@ def test_an_option_wins_over_the_file(choose):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("recorder: {ros__parameters: {split_size: -1}}", "recorder: split_size = -1: must"),
+        ("recorder: {ros__parameters: {keep_size: -1}}", "recorder: keep_size = -1: must"),
         ("recorder: {ros__parameters: {speed: 3}}", "recorder: unknown parameter 'speed'"),
         ("vdp_plant: {ros__parameters: {duration: 0}}", "--duration must cover at least two steps"),
     ],

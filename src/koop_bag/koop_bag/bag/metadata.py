@@ -1,7 +1,8 @@
 """The bag's own description: `metadata.yaml`, its copy inside the file, and the offered QoS."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -78,16 +79,15 @@ class OfferedQos:
         }
 
 
-@dataclass
+@dataclass(frozen=True)
 class TopicRecord:
-    """One recorded topic. `count` grows while recording."""
+    """One recorded topic."""
 
     name: str
     type_name: str
     type_hash: str
     encoding: str = "cdr"
     qos: tuple[OfferedQos, ...] = (OfferedQos(),)
-    count: int = 0
 
     def qos_text(self) -> str:
         """The YAML string that an MCAP channel carries."""
@@ -101,13 +101,21 @@ class FileRecord:
     path: str
     start: int = 2**63 - 1
     end: int = 0
-    count: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
+    """Messages by topic."""
+    size: int = 0
+    """Bytes, once it is closed."""
 
-    def cover(self, start: int, end: int, count: int) -> None:
-        """Take in `count` messages between two times."""
+    @property
+    def count(self) -> int:
+        """Messages in it."""
+        return self.counts.total()
+
+    def cover(self, start: int, end: int, counts: Mapping[str, int]) -> None:
+        """Take in messages between two times, so many of each topic."""
         self.start = min(self.start, start)
         self.end = max(self.end, end)
-        self.count += count
+        self.counts.update(counts)
 
     def as_map(self) -> dict[str, Any]:
         """The entry under `files`."""
@@ -127,6 +135,7 @@ def bag_map(
 ) -> dict[str, Any]:
     """The inner map of `metadata.yaml` (version 9, ROS 2 Jazzy)."""
     filled = [item for item in files if item.count]
+    counts = sum((item.counts for item in filled), Counter[str]())
     start = min((item.start for item in filled), default=2**63 - 1)
     end = max((item.end for item in filled), default=0)
     return {
@@ -134,7 +143,7 @@ def bag_map(
         "storage_identifier": "mcap",
         "duration": {"nanoseconds": max(0, end - start)},
         "starting_time": {"nanoseconds_since_epoch": start},
-        "message_count": sum(item.count for item in files),
+        "message_count": counts.total(),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -144,7 +153,7 @@ def bag_map(
                     "offered_qos_profiles": [item.as_map() for item in topic.qos],
                     "type_description_hash": topic.type_hash,
                 },
-                "message_count": topic.count,
+                "message_count": counts[topic.name],
             }
             for topic in topics
         ],

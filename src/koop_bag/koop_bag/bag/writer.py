@@ -15,6 +15,9 @@ from koop_bag.mcap.chunk import ChunkBuffer, Row
 from koop_bag.mcap.file_writer import McapFileWriter
 from koop_core.config.parameter import parameter, validate
 
+RING = 10
+"""Files of a ring: what is dropped at once is one part of so many."""
+
 
 @dataclass(frozen=True)
 class WriterOptions:
@@ -33,9 +36,30 @@ class WriterOptions:
     split_bytes: int = parameter(
         0, "start the next file when this one is that large; 0: never", unit="B", low=0
     )
+    keep_bytes: int = parameter(
+        0, "drop the oldest files so that all take no more; 0: keep all", unit="B", low=0
+    )
+    keep_seconds: float = parameter(
+        0.0, "drop files whose last message is older than this; 0: keep all", unit="s", low=0.0
+    )
 
     def __post_init__(self) -> None:
         validate(self)
+
+    @property
+    def is_ring(self) -> bool:
+        """Whether old files are dropped."""
+        return bool(self.keep_bytes or self.keep_seconds)
+
+    @property
+    def file_bytes(self) -> int:
+        """Size at which the next file begins [B]; 0: never."""
+        return self.split_bytes or self.keep_bytes // RING
+
+    @property
+    def file_time(self) -> int:
+        """Time after which the next file begins [ns]; 0: never."""
+        return int(self.keep_seconds * 1e9 / RING)
 
 
 class BagWriter:
@@ -79,7 +103,7 @@ class BagWriter:
         self._sequences: dict[int, int] = {}
         self._notes: dict[str, dict[str, str]] = {}
         self._files: list[FileRecord] = []
-        self._closed_bytes = 0
+        self._opened = 0
         self.closed = False
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -96,8 +120,13 @@ class BagWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Bytes on the disk so far."""
+        """Bytes on the disk, without those of dropped files."""
         return self._closed_bytes + self._file.size
+
+    @property
+    def message_count(self) -> int:
+        """Messages on the disk, without those of dropped files."""
+        return sum(file.count for file in self._files)
 
     @property
     def path(self) -> Path:
@@ -189,7 +218,7 @@ class BagWriter:
         self.flush()
         self._guarded(self._finish_file)
         self.closed = True
-        self._write_description()
+        self._write_description(self._files)
 
     def __enter__(self) -> "BagWriter":
         return self
@@ -203,7 +232,8 @@ class BagWriter:
         self.close()
 
     def _open_file(self) -> McapFileWriter:
-        file = McapFileWriter(self.folder / f"{self.folder.name}_{len(self._files)}.mcap")
+        file = McapFileWriter(self.folder / f"{self.folder.name}_{self._opened}.mcap")
+        self._opened += 1
         self._files.append(FileRecord(file.path.name))
         for schema, channel in self._channels:
             file.add_channel(schema, channel)
@@ -215,19 +245,41 @@ class BagWriter:
     def _write_chunk(self) -> None:
         chunk, file = self._chunk, self._file
         self._guarded(lambda: file.add_chunk(chunk))
-        counts = chunk.counts()
-        for channel, count in counts.items():
-            self.topics[channel - 1].count += count
-        self._files[-1].cover(file.last_start, file.last_end, sum(counts.values()))
+        counts = {self.topics[c - 1].name: count for c, count in chunk.counts().items()}
+        record, options = self._files[-1], self.options
+        record.cover(file.last_start, file.last_end, counts)
         chunk.clear()
-        if self.options.split_bytes and file.size >= self.options.split_bytes:
+        too_large = 0 < options.file_bytes <= file.size
+        if too_large or 0 < options.file_time <= record.end - record.start:
             self._guarded(self._next_file)
 
     def _next_file(self) -> None:
         self._finish_file()
-        self._closed_bytes += self._file.size
+        self._files[-1].size = self._file.size
         self._chunk.not_before = self._files[-1].end
+        while len(self._files) > 1 and self._is_too_much():
+            self._drop_oldest()
         self._file = self._open_file()
+        if self.options.is_ring:  # whoever reads while it is recorded finds whole files only
+            self._write_description(self._files[:-1])
+
+    def _is_too_much(self) -> bool:
+        """Whether the closed files and one more like the last are more than is to be kept."""
+        last, options = self._files[-1], self.options
+        too_large = 0 < options.keep_bytes < self._closed_bytes + last.size
+        age = last.end - self._files[0].end
+        return too_large or 0 < options.keep_seconds * 1e9 < age
+
+    def _drop_oldest(self) -> None:
+        path = self.folder / self._files.pop(0).path
+        try:
+            path.unlink(missing_ok=True)  # a user may have made room
+        except OSError as error:
+            raise BagWriteError(f"cannot drop {path}: {error.strerror}") from error
+
+    @property
+    def _closed_bytes(self) -> int:
+        return sum(file.size for file in self._files)
 
     def _finish_file(self) -> None:
         self._describe()
@@ -238,14 +290,14 @@ class BagWriter:
         self._file.add_metadata("rosbag2", self._record())
 
     def _record(self) -> dict[str, str]:
-        return {"serialized_metadata": dump(self._description())}
+        return {"serialized_metadata": dump(self._description(self._files))}
 
-    def _description(self) -> dict[str, object]:
-        return bag_map(self.topics, self._files, self.custom_data, self._ros_distro)
+    def _description(self, files: Sequence[FileRecord]) -> dict[str, object]:
+        return bag_map(self.topics, files, self.custom_data, self._ros_distro)
 
-    def _write_description(self) -> None:
+    def _write_description(self, files: Sequence[FileRecord]) -> None:
         path = self.folder / "metadata.yaml"
-        text = dump({"rosbag2_bagfile_information": self._description()})
+        text = dump({"rosbag2_bagfile_information": self._description(files)})
         try:
             path.write_text(text, encoding="utf-8")
         except OSError as error:
@@ -263,7 +315,7 @@ class BagWriter:
             self._chunk.clear()
             try:
                 self._finish_file()
-                self._write_description()
+                self._write_description(self._files)
             except (BagWriteError, ValueError):
                 # no room for the summary either, or the file is closed already
                 self._file.abandon()

@@ -34,8 +34,21 @@ class RecorderConfig:
         "share, and every other topic of the namespace as it appears",
         read_only=True,
     )
-    split_size: float = parameter(
-        0.0, "size at which the next file begins; 0: never", unit="MB", low=0.0, read_only=True
+    keep_size: float = parameter(
+        0.0,
+        "size of all files, above which the oldest are dropped; 0: all are kept. A file is a tenth "
+        "of it",
+        unit="MB",
+        low=0.0,
+        read_only=True,
+    )
+    keep_age: float = parameter(
+        0.0,
+        "age of its last message above which a file is dropped; 0: all are kept. A file covers at "
+        "most a tenth of it",
+        unit="h",
+        low=0.0,
+        read_only=True,
     )
     queue: int = parameter(
         10000,
@@ -51,7 +64,9 @@ class RecorderConfig:
 
     def writer_options(self) -> WriterOptions:
         """Return how the bag is written."""
-        return WriterOptions(split_bytes=int(self.split_size * 1e6))
+        return WriterOptions(
+            keep_bytes=int(self.keep_size * 1e6), keep_seconds=self.keep_age * 3600
+        )
 
 
 RECORDER: dict[str, tuple[type, ...]] = {"recorder": (RecorderConfig, NodeConfig)}
