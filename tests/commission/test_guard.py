@@ -282,6 +282,29 @@ def test_theta_is_at_theta_safe_whatever_ends_the_loop(up, fast_rig, end, tmp_pa
     wait(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values()), "the nodes")
 
 
+@pytest.mark.parametrize("end", ["Ctrl-C", "guard killed"])
+def test_a_loop_that_tripped_is_still_tripped_after_a_restart(koop, up, fast_rig, probe, end):
+    process, nodes = up()
+    fast_rig.spike = True
+    home(fast_rig, process)
+    fast_rig.spike = False
+    action, code = ENDS[end]
+    action(process, nodes)
+    assert process.wait(LONG) == code
+    process, states = koop("up", "loop.yaml", "--out", "again"), []
+    probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
+    probe.spin_until(lambda: states and not states[-1].rearm_refused, "the trip")
+    reason = "data[0] = 99 is beyond its limit 8"
+    assert (states[-1].status, states[-1].reason) == (GuardState.TRIPPED, reason)
+    assert states[-1].tripped_at < time.time() - 1.0
+    home(fast_rig, process)
+    assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
+    probe.spin_until(lambda: fast_rig.theta < 0.7, "the controller to command again")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(LONG) == 0
+    up("third")
+
+
 def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, tmp_path):
     values = {"on_end": "hold", "note": str(tmp_path / "note")}
     process, _ = up(**values)

@@ -15,6 +15,7 @@ from test_excite import TIMEOUT, assert_walked, wait, whole
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_commission.command import Commissioning
+from koop_core import whole_file
 from koop_core.config import parameter_file
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
@@ -89,8 +90,8 @@ def tuned(tmp_path):
     holds = [HoldSummary(theta, 0.0, 0.1, 0.2, 1.0) for theta in VALUES]
     state = progress.ExcitationProgress(WINDOWS, AMPLITUDE, holds, 9.0, ended=KNOWN)
     progress.save(state, ONE, folder)
-    progress.write_json(folder / "commission.json", {"fit": True})
-    progress.write_json(folder / "tuned/tune.json", TUNED)
+    whole_file.write_json(folder / "commission.json", {"fit": True})
+    whole_file.write_json(folder / "tuned/tune.json", TUNED)
     parameter_file.write(CONSTANTS, folder / "tuned/controller.yaml")
     return folder
 
@@ -144,7 +145,7 @@ def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
 
 def test_a_sensor_that_dies_or_a_full_disk_ends_the_closed_loop(fast_rig, tuned, koop):
     slow = {**TUNED["predicted"], "duration": 300.0, "converges": dict.fromkeys(BAND, 300.0)}
-    progress.write_json(tuned / "tuned/tune.json", {**TUNED, "predicted": slow})
+    whole_file.write_json(tuned / "tuned/tune.json", {**TUNED, "predicted": slow})
     for number, (fault, reason) in enumerate(FAULTS.items(), 1):
         process = koop("verify", "rig.yaml", tuned)
         wait(lambda: fast_rig.theta == -1.0, "theta at its start", process, LONG)
@@ -181,12 +182,12 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
     file, found = tmp_path / "rig.yaml", tuned / "commission.json"
     with full_disk():
         with pytest.raises(LiveError, match=r"commission.json: .*: make room"):
-            progress.write_json(found, {"fit": False})
+            whole_file.write_json(found, {"fit": False})
         with pytest.raises(LiveError, match=r"controller.yaml: .*: make room"):
-            progress.write_text(tmp_path / "controller.yaml", "dwell: 1.0\n")
+            whole_file.write_text(tmp_path / "controller.yaml", "dwell: 1.0\n")
         with pytest.raises(LiveError, match=r"rig.yaml: .*: make room"):
             Commissioning(ONE, file, tmp_path / "new")
-    assert progress.read_json(found) == {"fit": True}
+    assert whole_file.read_json(found) == {"fit": True}
     assert not (tmp_path / "controller.yaml").exists()  # which tune would take for its own
     whole = Commissioning(ONE, file, tmp_path / "new")
     assert rig_file.read(tmp_path / "new/rig.yaml") == ONE
@@ -215,7 +216,7 @@ def test_the_best_round_is_kept_where_none_damped(tuned, tmp_path, capsys):
         for i, worst in enumerate((3.0, 1.8, 2.0))
     ]  # fmt: skip
     verified = {"rounds": rounds, "damped": False, "verdict": ""}
-    progress.write_json(tuned / "verify.json", verified)
+    whole_file.write_json(tuned / "verify.json", verified)
     for old in ("tuned-1", "tuned-2"):
         (tuned / old).mkdir()
         for name in ("tune.json", "controller.yaml"):

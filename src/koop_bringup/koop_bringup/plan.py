@@ -18,6 +18,7 @@ from koop_core.config import parameter_file
 from koop_core.config.parameter import SIMILAR, ConfigError, refuse_unknown
 from koop_core.config.parameter_file import ParameterFile
 from koop_guard.config import ASKED, GUARD, THETA, GuardConfig
+from koop_guard.note import note_of
 from koop_loop.parameters import (
     COMPONENTS,
     CONTAINER,
@@ -222,6 +223,9 @@ def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
         for name in NODES:
             values[name]["listeners"] = "next recorder"
     if guarded:  # it alone commands the rig
+        assert file is not None
+        loop = file.path.with_name(file.path.name + namespace.replace("/", "-"))
+        values["koop_guard"].setdefault("note", str(note_of(loop).resolve()))
         values["relay_esc"] |= {"command": "", "listeners": "koop_guard"}
     configs = _check(values, classes)
     guard = configs["koop_guard"][GuardConfig] if guarded else None

@@ -12,6 +12,7 @@ from koop_bringup.live.served import add_serve_option, served
 from koop_commission.stages import check, new_rig_file, verify
 from koop_commission.stages.excite import describe_result, excite
 from koop_commission.stages.session import resumable
+from koop_core import whole_file
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_guard.note import note_of
@@ -98,7 +99,7 @@ class Commissioning:
                 shutil.copyfile(file, new)
                 new.rename(copy)
         except OSError as error:
-            raise LiveError(progress.describe_failure(copy, error)) from None
+            raise LiveError(whole_file.describe_failure(copy, error)) from None
         progress.refuse_other_rig(copy, rig_file.read(copy), rig)
 
     def run(self) -> int:
@@ -121,13 +122,13 @@ class Commissioning:
 
     def _check(self) -> bool:
         self._begin("check")
-        if progress.read_json(self._folder / NAME).get("fit"):
+        if whole_file.read_json(self._folder / NAME).get("fit"):
             print("done before")
             return True
         if bad := check.print_findings(check.check_rig(self._rig, note=self._note)):
             print(f"\nnot fit: {bad} BAD; mend that and run the same command again")
             return False
-        progress.write_json(self._folder / NAME, {"fit": True})
+        whole_file.write_json(self._folder / NAME, {"fit": True})
         return True
 
     def _excite(self) -> bool:
@@ -157,7 +158,7 @@ class Commissioning:
             return tune_folders(self._rig, [self._folder, *loops], out, settings, self._note)
         except OSError as error:
             (out / CONTROLLER).unlink(missing_ok=True)  # written last: it may be torn
-            raise LiveError(progress.describe_failure(out, error)) from None
+            raise LiveError(whole_file.describe_failure(out, error)) from None
 
     def _set_aside(self, number: int) -> None:
         """Keep the controller of a round under its number."""

@@ -70,7 +70,9 @@ class GuardConfig:
         choices=("safe", "hold"), read_only=True,
     )  # fmt: skip
     note: str = parameter(
-        "", "file that notes where theta of the rig was left; empty: none", read_only=True
+        "",
+        "file that notes where theta of the rig was left, and a trip; empty: none",
+        read_only=True,
     )
 
     def __post_init__(self) -> None:

@@ -256,9 +256,13 @@ class Guard:
         """Take note of a cause, now; the first one trips the guard and stays its reason."""
         self._causes[cause] = (reason, now)
         if self.status is not Status.TRIPPED:
-            self.trip = Trip(cause, reason, now, self.theta, self.x)
-            self.status, self.target = Status.TRIPPED, self._config.theta_safe
-            self._saturated = math.inf
+            self.latch(Trip(cause, reason, now, self.theta, self.x))
+
+    def latch(self, trip: Trip) -> None:
+        """Be tripped from now on, also by what tripped a guard before this one."""
+        self.trip = trip
+        self.status, self.target = Status.TRIPPED, self._config.theta_safe
+        self._saturated = math.inf
 
     def refusal(self, now: float) -> str:
         """Return why the guard is not rearmed now; empty if it may be."""

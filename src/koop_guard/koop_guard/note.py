@@ -1,18 +1,28 @@
-"""The file that notes where theta of a rig was left. Pure."""
+"""The file that notes what a guard leaves behind: where theta of a rig is, and a trip. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import threading
+from collections.abc import Callable, Collection
 from contextlib import suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Protocol
 
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
+from koop_core.whole_file import read_json, write_json
+from koop_guard.guard import Cause, Trip
+
 THETA_LEFT = "theta is left at"  # begins the last words of guard and twin
+PERIOD = 1.0  # [s] between two notes while nothing trips
 
 
-class ThetaRange(Protocol):
-    """What of a rig bounds the note."""
+class Rig(Protocol):
+    """What of a rig the note is of, and what bounds it."""
 
+    @property
+    def command(self) -> str: ...
     @property
     def theta_min(self) -> float: ...
     @property
@@ -21,23 +31,68 @@ class ThetaRange(Protocol):
     def theta_start(self) -> float: ...
 
 
+@dataclass(frozen=True)
+class Note:
+    """What is noted of a rig.
+
+    Attributes
+    ----------
+    theta : float
+        Commanded last.
+    command : str
+        What takes it, as topic:field.
+    publishers : tuple of str
+        Ids of the rig's publishers.
+    trip : Trip or None
+        What holds theta at theta_safe until a rearm; its time is the system clock's [s].
+    rearmed : int
+        Automatic rearms since the last one by hand.
+    """
+
+    theta: float
+    command: str
+    publishers: tuple[str, ...] = ()
+    trip: Trip | None = None
+    rearmed: int = 0
+
+
 def note_of(rig_file: str | Path) -> Path:
     """Return the file that notes the value at which theta of a rig was left."""
     path = Path(rig_file)
     return path.with_name(f".{path.name}.theta")
 
 
-def leave(note: Path | str | None, theta: float, publishers: Collection[str]) -> None:
-    """Note the value at which theta of which rig is left; no note is no fault."""
-    if note:
-        words = [repr(theta), *sorted(publishers)]
-        with suppress(OSError):
-            Path(note).write_text(" ".join(words) + "\n")
+def leave(path: Path | str | None, note: Note) -> None:
+    """Write a note, whole or not at all; no note is no fault."""
+    if path:
+        with suppress(LiveError):
+            write_json(Path(path), asdict(note))
 
 
-def find_theta(
-    note: Path | str | None, rig: ThetaRange, publishers: Collection[str]
-) -> tuple[float, str]:
+def read(path: Path | str | None) -> Note | None:
+    """Return the note; None if there is none.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it is damaged: it may have held a trip.
+    """
+    if not path or not (values := read_json(Path(path))):
+        return None
+    try:
+        theta, trip = float(values["theta"]), values["trip"]
+        if trip is not None:
+            when, *at = (float(v) for v in (trip["when"], trip["theta"], *trip["x"]))
+            trip = Trip(Cause(trip["cause"]), str(trip["reason"]), when, at[0], tuple(at[1:]))
+        ids, rearmed = tuple(map(str, values["publishers"])), int(values["rearmed"])
+        return Note(theta, str(values["command"]), ids, trip, rearmed)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f"{path}: is damaged ({error!r}): look at the rig, then delete it"
+        ) from None
+
+
+def find_theta(path: Path | str | None, rig: Rig, publishers: Collection[str]) -> tuple[float, str]:
     """Return the present value of theta, and a remark on it, if there is any.
 
     It is the value at which the last command left it; ``theta_start`` if the rig was started again
@@ -45,22 +100,59 @@ def find_theta(
 
     Parameters
     ----------
-    note : Path, str or None
+    path : Path, str or None
         File of :func:`note_of`.
-    rig : ThetaRange
+    rig : Rig
         The rig.
     publishers : collection of str
         Ids of the rig's publishers now.
     """
-    if note:
-        with suppress(OSError, ValueError):
-            value, *ids = Path(note).read_text().split() or [""]
-            theta = float(value)
-            if ids and publishers and not set(ids) & set(publishers):
-                return rig.theta_start, (
-                    f"the rig was restarted since theta was left at {theta:g}: assuming "
-                    f"theta_start = {rig.theta_start:g}"
-                )
-            if rig.theta_min <= theta <= rig.theta_max:
-                return theta, ""
-    return rig.theta_start, ""
+    note, remark = read(path), ""
+    if note is not None:
+        if note.command != rig.command:
+            remark = f"{path} is of {note.command}"
+        elif note.publishers and publishers and not set(note.publishers) & set(publishers):
+            remark = f"the rig was restarted since theta was left at {note.theta:g}"
+        elif rig.theta_min <= note.theta <= rig.theta_max:
+            return note.theta, ""
+    return rig.theta_start, remark and f"{remark}: assuming theta_start = {rig.theta_start:g}"
+
+
+class Keeper:
+    """Writes the note in a thread: a disk may be slow, and theta must not wait for it.
+
+    Parameters
+    ----------
+    path : str
+        The file; empty: none.
+    current : callable
+        Returns what is to be noted now; None: nothing.
+    """
+
+    def __init__(self, path: str, current: Callable[[], Note | None]) -> None:
+        self._path, self._current = path, current
+        self._news, self._over = threading.Event(), False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def hurry(self) -> None:
+        """Write at once, not when it is time."""
+        self._news.set()
+
+    def close(self) -> None:
+        """Write for the last time."""
+        self._over = True
+        self._news.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        written: Note | None = None
+        while True:
+            over = self._over
+            if (note := self._current()) != written and note is not None:
+                leave(self._path, note)
+                written = note
+            if over:
+                return
+            self._news.wait(PERIOD)
+            self._news.clear()

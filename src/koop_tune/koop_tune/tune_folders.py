@@ -9,6 +9,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from koop_bag.bag.reader import BagReader
+from koop_core import whole_file
 from koop_core.config.parameter import ConfigError
 from koop_identify.model.from_bags import BagTraining, load_bags, train_from_bags
 from koop_identify.recording.loaded import LOOP_COMMAND, Loaded
@@ -74,7 +75,7 @@ def tune_folders(
             tuning = tune(loaded, rig, BagTraining(reading), excitation.amplitude, settings, report)
         except NoOptimum as refusal:
             bar.close()
-            progress.write_json(out / FIGURES, as_json.of_refusal(refusal))
+            whole_file.write_json(out / FIGURES, as_json.of_refusal(refusal))
             if refusal.findings:
                 print(as_text.as_table(refusal.findings))
             print(f"\nno controller ({refusal.kind}): {refusal}")
@@ -83,8 +84,8 @@ def tune_folders(
     if tuning.chosen.maps.cost.training is not None:
         model = out / MODEL
         train_from_bags(bags, tuning.chosen.maps.cost.training).save(model)
-    progress.write_json(out / FIGURES, as_json.of_tuning(tuning, rig, model))
-    progress.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model, note))
+    whole_file.write_json(out / FIGURES, as_json.of_tuning(tuning, rig, model))
+    whole_file.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model, note))
     print(as_text.as_table(tuning.findings, tuning))
     print("\n" + as_text.as_words(tuning))
     print(f"\ntuned in {time.monotonic() - began:.0f} s; written to {out}")

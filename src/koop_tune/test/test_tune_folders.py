@@ -8,6 +8,7 @@ from surrogate_rigs import make_amplitude
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
+from koop_core import whole_file
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_tune.excitation import progress
@@ -112,15 +113,15 @@ def test_a_controller_is_found_by_its_file_or_a_folder_above_it(tmp_path):
 
 def test_a_file_is_whole_or_the_old_one(tmp_path):
     path = tmp_path / "a.json"
-    progress.write_json(path, {"a": 1})
+    whole_file.write_json(path, {"a": 1})
     (tmp_path / "a.json.new").symlink_to("/dev/full")
     with pytest.raises(LiveError, match=r"a\.json: No space left on device: make room"):
-        progress.write_json(path, {"a": 2})
+        whole_file.write_json(path, {"a": 2})
     assert [item.name for item in tmp_path.iterdir()] == ["a.json"]
-    assert progress.read_json(path) == {"a": 1}
+    assert whole_file.read_json(path) == {"a": 1}
     with pytest.raises(LiveError, match="No such file"):
-        progress.write_text(tmp_path / "no" / "b", "text")
-    assert progress.read_json(tmp_path / "none") == {}
+        whole_file.write_text(tmp_path / "no" / "b", "text")
+    assert whole_file.read_json(tmp_path / "none") == {}
     path.write_text("{")
     with pytest.raises(ConfigError, match="cannot be read"):
-        progress.read_json(path)
+        whole_file.read_json(path)

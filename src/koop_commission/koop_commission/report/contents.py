@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from koop_bag.errors import BagError
+from koop_core import whole_file
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import InputError
 from koop_identify.model.from_bags import load_bags
@@ -76,7 +77,7 @@ class Contents:
 
     def tuned_for(self, item: Round) -> dict[str, Any]:
         """Return the ``tune.json`` of a round; a later round sets it aside."""
-        return progress.read_json(self.folder / f"{TUNED}-{item.number}" / FIGURES) or self.tuned
+        return whole_file.read_json(self.folder / f"{TUNED}-{item.number}" / FIGURES) or self.tuned
 
     @property
     def rig_file(self) -> str:
@@ -125,5 +126,5 @@ def read_contents(folder: Path) -> Contents:
     if not (folder / progress.NAME).exists():
         raise ConfigError(f"{folder}: has no {progress.NAME}: name a folder of 'koop excite'")
     rig, state = progress.read(folder)
-    tuned = progress.read_json(folder / TUNED / FIGURES)
+    tuned = whole_file.read_json(folder / TUNED / FIGURES)
     return Contents(folder, rig, state, tuned, load_verification(folder))

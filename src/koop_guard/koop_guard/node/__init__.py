@@ -7,7 +7,7 @@ import signal
 import sys
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 from koop_msgs.msg import ControlInput, GuardState, MeasuredState
@@ -19,10 +19,10 @@ from koop_core.config.fields import check_fields, parse_source
 from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_guard.config import SAFETY, GuardConfig
-from koop_guard.guard import Cause, Guard, Status
+from koop_guard.guard import Cause, Guard, Status, Trip
 from koop_guard.node.twin import Twin
 from koop_guard.node.wire import Command, Return, describe_theta, return_to_safe
-from koop_guard.note import find_theta, leave
+from koop_guard.note import Keeper, Note, find_theta, read
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
 from koop_node.node.graph import Listeners, full_name, publishers_of, subscribers_of
@@ -65,6 +65,9 @@ class GuardRun(Run):
         self._controller: Any = None  # its ~/reset
         self._rearming = False
         self._return: Return | None = None
+        self._latched: Trip | None = None  # what the guard before this one has left
+        self._epoch = time.time() - time.monotonic()
+        self._keeper: Keeper | None = None
         self._state = entities.publisher(GuardState, "~/state", KEPT)
         entities.service(Trigger, "~/trip", self._on_trip)
         entities.service(Trigger, "~/rearm", self._on_rearm)
@@ -89,6 +92,11 @@ class GuardRun(Run):
             if remark:
                 self._node.get_logger().warning(remark)
             self._guard = Guard(config, theta)
+            if (left := read(config.note)) is not None and left.command == config.command:
+                self._guard.rearmed = left.rearmed
+                if left.trip is not None:
+                    self._latched = replace(left.trip, when=left.trip.when - self._epoch)
+            self._keeper = Keeper(config.note, self._note)
             topic = self._node.resolve_topic_name(self._knob.topic)
             self._order = (asdict(config), topic, kind, self._ids)
             assert self._twin is not None
@@ -140,8 +148,8 @@ class GuardRun(Run):
             self._announce()
             assert self._command is not None
             return_to_safe(guard, self._config, self._command, self._advance, self._last)
-        if self._commands:
-            leave(self._config.note, guard.theta, self._ids)
+        if self._keeper is not None:
+            self._keeper.close()
         self._announce()
         if self._commands:
             self._node.get_logger().info(describe_theta(guard, self._config))
@@ -149,7 +157,7 @@ class GuardRun(Run):
             self._twin.release(guard.theta)
         if self._controller is not None:
             self._node.destroy_client(self._controller)
-        self._twin = self._command = self._controller = self._answer = None
+        self._twin = self._command = self._controller = self._answer = self._keeper = None
         self._to_target, self._target, self._target_heard = False, math.nan, math.inf
 
     def _holds_at_end(self, number: int) -> bool:
@@ -160,6 +168,19 @@ class GuardRun(Run):
     def _commands(self) -> bool:
         """Whether theta was commanded."""
         return self._command is not None and self._guard.status is not Status.WAITING
+
+    def _note(self) -> Note | None:
+        """Return what is noted now; called in a thread of its own."""
+        guard, config = self._guard, self._config
+        if not self._commands:
+            return None
+        trip = self._latched  # a command, which sets targets, does not change it
+        if math.isinf(self._target_heard):
+            trip = guard.trip if guard.status is Status.TRIPPED else None
+        if trip is not None:
+            ended = trip.cause is Cause.ENDED
+            trip = None if ended else replace(trip, when=trip.when + self._epoch)
+        return Note(guard.theta, config.command, tuple(self._ids), trip, guard.rearmed)
 
     def samples(self) -> int:
         return self._states.count
@@ -227,6 +248,10 @@ class GuardRun(Run):
         if arrival is Arrival.LATE or (self._to_target and math.isfinite(self._target)):
             return
         old = arrival is Arrival.TOO_OLD or self._is_past(answer)
+        waits = self._guard.status is Status.WAITING and math.isinf(self._target_heard)
+        if waits and self._latched is not None:
+            self._node.get_logger().warning("the loop had tripped: it stays so until ~/rearm")
+            self._guard.latch(self._latched)
         self._guard.hear_answer(answer.theta, answer.saturated, now, old)
         if self._guard.status is Status.FOLLOWING and not old:
             self._to_target = False
@@ -337,6 +362,8 @@ class GuardRun(Run):
                 )
             self._said, self._refused = said, message.rearm_refused
             self._state.publish(message)
+            if self._keeper is not None:
+                self._keeper.hurry()
 
     def _on_trip(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = self._command is not None

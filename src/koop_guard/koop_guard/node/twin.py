@@ -20,12 +20,13 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from koop_core.config.fields import parse_source
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard
-from koop_guard.note import leave
+from koop_guard.note import Note, leave, read
 from koop_node.process.lifeline import OWN_GROUP, VARIABLE
 
 LOOK = 0.25  # [s] between two looks for a sign of life
@@ -146,7 +147,8 @@ def _take_over(client: Any, order: dict[str, Any], theta: float, last: tuple[int
     guard = Guard(config, theta)
     guard.note(Cause.ENDED, "the guard was killed", time.monotonic())
     return_to_safe(guard, config, command, guard.advance, last)
-    leave(config.note, guard.theta, order["publishers"])
+    note = read(config.note) or Note(guard.theta, config.command)  # with the trip that it may hold
+    leave(config.note, replace(note, theta=guard.theta, publishers=tuple(order["publishers"])))
     print(f"the guard was killed; {describe_theta(guard, config)}", flush=True)
 
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from koop_core.config.parameter import ConfigError
-from koop_core.errors import LiveError
+from koop_core.whole_file import write_json
 from koop_tune.excitation.amplitude import Amplitude, Windows
 from koop_tune.rig.rig_file import RigFile, as_values
 
 NAME = "excite.json"
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class HoldSummary(NamedTuple):
@@ -62,7 +58,7 @@ class ExcitationProgress:
 
 
 def save(progress: ExcitationProgress, rig: RigFile, folder: Path) -> None:
-    """Write the file; as :func:`write_json`."""
+    """Write the file; as :func:`koop_core.whole_file.write_json`."""
     amplitude = progress.amplitude
     values = {
         name: getattr(progress, name)
@@ -70,38 +66,6 @@ def save(progress: ExcitationProgress, rig: RigFile, folder: Path) -> None:
     }
     amplitudes = None if amplitude is None else amplitude.as_json()
     write_json(folder / NAME, {"rig": as_values(rig), **values, "amplitude": amplitudes})
-
-
-def write_json(path: Path, values: Any) -> None:
-    """Write a JSON file; as :func:`write_text`."""
-    write_text(path, json.dumps(values, indent=1) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file that is whole at any time.
-
-    Raises
-    ------
-    koop_core.errors.LiveError
-        If it cannot be written, as on a full disk; the old one stays.
-    """
-    new = path.with_name(f"{path.name}.new")
-    try:
-        with open(new, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(new, path)
-    except OSError as error:
-        with suppress(OSError):
-            new.unlink()
-        raise LiveError(describe_failure(path, error)) from None
-
-
-def describe_failure(path: Path, error: OSError) -> str:
-    """Return why a file or a folder cannot be written, and what to do, in words."""
-    room = ": make room" if error.errno in FULL else ""
-    return f"{path}: {error.strerror or error}{room}"
 
 
 def load(rig: RigFile, folder: Path) -> ExcitationProgress | None:
@@ -158,19 +122,3 @@ def refuse_other_rig(path: Path, recorded_rig: RigFile, rig: RigFile) -> None:
                 f"{path}: was begun with {name} = {value}, the rig file says "
                 f"{as_values(rig)[name]}: choose another --out"
             )
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Return what a JSON file holds; nothing if there is none.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If it cannot be read.
-    """
-    try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError, TypeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None

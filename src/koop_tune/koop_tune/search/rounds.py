@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_core.config.parameter import ConfigError
-from koop_tune.excitation.progress import write_json
+from koop_core.whole_file import write_json
 from koop_tune.search.agreement import Measured
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import VERIFICATION, VerificationSettings

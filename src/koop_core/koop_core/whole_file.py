@@ -1,0 +1,63 @@
+"""Files that are whole at any time: written anew beside the old one, which they then replace."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from koop_core.config.parameter import ConfigError
+from koop_core.errors import LiveError
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def write_json(path: Path, values: Any) -> None:
+    """Write a JSON file; as :func:`write_text`."""
+    write_text(path, json.dumps(values, indent=1) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file that is whole at any time, also if the machine fails.
+
+    Raises
+    ------
+    koop_core.errors.LiveError
+        If it cannot be written, as on a full disk; the old one stays.
+    """
+    new = path.with_name(f"{path.name}.new")
+    try:
+        with open(new, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(new, path)
+    except OSError as error:
+        with suppress(OSError):
+            new.unlink()
+        raise LiveError(describe_failure(path, error)) from None
+
+
+def describe_failure(path: Path, error: OSError) -> str:
+    """Return why a file or a folder cannot be written, and what to do, in words."""
+    room = ": make room" if error.errno in FULL else ""
+    return f"{path}: {error.strerror or error}{room}"
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return what a JSON file holds; nothing if there is none.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it cannot be read.
+    """
+    try:
+        return dict(json.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}: delete or replace it") from None
