@@ -2,6 +2,7 @@
 
 import hashlib
 import random
+import shutil
 import signal
 import sys
 import time
@@ -273,16 +274,16 @@ def test_steps_that_a_node_skips_while_it_is_inactive_are_not_lost(tmp_path, mes
     assert (topic.steps.lost, topic.steps.inactive) == (2, 480)
 
 
-def publish_blobs(talker, recorder, count, size=10_000):
+def publish_blobs(talker, recorder, numbers, size=10_000):
     """Publish numbered messages that no compression makes smaller, and wait for the last."""
     (publisher,) = talker.publishers({"/blob": BLOB}).values()
-    for k in range(count):
+    for k in numbers:
         data = k.to_bytes(4, "little") + random.Random(k).randbytes(size)
         publisher.publish(publisher.msg_type(data=data))
 
     def recorded():
-        numbers = read_blobs(recorder.folder)
-        return numbers and numbers[-1] == count - 1
+        actual = read_blobs(recorder.folder)
+        return actual and actual[-1] == numbers[-1]
 
     wait_until(recorded, "the last message")
 
@@ -304,7 +305,7 @@ def read_number(data):
 def test_a_ring_keeps_the_newest_files_for_other_readers(tmp_path):
     ring = ("-p", f"topics:=/blob:{BLOB}", "-p", "keep_size:=0.5")
     with Recorder(tmp_path / "run", *ring) as recorder, Talker() as talker:
-        publish_blobs(talker, recorder, 150)
+        publish_blobs(talker, recorder, range(150))
         recorder.stop()
         assert recorder.process.returncode == 0, recorder.output()
     bag = tmp_path / "run" / "bag"
@@ -315,6 +316,26 @@ def test_a_ring_keeps_the_newest_files_for_other_readers(tmp_path):
         assert reader.message_count == len(numbers)
     assert numbers == list(range(numbers[0], 150))
     assert len(numbers) > 30
+
+
+def test_a_ring_that_the_disk_is_too_small_for_shrinks_and_goes_on(tmp_path):
+    size = 20 * shutil.disk_usage(tmp_path).total / 1e6  # of which a file is two disks large
+    reports = []
+    ring = ("-p", f"topics:=/blob:{BLOB}", "-p", f"keep_size:={size}")
+    with Recorder(tmp_path / "run", *ring) as recorder, Talker() as talker:
+        talker.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 100)
+        publish_blobs(talker, recorder, range(400))
+        talker.spin_until(
+            lambda: any("nearly full" in s.message for r in reports for s in r.status), "a warning"
+        )
+        publish_blobs(talker, recorder, range(400, 800))
+        wait_until(lambda: not {0} & set(read_blobs(recorder.folder)), "the first file to go")
+        recorder.stop()
+        assert recorder.process.returncode == 0, recorder.output()
+    with AnyReader([tmp_path / "run" / "bag"]) as reader:
+        numbers = [read_number(raw) for *_, raw in reader.messages()]
+    assert numbers == list(range(numbers[0], 800))
+    assert 0 < numbers[0] <= 700  # at least the newest megabyte is left
 
 
 def test_a_folder_that_holds_a_recording_is_refused_with_one_line(tmp_path, write_loop):

@@ -222,6 +222,27 @@ def test_a_ring_that_was_killed_is_read_as_far_as_it_was_written(tmp_path):
     assert read_steps(tmp_path / "whole")["/state"] == [number - 1 for number in torn]
 
 
+def test_a_ring_on_a_disk_that_fills_up_shrinks_to_its_newest_file(tmp_path):
+    folder, keep = tmp_path / "run", 200_000
+    for seconds, writer in enumerate(record(folder, 5_000, keep_bytes=keep), start=1):
+        before = sorted(path.name for path in folder.glob("*.mcap"))
+        writer.make_room(keep // 10)
+        assert sorted(path.name for path in folder.glob("*.mcap")) == before
+        if seconds == 12:
+            writer.make_room(0)  # the first two make room for the next one
+            after = sorted(path.name for path in folder.glob("*.mcap"))
+            assert set(after) < set(before)
+            assert len(after) >= len(before) - 2
+        if seconds >= 16:  # another program takes what becomes free
+            for _ in range(20):
+                writer.make_room(0)
+            assert len(list(folder.glob("*.mcap"))) == 2
+            steps = read_steps(folder)["/state"]
+            assert steps == list(range(steps[0], steps[-1] + 1))
+    steps = read_steps(folder)["/state"]
+    assert steps == list(range(steps[0], 5_000))
+
+
 def descriptions(path):
     """Return all descriptions that a file holds, in their order."""
     actual = []

@@ -17,6 +17,8 @@ from koop_core.config.parameter import parameter, validate
 
 RING = 10
 """Files of a ring: what is dropped at once is one part of so many."""
+RESERVE = 100_000_000
+"""Free space that a disk should have where no size of a file says more [B]."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,11 @@ class WriterOptions:
     def file_bytes(self) -> int:
         """Size at which the next file begins [B]; 0: never."""
         return self.split_bytes or self.keep_bytes // RING
+
+    @property
+    def reserve(self) -> int:
+        """Free space below which a disk is nearly full [B]: what the next file takes."""
+        return self.file_bytes or RESERVE
 
     @property
     def file_time(self) -> int:
@@ -199,6 +206,31 @@ class BagWriter:
         if self._chunk.is_due(now):
             self.flush()
 
+    def make_room(self, free: int) -> None:
+        """Drop the oldest files of a ring while its disk is nearly full.
+
+        The newest whole file stays; if the one in progress has grown large meanwhile, it becomes
+        that one.
+
+        Parameters
+        ----------
+        free : int
+            Free space of the disk [B].
+        """
+        options = self.options
+        if self.closed or not options.is_ring or free >= options.reserve:
+            return
+        self.flush()
+        if self._file.size >= 16 * options.chunk_bytes:
+            self._guarded(self._next_file)
+        dropped = False
+        while free < options.reserve and len(self._files) > 2:
+            free += self._files[0].size
+            self._guarded(self._drop_oldest)
+            dropped = True
+        if dropped:
+            self._guarded(self._describe_the_rest)
+
     def add_note(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record at once, so that it outlives a crash."""
         self._check_open()
@@ -260,8 +292,13 @@ class BagWriter:
         while len(self._files) > 1 and self._is_too_much():
             self._drop_oldest()
         self._file = self._open_file()
-        if self.options.is_ring:  # whoever reads while it is recorded finds whole files only
+        if self.options.is_ring:
             self._write_description(self._files[:-1])
+
+    def _describe_the_rest(self) -> None:
+        """Describe what is left after a drop; beside the files only those that are whole."""
+        self._describe()
+        self._write_description(self._files[:-1])
 
     def _is_too_much(self) -> bool:
         """Whether the closed files and one more like the last are more than is to be kept."""

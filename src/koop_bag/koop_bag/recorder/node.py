@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -39,7 +40,7 @@ class RecorderRun(Run):
         self._config = config
         self._watched: dict[str, WatchedNode] = {}
         self._topics: dict[str, RecordedTopic] = {}
-        self._problem = ""
+        self._problem = self._scarce = ""
         self._recording = self._paused = False
         self._refused: set[str] = set()
         self._models: dict[str, str] = {}
@@ -96,7 +97,9 @@ class RecorderRun(Run):
             **{f"lost {name}": count for name, count in lost.items()},
         }
         total = sum(lost.values())
-        return (WARN, f"{total} messages lost", values) if total else (OK, "recording", values)
+        if self._scarce or total:
+            return WARN, self._scarce or f"{total} messages lost", values
+        return OK, "recording", values
 
     def fetch_the_last(self) -> None:
         """Go on until nothing comes any more: other nodes that were stopped still publish."""
@@ -137,6 +140,18 @@ class RecorderRun(Run):
                 self._watched[name] = WatchedNode(self._node, name)
         if self._collector.look():
             self._guarded(self._keep_parameters)
+        self._guarded(self._look_at_the_disk)
+
+    def _look_at_the_disk(self) -> None:
+        """Make room in time on a disk that fills up, whoever fills it."""
+        if self._writer is None:
+            return
+        with suppress(OSError):
+            free = shutil.disk_usage(self._folder).free
+            self._scarce = ""
+            if free < self._writer.options.reserve:
+                self._scarce = f"the disk is nearly full: {free / 1e6:.0f} MB are free"
+            self._writer.make_room(free)
 
     def _try_topic(self, name: str, type_name: str) -> None:
         try:
