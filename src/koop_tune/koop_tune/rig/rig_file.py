@@ -36,7 +36,7 @@ HEAD = """\
 
 @dataclass(frozen=True)
 class RigFile:
-    """One rig with its knob.
+    """One rig: what is measured of it, and what takes theta.
 
     Raises
     ------
@@ -76,9 +76,7 @@ class RigFile:
     objective: str = parameter(
         "minimise", "what is wanted of the oscillation", choices=("minimise", "maximise")
     )
-    time: float = parameter(
-        1800.0, "longest time for moving theta over its range", unit="s", low=1.0
-    )
+    time: float = parameter(1800.0, "longest time that the excitation may take", unit="s", low=1.0)
     pace: float = parameter(
         1.0,
         "seconds of the rig's own time per second: 1, or N of a rig that is simulated at N times "
