@@ -180,8 +180,8 @@ def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
         simulated = False
         if not file.describes(f"{namespace}/rig"):
             notes.append(
-                f"{file.path}: has no section for vdp_plant: the rig is the plant (plant:=true: "
-                "the simulated one)"
+                f"{file.path} has no section for vdp_plant: the loop runs on the rig "
+                "(plant:=true: on the simulated plant)"
             )
     program = _program(file, namespace)
     if simulated and program:

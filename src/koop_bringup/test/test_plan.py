@@ -107,7 +107,7 @@ def test_the_file_says_whether_the_plant_is_simulated_unless_an_argument_does(mi
     tuning = mine(f"{of_all}relay_esc: {{ros__parameters: {{dwell: 3.0}}}}")
     planned = plan(tuning)
     assert planned.rig
-    assert "no section for vdp_plant: the rig is the plant" in planned.notes[0]
+    assert "no section for vdp_plant: the loop runs on the rig" in planned.notes[0]
     assert not plan({**tuning, "plant": "true"}).rig
     assert (
         plan(mine("rig: {ros__parameters: {command: ''}}\n/**: {ros__parameters: {dt: 0.005}}"))

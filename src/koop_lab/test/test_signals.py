@@ -139,7 +139,7 @@ def test_a_theta_that_comes_often_and_stops_is_not_known_any_more(tmp_path, caps
     options = ["--measured", JOINTS, "--command", "/command:data", "--dt", "0.01"]
     assert main(["bag", "metrics", str(bag), *options]) == 0
     printed = capsys.readouterr().out
-    assert "the figures cover 57.91 of 100 s ONLY" in printed  # and the second that it is held
+    assert "the figures cover 57.91 of 100 s only" in printed  # and the second that it is held
     assert "it is there from 0 to 57.9 s" in printed
     assert "theta: not recorded at the end" in printed
     assert main(["bag", "metrics", str(bag), *options, "--json"]) == 0

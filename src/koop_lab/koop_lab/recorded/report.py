@@ -191,7 +191,7 @@ def describe_coverage(run: RecordedRun) -> str:
     signals, loop = run.signals, run.loop
     lines = [
         f"the figures cover {signals.covered:.6g} of {signals.recorded:.6g} s"
-        + ("" if _is_whole(signals) else " ONLY")
+        + ("" if _is_whole(signals) else " only")
     ]
     has_theta = np.isfinite(signals.theta)
     if signals.has_theta and not has_theta.all():
