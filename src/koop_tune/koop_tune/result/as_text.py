@@ -61,9 +61,8 @@ def as_table(findings: Findings, tuning: Tuning | None = None) -> str:
         lines += ["", table(["cost", "best at theta", "evidence (Δχ²)", "score"], rows)]
         if scores:
             lines.append(
-                "score: nine in ten runs of the search come to less; it weighs the amplitude over "
-                "the best one, the time to converge and a moving optimum: 1 is perfect; it ranks "
-                "the costs and predicts nothing"
+                "score: amplitude over the best one and time to converge, also of a moving "
+                "optimum; 1 is perfect; it ranks the costs, the prediction is below"
             )
         lines += [f"{c.cost.name}: {c.cost.problem}" for c in findings.costs if c.cost.problem]
     return "\n".join(lines)
