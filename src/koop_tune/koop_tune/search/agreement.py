@@ -302,8 +302,8 @@ def verdict(
         last = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"
     else:
         last = f"The rig is damped as predicted: ./koop up {where} runs it"
-        if outside := [text for run in runs for text in find_disagreements(aim, run, 0.0)]:
-            last += f"; outside the band, within what errors allow: {', and '.join(outside)}"
+        if outside := {text: None for run in runs for text in find_disagreements(aim, run, 0.0)}:
+            last += f"; outside the band, within what errors allow: {'; '.join(outside)}"
     return " ".join([*lines, last + "."])
 
 
