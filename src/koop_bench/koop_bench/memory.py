@@ -8,7 +8,8 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from koop_bench.containers import fleet
@@ -44,7 +45,8 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
         folder = Path(name)
         loop_memory(folder / "first", True)  # compiles the kernels if they are not kept yet
         for node in ("recorder", *COMPONENTS):
-            add(f"{node} alone", node_memory(folder, node))
+            with active_node(folder, node) as running:
+                add(f"{node} alone", process_memory(running.process.pid))
         add("loop in four processes", sum(loop_memory(folder / "apart", False).values()))
         composed = loop_memory(folder / "composed", True)
         add("loop in one process, and recorder", sum(composed.values()))
@@ -71,18 +73,20 @@ def bare_node() -> float:
             process.kill()
 
 
-def node_memory(folder: Path, node: str) -> float:
-    """Return the memory of a node that runs alone [B]."""
+@contextmanager
+def active_node(folder: Path, node: str) -> Iterator[NodeProcess]:
+    """Run a node alone, once it has reported that it is active."""
     words = ["--ros-args", "-p", f"output:={folder / 'alone'}"] if node == "recorder" else []
-    with ExitStack() as stack:
-        monitor = stack.enter_context(Monitor())
-        process = NodeProcess(node, words, folder / f"{node}.log")
-        stack.callback(process.stop)
-        wait_until_active(monitor, process)
-        return process_memory(process.process.pid)
+    process = NodeProcess(node, words, folder / f"{node}.log")
+    try:
+        with Monitor() as monitor:
+            _wait_until_active(monitor, process)
+        yield process
+    finally:
+        process.stop()
 
 
-def wait_until_active(monitor: Monitor, process: NodeProcess) -> None:
+def _wait_until_active(monitor: Monitor, process: NodeProcess) -> None:
     """Wait for a node's report that it is active."""
 
     def active() -> bool:

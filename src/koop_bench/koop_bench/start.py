@@ -10,17 +10,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_bench.figures import BenchFigure, BenchSettings
-from koop_bench.memory import wait_until_active
+from koop_bench.memory import active_node
 from koop_bringup.live.loop import LiveLoop
-from koop_bringup.live.monitor import Monitor
-from koop_bringup.live.process import NodeProcess
 from koop_loop.parameters import COMPONENTS, make
 
 ROUNDS = 3
@@ -75,13 +72,8 @@ def start_node(fresh: Iterator[Path], node: str) -> float:
     """Return the time from a node's start to its report that it is active [s]."""
     folder = next(fresh)
     folder.mkdir()
-    words = ["--ros-args", "-p", f"output:={folder / 'alone'}"] if node == "recorder" else []
-    with ExitStack() as stack:
-        monitor = stack.enter_context(Monitor())
-        begin = time.monotonic()
-        process = NodeProcess(node, words, folder / f"{node}.log")
-        stack.callback(process.stop)
-        wait_until_active(monitor, process)
+    begin = time.monotonic()
+    with active_node(folder, node):
         return time.monotonic() - begin
 
 
