@@ -12,7 +12,7 @@ from koop_msgs.msg import MeasuredState
 from mcap.reader import make_reader
 
 from koop_bag.bag.reader import BagReader
-from koop_identify.recording.loop import read_run
+from koop_identify.recording.loop import read_loop
 from koop_lab.cli.main import main
 
 pytestmark = pytest.mark.ros
@@ -59,7 +59,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
     assert (folder / "plot.png").read_bytes().startswith(b"\x89PNG")
     for name in ("parameters.yaml", "versions.yaml", "model/vdp.npz", "bag/metadata.yaml"):
         assert (folder / name).is_file(), name
-    assert read_run(folder / "bag").step.size == 2000
+    assert read_loop(folder / "bag").closed(folder / "bag").step.size == 2000
     text = (folder / "parameters.yaml").read_text()
     assert "queue: 20000" in text
     assert "seed: 2" in text

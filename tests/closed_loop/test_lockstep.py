@@ -12,7 +12,7 @@ import pytest
 
 from koop_bringup.live.loop import LiveLoop
 from koop_core.errors import LiveError
-from koop_identify.recording.loop import LoopRecord, read_run
+from koop_identify.recording.loop import LoopRecord, read_loop
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import make_plan
 from koop_lab.replay.recording import read_recording
@@ -73,7 +73,7 @@ def record(steps, changes, folder, composed):
     parameters = make(values)
     with LiveLoop(folder, parameters, composed=composed) as loop:
         loop.run(lambda progress: None)
-    return Lockstep(folder, parameters, steps, read_run(folder / "bag"))
+    return Lockstep(folder, parameters, steps, read_loop(folder / "bag").closed(folder / "bag"))
 
 
 @pytest.fixture(
@@ -123,7 +123,7 @@ def test_a_recorder_that_is_not_scheduled_holds_the_plant_and_lacks_nothing(
                 os.kill(recorder, signal.SIGCONT)
     assert gone_on
     assert observed[-1] < 30_000
-    run = read_run(tmp_path / "bag")
+    run = read_loop(tmp_path / "bag").closed(tmp_path / "bag")
     np.testing.assert_array_equal(run.step, np.arange(30_000))
     assert not any(run.lost.values())
 
@@ -176,7 +176,7 @@ def test_with_delays_nodes_loop_and_replay_are_equal_to_the_last_bit(module_doma
     options = make(values)
     with LiveLoop(tmp_path / "run", options) as loop:
         loop.run(lambda progress: None)
-    run = read_run(tmp_path / "run" / "bag")
+    run = read_loop(tmp_path / "run" / "bag").closed(tmp_path / "run" / "bag")
     offline = simulate(options.plant, options.lifter, options.esc, options.load_model(), 2000)
     recording = read_recording(tmp_path / "run")
     for r, theta in ((offline.r, offline.theta), replay_offline(recording, make_plan(recording))):

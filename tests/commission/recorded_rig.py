@@ -29,7 +29,7 @@ def file_of(rig):
 def excited(rig, seed=0, stay=8.0, windows=24):
     """Return theta and x of a staircase up and down, then at random."""
     p = rig.params
-    values = Scale(p.theta_min, p.theta_max).divide(9)
+    values = Scale(p.theta_min, p.theta_max).theta(np.linspace(0.0, 1.0, 9)).tolist()
     order = [*range(9), *range(7, -1, -1), *np.random.default_rng(seed).permutation(len(values))]
     rest = max(round(stay * rig.time / p.dt), windows * round(4 / rig.frequency / p.dt))
     parts, now = [], values[0]

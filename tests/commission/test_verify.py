@@ -30,7 +30,7 @@ from koop_tune.rig import rig_file
 pytestmark = pytest.mark.ros
 LONG = 3.0 * TIMEOUT  # [s] for a command that starts four nodes on a busy machine
 ONE = replace(RIG, measured="/fast:data[0]", channel_max=(8.0,), theta_rate=4.0)
-VALUES = RIG.scale.divide(9)
+VALUES = RIG.scale.theta(np.linspace(0.0, 1.0, 9)).tolist()
 WINDOWS = Windows(50, DT)  # four periods
 GROUPS = (np.abs(WINDOWS.frequency - 20.0) < 11.0).astype(float)
 AMPLITUDE = Amplitude(WINDOWS, 2.0 * GROUPS[None], 0.0, 1e-3)  # a power is half a square

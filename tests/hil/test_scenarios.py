@@ -15,7 +15,7 @@ import pytest
 from koop_msgs.msg import MeasuredState
 
 from koop_core.errors import LiveError
-from koop_hil import report, supervisor
+from koop_hil import supervisor
 from koop_hil.run import run, run_here
 from koop_hil.scenario import find, parse, read, shipped
 
@@ -80,7 +80,7 @@ def test_a_scenario_does_not_start_beside_another_publisher(tmp_path, probe, top
     verdict = run_here(paper_rig(tmp_path), tmp_path)
     assert "another loop runs on ROS domain" in verdict.failures[0]
     assert not (tmp_path / "bag").exists()
-    assert report.line(verdict).split() == ["rig", "FAILED"]
+    assert str(verdict).split() == ["rig", "FAILED"]
 
 
 @pytest.mark.ros

@@ -12,7 +12,7 @@ from rosbags.highlevel import AnyReader
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
-from koop_identify.recording.loop import read_run
+from koop_identify.recording.loop import read_loop
 from koop_lab.cli.main import parser
 from koop_lab.commands.simulate import run as simulate
 from koop_lab.plots.report import plot_report
@@ -67,7 +67,10 @@ def test_of_a_plant_that_was_started_again_the_longest_run_counts(tmp_path, caps
                 step[message.topic] += 1
         for message in messages:
             writer.write(channels[message.topic], message.log_time + 10**10, 0, message.data)
-    again, whole = read_run(tmp_path / "bag"), read_run(RUN / "bag")
+    again, whole = (
+        read_loop(tmp_path / "bag").closed(tmp_path / "bag"),
+        read_loop(RUN / "bag").closed(RUN / "bag"),
+    )
     assert (again.passes, whole.passes) == (2, 1)
     for name in ("step", "measured", "r", "theta"):
         assert np.array_equal(getattr(again, name), getattr(whole, name)), name

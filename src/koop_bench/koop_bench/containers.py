@@ -52,10 +52,7 @@ class Fleet(Client):
 
     def listen(self, seconds: float) -> None:
         """Listen for a time."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.spin(0.2)
-            self.check()
+        self.spin_until(lambda: False, seconds, self.check)
 
     def counts(self) -> list[Counts]:
         """Return the last report of each loop."""

@@ -8,7 +8,6 @@ from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_core.config.parameter import ConfigError
-from koop_hil import report
 from koop_hil.run import run
 from koop_hil.scenario import find, read, shipped, with_controller
 from koop_tune.folder import find_controller
@@ -49,7 +48,7 @@ def main(args: argparse.Namespace) -> int:
     verdicts = []
     for scenario in scenarios:
         verdicts.append(run(scenario, out / scenario.name))
-        print(report.line(verdicts[-1]), flush=True)
+        print(verdicts[-1], flush=True)
         for failure in verdicts[-1].failures:
             print(f"    {failure}", flush=True)
     failed = sum(bool(verdict.failures) for verdict in verdicts)

@@ -22,6 +22,7 @@ FIELDS = {
     "theta": ["step"],
     "ground_truth": ["step", "log_time", "publish_time", "theta_applied", "theta_step"],
 }
+WHOLE = 0.95  # of the duration: a busy machine lets simulated time fall behind
 LIMITED = ("tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answer_age")
 
 
@@ -73,6 +74,22 @@ class Verdict:
     def passed(self) -> bool:
         """True if the scenario ran and all limits held."""
         return not self.failures and not self.skipped
+
+    def __str__(self) -> str:
+        if self.skipped:
+            return f"{self.name:<24} skipped: {self.skipped}"
+        state = "passed" if self.passed else "FAILED"
+        if not self.messages:
+            return f"{self.name:<24} {state}"
+        out = self.time_out_of_tolerance
+        figures = (
+            f"mean |theta - theta*| {self.tail_error:.2f} at the end, "
+            f"at most {self.max_error:.2f}, out of tolerance for {out:.1f} s, "
+            f"oldest acting answer {self.answer_age:.2f} s"
+        )
+        if self.simulated < WHOLE * self.duration:
+            figures += f", theta known for {self.simulated:.0f} of {self.duration:.0f} s"
+        return f"{self.name:<24} {state}  {figures}"
 
 
 def judge(scenario: Scenario, record: RunRecord, bag: Path) -> Verdict:

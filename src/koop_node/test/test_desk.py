@@ -11,7 +11,6 @@ from koop_core.errors import LiveError
 from koop_node.client.alone import PREFIX, _claimed
 from koop_node.client.desk import STATUS, STOP, Desk, ask, find_loops
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="names without a file")
 ANSWER = {"healthy": True, "text": "all is well"}
 STRANGER = """
 import socket, sys

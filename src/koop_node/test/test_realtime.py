@@ -5,9 +5,6 @@ import os
 import subprocess
 import sys
 
-import pytest
-
-LINUX = pytest.mark.skipif(sys.platform != "linux", reason="Linux only")
 CHILD = """
 import json, os, sys, threading
 from koop_node.process.realtime import apply_priority
@@ -44,7 +41,6 @@ if os.getuid() == 0:
 """
 
 
-@LINUX
 def test_what_is_not_permitted_names_the_right_and_is_done_without():
     actual = applied(70, WITHOUT_RIGHTS)
     priority, memory = actual["problems"]
@@ -56,7 +52,6 @@ def test_what_is_not_permitted_names_the_right_and_is_done_without():
     assert {policy for policy, _ in actual["policies"]} == {os.SCHED_OTHER}
 
 
-@LINUX
 def test_all_threads_have_the_priority_and_memory_is_locked_where_permitted():
     actual = applied(3)
     permitted = "\n".join(actual["problems"])
@@ -66,6 +61,5 @@ def test_all_threads_have_the_priority_and_memory_is_locked_where_permitted():
         assert actual["locked"] > 0
 
 
-@LINUX
 def test_nothing_is_asked_for_by_default():
     assert applied(0)["problems"] == []

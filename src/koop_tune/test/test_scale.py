@@ -15,10 +15,10 @@ def test_a_position_and_its_theta_are_each_others_inverse(scale):
 
 
 def test_limits_far_apart_are_divided_by_a_factor_others_evenly():
-    values = np.array(Scale(0.5, 60.0).divide(9))
+    u = np.linspace(0.0, 1.0, 9)
+    values = Scale(0.5, 60.0).theta(u)
     assert values[1:] / values[:-1] == pytest.approx(120.0 ** (1 / 8))
-    assert np.diff(Scale(-0.5, 60.0).divide(9)) == pytest.approx(60.5 / 8)
-    assert (values[0], values[-1]) == (0.5, 60.0)  # the limits themselves, not what rounds to them
+    assert np.diff(Scale(-0.5, 60.0).theta(u)) == pytest.approx(60.5 / 8)
 
 
 def test_a_step_goes_towards_the_limit_further_off():

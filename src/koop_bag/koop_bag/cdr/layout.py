@@ -23,9 +23,6 @@ from koop_core.cdr import (
 from koop_core.config.fields import parse_field
 from koop_core.config.parameter import ConfigError
 
-ENCAPSULATION = 4
-"""Bytes before the serialized data; alignment counts from their end."""
-
 _Key = str | int
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from koop_core.config.fields import check_fields
 from koop_core.errors import KoopError, LiveError
+from koop_node.client.alone import DISCOVERY
 from koop_node.client.client import Client
 from koop_node.node.graph import full_name, message_type_of, publishers_of, subscribers_of
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile
 
-DISCOVERY = 4.0  # [s]: Fast DDS announces itself every 3 s to those that missed the first time
 LEASE = 21.0  # [s] after which DDS forgets a participant that was killed
 HIDDEN = ("/rosout", "/parameter_events", "/diagnostics", "/clock", "/tf", "/tf_static")
 
@@ -38,9 +37,7 @@ def find_topics(
     client: Client, until: Callable[[], object] = lambda: False, patience: float = DISCOVERY
 ) -> list[Topic]:
     """Return the topics of other nodes, after a time [s] of discovery or once ``until`` is true."""
-    deadline = time.monotonic() + patience
-    while time.monotonic() < deadline and not until():
-        client.spin(0.05)
+    client.spin_until(until, patience)
     topics = []
     for name, kinds in client.node.get_topic_names_and_types():
         if name in HIDDEN or "/_" in name or name.endswith("/transition_event"):

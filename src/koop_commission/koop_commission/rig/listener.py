@@ -65,9 +65,7 @@ class Listener:
 
     def wait(self, seconds: float, most: float = math.inf) -> None:
         """Receive messages for a time [s], or until some were received."""
-        deadline = time.monotonic() + seconds
-        while self.count < most and time.monotonic() < deadline:
-            self._client.spin(0.05)
+        self._client.spin_until(lambda: self.count >= most, seconds)
 
     def close(self) -> None:
         """Unsubscribe."""

@@ -15,7 +15,7 @@ import numpy as np
 from koop_commission.fitness.arrivals import measure_rhythm
 from koop_commission.fitness.samples import Samples
 from koop_commission.fitness.settings import DEFAULTS
-from koop_commission.rig.graph import DISCOVERY, Topic, find_topics
+from koop_commission.rig.graph import Topic, find_topics
 from koop_commission.rig.listener import listen
 from koop_core.config.fields import Path as Field
 from koop_core.config.fields import (
@@ -28,7 +28,7 @@ from koop_core.config.fields import (
     read_field,
 )
 from koop_core.config.parameter import ConfigError, spec_of
-from koop_node.client.alone import is_empty
+from koop_node.client.alone import DISCOVERY, is_empty
 from koop_node.client.client import Client
 from koop_node.process.domain import current_domain
 from koop_tune.rig import rig_file

@@ -13,7 +13,7 @@ import math
 import random
 from typing import Any
 
-from stand import Knob, parse_rig
+from stand import Knob, Rig, parse_rig
 
 DT, STEPS = 0.02, 4  # between two samples [s]; steps of the integration within
 OMEGA = 2.0 * math.pi * 1.1  # of the structure alone [rad/s]
@@ -26,7 +26,7 @@ WAVES, WAVE = (1.6, 1.3), 2.0 * math.pi * 0.13  # interference of the sensors; f
 NOISE = 0.02  # of the sensors, standard deviation
 
 
-class Absorber:
+class Absorber(Rig):
     """Structure and damper in modal coordinates: x, x' and z, z', displacements in cm.
 
     With w = OMEGA and the force f = theta^2 w^2 (z - x) + 2 LOST theta w (z' - x') per mass of
@@ -64,10 +64,6 @@ class Absorber:
             x += h * v
             z += h * u
         self._state = (x, v, z, u)
-
-    def set(self, name: str, value: float) -> None:
-        """Refuse it: there is nothing to set."""
-        raise ValueError(f"--at: absorber has no {name!r}")
 
 
 def register(rigs: Any) -> None:

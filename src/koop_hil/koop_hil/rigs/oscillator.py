@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from stand import Knob, parse_rig
+from stand import Knob, Rig, parse_rig
 
 DT = 0.005  # [s]
 START, STROKE = 2.0, 5.0  # of theta
@@ -126,7 +126,7 @@ def advance(physics: Physics, t: float, dt: float, state: State, theta: float) -
     return x + dt / 6 * (ax + 2 * bx + 2 * cx + dx), y + dt / 6 * (ay + 2 * by + 2 * cy + dy)
 
 
-class Oscillator:
+class Oscillator(Rig):
     """One of :data:`RIGS` with its sensors, noisy and quantised."""
 
     dt, message, topics = DT, "MeasuredState", ("state", "theta")
@@ -149,10 +149,6 @@ class Oscillator:
         self._x = advance(self._physics, t, DT, self._x, theta)
         if not math.isfinite(self._x[0] + self._x[1]):
             raise ValueError(f"{self._name} broke at t = {t:g} s")
-
-    def set(self, name: str, value: float) -> None:
-        """Refuse it: an oscillator has nothing to set."""
-        raise ValueError(f"--at: {self._name} has no {name!r}")
 
 
 def register(rigs: Any) -> None:

@@ -63,7 +63,8 @@ class Rig(Protocol):
         """Go on by one sample; raise ValueError if the rig breaks."""
 
     def set(self, name: str, value: float) -> None:
-        """Set what ``--at`` names."""
+        """Set what ``--at`` names; by default there is nothing to set."""
+        raise ValueError(f"--at: this rig has no {name!r}")
 
 
 class Actuator:

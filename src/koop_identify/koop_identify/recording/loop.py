@@ -103,19 +103,6 @@ class LoopRecord:
         return replace(self, **{name: getattr(self, name)[self.answered] for name in BY_ROW})
 
 
-def read_run(bag: Path, namespace: str = "/") -> LoopRecord:
-    """Read a closed loop from a bag.
-
-    Raises
-    ------
-    koop_bag.errors.BagError
-        If the bag cannot be read.
-    koop_core.errors.InputError
-        If it does not hold a closed loop.
-    """
-    return read_loop(bag, namespace).closed(bag)
-
-
 def read_loop(bag: Path, namespace: str = "/") -> LoopRecord:
     """Read the loop's four topics from a bag; only the states must be there.
 

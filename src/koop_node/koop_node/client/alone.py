@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 
@@ -20,7 +19,7 @@ ENDING = 6.0  # [s] in which the nodes of a loop end whose command was killed
 
 
 @contextmanager
-def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[socket.socket | None]:
+def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[socket.socket]:
     """Hold the place of the one loop, which will publish these topics, while the context lasts.
 
     It gives the socket that holds the place, where :mod:`koop_node.client.desk` may answer.
@@ -43,11 +42,8 @@ def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[socke
 
 
 @contextmanager
-def _claimed(name: str) -> Iterator[tuple[bool, socket.socket | None]]:
+def _claimed(name: str) -> Iterator[tuple[bool, socket.socket]]:
     """Take a name of the machine, or say that it is taken; the end of the process frees it."""
-    if sys.platform != "linux":  # elsewhere there are no names without a file
-        yield True, None
-        return
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as place:
         first = False
         with suppress(OSError):

@@ -60,8 +60,8 @@ def _signal(child: subprocess.Popen[bytes], number: int) -> None:
 
 
 def _end_with_companion() -> None:
-    if sys.platform == "linux":  # if the companion is killed, its main thread has ended, too
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    # if the companion is killed, its main thread has ended, too
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 if __name__ == "__main__":

@@ -26,13 +26,9 @@ def current_domain() -> int:
 
 
 def free_domain() -> int:
-    """Return a ROS domain that nobody takes part in, so that a loop may run beside.
-
-    Where the system does not name listeners, it is the domain of the environment.
-    """
-    if (sockets := _sockets()) is None:
-        return current_domain()
-    free = [domain for domain in DOMAINS if domain not in sockets.values()]
+    """Return a ROS domain that nobody takes part in, so that a loop may run beside."""
+    taken = set(_sockets().values())
+    free = [domain for domain in DOMAINS if domain not in taken]
     return random.choice(free or DOMAINS)
 
 
@@ -41,10 +37,7 @@ def only_observed(domain: int) -> bool:
 
     That is the daemon that ``ros2 topic list`` and its like leave behind: it publishes nothing.
     """
-    by_inode = _sockets()
-    if by_inode is None:
-        return False
-    sockets = {f"socket:[{inode}]" for inode, number in by_inode.items() if number == domain}
+    sockets = {f"socket:[{inode}]" for inode, number in _sockets().items() if number == domain}
     for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):  # it has ended, or is another user's
             if DAEMON in (process / "cmdline").read_bytes():
@@ -52,15 +45,12 @@ def only_observed(domain: int) -> bool:
     return not sockets
 
 
-def _sockets() -> dict[int, int] | None:
-    """Return the domain of every socket by its inode, or None where the system does not tell.
+def _sockets() -> dict[int, int]:
+    """Return the domain of every socket by its inode.
 
     Any port of a domain counts: the first is not listened at where discovery keeps to this host.
     """
-    try:
-        table = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
-    except OSError:
-        return None
+    table = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
     return {
         int(words[9]): (int(words[1].rpartition(":")[2], 16) - FIRST_PORT) // PORTS
         for words in table

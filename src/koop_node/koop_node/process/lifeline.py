@@ -59,8 +59,8 @@ def end_with_parent() -> None:
     take_signals()
     if os.environ.get(VARIABLE) != TIED[VARIABLE]:
         return
-    if sys.platform == "linux":  # one that was stopped by SIGSTOP would see nothing
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT)
+    # one that was stopped by SIGSTOP would see nothing
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGCONT)
     threading.Thread(target=_watch, daemon=True, name="lifeline").start()
 
 

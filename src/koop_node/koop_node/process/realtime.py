@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
-import sys
 from collections.abc import Callable
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4  # asm-generic/mman.h
@@ -31,8 +30,6 @@ def apply_priority(priority: int) -> list[str]:
 
     if not priority:
         return []
-    if sys.platform != "linux":
-        return ["priority is for Linux; going on without"]
     attempt(
         f"priority = {priority}",
         f"the capability CAP_SYS_NICE, or 'rtprio {priority}' for the user in "

@@ -45,14 +45,6 @@ class Scale:
         """Return theta at one position."""
         return float(self.theta(np.array(u)))
 
-    def divide(self, count: int) -> list[float]:
-        """Return values of theta at even positions, both limits among them.
-
-        >>> Scale(0.5, 50.0).divide(3)
-        [0.5, 5.0, 50.0]
-        """
-        return [*(self.theta_at(i / (count - 1)) for i in range(count - 1)), self.high]
-
     def step_away(self, theta: float, share: float) -> float:
         """Return the value that is a share of the range from theta, towards the limit further off.
 
