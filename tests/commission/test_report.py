@@ -58,8 +58,8 @@ def verification(folder, rig, file):
                      "theta": best, "low": best, "high": best, "error": 0.01, "doubt": 0.01,
                      "closed": {"seconds": 100.0, "steps": [rest, way.size - 1]}})  # fmt: skip
     tuned = json.loads((folder / "tuned/tune.json").read_text())
-    found = {"rounds": [{"round": 1, "runs": runs, "prediction": tuned["predicted"],
-                         "agrees": True, "damped": True, "says": "damped as predicted"}],
+    found = {"rounds": [{"number": 1, "runs": runs, "prediction": tuned["predicted"],
+                         "agrees": True, "damped": True, "summary": "damped as predicted"}],
              "damped": True, "feature": "x[0]",
              "verdict": "From 2 starts. It converged. The rig is damped."}  # fmt: skip
     (folder / "verify.json").write_text(json.dumps(found))
@@ -174,9 +174,9 @@ def test_a_page_of_a_refusal_shows_the_map_and_what_to_record(tmp_path, capsys):
     assert main(["tune", str(folder / "rig.yaml"), str(folder)]) == 1
     assert f"report in {folder / 'report.html'}" in capsys.readouterr().out
     page = (folder / "report.html").read_text()
-    first, why, then = verdict_of(page)
+    first, why = verdict_of(page)
     assert "monotone" in why
-    assert "limit" in then
+    assert "the limit: there is nothing to seek; leave theta there, or record" in why
     assert "valley" not in first
     result, errors = browse(page, DESK, tmp_path)
     assert errors == []

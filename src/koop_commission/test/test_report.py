@@ -144,14 +144,9 @@ def test_the_largest_amplitude_is_the_best_where_it_is_maximised():
     assert rig.endswith("between 4 at -1 and 1 at 1.")
 
 
-@pytest.mark.parametrize(
-    ("verdict", "hint"),
-    [("flat", "koop check"), ("monotone", "limit"), ("drowned", "longer"), ("undamped", "closer")],
-)
-def test_a_refusal_gives_its_reason_and_what_to_do(verdict, hint):
-    _, controller, following = write_sentences(contents({**REFUSED, "verdict": verdict}))
-    assert controller == f"No controller ({verdict}): {REFUSED['why']}."
-    assert hint in following
+def test_a_refusal_gives_its_reason_which_says_what_to_do():
+    _, *others = write_sentences(contents(REFUSED))
+    assert others == [f"No controller (flat): {REFUSED['why']}."]
 
 
 def test_the_verdict_of_a_verification_is_split_into_its_sentences():

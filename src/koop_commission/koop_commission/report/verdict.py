@@ -14,17 +14,6 @@ from koop_tune.search.rounds import kept_index
 
 DONE, MISSING, NO = "done", "missing", "no"
 
-NEXT = {
-    "monotone": "Leave theta at the better limit, or widen that limit in the rig file and record "
-    "again.",
-    "flat": "Run 'koop check' to see whether theta reaches the rig, then record wider limits or "
-    "longer (a larger 'time' in the rig file).",
-    "drowned": "Record longer (a larger 'time' in the rig file), or measure where the oscillation "
-    "is stronger.",
-    "undamped": "Leave theta at the best value, or set theta_min and theta_max closer around the "
-    "valley and record again.",
-}
-
 
 class Stage(NamedTuple):
     """A stage: its name, its state, and its result or the command that makes it."""
@@ -68,7 +57,8 @@ def write_sentences(c: Contents) -> list[str]:
     """Return the verdict: of the verification, once there is one, else of what is known."""
     if verdict := c.verification.verdict.strip():
         return re.split(r"(?<=\.) (?=[A-Z])", verdict)
-    return [_describe_rig(c), _describe_controller(c), _describe_next(c)]
+    following = [] if c.is_refused else [_describe_next(c)]  # a refusal says what to do
+    return [_describe_rig(c), _describe_controller(c), *following]
 
 
 def _describe_rig(c: Contents) -> str:
@@ -106,8 +96,6 @@ def _describe_controller(c: Contents) -> str:
 
 
 def _describe_next(c: Contents) -> str:
-    if c.is_refused:
-        return NEXT.get(c.tuned["verdict"], "Record again.")
     if c.has_controller:
         return f"It is not verified on the rig yet: ./koop verify {c.rig_file} {c.folder}."
     if not c.is_excited:

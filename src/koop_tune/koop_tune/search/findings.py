@@ -143,7 +143,7 @@ def analyse(
         windows = Windows(window_length(period_of(loaded, dt), DESIGN.window, dt), dt)
         amplitude = Design(rig, find_holds(loaded, scale, windows.length), windows).amplitude
     if amplitude is None:
-        raise NoOptimum("flat", NOTHING)
+        raise NoOptimum("flat", f"no frequency of any channel reacts to theta: {TO_DO}")
     dwells = find_dwells(loaded, scale, amplitude)
     static_map = dwells.static_map(dwells.logs, rig.sense)
     powers = [
@@ -168,10 +168,9 @@ def analyse(
     return decide(findings, rig, settings)
 
 
-NOTHING = (
-    "no frequency of any channel reacts to theta: run 'koop check' to see whether theta reaches "
-    "the rig and what hides the oscillation, then record wider limits or longer rests (increase "
-    "'time')"
+TO_DO = (
+    "run 'koop check' to see whether theta reaches the rig and what hides the oscillation, then "
+    "record wider limits or longer rests (increase 'time')"
 )
 
 
@@ -212,8 +211,7 @@ def _flat(findings: Findings) -> str:
     return (
         f"over theta's range the amplitude of {findings.name} varies by "
         f"{_change(findings.static_map)} %, with errors of {_error(findings.static_map)} %, and "
-        "shows no optimum: run 'koop check' to see whether theta reaches the rig and what hides "
-        "the oscillation, then record wider limits or longer rests (increase 'time')"
+        f"shows no optimum: {TO_DO}"
     )
 
 

@@ -88,25 +88,12 @@ class Round:
         """Return the round in a JSON object."""
         runs = tuple(map(LoopRun.from_json, values["runs"]))
         prediction = Prediction.from_json(values["prediction"])
-        return cls(
-            int(values["round"]),
-            prediction,
-            runs,
-            values["agrees"],
-            values["damped"],
-            values["says"],
-        )
+        return cls(**{**values, "prediction": prediction, "runs": runs})
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON."""
-        return {
-            "round": self.number,
-            "prediction": self.prediction.as_json(),
-            "runs": [run.as_json() for run in self.runs],
-            "agrees": self.agrees,
-            "damped": self.damped,
-            "says": self.summary,
-        }
+        prediction, runs = self.prediction.as_json(), [run.as_json() for run in self.runs]
+        return {**asdict(self), "prediction": prediction, "runs": runs}
 
     @property
     def finished(self) -> bool:
@@ -149,8 +136,7 @@ class Verification:
         KeyError, TypeError, ValueError
             If it is not one.
         """
-        rounds = tuple(map(Round.from_json, values["rounds"]))
-        return cls(rounds, values["damped"], values.get("feature", ""), values["verdict"])
+        return cls(**{**values, "rounds": tuple(map(Round.from_json, values["rounds"]))})
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON."""
