@@ -147,6 +147,10 @@ def test_the_launch_starts_the_same(rig_file, tmp_path):
         ),
         ("relay_esc: {ros__parameters: {dwell: long}}", "dwell: expected float, got 'long'"),
         ("rig: {ros__parameters: {command: nowhere}}", "no program 'nowhere' found"),
+        (
+            "koop_guard: {ros__parameters: {command: '/a:data', on_alarm: nowhere to be found}}",
+            "on_alarm = 'nowhere to be found': no program 'nowhere' found",
+        ),
         ("nobody: {ros__parameters: {a: 1}}", "has no parameters for /recorder, "),
         ("koopman_lifter: {ros__parameters: {model: a.npz}}", "a.npz: cannot be read"),
     ],

@@ -378,6 +378,43 @@ def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(
         rig.wait(LONG)
 
 
+ALARMS = {
+    "spike": (lambda rig, process, nodes: setattr(rig, "spike", True), "beyond its limit 8"),
+    "guard killed": (lambda rig, *loop: kill("guard")(*loop), "the guard was killed"),
+    "lifter killed": (lambda rig, *loop: kill("lifter")(*loop), "the loop ends"),
+    "Ctrl-C": (lambda rig, process, nodes: process.send_signal(signal.SIGINT), ""),
+}
+
+
+@pytest.mark.parametrize("cause", ALARMS)
+def test_an_alarm_runs_the_user_s_program_once_with_the_facts(up, fast_rig, tmp_path, cause):
+    facts = tmp_path / "facts"
+    script = f"env | grep KOOP_ALARM_ >> {facts}; echo NEXT >> {facts}; echo no mail >&2; exit 3"
+    process, nodes = up(on_alarm=shlex.join(["sh", "-c", script]))
+    action, reason = ALARMS[cause]
+    action(fast_rig, process, nodes)
+    home(fast_rig)
+    log = tmp_path / "run" / "logs" / "koop_guard.log"
+    if cause == "spike":
+        wait(lambda: "failed: exit code 3" in log.read_text(), "the log line", process)
+        assert "no mail" in log.read_text().partition("failed: exit code 3")[2]
+        fast_rig.spike = False
+        process.send_signal(signal.SIGINT)
+    process.wait(LONG)
+    if not reason:
+        assert not facts.exists()
+        return
+    wait(lambda: facts.exists() and "NEXT" in facts.read_text(), "the alarm")
+    text = facts.read_text()
+    assert text.count("NEXT") == 1
+    known = dict(re.findall(r"KOOP_ALARM_(\w+)=(.*)", text))
+    assert reason in known["REASON"]
+    assert (float(known["THETA_SAFE"]), known["COMMAND"]) == (SAFE, "/fast/knob:data")
+    assert any(abs(theta - float(known["THETA"])) < 1e-3 for _, theta in fast_rig.moved)
+    if cause == "spike":
+        assert (known["CAUSE"], known["X"].split()[0]) == ("channel beyond its limit", "99")
+
+
 def test_any_terminal_is_told_how_the_loop_is_and_may_end_it(up, fast_rig, koop, probe, tmp_path):
     process, nodes = up()
 

@@ -17,6 +17,7 @@ from koop_bag.recorder.config import RECORDER, RecorderConfig
 from koop_core.config import parameter_file
 from koop_core.config.parameter import SIMILAR, ConfigError, refuse_unknown
 from koop_core.config.parameter_file import ParameterFile
+from koop_core.config.program import split_command
 from koop_guard.config import ASKED, GUARD, THETA, GuardConfig
 from koop_guard.note import note_of
 from koop_loop.parameters import (
@@ -229,6 +230,8 @@ def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
         values["relay_esc"] |= {"command": "", "listeners": "koop_guard"}
     configs = _check(values, classes)
     guard = configs["koop_guard"][GuardConfig] if guarded else None
+    if guard is not None:
+        split_command("on_alarm", guard.on_alarm)
     remaps = (f"relay_esc:{THETA}:={ASKED}",) if guard and guard.asked == ASKED else ()
     nodes = tuple(PlannedNode(name, *EXECUTABLES[name]) for name in started)
     composed = _flag("composed", arguments, False)

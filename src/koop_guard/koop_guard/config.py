@@ -69,6 +69,10 @@ class GuardConfig:
         "what an orderly end leaves behind: theta at theta_safe, or held where it is",
         choices=("safe", "hold"), read_only=True,
     )  # fmt: skip
+    on_alarm: str = parameter(
+        "", "program, with its arguments, that runs at each trip; KOOP_ALARM_REASON and the like "
+        "in its environment say what happened; empty: none", read_only=True,
+    )  # fmt: skip
     note: str = parameter(
         "",
         "file that notes where theta of the rig was left, and a trip; empty: none",
@@ -205,6 +209,10 @@ class SafetySettings:
     matched: float = parameter(
         2.0, "time after which a subscriber that is matched receives", unit="s", low=0.0,
         origin="1.4 s were seen on a busy machine",
+    )  # fmt: skip
+    alarm: float = parameter(
+        60.0, "time after which a program of on_alarm that still runs is killed", unit="s", low=1.0,
+        origin=_JUDGED,
     )  # fmt: skip
     held: float = parameter(
         0.5, "time for which theta_safe is repeated before who commands it ends", unit="s", low=0.0,

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
-import shutil
 from dataclasses import dataclass
 
-from koop_core.config.parameter import ConfigError, parameter, validate
+from koop_core.config.parameter import parameter, validate
+from koop_core.config.program import split_command
 
 
 @dataclass(frozen=True)
@@ -24,13 +23,7 @@ class RigConfig:
 
     def words(self) -> tuple[str, ...]:
         """Return program and arguments; raise ConfigError if the program does not exist."""
-        try:
-            words = tuple(shlex.split(self.command))
-        except ValueError as error:
-            raise ConfigError(f"rig: command = {self.command!r}: {error}") from None
-        if words and shutil.which(words[0]) is None:
-            raise ConfigError(f"rig: command = {self.command!r}: no program {words[0]!r} found")
-        return words
+        return split_command("rig: command", self.command)
 
 
 RIG: dict[str, tuple[type, ...]] = {"rig": (RigConfig,)}

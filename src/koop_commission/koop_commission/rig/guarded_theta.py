@@ -29,9 +29,9 @@ def guard_remaps(rig: RigFile) -> list[str]:
 
 
 def guard_section(rig: RigFile, note: Path | None) -> dict[str, Any]:
-    """Return the guard's parameters."""
+    """Return the guard's parameters; the command itself says what trips it."""
     path = str(note.resolve()) if note is not None else ""
-    values = asdict(replace(rig.guard, note=path))
+    values = asdict(replace(rig.guard, note=path, on_alarm=""))
     return {k: list(v) if isinstance(v, tuple) else v for k, v in values.items() if v != ()}
 
 

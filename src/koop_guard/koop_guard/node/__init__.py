@@ -20,6 +20,7 @@ from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard, Status, Trip
+from koop_guard.node.alarm import Alarm
 from koop_guard.node.twin import Twin
 from koop_guard.node.wire import Command, Return, describe_theta, return_to_safe
 from koop_guard.note import Keeper, Note, find_theta, read
@@ -58,6 +59,7 @@ class GuardRun(Run):
         self._answered = -1  # newest step that the guard answered itself
         self._said: object = None
         self._refused = ""
+        self._alarm = Alarm(config, node.get_logger().error)
         self._command: Command | None = None
         self._twin: Twin | None = None
         self._order: tuple[Any, ...] = ()  # what the twin may have to command
@@ -141,8 +143,7 @@ class GuardRun(Run):
     def deactivate(self) -> None:
         """Return theta to theta_safe if it is not there; this takes its time."""
         guard, now = self._guard, time.monotonic()
-        current = schedule.current()
-        held = self._holds_at_end(current.asked if current is not None else 0)
+        held = self._holds_at_end(_asked_to_end())
         if self._commands and not held and not guard.at_safe:
             guard.note(Cause.ENDED, "the guard ends", now)
             self._announce()
@@ -163,6 +164,11 @@ class GuardRun(Run):
     def _holds_at_end(self, number: int) -> bool:
         following = self._guard.status is Status.FOLLOWING
         return following and self._config.on_end == "hold" and number != signal.SIGTERM
+
+    @property
+    def _failed(self) -> bool:
+        """Whether the loop failed and ends."""
+        return _asked_to_end() == signal.SIGTERM
 
     @property
     def _commands(self) -> bool:
@@ -267,6 +273,7 @@ class GuardRun(Run):
 
     def _on_tick(self) -> None:
         now, guard = time.monotonic(), self._guard
+        self._alarm.check()
         guard.hear_time(now)
         if now - self._target_heard > SAFETY.hang:
             text = f"who set a target gave no sign of life for {SAFETY.hang:g} s"
@@ -360,6 +367,9 @@ class GuardRun(Run):
                     f"theta {'is at' if guard.at_safe else 'returns to'} theta_safe = "
                     f"{self._config.theta_safe:g}: {trip.reason}"
                 )
+                is_new = trip is not self._latched  # whose alarm was before the restart
+                if is_new and (trip.cause is not Cause.ENDED or self._failed):
+                    self._alarm.start(trip, self._node.get_fully_qualified_name())
             self._said, self._refused = said, message.rearm_refused
             self._state.publish(message)
             if self._keeper is not None:
@@ -396,6 +406,12 @@ class GuardRun(Run):
 
         self._controller.call_async(Trigger.Request()).add_done_callback(done)
         return ""
+
+
+def _asked_to_end() -> int:
+    """Return the signal that asked this process to end; 0: none."""
+    current = schedule.current()
+    return current.asked if current is not None else 0
 
 
 def _seconds(stamp: Any) -> float:

@@ -139,6 +139,7 @@ def _has_ended(guard_id: int, shared: SharedTheta) -> bool:
 
 def _take_over(client: Any, order: dict[str, Any], theta: float, last: tuple[int, float]) -> None:
     """Return theta to theta_safe, as long as the rig is there."""
+    from koop_guard.node.alarm import Alarm
     from koop_guard.node.wire import Command, describe_theta, return_to_safe
 
     config = GuardConfig(**order["config"])
@@ -146,7 +147,11 @@ def _take_over(client: Any, order: dict[str, Any], theta: float, last: tuple[int
     command = Command(client.node.create_publisher, order["kind"], order["topic"], field)
     guard = Guard(config, theta)
     guard.note(Cause.ENDED, "the guard was killed", time.monotonic())
+    alarm = Alarm(config, print)
+    assert guard.trip is not None
+    alarm.start(guard.trip, "the guard's twin")
     return_to_safe(guard, config, command, guard.advance, last)
+    alarm.check()
     note = read(config.note) or Note(guard.theta, config.command)  # with the trip that it may hold
     leave(config.note, replace(note, theta=guard.theta, publishers=tuple(order["publishers"])))
     print(f"the guard was killed; {describe_theta(guard, config)}", flush=True)

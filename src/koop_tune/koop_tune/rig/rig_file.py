@@ -84,6 +84,11 @@ class RigFile:
         low=1e-3,
         high=1e3,
     )
+    on_alarm: str = parameter(
+        "",
+        "program, with its arguments, that runs when the guard of 'koop up' trips; "
+        "KOOP_ALARM_REASON and the like in its environment say what happened; empty: none",
+    )
 
     def __post_init__(self) -> None:
         validate(self)

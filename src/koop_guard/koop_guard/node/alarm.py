@@ -1,0 +1,94 @@
+"""The user's program that runs at each trip, beside the guard: nothing waits for it."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import IO
+
+from koop_guard.config import SAFETY, GuardConfig
+from koop_guard.guard import Trip
+from koop_node.process.lifeline import VARIABLE
+
+OF_US = (VARIABLE, "NOTIFY_SOCKET")  # in the environment, not for others
+
+
+class Alarm:
+    """Runs ``on_alarm`` once a trip, and says if it failed.
+
+    Parameters
+    ----------
+    config : GuardConfig
+        Names the program.
+    report : callable
+        Receives a line for the log.
+    """
+
+    def __init__(self, config: GuardConfig, report: Callable[[str], object]) -> None:
+        self._config, self._report = config, report
+        self._trip: Trip | None = None
+        self._running: list[tuple[subprocess.Popen[bytes], float, IO[bytes]]] = []
+
+    def start(self, trip: Trip, node: str) -> None:
+        """Start the program, unless it was started for this trip.
+
+        Parameters
+        ----------
+        trip : Trip
+            The facts, which the program finds in its environment.
+        node : str
+            Full name of the guard.
+        """
+        config = self._config
+        if not config.on_alarm or trip is self._trip:
+            return
+        self._trip = trip
+        ago = time.monotonic() - trip.when
+        facts = {
+            "CAUSE": trip.cause.value,
+            "REASON": trip.reason,
+            "TIME": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() - ago)),
+            "THETA": f"{trip.theta:g}",
+            "THETA_SAFE": f"{config.theta_safe:g}",
+            "X": " ".join(f"{value:g}" for value in trip.x),
+            "NODE": node,
+            "COMMAND": config.command,
+        }
+        environment = {name: value for name, value in os.environ.items() if name not in OF_US}
+        environment |= {f"KOOP_ALARM_{name}": value for name, value in facts.items()}
+        said = tempfile.TemporaryFile()  # noqa: SIM115 - a pipe would fill up
+        try:
+            process = subprocess.Popen(
+                shlex.split(config.on_alarm), env=environment, stdin=subprocess.DEVNULL,
+                stdout=said, stderr=said, start_new_session=True,
+            )  # fmt: skip
+        except (OSError, ValueError) as error:
+            self._report(f"on_alarm = {config.on_alarm!r} was not started: {error}")
+            return
+        with suppress(OSError):  # not at the guard's own priority
+            os.sched_setscheduler(process.pid, os.SCHED_OTHER, os.sched_param(0))
+        self._running.append((process, time.monotonic(), said))
+
+    def check(self) -> None:
+        """Look after programs that run: one that failed, or takes too long, is reported."""
+        for running in list(self._running):
+            process, since, said = running
+            seconds = time.monotonic() - since
+            if process.poll() is None:
+                if seconds < SAFETY.alarm:
+                    continue
+                process.kill()
+                process.wait()
+            self._running.remove(running)
+            with said:
+                said.seek(0)
+                *_, last = ["", *said.read().decode(errors="replace").splitlines()]
+            if code := process.returncode:
+                end = f"exit code {code}" if code > 0 else f"signal {-code}"
+                text = f"failed: {end} after {seconds:.1f} s: {last or 'it said nothing'}"
+                self._report(f"on_alarm = {self._config.on_alarm!r} {text}")
