@@ -34,6 +34,7 @@ from koop_tune.rig_model.dwells import DWELLS, find_holds
 from koop_tune.tune_folders import list_bags, load_since
 
 ANY = replace(DWELLS, values=1)  # what an interrupted excitation holds
+REDEFINED = 0.1  # change of a log amplitude already said that is announced
 
 
 def register(commands: Any) -> None:
@@ -163,6 +164,7 @@ class Excitation:
         self._began = time.monotonic()
         self._design = Design(rig, holds, state.windows)
         self._whys = recall_reasons(rig, state, holds)
+        self._said = math.inf  # log amplitude of the last line, in the unit of then
         session.show = self._show
 
     @property
@@ -276,7 +278,14 @@ class Excitation:
         if amplitude is None:
             print(f"{said}unknown: nothing reacts yet  ({move.why})", flush=True)
             return
-        level = design.levels()[-1]
+        *before, level = design.levels()
+        if before and abs(before[-1].mean - self._said) > REDEFINED + before[-1].error:
+            print(
+                f"amplitude is from here that of {amplitude.name(rig.names)}, in a new unit: the "
+                f"hold before has {math.exp(before[-1].mean):.3g}",
+                flush=True,
+            )
+        self._said = level.mean
         doubt = f"{100.0 * level.error:.2g} %" if level.error < 1.0 else "unknown"
         print(f"{said}{math.exp(level.mean):<7.3g} +- {doubt:<6}  ({move.why})", flush=True)
 
