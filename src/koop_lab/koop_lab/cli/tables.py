@@ -59,7 +59,8 @@ def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
     interference = any(name.startswith("true ") for name in names)
     lines = [
         table(["oscillation amplitude", "before", "after", "reduction"], rows),
-        *["as measured, with the interference; 'true': without it"] * interference,
+        "as measured, with the interference"
+        + ("; 'true': without it" if interference else ", which 'koop verify' leaves out"),
         "sqrt(2) times the standard deviation about a straight line, in windows of "
         f"{metrics.window:g} s; before: {metrics.before_from:g} to {metrics.before_to:g} s, "
         f"after: {metrics.after_from:g} to {metrics.after_to:g} s",
