@@ -24,6 +24,7 @@ setup(
         "koop_node",
         "koop_view",
         "koopman_lifter",
+        "relay_esc",
         "vdp_plant",
     ],
     extras_require={"test": ["pytest"]},

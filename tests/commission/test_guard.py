@@ -28,6 +28,7 @@ from test_excite import wait
 
 from koop_bag.bag.reader import BagReader
 from koop_core.config import parameter_file
+from koop_core.whole_file import read_json
 from koop_guard.node import KEPT
 from koop_hil import installed
 from koop_tune.rig.rig_file import as_values
@@ -303,6 +304,30 @@ def test_a_loop_that_tripped_is_still_tripped_after_a_restart(koop, up, fast_rig
     process.send_signal(signal.SIGINT)
     assert process.wait(LONG) == 0
     up("third")
+
+
+def test_a_loop_goes_on_where_its_controller_was_killed(koop, up, fast_rig, probe, tmp_path):
+    process, nodes = up()
+    file = tmp_path / ".loop.yaml.controller"
+    wait(file.exists, "what the controller goes on from", process)
+    os.kill(nodes["esc"], signal.SIGKILL)
+    home(fast_rig)
+    assert process.wait(LONG) == 2
+    theta, epsilon, *_ = read_json(file)["begin"]
+    assert theta != LOOP["relay_esc"]["theta_initial"]
+    answers = probe.collect(ControlInput, "/theta")
+    process = koop("up", "loop.yaml", "--out", "again")
+
+    def seeks():
+        probe.executor.spin_once(timeout_sec=0.05)
+        return answers and not answers[-1].holding
+
+    wait(seeks, "the controller to seek", process, LONG)
+    assert (answers[0].theta, answers[0].epsilon) == (theta, epsilon)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(LONG) == 0
+    assert walked(fast_rig)
+    assert koop("replay", "again", "--offline").wait(LONG) == 0  # equal bit for bit
 
 
 def test_an_orderly_end_may_hold_theta_and_a_failure_may_not(up, fast_rig, tmp_path):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError, parameter, validate
-from relay_esc.elementary import log
-from relay_esc.relay import RelayParams, RelayState, dwell_samples, initial
+from relay_esc.elementary import exp, log
+from relay_esc.relay import MEMORY, RelayParams, RelayState, dwell_samples, initial, recalled
 from relay_esc.swing import SWING
 
 
@@ -78,6 +78,11 @@ class EscConfig:
     epsilon_initial: int = parameter(
         1, "first relay sign: 1 moves theta down, -1 up", low=-1, high=1, read_only=True
     )
+    begin: tuple[float, ...] = parameter(
+        (),
+        "what the controller goes on from, as 'koop up' has noted it; []: theta_initial",
+        read_only=True,
+    )
     command: str = parameter(
         "",
         "topic:field, such as /rig/theta:data, on which theta is also published, for a rig that "
@@ -105,6 +110,8 @@ class EscConfig:
             for name in ("theta_min", "theta_initial"):
                 if (value := getattr(self, name)) <= 0.0:
                     raise ConfigError(f"{name} = {value:g}: must be above 0 with theta_scale log")
+        if self.begin and (len(self.begin) != MEMORY or self.begin[1] not in (1.0, -1.0)):
+            raise ConfigError(f"begin: is not what a controller goes on from, {MEMORY} numbers")
         if self.epsilon_initial == 0:
             raise ConfigError("epsilon_initial = 0: must be 1 or -1")
 
@@ -140,5 +147,9 @@ class EscConfig:
 
     def initial(self) -> RelayState:
         """Return the relay's state before the first sample."""
+        if self.begin:
+            first = self.begin[0]
+            theta = exp(first) if self.theta_scale == "log" else first
+            return recalled(initial(first, 1, theta), self.begin)
         begin = initial(self.scaled(self.beginning), self.epsilon_initial, self.theta_initial)
         return begin._replace(commanded=self.scaled(self.theta_initial))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from koop_msgs.msg import ControlInput, Cost
@@ -106,6 +108,7 @@ class EscRun(Run):
             "noise": answer.noise,
             "confidence": answer.confidence,
             "model_id": self._origin[1] if self._origin else "",
+            "begin": json.dumps(relay.memory(self._state)),
         }
         if relay.outside(self._params, self._state):
             return WARN, "theta is outside its limits", values
@@ -161,7 +164,7 @@ class EscRun(Run):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]
-        self._state = relay.reset(self._state, config.initial())
+        self._state = relay.reset(self._state, replace(config, begin=()).initial())
         response.success = True
         response.message = f"theta is {config.beginning:g} again, filter and relay are reset"
         return response

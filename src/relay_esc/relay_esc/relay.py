@@ -13,7 +13,8 @@ The first sample only primes the filter: its difference is taken as 0 and theta 
 the first sample after a hold; the filter goes on from where it was. A cost that follows on no
 earlier one (another run, another quantity, a long silence) finds the filter reset, and the dwell
 time begins. A controller that joins a run under way holds theta first, until what the cost did
-before its time has faded: half of its first turns would be wrong otherwise.
+before its time has faded: half of its first turns would be wrong otherwise. So does one that goes
+on where an earlier one was (:func:`recalled`); it has theta, its direction and the swing.
 
 Theta that is outside its limits, as where they were narrowed or the rig starts beyond them, goes to
 the nearer one at its limited rate, and the relay waits there.
@@ -23,6 +24,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from koop_core.kernels import njit
@@ -31,6 +33,12 @@ from relay_esc.elementary import exp, log
 from relay_esc.swing import OPEN, SWING, Swing, confidence, follow, forget_leg, gain, turn, widen
 
 LARGEST = sys.float_info.max
+LASTING = {
+    "factor": float, "stretch": float, "lowest_before": float, "reference": float, "noise": float,
+    "dip": float, "legs": int, "turned": float, "centre": float, "centred": int,
+}  # fmt: skip
+"""What of the swing outlasts a leg."""
+MEMORY = 2 + len(LASTING)  # numbers of :func:`memory`
 
 
 class RelayParams(NamedTuple):
@@ -132,6 +140,20 @@ def dwell_samples(dwell: float, dt: float) -> int:
 def initial(u: float, epsilon: int, theta: float) -> RelayState:
     """Return the state before the first sample; the first flip waits for the dwell time too."""
     return RelayState(float(u), epsilon, 0.0, 0.0, 0, False, float(u), float(theta), OPEN)
+
+
+def memory(state: RelayState) -> tuple[float, ...]:
+    """Return what a controller goes on from after its end: u, epsilon and the swing, less a leg."""
+    lasting = (getattr(state.swing, name) for name in LASTING)
+    return (state.u, *map(float, (state.epsilon, *lasting)))
+
+
+def recalled(begin: RelayState, numbers: Sequence[float]) -> RelayState:
+    """Return the state ``begin`` with what :func:`memory` has kept; it waits to join a run."""
+    u, epsilon, *values = numbers
+    kept = (kind(value) for kind, value in zip(LASTING.values(), values, strict=True))
+    swing = OPEN._replace(**dict(zip(LASTING, kept, strict=True)))
+    return begin._replace(u=u, epsilon=int(epsilon), since_flip=-1, commanded=u, swing=swing)
 
 
 def reset(state: RelayState, begin: RelayState) -> RelayState:
@@ -281,8 +303,9 @@ def respond(
     """Return what the relay asks for in answer to one cost; see :func:`answer`."""
     if arrival == Arrival.RESTART:
         state = restart(state, 0, OPEN)
-    elif arrival == Arrival.JOIN:
-        state = restart(state, -p.settling, OPEN)
+    elif arrival == Arrival.JOIN:  # a controller that goes on where another was knows the swing
+        swing = forget_leg(state.swing) if state.since_flip < 0 else OPEN
+        state = restart(state, -p.settling, swing)
     elif switched:
         state = restart(state, min(state.since_flip, 0), OPEN)
     elif settling:  # the filter still knows how the cost went before it was lost

@@ -187,6 +187,24 @@ def test_a_controller_that_joins_holds_theta_and_learns_the_level_meanwhile():
     assert state.swing.lowest == pytest.approx(math.log(5.0))
 
 
+def test_a_controller_goes_on_where_an_earlier_one_was():
+    before = arrived()
+    esc = config(begin=relay.memory(before))
+    state, away, rng = esc.initial(), [], np.random.default_rng(5)
+    assert state.output == before.output
+    for k in range(3000):
+        r = (1.0 + 4.0 * (state.output + 3.0) ** 2) * math.exp(0.05 * rng.normal())
+        state, holding, _ = answer(esc, state, r, Arrival.NEXT if k else Arrival.JOIN)
+        assert holding == (k < 100)  # 10 s: as one that joins a run
+        if holding:
+            assert relay.memory(state) == relay.memory(before)
+        away.append(abs(state.output + 3.0))
+    assert max(away) < 0.3  # 0.25 without an end; 0.88 from the same theta with an open swing
+    for wrong in ((1.0,), (*esc.begin, 0.0), (-3.0, 0.0, *esc.begin[2:])):
+        with pytest.raises(ConfigError, match="begin: is not what a controller goes on from"):
+            config(begin=wrong)
+
+
 def test_a_reset_opens_the_swing_at_the_initial_theta():
     esc, state = config(rate_limit=0.05), arrived()
     begun = relay.reset(state, esc.initial())

@@ -11,6 +11,7 @@ from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveNodes
+from koop_bringup.live.memory import Memory
 from koop_bringup.live.monitor import Progress
 from koop_bringup.live.served import add_serve_option, served
 from koop_bringup.plan import ALL_NODES, ARGUMENTS, Plan, plan
@@ -65,11 +66,21 @@ def main(args: argparse.Namespace) -> int:
     planned, folder = read_options(args)
     if args.install:
         return install(args, planned)
-    for note in planned.notes:
+    memory = Memory(planned)
+    begin, remark = memory.recall()
+    if begin:
+        planned.parameters["relay_esc"]["begin"] = begin
+        remark = "the controller goes on where it was when the loop ended"
+    for note in [*planned.notes, *([remark] if remark else [])]:
         print(f"note: {note}")
     started = ", ".join([node.name for node in planned.nodes] + ["rig"] * bool(planned.program))
     print(f"starting {started}; logs in {folder}/logs; Ctrl-C ends the run", flush=True)
     status = Status()
+
+    def show(progress: Progress) -> None:
+        status.show(progress)
+        memory.keep(progress)
+
     nodes = LiveNodes(
         folder,
         planned.parameters,
@@ -83,7 +94,7 @@ def main(args: argparse.Namespace) -> int:
     try:
         with nodes, served(args.serve, folder / "logs"):
             try:
-                nodes.run(status.show)
+                nodes.run(show)
             except KeyboardInterrupt:
                 guarded = "koop_guard" in planned.parameters
                 print("\nending" + ": theta is left to the guard" * guarded, flush=True)

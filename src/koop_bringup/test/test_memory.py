@@ -1,0 +1,82 @@
+"""What the controller of a guarded rig goes on from, written and read again."""
+
+import json
+
+import pytest
+
+from koop_bringup.live.memory import Memory
+from koop_bringup.live.monitor import Progress
+from koop_bringup.plan import plan
+
+GUARDED = """
+koopman_lifter: {ros__parameters: {cost: raw, measured: '/rig:data[0]'}}
+relay_esc: {ros__parameters: {theta_max: 3.0, dwell: 2.0}}
+koop_guard: {ros__parameters: {measured: '/rig:data[0]', command: '/rig/theta:data'}}
+"""
+BEGIN = [0.1 + 0.2, -1.0, *(float(k) for k in range(10))]
+
+
+@pytest.fixture
+def memory(tmp_path):
+    """Return the memory of a loop as its file says, or another text."""
+
+    def make(text=GUARDED):
+        (tmp_path / "rig.yaml").write_text(text)
+        return Memory(plan({"params": str(tmp_path / "rig.yaml")}))
+
+    return make
+
+
+def progress(begin, status="following"):
+    values = {"relay_esc": {"begin": json.dumps(begin)}, "koop_guard": {"status": status}}
+    return Progress(values=values)
+
+
+def test_what_is_kept_is_recalled_to_the_bit_where_the_rig_followed(memory, tmp_path):
+    assert memory().recall() == ([], "")
+    memory().keep(progress(BEGIN, "tripped"))
+    assert memory().recall() == ([], "")
+    kept = memory()
+    kept.keep(progress(BEGIN))
+    kept.keep(progress([0.0] * 12))  # within the same second
+    assert memory().recall() == (BEGIN, "")
+    assert [path.name for path in tmp_path.iterdir() if path.name != "rig.yaml"] == [
+        ".rig.yaml.controller"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("theta_max: 3.0", "theta_max: 2.5", "relay_esc.theta_max"),
+        ("dwell: 2.0", "law: adaptive", "relay_esc.dwell, relay_esc.law"),
+        ("cost: raw", "cost: lifted", "koopman_lifter.cost"),
+        ("/rig/theta", "/other/theta", "koop_guard.command"),
+    ],
+)
+def test_a_file_of_another_loop_is_not_recalled(memory, old, new, said):
+    memory().keep(progress(BEGIN))
+    begin, remark = memory(GUARDED.replace(old, new)).recall()
+    assert begin == []
+    assert f".rig.yaml.controller is of another {said}: the controller begins at" in remark
+
+
+@pytest.mark.parametrize("torn", ["", "{", "[1]", '{"of": 1}', '{"begin": [1.0]}'])
+def test_a_damaged_file_is_not_recalled(memory, tmp_path, torn):
+    (tmp_path / ".rig.yaml.controller").write_text(torn)
+    begin, remark = memory().recall()
+    assert begin == []
+    assert remark.endswith("the controller begins at theta_initial")
+
+
+def test_a_loop_without_a_guard_has_no_memory(memory, tmp_path):
+    bare = memory("relay_esc: {ros__parameters: {dwell: 2.0}}")
+    bare.keep(progress(BEGIN))
+    assert bare.recall() == ([], "")
+    assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"]
+
+
+def test_a_disk_that_is_full_ends_no_loop(memory, tmp_path, capsys):
+    (tmp_path / ".rig.yaml.controller.new").symlink_to("/dev/full")
+    memory().keep(progress(BEGIN))
+    assert "make room: a restart begins at theta_initial" in capsys.readouterr().err
