@@ -163,7 +163,6 @@ class Excitation:
         self._first, self._before = self._listener.count, state.elapsed
         self._began = time.monotonic()
         self._design = Design(rig, holds, state.windows)
-        self._whys = recall_reasons(rig, state, holds)
         self._said = math.inf  # log amplitude of the last line, in the unit of then
         session.show = self._show
 
@@ -183,7 +182,6 @@ class Excitation:
             self._listen()
         self._forecast()
         while (move := self._design.next()) is not None and self._hold(move):
-            self._whys.append(move.why)
             self._report_hold(move)
             self._save()
         self._state.ended = self._design.ended or TIME
@@ -201,9 +199,9 @@ class Excitation:
         state.holds = [
             HoldSummary(
                 scale.theta_at(hold.u), level.mean, min(level.error, 10.0), level.skip * seconds,
-                hold.x.shape[0] * dt, why,
+                hold.x.shape[0] * dt, hold.why,
             )
-            for hold, level, why in zip(design.holds, design.levels(), self._whys, strict=True)
+            for hold, level in zip(design.holds, design.levels(), strict=True)
         ]  # fmt: skip
         progress_file.save(state, self._rig, self._folder)
 
@@ -302,13 +300,9 @@ def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[Ho
     loaded, _ = load_since(bags, rig, state)
     done = rig.scale.u(np.array([hold.theta for hold in state.holds]))
     holds = find_holds(loaded, rig.scale, state.windows.length, ANY)
+    for hold in holds:
+        hold.why = state.holds[int(np.argmin(np.abs(done - hold.u)))].why
     return [hold for hold in holds if np.abs(done - hold.u).min() < SAME]
-
-
-def recall_reasons(rig: RigFile, state: ExcitationProgress, holds: list[Hold]) -> list[str]:
-    """Return why theta was held at each of some holds, as was noted."""
-    done = rig.scale.u(np.array([hold.theta for hold in state.holds]))
-    return [state.holds[int(np.argmin(np.abs(done - hold.u)))].why for hold in holds]
 
 
 def round_up(seconds: float) -> float:

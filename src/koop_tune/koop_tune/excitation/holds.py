@@ -41,10 +41,12 @@ class Hold:
     ----------
     size : int
         Number of samples.
+    why : str
+        Why theta is there.
     """
 
-    def __init__(self, u: float, side: int, x: Array, begin: int = -1) -> None:
-        self.u, self.side, self.begin = u, side, begin
+    def __init__(self, u: float, side: int, x: Array, begin: int = -1, why: str = "") -> None:
+        self.u, self.side, self.begin, self.why = u, side, begin, why
         self.size = x.shape[0]
         self.confirms = False
         self._parts = [x]
