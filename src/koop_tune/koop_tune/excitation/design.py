@@ -49,16 +49,16 @@ class DesignSettings:
     """When enough was heard, how long theta is held, and when the map is known."""
 
     window: float = studied(8.0, "window, in periods of the lowest frequency that reacts", low=4.0)
+    before: float = studied(4.0, "the same of the slowest line, before that is known", low=1.0)
     clear: float = studied(1.5, "factor of the amplitude between two holds that tells", low=1.0)
-    fast: float = studied(12.0, "the same of the fastest line, before that is known", low=4.0)
+    fast: float = studied(12.0, "the same of the fastest line, if less", low=4.0)
     listen: float = studied(40.0, "periods before theta moves", low=1.0)
     shortest: float = parameter(3.0, "time of that at least", unit="s", low=0.1)
     longest: float = parameter(120.0, "time of that at most", unit="s", low=1.0)
     longest_share: float = parameter(0.02, "the same over the rig file's time, if more", low=0.0)
     first: int = studied(6, "positions on the way up; one fewer between them down", low=3)
     fewest: int = studied(6, "windows of a hold", low=4)
-    lag: float = studied(0.3, "share of the way by which levels lag", low=0.0)
-    cut: float = studied(2.0, "windows that are wanted over those that holds allow", low=1.0)
+    lag: float = studied(0.3, "share of the slope by which levels lag", low=0.0)
     patience: float = parameter(16.0, "longest first holds, in the usual ones", low=1.0)
     brief: int = studied(4, "the same of one that only looks into a gap", low=4)
     usual: float = studied(0.75, "quantile of what holds show that the next one may need")
@@ -150,7 +150,6 @@ class Design:
         self._hold = Hold(rig.u_start, 0, np.empty((0, len(rig.names))))
         self._growth = self._brief = False
         self._usual, self._target, self._best = 0.0, settings.error, math.inf
-        self._wanted = self.windows.length
         self._expected = -math.inf
         self._least = self._most = self._next = settings.fewest
         up = rig.u_start <= 0.5
@@ -189,7 +188,7 @@ class Design:
             raise InputError("no channel moves: dead sensors, or other fields")
         periods = [1.0 / line.frequency for line in lines]
         s = self._settings
-        longest = min(s.window * max(periods), s.fast * min(periods))  # the slowest may not react
+        longest = min(s.before * max(periods), s.fast * min(periods))  # the slowest may not react
         length = window_length(longest, 1.0, dt)
         self.windows = Windows(min(length, max(64, x.shape[0] // 4)), dt)
         self._heard = Hold(self.rig.u_start, 0, x)
@@ -210,24 +209,17 @@ class Design:
             self.ended = self.ended or KNOWN
             return None
         if len(self.holds) >= self._settings.most:
-            early = 0.0 < self._elapsed < 0.5 * self.rig.time
-            if self._patience >= self._settings.patience or not early:
-                self.ended = TIME  # nothing more is learned
-                return None
-            self._patience *= 2.0  # holds that contradict each other were too short
-            self._begin_again(self.windows.length)
-            return Move(self._queue[0], why="again, with longer holds: these contradict each other")
+            self.ended = TIME  # nothing more is learned
+            return None
         return move
 
     def _choose_move(self) -> Move | None:
         s = self._settings
         self._growth = self._brief = False
-        if not self._queue and self._check_lag:
-            lags = self._lags()
-            if lags or self._wanted > s.cut * self.windows.length:
-                self._patience *= 2.0 if lags else 1.0
-                self._begin_again(max(self._wanted, self.windows.length))
-            self._check_lag = lags
+        if not self._queue and self._check_lag and self._lags():
+            self._patience *= 2.0
+            self._check_lag = True
+            self._begin_again(self.windows.length)
         if self._queue:
             return Move(self._queue[0], why="over the range")
         static_map = None if self.amplitude is None else self.static_map()
@@ -263,14 +255,26 @@ class Design:
         return move
 
     def _lags(self) -> bool:
-        """Return whether the rig was still on its way at the first positions: it is slow."""
-        s, levels = self._settings, [level.mean for level in self.levels()]
-        share, error = find_lag(np.array(levels[1 - 2 * s.first :]))
-        return share - error > s.lag and self._patience < s.patience
+        """Return whether the rig was still on its way at the first positions: it is slow.
+
+        On the way back the levels are then those of positions further on: they differ from the
+        means of their neighbours on the way there by a share of the slope.
+        """
+        self._check_lag = False
+        levels = [level.mean for level in self.levels()[-(2 * self._settings.first - 1) :]]
+        order = np.argsort([hold.u for hold in self.holds[-len(levels) :]])
+        y = np.array(levels)[order]
+        slope, beyond = y[2::2] - y[:-2:2], y[1::2] - 0.5 * (y[2::2] + y[:-2:2])
+        way = 1.0 if self.holds[-1].side < 0 else -1.0
+        squares = max(float(slope @ slope), 1e-12)
+        share = float(slope @ beyond) / squares
+        rest = beyond - share * slope
+        error = math.sqrt(float(rest @ rest) / (rest.size - 1) / squares)
+        lags = way * share - 2.0 * error > self._settings.lag
+        return lags and self._patience < self._settings.patience
 
     def _begin_again(self, length: int) -> None:
         """Go to the first positions again, with windows of so many samples."""
-        self._growth = self._brief = False
         self._queue = first_positions(self._settings.first, self.holds[-1].u < 0.5)
         self.windows = self.windows._replace(length=length)
         self.since, self.holds = self._elapsed + self._hold.size * self.rig.dt, []
@@ -288,9 +292,7 @@ class Design:
         return None
 
     def _tolerance(self, static_map: StaticMap) -> float:
-        """Return the improvement that is none: of the best itself no more is known."""
-        deviation = static_map.predict(np.array([static_map.best()]))[1]
-        return max(self._settings.improvement, 0.5 * float(deviation[0]))
+        return max(self._settings.improvement, 0.5 * float(np.median(static_map.error)))
 
     def _bracket(self, static_map: StaticMap) -> float | None:
         """Return a position between the best and a neighbour that is far worse."""
@@ -478,7 +480,7 @@ class Design:
         holds = [hold for hold in holds if hold.size >= 2 * self.windows.length]
         if len(holds) < 2:
             return
-        s, self._wanted = self._settings, self.windows.length
+        s = self._settings
         for last in (False, False, True):
             powers = [hold.late(self.windows) for hold in holds]
             self.amplitude = choose_amplitude(self.windows, powers, self.rig.weights)
@@ -488,7 +490,7 @@ class Design:
             squares = [float(self.amplitude.squares(p).mean()) for p in powers]
             if max(squares) < s.clear**2 * max(min(squares), 0.0):
                 return  # of what reacts a little the frequency is not known
-            length = self._wanted = window_length(self.period, s.window, self.rig.dt)
+            length = window_length(self.period, s.window, self.rig.dt)
             longest = min(hold.x.shape[0] for hold in holds) // 4
             length = min(length, max(longest, 64, self.windows.length))
             if 0.7 < length / self.windows.length < 1.5:
@@ -515,24 +517,3 @@ def first_positions(count: int, up: bool) -> list[float]:
     way = [i / (count - 1) for i in range(count)]
     back = [(i + 0.5) / (count - 1) for i in range(count - 1)]
     return [*way, *back[::-1]] if up else [*way[::-1], *back]
-
-
-def find_lag(levels: Array) -> tuple[float, float]:
-    """Return how far a rig lags behind theta, and the standard error.
-
-    On the way back a level is then not the mean of its neighbours on the way there, but a share of
-    the way from that to the hold before.
-
-    Parameters
-    ----------
-    levels : ndarray, shape (2 n - 1,)
-        Logarithms of the amplitude at the first positions, in the order of the visits.
-    """
-    first = levels.size // 2 + 1
-    there, before, back = levels[:first], levels[first - 1 : -1], levels[first:]
-    between = 0.5 * (there[:0:-1] + there[-2::-1])
-    before, back = before - between, back - between
-    squares = max(float(before @ before), 1e-12)
-    share = float(before @ back) / squares
-    rest = back - share * before
-    return share, math.sqrt(float(rest @ rest) / (rest.size - 1) / squares)
