@@ -126,6 +126,18 @@ def test_written_values_are_read_in_any_namespace(tmp_path):
     assert read(file).values("/some/where/node", set()) == values
 
 
+def test_a_file_that_was_cut_off_anywhere_is_refused(tmp_path):
+    # failed before: without its last section a loop started, and nobody guarded the rig
+    file = tmp_path / "loop.yaml"
+    write({"relay_esc": {"dwell": 1.0}, "koop_guard": {"rearms": 2}}, file)
+    whole = file.read_text()
+    assert len(read(file).sections) == 2
+    for length in range(len(whole.rstrip())):
+        file.write_text(whole[:length])
+        with pytest.raises(ConfigError):
+            read(file)
+
+
 def test_a_section_that_was_meant_for_a_node_and_is_not_its_own_is_refused(tmp_path):
     file = tmp_path / "params.yaml"
     words = ["--ros-args", "--params-file", str(file)]

@@ -146,8 +146,20 @@ class ParameterFile:
 
 
 def read(path: str | Path) -> ParameterFile:
-    """Read a parameter file; raise ConfigError if it cannot be read or is none."""
+    """Read a parameter file.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, is none, or was cut off: what begins with ``---``, as :func:`write`
+        begins it, must end with ``...``, or a loop would start without the guard at its end.
+    """
     content = read_yaml(path, _Loader)
+    text = Path(path).read_text(encoding="utf-8")
+    if text.startswith("---\n") and not text.rstrip().endswith("\n..."):
+        raise ConfigError(
+            f"{path}: is cut off: it begins with '---' and does not end with '...'; restore it"
+        )
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: is not a ROS 2 parameter file")
     return ParameterFile(Path(path), tuple(_sections(str(path), "", content)))
@@ -158,7 +170,9 @@ def write(values: Mapping[str, Mapping[str, Any]], path: str | Path) -> None:
     content = {
         f"/**/{node}": {"ros__parameters": dict(section)} for node, section in values.items()
     }
-    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False)
+    text = yaml.dump(
+        content, Dumper=_Dumper, sort_keys=False, explicit_start=True, explicit_end=True
+    )
     Path(path).write_text(text, encoding="utf-8")
 
 
