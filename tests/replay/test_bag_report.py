@@ -77,7 +77,7 @@ def test_of_a_plant_that_was_started_again_the_longest_run_counts(tmp_path, caps
     assert command("metrics", tmp_path / "bag") == 0
     printed = capsys.readouterr().out
     assert "the steps begin 2 times: this is the longest run, to step 1999" in printed
-    assert "the figures cover 10 of 12.5 s ONLY" in printed
+    assert "the figures cover 10 of 12.5 s only" in printed
     assert command("metrics", tmp_path / "bag", "--json") == 0
     result = json.loads(capsys.readouterr().out)["coverage"]
     assert (result["covered"], result["recorded"], result["runs"]) == (10.0, 12.5, 2)
