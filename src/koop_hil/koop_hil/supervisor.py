@@ -100,7 +100,7 @@ def _play(
             if event.lasts > 0.0 or event.action == "kill":
                 heapq.heappush(todo, (t + event.lasts, next(order), event, True))
         if t >= first:
-            for node, level in monitor.levels.items():
+            for node, level in monitor.progress.levels.items():
                 record.levels.setdefault(node, set()).add(LEVELS[level])
         record.failures += processes.dead()
         if record.failures:

@@ -8,13 +8,13 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from koop_bringup.live.monitor import LEVELS, Progress
+from koop_bringup.live.monitor import Progress
+from koop_core.stream.report import WARN
 
 SILENT = 10.0  # [s] without a report of a node, which reports once a second
-MENDED_SOON = (LEVELS[0], LEVELS[1])  # levels at which a loop is healthy
 
 
-def find_faults(
+def judge_health(
     progress: Progress, nodes: Collection[str], lost: Collection[str], now: float
 ) -> list[str]:
     """Return in words why a loop is not healthy; empty if it is.
@@ -35,7 +35,7 @@ def find_faults(
     guard = progress.values.get("koop_guard", {})
     for node, text in progress.findings.items():
         of_guard = node == "koop_guard" and guard.get("status") != "following"
-        if of_guard or text.split()[1].rstrip(":") not in MENDED_SOON:
+        if of_guard or progress.levels[node] > WARN:
             faults.append(text)
     return faults
 
@@ -53,7 +53,7 @@ def describe_loop(
     Parameters
     ----------
     progress, faults
-        As in :func:`find_faults`.
+        As in :func:`judge_health`.
     values : mapping
         Parameters by node.
     folder : Path

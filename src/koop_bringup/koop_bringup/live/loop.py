@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_bag.recorder.config import RecorderConfig
-from koop_bringup.live.health import describe_loop, find_faults
+from koop_bringup.live.health import describe_loop, judge_health
 from koop_bringup.live.monitor import Monitor, Progress
 from koop_bringup.live.notify import ServiceManager
 from koop_bringup.live.process import START_TIMEOUT, STOP_TIMEOUT, NodeProcess, uninterrupted
@@ -202,14 +202,16 @@ class LiveNodes:
 
     def _report(self, progress: Progress) -> None:
         """Tell the service manager that the loop goes on, if it does."""
-        faults = find_faults(progress, self._values, self.lost, time.monotonic())
+        if not self._manager.listens:
+            return
+        faults = judge_health(progress, self._values, self.lost, time.monotonic())
         nodes = [node for node in self._values if node not in self.lost]
         self._manager.report(progress, nodes, "; ".join(faults) or "healthy")
 
     def _describe(self, progress: Progress) -> dict[str, Any]:
         """Return the answer to ``koop status``."""
         now = time.monotonic()
-        faults = find_faults(progress, self._values, self.lost, now)
+        faults = judge_health(progress, self._values, self.lost, now)
         recorded = "recorder" in self._values and "recorder" not in self.lost
         text = describe_loop(
             progress, faults, self._values, self.folder, recorded, now - self._begun

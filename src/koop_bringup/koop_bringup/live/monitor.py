@@ -22,6 +22,8 @@ class Progress:
         Of the plant or, where a rig is the plant, of lifter and controller.
     values : dict
         All values by node.
+    levels : dict
+        By node, the level that it last reported.
     findings : dict
         By node, its level and message if it is not OK.
     heard : dict
@@ -33,6 +35,7 @@ class Progress:
     theta: float = math.nan
     r: float = math.nan
     values: dict[str, dict[str, str]] = field(default_factory=dict)
+    levels: dict[str, int] = field(default_factory=dict)
     findings: dict[str, str] = field(default_factory=dict)
     heard: dict[str, float] = field(default_factory=dict)
 
@@ -51,7 +54,6 @@ class Monitor(Client):
 
         super().__init__("_koop_monitor")
         self.progress = Progress()
-        self.levels: dict[str, int] = {}  # that every node last reported
         self._namespace = namespace
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 20)
 
@@ -66,9 +68,9 @@ class Monitor(Client):
             if self._namespace not in (None, namespace):
                 continue
             values = {item.key: item.value for item in status.values}
-            self.progress.values[node] = values
-            self.levels[node] = level = status.level[0]
             progress = self.progress
+            progress.values[node] = values
+            progress.levels[node] = level = status.level[0]
             progress.heard[node] = time.monotonic()
             progress.findings.pop(node, None)
             if level:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import sys
 from collections.abc import Collection
 from contextlib import suppress
 
@@ -24,6 +23,11 @@ class ServiceManager:
         self._heard: dict[str, float] = {}
         self._step = -1
 
+    @property
+    def listens(self) -> bool:
+        """Whether there is one."""
+        return bool(self._address)
+
     def report(self, progress: Progress, nodes: Collection[str], status: str) -> None:
         """Give a sign of life, if there is one.
 
@@ -36,8 +40,6 @@ class ServiceManager:
         status : str
             Of the loop, in a line.
         """
-        if not self._address:
-            return
         heard = {node: progress.heard[node] for node in nodes if node in progress.heard}
         if len(heard) < len(nodes) or any(self._heard.get(n) == when for n, when in heard.items()):
             return
@@ -51,7 +53,7 @@ class ServiceManager:
         self._say("STOPPING=1")
 
     def _say(self, text: str) -> None:
-        if self._address and sys.platform == "linux":
+        if self._address:
             with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
                 manager.setblocking(False)
                 manager.sendto(text.encode(), self._address)
