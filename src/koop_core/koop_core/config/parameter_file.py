@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from koop_core.config.parameter import SIMILAR, ConfigError
-from koop_core.config.yaml_file import read_yaml
+from koop_core.config.yaml_file import parse_yaml, read_settings
 
 # What every node has, whatever it is: it says nothing about the loop.
 ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
@@ -154,8 +154,8 @@ def read(path: str | Path) -> ParameterFile:
         If it cannot be read, is none, or was cut off: what begins with ``---``, as :func:`write`
         begins it, must end with ``...``, or a loop would start without the guard at its end.
     """
-    content = read_yaml(path, _Loader)
-    text = Path(path).read_text(encoding="utf-8")
+    text = read_settings(path)
+    content = parse_yaml(text, path, _Loader)
     if text.startswith("---\n") and not text.rstrip().endswith("\n..."):
         raise ConfigError(
             f"{path}: is cut off: it begins with '---' and does not end with '...'; restore it"

@@ -16,14 +16,25 @@ LARGEST = 1 << 20
 
 def read_yaml(path: str | Path, loader: type[yaml.SafeLoader] = yaml.SafeLoader) -> Any:
     """Return the content of a YAML file; raise ConfigError if it is unreadable or too large."""
+    return parse_yaml(read_settings(path), path, loader)
+
+
+def read_settings(path: str | Path) -> str:
+    """Return the text of a file of settings; raise ConfigError if it is unreadable or too large."""
     try:
         if Path(path).stat().st_size > LARGEST:
             raise ConfigError(f"{path}: is too large for a file of settings")
-        return yaml.load(Path(path).read_text(encoding="utf-8"), loader)
-    except ConfigError:
-        raise
+        return Path(path).read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeError as error:
+        raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
+
+
+def parse_yaml(text: str, path: str | Path, loader: type[yaml.SafeLoader]) -> Any:
+    """Return the content of a YAML text; raise ConfigError, which names its file, if it is none."""
+    try:
+        return yaml.load(text, loader)
     except (ValueError, yaml.YAMLError, RecursionError) as error:
         raise ConfigError(f"{path}: cannot be read as YAML: {error}") from None
 
