@@ -300,9 +300,14 @@ def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[Ho
     loaded, _ = load_since(bags, rig, state)
     done = rig.scale.u(np.array([hold.theta for hold in state.holds]))
     holds = find_holds(loaded, rig.scale, state.windows.length, ANY)
+    kept = []
     for hold in holds:
-        hold.why = state.holds[int(np.argmin(np.abs(done - hold.u)))].why
-    return [hold for hold in holds if np.abs(done - hold.u).min() < SAME]
+        away = np.abs(done - hold.u)
+        nearest = int(np.argmin(away))
+        if away[nearest] < SAME:
+            hold.why = state.holds[nearest].why
+            kept.append(hold)
+    return kept
 
 
 def round_up(seconds: float) -> float:
