@@ -27,8 +27,9 @@ STATED = 12.0  # [s]: a stopped guard is killed after 8 s, theta returns in 1.75
 BOUND = 0.2  # [s] that a recorder which was killed may lack
 TIMEOUT = 20.0  # [s] without a command, after which the rig itself returns theta
 KILLED = "kill recorder"
-HARMFUL = ("sensor nan", "sensor spiking", "sensor stuck", "sensor dead", "sensor cut")
-LOSING = (*HARMFUL[3:], "sensor lossy", "sensor delayed", "rig", "recorder", "disk", "network")
+SILENT = ("sensor dead", "sensor cut")
+HARMFUL = (*SILENT, "sensor nan", "sensor spiking", "sensor stuck")
+LOSING = (*SILENT, "sensor lossy", "sensor delayed", "rig", "recorder", "disk", "network")
 
 
 @dataclass

@@ -5,11 +5,11 @@
 
 A line on stdin begins a fault or ends it: ``nan 1``, ``nan 0``; the rig ends with its stdin. It
 has what every rig should have, a time-out of its own: without a command for TIMEOUT theta returns
-to SAFE. The log has a line for each sample, see COLUMNS.
+to SAFE. The log has a line for each sample: time [s], stamp [ns], theta, command or nan, time
+without a command [s], x.
 """
 
 import math
-import os
 import random
 import sys
 import threading
@@ -22,7 +22,6 @@ from wire import Wire
 LOW, HIGH, SAFE, START, RATE = -3.0, 4.0, 2.0, 2.0, 4.0  # of theta; as the guard is told
 LIMIT = 50.0  # of each channel, as the guard is told; the rig itself stays within 6
 TIMEOUT = 20.0  # [s], longer than the guard's twin needs to find out that the guard was stopped
-COLUMNS = "time [s]", "stamp [ns]", "theta", "command or nan", "without a command [s]", "x"
 LEAP, LATE, STEP = 3600.0, 0.3, 0.5  # a clock's jump [s], a delay [s], a coarse sensor's step
 
 
@@ -99,5 +98,4 @@ def main(log: str) -> None:
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("ROS_DOMAIN_ID", "0")
     main(sys.argv[1])
