@@ -31,6 +31,7 @@ from koop_core.config import parameter_file
 from koop_core.whole_file import read_json
 from koop_guard.node import KEPT
 from koop_hil import installed
+from koop_lab.recorded.report import read
 from koop_tune.rig.rig_file import as_values
 
 pytestmark = pytest.mark.ros
@@ -130,6 +131,8 @@ def test_a_rig_that_fails_trips_the_guard_until_it_is_rearmed(up, fast_rig, prob
         counts = {topic.name: topic.count for topic in bag.topics}
     assert counts["/koop_guard/state"] >= 4
     assert counts["/fast/knob"] > 0
+    # the figures are of what the rig was told; the controller itself asks for 0.9 at most
+    assert read(tmp_path / "run").signals.theta[-1] == SAFE
 
 
 @pytest.mark.parametrize(
@@ -208,7 +211,7 @@ def test_the_arrival_of_theta_at_a_target_is_announced(start, probe, aim):
     target = node.create_publisher(Float64, "/koop_guard/target", KEPT)
     node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
     start("koop_guard", measured="state:x[0]", command="/knob:data", theta_start=0.5, dt=0.005)
-    probe.collect(Float64, "/knob")
+    told = probe.collect(Float64, "/knob")
 
     def until(theta):
         def is_there():
@@ -220,6 +223,7 @@ def test_the_arrival_of_theta_at_a_target_is_announced(start, probe, aim):
 
     for theta in (0.5, aim, 0.4):
         until(theta)
+        assert told[-1].data == theta
 
 
 def test_a_step_that_the_guard_answered_is_not_answered_again_by_a_controller_behind(start, probe):

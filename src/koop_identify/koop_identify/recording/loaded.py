@@ -93,7 +93,7 @@ def load_recording(bag: BagReader, reading: BagReading, segmentation: Segmentati
     if command is None and any(topic.name == LOOP_COMMAND.topic for topic in bag.topics):
         command = LOOP_COMMAND
     segmenter = Segmenter(segmentation)
-    theta = None if command is None else _theta_at(bag, measured, command)
+    theta = None if command is None else theta_at(bag, measured.topic, command)
     parts, begins, n, last = [], [], 0, 0.0
     origin: int | None = None
     for batch in segmentation.timed(batches(bag, measured)):
@@ -117,12 +117,12 @@ def load_recording(bag: BagReader, reading: BagReading, segmentation: Segmentati
     )
 
 
-def _theta_at(bag: BagReader, measured: Source, command: Source) -> NDArray[np.float64]:
-    """Return theta when each state was received, shape (K,); NaN where it is not known.
+def theta_at(bag: BagReader, measured: str, command: Source) -> NDArray[np.float64]:
+    """Return theta when each message of a topic was received, shape (K,); NaN where not known.
 
     The clock is the recorder's: state and theta may be stamped by others, or not at all.
     """
-    received = read_columns(bag, measured.topic, [LOG_TIME])[LOG_TIME].astype(np.int64)
+    received = read_columns(bag, measured, [LOG_TIME])[LOG_TIME].astype(np.int64)
     samples = list(batches(bag, command, by_stamp=False))
     if not samples:
         return np.full(received.size, np.nan)

@@ -13,7 +13,9 @@ from koop_bag.bag.extent import measure
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
+from koop_core.config.fields import Source
 from koop_core.errors import InputError
+from koop_identify.recording.loaded import theta_at
 from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, Messages
 
 STAMP = "header.stamp"
@@ -103,8 +105,10 @@ class LoopRecord:
         return replace(self, **{name: getattr(self, name)[self.answered] for name in BY_ROW})
 
 
-def read_loop(bag: Path, namespace: str = "/") -> LoopRecord:
+def read_loop(bag: Path, namespace: str = "/", command: Source | None = None) -> LoopRecord:
     """Read the loop's four topics from a bag; only the states must be there.
+
+    With a command that the bag has, theta is what the rig was told when a state was received.
 
     Raises
     ------
@@ -128,6 +132,8 @@ def read_loop(bag: Path, namespace: str = "/") -> LoopRecord:
             topic = f"{base}/{name}"
             if topic in present:
                 columns[name] = _columns(reader, topic, [*names, "log_time"])
+        if command is not None and command.topic in {*present} - {f"{base}/theta"}:
+            columns["state"]["commanded"] = theta_at(reader, f"{base}/state", command)
     return _align(columns, inactive)
 
 
@@ -174,7 +180,7 @@ def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
         at("state", "x"),
         at("ground_truth", "x") if truth else np.empty((rows.size, 0)),
         at("cost", "r"),
-        at("theta", "theta"),
+        at("state", "commanded") if "commanded" in columns["state"] else at("theta", "theta"),
         messages.get("theta", Messages(None)).at(rows, "saturated", False).astype(np.bool_),
         answered[number == longest],
         str(next((name for name in models if name), "")),

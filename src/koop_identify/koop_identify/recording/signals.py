@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
+from koop_core.config.fields import Source
 from koop_identify.recording.loaded import load_recording
 from koop_identify.recording.loop import LoopRecord, read_loop
 from koop_identify.recording.samples import state_names
@@ -143,8 +144,15 @@ def _steps(time: NDArray[np.float64], segmentation: Segmentation) -> NDArray[np.
 
 
 def loop_signals(
-    path: Path, namespace: str, dt: float | None, names: tuple[str, ...] | None = None
+    path: Path,
+    namespace: str,
+    dt: float | None,
+    names: tuple[str, ...] | None = None,
+    command: Source | None = None,
 ) -> tuple[LoopRecord, Signals]:
-    """Read the signals of a loop's own topics; dt from the times of reception where not given."""
-    record = read_loop(path, namespace)
+    """Read the signals of a loop's own topics; dt from the times of reception where not given.
+
+    A command, as of a guard, is what theta was where the controller's theta need not be.
+    """
+    record = read_loop(path, namespace, command)
     return record, of_loop(record, dt or record.measured_dt, names)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bag.bag.reader import BagReader
+from koop_core.config.fields import Source, parse_source
 from koop_core.errors import InputError
 from koop_identify.recording.loop import LoopRecord
 from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
@@ -121,14 +122,17 @@ def read(
         signals = read_signals(path, reading, chosen.dt if chosen else None)
         return RecordedRun(path, signals, None, None, None, chosen)
     with BagReader(path) as bag:
-        values = recorded_values(bag, path, namespace, NODES)
+        values = recorded_values(bag, path, namespace, (*NODES, "koop_guard"))
+    guard = values.pop("koop_guard", {})
+    command = _commanded(guard["command"], namespace) if guard else None
     recorded = {
         node: {k: v for k, v in section.items() if k in known_parameters(node)}
         for node, section in values.items()
     }
     parameters = make(recorded) if recorded else None
     dt = dt or (parameters.lifter.dt if parameters else chosen.dt if chosen else None)
-    loop, signals = loop_signals(path, namespace, dt, chosen.state_names if chosen else None)
+    names = chosen.state_names if chosen else None
+    loop, signals = loop_signals(path, namespace, dt, names, command)
     used = chosen
     if used is None and loop.model_id:
         named = str(recorded.get("koopman_lifter", {}).get("model", ""))
@@ -136,6 +140,14 @@ def read(
             used = Models(path, named).load(loop.model_id)
     theta_star = parameters.plant.theta_star if parameters and "vdp_plant" in recorded else None
     return RecordedRun(path, signals, loop, parameters, theta_star, used)
+
+
+def _commanded(text: str, namespace: str) -> Source:
+    """Return what the guard of a namespace commanded; its topic by its full name."""
+    command = parse_source(text)
+    absolute = command.topic.startswith("/")
+    base = "" if absolute else namespace.rstrip("/") + "/"
+    return command._replace(topic=base + command.topic)
 
 
 def rig_metrics_of(
