@@ -40,6 +40,7 @@ def test_a_sensor_that_offers_best_effort_is_heard(start, probe):
         return costs
 
     probe.spin_until(measure, "a cost")
+    assert costs[0].step == 1
 
 
 def test_a_sensor_that_begins_later_with_best_effort_is_heard_too(start, probe):
