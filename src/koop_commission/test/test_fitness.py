@@ -205,7 +205,9 @@ def test_the_period_to_wait_by_is_that_of_the_oscillation():
     )
     both = unstamped(fast + slow + noise, fast + slow + noise)
     assert choose_period(RIG, both) == pytest.approx(1.0, rel=0.1)  # half of the slowest
-    assert choose_period(RIG, unstamped(0.0 * T, 0.0 * T)) == 64 * DT
+    still = unstamped(0.0 * T, 0.0 * T)
+    assert choose_period(RIG, still) == 64 * DT
+    assert choose_period(RIG, still, CheckSettings(blind=10.0)) == 10 * DT
 
 
 def test_a_sensor_that_dies_is_named_and_one_that_misses_samples_is_not():

@@ -20,8 +20,6 @@ from koop_tune.excitation.channels import ChannelSummary, Line, describe_channel
 from koop_tune.rig.rig_file import RigFile
 
 OK, NOTE, BAD = "ok", "note", "BAD"
-BANDS, KEPT = 6, 0.999  # of a channel's spectrum in a block; share of the power in them
-BLIND = 64.0  # samples that count as a period where the spectrum shows none
 COUNTED = {
     "steps": "counted by steps",
     "stamps": "counted by stamps",
@@ -157,16 +155,18 @@ class Blocks(NamedTuple):
     starts: tuple[int, ...]
 
     @classmethod
-    def choose(cls, x: NDArray[np.float64], windows: Windows) -> Blocks:
+    def choose(
+        cls, x: NDArray[np.float64], windows: Windows, settings: CheckSettings = DEFAULTS
+    ) -> Blocks:
         """Choose bands that hold nearly all of the power of samples, shape (M, n)."""
         short = windows._replace(length=min(windows.length, x.shape[0]))
         power = short.powers(x).mean(axis=0)
         share = np.cumsum(
             (power / np.maximum(power.sum(axis=1, keepdims=True), 1e-300)).sum(axis=0)
         )
-        top = short.frequency[int(np.searchsorted(share, KEPT * share[-1]))]
+        top = short.frequency[int(np.searchsorted(share, settings.power * share[-1]))]
         count = int(np.searchsorted(windows.frequency, top)) + 1
-        starts = np.unique(np.round(np.linspace(0, count, BANDS + 1)).astype(int))
+        starts = np.unique(np.round(np.linspace(0, count, settings.bands + 1)).astype(int))
         return cls(windows, tuple(int(start) for start in starts))
 
     def features(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -183,10 +183,10 @@ class Blocks(NamedTuple):
         return [*bands, *(f"mean {name}" for name in channels)]
 
 
-def choose_period(rig: RigFile, samples: Samples) -> float:
+def choose_period(rig: RigFile, samples: Samples, settings: CheckSettings = DEFAULTS) -> float:
     """Return the period to wait by [s]: of the strongest oscillation, or half of the slowest."""
     every = [line for x in samples.x.T for line in find_lines(x, rig.dt)]
     if not every:
-        return BLIND * rig.dt
+        return settings.blind * rig.dt
     strongest = max(every, key=lambda line: line.share).frequency
     return max(1.0 / strongest, 0.5 / min(line.frequency for line in every))

@@ -64,6 +64,17 @@ class CheckSettings:
         0.2, "standard deviations of a channel that one step of its values may have", low=0.0,
         origin="a uniform error of 0.2 adds a 300th to the variance",
     )  # fmt: skip
+    blind: float = parameter(
+        64.0, "samples that count as a period where the spectrum shows none", low=2.0,
+        origin=_JUDGED,
+    )  # fmt: skip
+    bands: int = parameter(
+        6, "bands of a channel's spectrum that blocks are compared in", low=1, origin=_JUDGED
+    )
+    power: float = parameter(
+        0.999, "share of a channel's power that these bands hold", low=0.5, high=1.0,
+        origin=_JUDGED,
+    )  # fmt: skip
     stuck: float = parameter(
         0.5, "share of the time that a channel may rest at one value", low=0.0, high=1.0,
         origin=_JUDGED,

@@ -126,7 +126,7 @@ def check_rig(
             reason = "something above is BAD" if moves else "--still"
             yield Finding(NOTE, "theta", f"was not moved: {reason}")
             return
-        period = choose_period(rig, samples)
+        period = choose_period(rig, samples, settings)
         try:
             with TemporaryDirectory() as folder:
                 sections = {GUARD: guard_section(rig, note)}
@@ -174,7 +174,7 @@ def _move_theta(
             flush=True,
         )
         x = bridge_gaps(session.listener.samples().x)
-        blocks = Blocks.choose(x, Windows(observe, rig.dt))
+        blocks = Blocks.choose(x, Windows(observe, rig.dt), settings)
         features: list[NDArray[np.float64]] = []
         moved: list[bool] = []
         for (count, alpha), done in zip(stages, itertools.count(1), strict=False):

@@ -23,9 +23,7 @@ from koop_tune.rig.rig_file import THETA, THETA_TYPE, RigFile
 from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure
 from koop_tune.search.rounds import LoopRun
 
-BEFORE = 8  # windows before the loop is closed, and after it at the theta that it reached
 LINES, QUIET = 8, 5.0  # lines about a closed loop at most, and time between two at least [s]
-LONGER = 2.0  # factor by which a loop that may agree yet is closed for longer
 ESC = "relay_esc"
 
 
@@ -97,7 +95,7 @@ class ClosedLoop:
         aim, dt, states = self.aim, self.rig.dt, session.listener
         fields = (parse_field("theta"), parse_field("epsilon"))
         answers = Listener(session.client, THETA, THETA_TYPE, fields, reliable=True)
-        rest = BEFORE * aim.amplitude.windows.length
+        rest = aim.settings.before * aim.amplitude.windows.length
         session.still = aim.amplitude.windows.length
         session.client.change_state(f"/{ESC}", "configure", START_TIMEOUT, session.check)
         quiet = self.settling + rest * dt
@@ -126,7 +124,7 @@ class ClosedLoop:
             if seconds >= aim.longest or not lacks:
                 break
             # an adaptive law arrives with a large step and takes its time to make it small
-            seconds = min(LONGER * seconds, aim.longest)
+            seconds = min(aim.settings.longer * seconds, aim.longest)
             how = f"not yet, {lacks[0]}: the loop stays closed"
         # theta is held where the loop ended: a later tuning learns from dwell points
         print(
@@ -143,7 +141,8 @@ class ClosedLoop:
         """Wait until the loop was closed for a time [s]; say now and then how far it is."""
         states, dt, amplitude = session.listener, self.rig.dt, self.aim.amplitude
         every = math.ceil(max(seconds / LINES, QUIET * self.rig.pace) / dt)
-        end, tail = closed + math.ceil(seconds / dt), BEFORE * amplitude.windows.length
+        end = closed + math.ceil(seconds / dt)
+        tail = self.aim.settings.before * amplitude.windows.length
         while (count := states.count) < end:
             due = min(count + every, end)
             session.show = lambda: session.draw("loop", (states.count - closed) * dt, seconds)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from koop_commission.stages.closed_loop import BEFORE, ClosedLoop
+from koop_commission.stages.closed_loop import ClosedLoop
 from koop_commission.stages.session import refuse_small_disk, resumable, spell_time
 from koop_core.text_table import table
 from koop_guard.note import note_of
@@ -84,7 +84,8 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     done = [run.start for run in current.runs]
     left = [theta for theta in (rig.theta_min, rig.theta_max) if theta not in done]
     loop = ClosedLoop(rig, aim, folder, current.number, note)
-    besides = loop.settling + 2 * BEFORE * aim.window + 1.5 * rig.span / rig.theta_rate
+    rest = 2 * aim.settings.before * aim.window
+    besides = loop.settling + rest + 1.5 * rig.span / rig.theta_rate
     refuse_small_disk(rig, folder, len(left) * (besides + aim.longest))
     least, most = (
         spell_time(len(left) * (besides + closed), rig.pace)

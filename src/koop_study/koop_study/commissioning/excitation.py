@@ -14,12 +14,9 @@ from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_study.family import oscillator
 from koop_study.family.rig import Rig
+from koop_study.family.settings import FAMILY
 from koop_tune.excitation.design import DESIGN, Design
 from koop_tune.rig.rig_file import RigFile, state_source
-
-LONGER = (1.0, 2.0, 4.0)  # times of the rig file, one after the other
-PERIODS = 10.0  # windows are as long as the slowest oscillation asks, an interference's too
-OFTEN = 0.1  # of the samples so far, after which their number is judged again
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ def file_of(rig: Rig, rate: float, time: float) -> RigFile:
         That the excitation may take: slowest times of the amplitude and ten periods.
     """
     p = rig.params
-    longest = time * (rig.slowest + PERIODS / rig.frequency)
+    longest = time * (rig.slowest + FAMILY.periods / rig.frequency)
     return RigFile(
         state_source(rig.channels), "/knob:data", dt=p.dt,
         theta_min=p.theta_min, theta_max=p.theta_max, theta_start=rig.theta_initial,
@@ -147,10 +144,10 @@ def excite(rig: Rig, file: RigFile, seed: int) -> Excitation:
     design, running = Design(file), Running(rig, file.theta_rate, seed)
     heard = running.stay(math.ceil(DESIGN.shortest / file.dt))
     while design.listens(heard):
-        more = max(0.2 * DESIGN.shortest / file.dt, OFTEN * heard.shape[0])
+        more = max(0.2 * DESIGN.shortest / file.dt, FAMILY.often * heard.shape[0])
         heard = np.concatenate([heard, running.stay(math.ceil(more))])
     design.look(heard)
-    for factor in LONGER:  # an engineer does as the command says
+    for factor in FAMILY.longer:  # an engineer does as the command says
         design.rig = replace(file, time=factor * file.time)
         if _go_on(design, running):
             break

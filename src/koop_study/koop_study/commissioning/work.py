@@ -42,7 +42,6 @@ from relay_esc.config import EscConfig
 
 EARLIER, OTHER = 1_000_000, 2_000_000  # to the seed, of the excitation and of the other end's noise
 ENDS = (0, 1)
-BEFORE = 8  # windows before a loop, or times of the rig
 Row = dict[str, Any]
 
 
@@ -151,7 +150,7 @@ class _Loops:
     def before(self, end: int, aim: Aim) -> NDArray[np.float64]:
         """Return what is measured at rest at an end before the loop is closed there."""
         windows = aim.amplitude.windows
-        steps = BEFORE * max(windows.length, round(aim.time / windows.dt))
+        steps = aim.settings.before * max(windows.length, round(aim.time / windows.dt))
         rig = from_end(self._rig, end)
         return rig.record(np.full(steps, rig.theta_initial), self._seed + 3 * OTHER + end)[0]
 

@@ -26,6 +26,11 @@ class FamilySettings:
     margin: float = judged(0.05, "that a moving optimum keeps from the ends, in u", low=0.0)
     blocks: int = judged(200, "blocks that a run is averaged in", low=2)
     every: int = judged(16, "samples, of which one shows where theta leads to", low=1)
+    longer: tuple[float, ...] = judged(
+        (1.0, 2.0, 4.0), "times of the rig file that an engineer gives, one after the other"
+    )
+    periods: float = judged(10.0, "slowest periods that the rig file's time adds", low=0.0)
+    often: float = judged(0.1, "of the samples, after which their number is judged again", low=0.01)
     good: float = judged(1.5, "amplitude over the best, of a converged loop", low=1.0)
 
     def __post_init__(self) -> None:

@@ -31,7 +31,6 @@ from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
 
 Array = NDArray[np.float64]
-UNKNOWN = 3.0  # error of a log amplitude of which too few windows tell one
 
 
 @dataclass(frozen=True)
@@ -196,7 +195,7 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     smooth = np.asarray(np.convolve(squares, np.ones(k) / k, "valid"), np.float64)
     inside = np.flatnonzero(aim.sense * (amplitude.log(smooth) - aim.bound) <= 0.0)
     errors = [mean_level(part, amplitude.floor)[1] for part in (late, first)]
-    errors = [min(error, UNKNOWN) for error in errors]
+    errors = [min(error, aim.settings.unknown) for error in errors]
     u = aim.scale.u(path)
     return Measured(
         (int(inside[0]) + k) * aim.window if inside.size else None,

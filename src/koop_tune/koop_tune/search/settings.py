@@ -117,6 +117,16 @@ class VerificationSettings:
     least: float = studied(0.25, "time that a loop is closed, over the prediction's", low=0.0)
     twice: float = studied(2.0, "the same over the time to converge, if more", low=1.0)
     most_slower: float = studied(4.0, "slowdown that one round may show", low=1.0)
+    before: int = parameter(
+        8, "windows at rest before the loop is closed, and after it", low=1, origin="judgement"
+    )
+    longer: float = parameter(
+        2.0, "factor by which a loop that may yet agree is prolonged", low=1.1, origin="judgement"
+    )
+    unknown: float = parameter(
+        3.0, "error of a log amplitude of which too few windows tell one", low=0.0,
+        origin="a factor of 20 either way: next to nothing is known",
+    )  # fmt: skip
     rounds: int = studied(3, "rounds of tuning and verifying", low=1)
 
     def __post_init__(self) -> None:
