@@ -50,7 +50,7 @@ class Argument(NamedTuple):
     choices : tuple of str
         What it may be; empty: anything.
     kind : type
-        Of the parameter.
+        Type of the parameter.
     """
 
     name: str

@@ -110,7 +110,7 @@ def describe_unit(
     Parameters
     ----------
     name : str
-        Of the unit.
+        Name of the unit.
     file : Path
         Folder or parameter file, as given to ``koop up``.
     options : sequence of str
@@ -120,7 +120,7 @@ def describe_unit(
     system : bool
         Whether it is the machine's, run as the owner of the file, or its user's.
     environment : mapping
-        Of the command that writes it.
+        Environment of the command that writes it.
 
     Raises
     ------

@@ -195,8 +195,8 @@ class SafetySettings:
         high=0.1, origin=_JUDGED,
     )  # fmt: skip
     hang: float = parameter(
-        30.0, "time without a message of who set a target after which that hangs", unit="s",
-        low=1.0, origin=_JUDGED,
+        30.0, "time without a message of the command that set a target after which that hangs",
+        unit="s", low=1.0, origin=_JUDGED,
     )  # fmt: skip
     stopped: float = parameter(
         8.0, "time without a sign of life of the guard after which its twin kills it", unit="s",
@@ -215,7 +215,7 @@ class SafetySettings:
         origin=_JUDGED,
     )  # fmt: skip
     held: float = parameter(
-        0.5, "time for which theta_safe is repeated before who commands it ends", unit="s", low=0.0,
+        0.5, "time for which theta_safe is repeated before its publisher ends", unit="s", low=0.0,
         origin=_JUDGED,
     )  # fmt: skip
 

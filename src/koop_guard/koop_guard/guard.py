@@ -47,7 +47,7 @@ class Cause(str, Enum):
     ENDED = "ended"
 
 
-ONCE = (Cause.ASKED, Cause.AT_LIMIT, Cause.ENDED)  # do not last: a rearm begins anew
+ONCE = (Cause.ASKED, Cause.AT_LIMIT, Cause.ENDED)  # do not last: a rearm clears them
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ class Guard:
         self._calm = math.inf if self.refusal(now) else min(self._calm, now)
 
     def note(self, cause: Cause, reason: str, now: float) -> None:
-        """Take note of a cause, now; the first one trips the guard and stays its reason."""
+        """Take note of a cause, now; the first one trips the guard and remains its reason."""
         self._causes[cause] = (reason, now)
         if self.status is not Status.TRIPPED:
             self.latch(Trip(cause, reason, now, self.theta, self.x))

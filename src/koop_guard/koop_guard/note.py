@@ -63,7 +63,7 @@ def note_of(rig_file: str | Path) -> Path:
 
 
 def leave(path: Path | str | None, note: Note) -> None:
-    """Write a note, whole or not at all; no note is no fault."""
+    """Write a note, whole or not at all; a missing note is not a fault."""
     if path:
         with suppress(LiveError):
             write_json(Path(path), asdict(note))

@@ -138,7 +138,7 @@ class Operator(Client):
 
 
 class Run:
-    """The rig, the loop under test, and who acts on them; a context manager."""
+    """The rig, the loop under test, and what acts on them; a context manager."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

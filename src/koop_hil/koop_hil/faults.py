@@ -2,7 +2,7 @@
 
     ok                                     nothing is wrong
     off                                    no message passes
-    stuck [index=i]                        the value stays at the last good one
+    stuck [index=i]                        the value is held at the last good one
     garbage [kind=nan|inf|huge|short]      the value is not a measurement
     wrong [gain=g] [bias=b] [index=i]      the value is off
     slow [every=n]                         only every n-th message passes

@@ -36,9 +36,9 @@ class Controller(NamedTuple):
     lifting : Lifting
         Arrays of the model.
     detector : DetectorParams
-        Of the lifter.
+        Filters of the lifter.
     relay : RelayParams
-        Of the controller.
+        Law of the controller.
     """
 
     source: int
@@ -88,7 +88,7 @@ def control(
     x : ndarray, shape (channels,)
         Measured state x'_k; NaN where it is unusable.
     work : Workspace
-        Of this run.
+        Buffers of this run.
 
     Returns
     -------

@@ -87,7 +87,7 @@ class Exposure(NamedTuple):
     channels : ndarray of int, shape (n,)
         Components of the measured state that the lifter receives.
     waves : Waves
-        Of the plant, for as many steps as are known beforehand.
+        Waves of the plant, for as many steps as are known beforehand.
     """
 
     added: NDArray[np.float64]

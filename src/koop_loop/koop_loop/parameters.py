@@ -141,7 +141,7 @@ def read(
     nodes : mapping of str to tuple of type
         The nodes with their configuration classes.
     namespace : str, optional
-        Of the loop; by default the one that the file describes.
+        Namespace of the loop; by default the one that the file describes.
 
     Raises
     ------

@@ -29,7 +29,7 @@ class Access:
     Attributes
     ----------
     token : str
-        Token of those who may operate; empty: nobody may.
+        Token that permits to operate; empty: nobody may.
     origins : collection of str
         Origins of the web pages, besides the server's own, that may connect.
     """

@@ -41,7 +41,7 @@ class ViewServer:
     config : ViewConfig
         Where and to whom.
     token : str
-        Token of those who may operate; empty: nobody may.
+        Token that permits to operate; empty: nobody may.
     """
 
     def __init__(self, source: ViewSource, config: ViewConfig, token: str) -> None:

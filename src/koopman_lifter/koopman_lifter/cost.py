@@ -51,7 +51,7 @@ class Lifting(NamedTuple):
     projector : ndarray, shape (N, p)
         W with ||W z||_2 = ||V_dom^+ z||_2, see :func:`koopman_lifter.modes.projector`.
     channels, n, every : int
-        Of the state, see :class:`koopman_lifter.delays.Delays`.
+        Layout of the state, see :class:`koopman_lifter.delays.Delays`.
     """
 
     parent: NDArray[np.int64]
@@ -363,7 +363,7 @@ def answer(
     x : ndarray, shape (channels,)
         Measured state x'_k; NaN where there is none, as for a message of another size.
     work : Workspace
-        Of this run.
+        Buffers of this run.
 
     Returns
     -------

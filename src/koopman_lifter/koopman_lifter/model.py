@@ -240,7 +240,7 @@ def load_for(config: LifterConfig, chosen: ModelConfig, n: int = 0) -> KoopmanMo
     Parameters
     ----------
     config, chosen
-        Of the lifter.
+        Settings and model parameters of the lifter.
     n : int
         Number of measured values; 0: not known.
 

@@ -54,7 +54,7 @@ class SentStates:
     def age(self, step: int, now: float) -> float:
         """Return how long ago the state of a step was published [s]; NaN if it was not, here.
 
-        Of a state that is further back than what is kept it is the least that can be.
+        For a state that is further back than what is kept it is the least that can be.
         """
         if not 0 <= step <= self._last:
             return math.nan

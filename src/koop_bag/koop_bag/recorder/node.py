@@ -143,7 +143,7 @@ class RecorderRun(Run):
         self._guarded(self._look_at_the_disk)
 
     def _look_at_the_disk(self) -> None:
-        """Make room in time on a disk that fills up, whoever fills it."""
+        """Make room in time on a disk that fills up, whatever fills it."""
         if self._writer is None:
             return
         with suppress(OSError):

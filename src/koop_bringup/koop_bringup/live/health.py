@@ -57,7 +57,7 @@ def describe_loop(
     values : mapping
         Parameters by node.
     folder : Path
-        Of the run.
+        Folder of the run.
     recorded : bool
         Whether its recorder runs.
     running : float

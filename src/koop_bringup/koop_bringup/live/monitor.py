@@ -19,7 +19,7 @@ class Progress:
     Attributes
     ----------
     step, steps_per_second, theta, r
-        Of the plant or, where a rig is the plant, of lifter and controller.
+        Last figures of the plant or, where a rig is the plant, of lifter and controller.
     values : dict
         All values by node.
     levels : dict
@@ -46,7 +46,7 @@ class Monitor(Client):
     Parameters
     ----------
     namespace : str, optional
-        Of the loop, such as ``/rig``, or empty for the root; by default every one is listened to.
+        Namespace of the loop, such as ``/rig``, or empty for the root; by default all are heard.
     """
 
     def __init__(self, namespace: str | None = None) -> None:

@@ -38,7 +38,7 @@ class ServiceManager:
         nodes : collection of str
             Those that are to report.
         status : str
-            Of the loop, in a line.
+            Status of the loop, in a line.
         """
         heard = {node: progress.heard[node] for node in nodes if node in progress.heard}
         if len(heard) < len(nodes) or any(self._heard.get(n) == when for n, when in heard.items()):

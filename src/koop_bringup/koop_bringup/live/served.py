@@ -21,7 +21,7 @@ def add_serve_option(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         type=int,
         const=ViewConfig().port,
-        help="show the loop on a page meanwhile, as koop serve --operate does; whoever has the "
+        help="show the loop on a page meanwhile, as koop serve --operate does; anyone with the "
         f"printed address may operate it (PORT: {ViewConfig().port} by default, 0: any)",
     )
 

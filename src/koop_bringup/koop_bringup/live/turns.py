@@ -19,7 +19,7 @@ def take_turns(pids: Iterable[int], listeners: Iterable[int] = ()) -> None:
     Parameters
     ----------
     pids : iterable of int
-        Of the processes, all their threads there.
+        Processes, with all their threads.
     listeners : iterable of int
         Processes that hear the others and run beside them: batch work, too.
     """

@@ -69,7 +69,7 @@ class ParameterFile:
     def values(self, node: str, allowed: Collection[str]) -> dict[str, Any]:
         """Return what the file says to a node, by its full name.
 
-        Of a section for nodes of any name, only ``allowed`` parameters are taken.
+        From a section for nodes of any name, only ``allowed`` parameters are taken.
         """
         return {
             name: value

@@ -36,7 +36,7 @@ def summary(findings: Iterable[Finding]) -> Finding:
 
 
 class News:
-    """Which findings are worth a line of the log: whoever reads only the log learns them too.
+    """Which findings are worth a line of the log: a reader of the log alone learns them too.
 
     A more urgent level is news at once, or when it has lasted if the finding says so; a less urgent
     one when it has lasted: what comes and goes is one line, not two every second.

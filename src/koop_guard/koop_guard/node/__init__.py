@@ -276,7 +276,7 @@ class GuardRun(Run):
         self._alarm.check()
         guard.hear_time(now)
         if now - self._target_heard > SAFETY.hang:
-            text = f"who set a target gave no sign of life for {SAFETY.hang:g} s"
+            text = f"the command that set a target gave no sign of life for {SAFETY.hang:g} s"
             guard.note(Cause.SILENT, text, now)
         if guard.status is Status.TRIPPED and now - self._sent > max(
             SAFETY.tick, 2.0 * self._config.period
@@ -290,7 +290,7 @@ class GuardRun(Run):
             self._announce()
 
     def _look(self) -> None:
-        """Look at the graph for who publishes what, and after the twin."""
+        """Look at the graph for other publishers, and at the twin."""
         now, guard, node = time.monotonic(), self._guard, self._node
         if self._twin is not None and self._twin.process.poll() is not None:
             node.get_logger().error("the guard's twin has ended: another one is started")

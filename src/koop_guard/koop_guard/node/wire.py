@@ -28,7 +28,7 @@ class Command:
     name, topic : str
         Message type and topic.
     field : path
-        Of theta in the message.
+        Path to theta in the message.
 
     Raises
     ------

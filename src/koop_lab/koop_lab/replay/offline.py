@@ -41,7 +41,7 @@ def replay_kernel(
     memory : LoopMemory
         After the previous message.
     work : Workspace
-        Of this run.
+        Buffers of this run.
     switched : bool
         Whether the first cost is of another quantity than the one before.
     step : ndarray of int64, shape (M,)
@@ -85,7 +85,7 @@ class OfflineLoop:
     Parameters
     ----------
     esc : EscConfig
-        Of the controller when it starts.
+        Settings of the controller when it starts.
     """
 
     def __init__(self, esc: EscConfig) -> None:
@@ -113,7 +113,7 @@ class OfflineLoop:
         Parameters
         ----------
         lifter, esc, model
-            Of lifter and controller.
+            Settings of lifter and controller, and the model.
         step : ndarray of int64, shape (M,)
             Step of each state.
         x : ndarray, shape (M, n)

@@ -29,7 +29,7 @@ class Client:
     Parameters
     ----------
     name : str
-        Of the node.
+        Name of the node.
     domain : int, optional
         ROS domain; by default the one of the environment.
     guest : bool

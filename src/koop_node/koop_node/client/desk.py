@@ -1,7 +1,7 @@
 """Where a running loop answers the programs of its machine: at the name that holds its place.
 
-A question is one packet, ``status`` or ``stop``; the answer is one packet of JSON. Who asks is told
-by the kernel. Linux only, and pure: no ROS.
+A question is one packet, ``status`` or ``stop``; the answer is one packet of JSON. The kernel
+says which program asks. Linux only, and pure: no ROS.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class Desk:
         self._place = place
         self._asking: list[socket.socket] = []
         self._waiting: list[socket.socket] = []
-        """Those who asked to stop and wait for the end."""
+        """Programs that asked to stop and wait for the end."""
 
     def answer(self, describe: Callable[[], dict[str, Any]]) -> bool:
-        """Answer all who have asked; return whether one who may do so asked to stop."""
+        """Answer all that asked; return whether one that may do so asked to stop."""
         with suppress(BlockingIOError):
             while len(self._asking) < MOST:
                 asking, _ = self._place.accept()
@@ -67,7 +67,7 @@ class Desk:
         return stop
 
     def close(self, words: str) -> None:
-        """Tell those who wait for the end what it left behind."""
+        """Tell the programs that wait for the end what it left behind."""
         for asking in self._waiting:
             _say(asking, {"text": words})
         for asking in self._asking:

@@ -55,7 +55,7 @@ class Listeners:
 
 
 def listeners_of(text: str, next_: str) -> tuple[Listeners, Listeners]:
-    """Return who must hear what a node answers, and who what it publishes besides.
+    """Return the listeners that must hear a node's answers, and its other topics.
 
     ``text`` is the parameter ``listeners``, ``next_`` what its :data:`NEXT` is.
     """
@@ -89,7 +89,7 @@ def message_type_of(topic: str, endpoints: Sequence[Any]) -> str:
 
 
 def unheard(subscription: Subscription, publishers: Sequence[Any]) -> list[str]:
-    """Say of every publisher that a subscription cannot hear, who it is and why."""
+    """Name every publisher that a subscription cannot hear, and why."""
     wanted = type_name(subscription.msg_type)
     texts = []
     for info in publishers:

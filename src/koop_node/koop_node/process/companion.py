@@ -2,7 +2,7 @@
 
 ``python -m koop_node.process.companion PROGRAM ARGUMENT...``.
 It ends as a node does: on SIGINT and SIGTERM, which it and all that it started receive, and with
-whoever started it (:mod:`koop_node.process.lifeline`). Pure: no ROS.
+the process that started it (:mod:`koop_node.process.lifeline`). Pure: no ROS.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ class Running:
     rate : float
         Largest change of theta per second.
     seed : int
-        Of noise and first phase.
+        Seed of noise and first phase.
     """
 
     def __init__(self, rig: Rig, rate: float, seed: int) -> None:

@@ -58,15 +58,15 @@ def commission_plant(
     family : dict
         Settings of the family.
     seed : int
-        Of the rig.
+        Seed of the rig.
     rate : float
         Largest change of theta: ranges in the rig's own time.
     excitation : float
         Longest time of the excitation, see :func:`koop_study.commissioning.excitation.file_of`.
     duration : float
-        Of a run of verification, in the rig's own time.
+        Length of a run of verification, in the rig's own time.
     effort : float
-        Of the search, in units of the usual one.
+        Budget of the search (1: as usual).
 
     Returns
     -------

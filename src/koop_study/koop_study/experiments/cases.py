@@ -46,7 +46,7 @@ class CaseTable:
     Attributes
     ----------
     name, title : str
-        Of table and figure; the title is the varied quantity in words, with its unit.
+        Name of table and figure; the varied quantity in words, with its unit.
     parameters : tuple of str
         Settings that get the value; if a value is a list, each gets its own element.
     values : tuple

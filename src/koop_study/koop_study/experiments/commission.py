@@ -28,7 +28,7 @@ class CommissionConfig:
     Attributes
     ----------
     rigs : Seeds
-        Of the first stratum; each of the others has as many, the next ones.
+        Seeds of the first stratum; each of the others has as many, the next ones.
     strata : dict of str to dict
         Settings of the family of each stratum.
     family : dict
@@ -38,9 +38,9 @@ class CommissionConfig:
     excitation : float
         Longest time of an excitation: slowest times of the amplitude and ten periods.
     duration : float
-        Of a run of verification, in the rig's own time.
+        Length of a run of verification, in the rig's own time.
     effort : float
-        Of the search for constants, in units of the usual one.
+        Budget of the search for constants (1: as usual).
     """
 
     rigs: Seeds

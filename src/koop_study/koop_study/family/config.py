@@ -48,12 +48,12 @@ class FamilyConfig:
     power : Range
         p of the map; a narrow one has its own.
     width : Range
-        Of a narrow valley: where L is at most sqrt(2) L*; log-uniform.
+        Width of a narrow valley: where L is at most sqrt(2) L*; log-uniform.
     skirts : Range
-        Of a narrow valley: half the width where L^2 is half of that far away; log-uniform. p, 0.5
+        Half the width of a narrow valley where L^2 is half of that far away; log-uniform. p, 0.5
         to 2, follows from width, skirts and depth.
     shallower, apart : Range
-        Of two valleys: level at the bottom of the wide one over L*, log-uniform; their distance.
+        Two valleys: level at the bottom of the wide one over L*, log-uniform; their distance.
     second : Range
         Two modes: frequency of the second over the first's.
     play : Range

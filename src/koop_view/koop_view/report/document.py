@@ -105,7 +105,7 @@ class Series:
         ``line``, ``points``, ``steps``, ``band`` (between ``y`` and ``upper``), ``bars`` (the same
         as error bars), or ``level``: a dashed line at a value to compare with.
     upper : sequence of float, shape (M,)
-        Of a band and of bars only.
+        Upper edge; for a band and for bars only.
     color : int
         Position in the page's palette.
     """

@@ -92,7 +92,7 @@ class PlantRun(Run):
         self._outlets = None
 
     def start(self, entities: Entities) -> None:
-        """Begin, or go on after a pause: all who listen are there."""
+        """Begin, or go on after a pause: all listeners are there."""
         raise NotImplementedError
 
     def on_theta(self, message: Any, written: float) -> None:

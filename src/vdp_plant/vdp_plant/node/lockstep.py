@@ -26,7 +26,7 @@ class LockstepRun(PlantRun):
         self._question = Resend(node.parameters[PaceConfig].theta_timeout, RESENDS)
         self._held_since: float | None = None
         self._holds = True
-        """Whether the plant waits for those who fall behind."""
+        """Whether the plant waits for listeners that fall behind."""
 
     def start(self, entities: Entities) -> None:
         entities.timer(CHECK_PERIOD, self._check_answer)
@@ -59,13 +59,13 @@ class LockstepRun(PlantRun):
     def _all_keep_up(self, patience: float) -> bool:
         """Return whether nobody falls behind, or catches up within a time [s].
 
-        Nothing else paces those who only listen: what a recorder that was not scheduled for a
+        Nothing else paces pure listeners: what a recorder that was not scheduled for a
         while can't catch up with is lost to it.
         """
         return self._outlets is None or self._outlets.acknowledged(patience)
 
     def _go_on(self, since: float) -> None:
-        """Ask again once those who fell behind at a steady time [s] have caught up."""
+        """Ask again once listeners that fell behind at a steady time [s] have caught up."""
         if not self._all_keep_up(0.0):
             if time.monotonic() - since < HELD:
                 return
