@@ -188,6 +188,13 @@ def test_a_reaction_is_told_by_its_feature():
     )
     halved = judge_reaction(Reaction(0.01, 0, math.log(0.5)), names, "theta from 0 to 1")
     assert halved.text.endswith(" Hz falls by 50 %")
+    sure = CheckSettings(p=0.005, p_more=0.005)
+    assert judge_reaction(Reaction(0.01, 0, 1.0), names, "theta", sure).level == BAD
+
+
+def test_blocks_are_prolonged_as_the_settings_say():
+    settings = CheckSettings(blocks=10, more=4, p=0.04, p_more=0.01, longer=(2,), longer_blocks=12)
+    assert settings.series == ((1.0, ((10, 0.04), (4, 0.01))), (2.0, ((12, 0.01),)))
 
 
 def test_further_lines_are_named_as_possible_interference():

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_commission.fitness.arrivals import Rhythm, measure_rhythm
-from koop_commission.fitness.reaction import STAGES, Reaction, describe_change
+from koop_commission.fitness.reaction import Reaction, describe_change
 from koop_commission.fitness.samples import Samples
 from koop_commission.fitness.settings import DEFAULTS, CheckSettings
 from koop_core.errors import InputError
@@ -134,9 +134,11 @@ def describe_lines(name: str, peaks: Sequence[Line]) -> Finding:
     return Finding(OK, "spectrum", text)
 
 
-def judge_reaction(reaction: Reaction, names: Sequence[str], between: str) -> Finding:
+def judge_reaction(
+    reaction: Reaction, names: Sequence[str], between: str, settings: CheckSettings = DEFAULTS
+) -> Finding:
     """Judge whether theta reaches the rig; ``between`` are its values, in words."""
-    if reaction.p > max(alpha for _, alpha in STAGES):
+    if reaction.p > max(settings.p, settings.p_more):
         why = "the command is not applied, or theta has no effect there"
         return Finding(BAD, "theta", f"{between}: nothing reacts (p = {reaction.p:.2f}): {why}")
     name, change = names[reaction.feature], reaction.change

@@ -18,10 +18,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# Each series: a factor for the length of its blocks, since the strongest line, which sets it, may
-# be an interference; and its stages: the number of blocks and the p at which each decides.
-STAGES = ((8, 0.03), (6, 0.02))
-SERIES = ((1.0, STAGES), (4.0, ((10, 0.02),)), (12.0, ((10, 0.02),)))
 SMALL = 1e-9  # share of a feature below which a difference is rounding
 
 

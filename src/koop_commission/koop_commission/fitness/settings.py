@@ -40,6 +40,26 @@ class CheckSettings:
     step: float = parameter(
         0.25, "share of its range by which theta moves", low=0.01, high=0.5, origin=_JUDGED
     )
+    blocks: int = parameter(
+        8, "blocks after which a reaction is judged first", low=4, high=12, origin=_JUDGED
+    )
+    p: float = parameter(
+        0.03, "chance of such a difference without a reaction, below which it is one then",
+        low=0.0, high=1.0, origin="with p_more, one in twenty in all",
+    )  # fmt: skip
+    more: int = parameter(
+        6, "blocks that are added where the first ones do not decide", low=2, high=8,
+        origin=_JUDGED,
+    )  # fmt: skip
+    p_more: float = parameter(
+        0.02, "that chance with them, and in longer blocks", low=0.0, high=1.0,
+        origin="with p, one in twenty in all",
+    )  # fmt: skip
+    longer: tuple[float, ...] = parameter(
+        (4.0, 12.0), "factors for the length of blocks where nothing reacts", low=1.0,
+        origin="the strongest line, which sets the length, may be an interference",
+    )  # fmt: skip
+    longer_blocks: int = parameter(10, "number of longer blocks", low=4, high=12, origin=_JUDGED)
     fewest: int = parameter(
         20, "messages needed to judge their arrival", low=3, high=1000, origin=_JUDGED
     )
@@ -82,6 +102,13 @@ class CheckSettings:
 
     def __post_init__(self) -> None:
         validate(self)
+
+    @property
+    def series(self) -> tuple[tuple[float, tuple[tuple[int, float], ...]], ...]:
+        """Factors for the length of blocks, each with stages: blocks, and the p that decides."""
+        longer = ((self.longer_blocks, self.p_more),)
+        first = ((self.blocks, self.p), (self.more, self.p_more))
+        return ((1.0, first), *((factor, longer) for factor in self.longer))
 
 
 DEFAULTS = CheckSettings()

@@ -26,7 +26,7 @@ from koop_commission.fitness.fitness import (
     judge_reaction,
     judge_samples,
 )
-from koop_commission.fitness.reaction import SERIES, compare_blocks, draw_order
+from koop_commission.fitness.reaction import compare_blocks, draw_order
 from koop_commission.fitness.recording import check_recording
 from koop_commission.fitness.samples import Samples, refuse_dead
 from koop_commission.fitness.settings import DEFAULTS, CheckSettings
@@ -158,7 +158,7 @@ def _move_theta(
     theta = session.theta.value
     other = rig.scale.step_away(theta, settings.step)
     finding = None
-    for factor, stages in SERIES:
+    for factor, stages in settings.series:
         observe = max(64, math.ceil(factor * settings.observe * period / rig.dt))
         settle = math.ceil(
             max(factor * settings.settle * period, settings.late * rig.pace) / rig.dt
@@ -185,7 +185,7 @@ def _move_theta(
             if reaction.p <= alpha:
                 break
         between = f"theta from {theta:.4g} to {other:.4g}, {len(moved)} blocks of {seconds:.3g} s"
-        finding = judge_reaction(reaction, blocks.names(rig.names), between)
+        finding = judge_reaction(reaction, blocks.names(rig.names), between, settings)
         if finding.level != BAD:
             break
     assert finding is not None
