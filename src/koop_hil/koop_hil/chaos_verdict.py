@@ -231,7 +231,7 @@ def _recording(
 def _stamps(bag: Path) -> NDArray[np.float64]:
     """Return the stamps [ns] of the rig's samples in a recording, also of one that was cut off.
 
-    They are rounded as those of the log, to a fraction of a microsecond.
+    They are rounded as the log rounds its stamps, to a fraction of a microsecond.
     """
     stamps = []
     for file in sorted(bag.glob("*.mcap")):

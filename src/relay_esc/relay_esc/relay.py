@@ -169,7 +169,7 @@ def insight(p: RelayParams, state: RelayState) -> tuple[float, float, float]:
 
     The gradient is the slope of the cost over u, of log r with the adaptive law; filtered as the
     rise is. It is the cost's change over theta's step, whatever causes the change. Noise and
-    confidence are those of the adaptive law; NaN with the relay, which has none.
+    confidence belong to the adaptive law; NaN with the relay, which has none.
     """
     step_size = p.step_size * gain(state.swing, state.u, state.epsilon)
     gradient = 0.0

@@ -95,7 +95,7 @@ def judge_channel(
     limits: tuple[float, float] = (-math.inf, math.inf),
     settings: CheckSettings = DEFAULTS,
 ) -> Finding:
-    """Judge the values of one channel; ``limits`` are those of the rig file."""
+    """Judge the values of one channel; ``limits`` come from the rig file."""
     low, high = limits
     span = f"{name} {summary.low:.4g} to {summary.high:.4g}"
     if summary.bad == 1.0:

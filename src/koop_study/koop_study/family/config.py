@@ -67,10 +67,10 @@ class FamilyConfig:
     amplitude : Range
         L* in the unit of the channels, log-uniform.
     noise, interference : Range
-        Rms of measurement noise and of interference over that of the oscillation at its middle
+        Rms of measurement noise and of interference over the rms of the oscillation at its middle
         level; log-uniform, of the rigs that have any.
     lower_tones, upper_tones : Range
-        Frequency of an interference over that of the oscillation: of each in either with the same
+        Frequency of an interference over the oscillation's: of each in either with the same
         probability.
     drift : Range
         Motion of u* in an hour, or in a hundred slowest tau where these are longer: no law follows

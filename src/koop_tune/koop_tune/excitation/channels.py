@@ -22,7 +22,7 @@ class ChannelSettings:
 
     levels: float = parameter(0.25, "values over samples of a quantised channel", low=0.0)
     stop: float = parameter(0.01, "share of the samples at an extreme that is a stop", low=0.0)
-    flatter: float = parameter(3.0, "that share over the one of a sine", low=1.0)
+    flatter: float = parameter(3.0, "that share over the share of a sine", low=1.0)
     segment: float = parameter(0.25, "segment of a spectrum, over the record", low=0.0, high=1.0)
     line: float = parameter(8.0, "power of a line over the spectrum around it", low=1.0)
     around: int = parameter(12, "bins to each side of that", low=3)

@@ -1,6 +1,6 @@
 """Spontaneous fluctuation of a noise-driven oscillation.
 
-The amplitude of such an oscillation is that of a complex Ornstein-Uhlenbeck process: where theta
+Such an oscillation has the amplitude of a complex Ornstein-Uhlenbeck process: where theta
 rests, the autocovariance of its power p = |z|^2 over the mean is
 
     cov(p(t), p(t + s)) = share exp(-2 s / tau) + const

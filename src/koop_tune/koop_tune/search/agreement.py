@@ -99,7 +99,7 @@ def make_aim(figures: dict[str, Any], rig: RigFile) -> Aim:
     Raises
     ------
     KeyError
-        If it is not that of a controller.
+        If it does not describe a controller.
     """
     sense, best = rig.sense, figures["best"]
     levels = sense * np.log(figures["static_map"]["amplitude"])
@@ -145,7 +145,7 @@ class Measured:
     excess : float
         Amplitude over the best one (its inverse where it is to be large).
     reduction : float
-        Amplitude before over that of the second half (its inverse).
+        Amplitude before over the amplitude in the second half (its inverse).
     theta, low, high : float
         Mean of theta over the second half, and its least and largest.
     """

@@ -104,7 +104,7 @@ class Outcome:
     distance : float
         Mean of abs(u - u*) over the second half.
     reduction : float
-        Amplitude at the start over that of the second half.
+        Amplitude at the start over the amplitude in the second half.
     u, power : ndarray, shape (BLOCKS,)
         Where theta was, and the mean square of the amplitude.
     score : float

@@ -24,7 +24,7 @@ class Convergence:
     def bound(self, span: float) -> float:
         """Return the logarithm of the amplitude over the best one that counts as converged.
 
-        ``span`` is that of the worst one.
+        ``span`` belongs to the worst one.
         """
         return math.log(min(self.good, 1.0 + self.part * (math.exp(span) - 1.0)))
 
