@@ -38,6 +38,10 @@ class MetricsSettings:
         0.2, "share of the tail for which theta was in its final swing before", low=0.0,
         origin="judgement",
     )  # fmt: skip
+    without_drift: float = parameter(
+        200.0, "time over which r* is averaged if the damping does not drift", unit="s", low=1.0,
+        origin="judgement",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         validate(self)

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from koop_loop.loop import simulate
 from koop_loop.metrics import LOGGING_START, Metrics, evaluate
 from koop_loop.parameters import LoopParameters
+from koop_loop.settings import METRICS
 from koopman_lifter.model import KoopmanModel
 from vdp_plant.config import PlantConfig
 
 SETTLING = LOGGING_START  # [s] before r counts: the paper's transient
-WITHOUT_DRIFT = 200.0  # [s] over which r is averaged if the damping does not drift
 UNLIMITED = 1e6  # limits of a theta that is held
 
 Cost = Callable[[float, float], NDArray[np.float64]]
@@ -29,7 +29,7 @@ Cost = Callable[[float, float], NDArray[np.float64]]
 def settled(plant: PlantConfig, cost: Cost, theta: float) -> NDArray[np.float64]:
     """Return r at constant ``theta`` over one period of the damping drift, without transient."""
     drift = plant.drift_frequency
-    period = 2.0 * np.pi / drift if drift > 0.0 else WITHOUT_DRIFT
+    period = 2.0 * np.pi / drift if drift > 0.0 else METRICS.without_drift
     return cost(theta, SETTLING + period)[round(SETTLING / plant.dt) :]
 
 
