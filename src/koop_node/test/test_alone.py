@@ -74,22 +74,23 @@ def test_a_daemon_of_ros2cli_is_not_waited_for():
 
 
 @pytest.mark.ros
-def test_nodes_that_end_are_waited_for(monkeypatch):
+@pytest.mark.parametrize("topic", ["theta", "koop_guard/state"])
+def test_nodes_that_end_are_waited_for(monkeypatch, topic):
     """The command that started them was killed, and is given again at once."""
     from std_msgs.msg import Float64
 
     with Client("killed") as client:
-        publisher = client.node.create_publisher(Float64, "theta", 1)
+        publisher = client.node.create_publisher(Float64, topic, 1)
         spin = Client.spin
 
         def end_and_spin(other, seconds):
-            if other.count_publishers("/theta"):
+            if other.count_publishers(f"/{topic}"):
                 client.node.destroy_publisher(publisher)
             spin(other, seconds)
 
         monkeypatch.setattr(Client, "spin", end_and_spin)
         with alone():
-            assert client.count_publishers("/theta") == 0
+            assert client.count_publishers(f"/{topic}") == 0
 
 
 @pytest.mark.ros

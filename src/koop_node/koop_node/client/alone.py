@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from koop_core.errors import LiveError
 from koop_node.process.domain import current_domain, free_domain, only_observed
 
-TOPICS = ("state", "cost", "theta")  # that each have one publisher in a loop
+TOPICS = ("state", "cost", "theta", "koop_guard/state")  # that each have one publisher in a loop
 PREFIX = "koop/"  # of the name that a loop holds, before its domain and its namespace
 DISCOVERY = (
     4.0  # [s]: Fast DDS, as it comes, announces itself every 3 s, for those that missed the first
