@@ -6,7 +6,8 @@ from xml.etree import ElementTree
 from ament_index_python.packages import get_package_share_path
 from koop_msgs.msg import Cost
 
-NODES = {"vdp_plant", "koopman_lifter", "relay_esc", "recorder"}
+NODES = {"vdp_plant", "koopman_lifter", "relay_esc", "koop_guard", "recorder"}
+TWIN = "_koop_guard_twin"
 
 
 def allowed(kind, direction):
@@ -30,12 +31,13 @@ def full_name(name, node):
 
 
 def test_every_node_has_its_own_permissions():
-    assert set(allowed("topics", "publish")) == NODES
+    assert set(allowed("topics", "publish")) == NODES | {TWIN}
 
 
-def test_only_the_controller_may_command_the_plant():
+def test_only_controller_and_guard_may_command():
     publishers = allowed("topics", "publish")
-    assert {node for node, topics in publishers.items() if "/theta" in topics} == {"relay_esc"}
+    commanders = {node for node, topics in publishers.items() if "/theta" in topics}
+    assert commanders == {"relay_esc", "koop_guard", TWIN}
     subscribers = allowed("topics", "subscribe")
     heard = {node for node, topics in subscribers.items() if "/ground_truth" in topics}
     assert heard <= {"recorder"}
@@ -44,11 +46,13 @@ def test_only_the_controller_may_command_the_plant():
 def test_the_policy_covers_all_that_the_nodes_say_hear_serve_and_ask(start, probe, tmp_path):
     start("recorder", output=tmp_path / "run")
     start("vdp_plant", publish_clock="true")
-    for node in ("koopman_lifter", "relay_esc"):
-        start(node, use_sim_time="true")
+    start("koopman_lifter", use_sim_time="true")
+    start("relay_esc", "-r", "theta:=theta_asked", use_sim_time="true")
+    start("koop_guard", measured="state:x[0]", command="theta:theta", dt=0.005)
     costs = probe.collect(Cost, "cost")
     probe.spin_until(lambda: costs, "the loop")
-    probe.spin_until(lambda: set(probe.node.get_node_names()) >= NODES, "all nodes in the graph")
+    nodes = NODES | {TWIN}
+    probe.spin_until(lambda: set(probe.node.get_node_names()) >= nodes, "all nodes in the graph")
     heard = {"/state", "/cost", "/theta", "/ground_truth", "/clock", "/relay_esc/transition_event"}
 
     def names(question, node):
@@ -56,6 +60,7 @@ def test_the_policy_covers_all_that_the_nodes_say_hear_serve_and_ask(start, prob
         return {name for name, _ in ask(node, "/")}
 
     probe.spin_until(lambda: heard <= names("subscriber", "recorder"), "the recorder")
+    probe.spin_until(lambda: "/relay_esc/reset" in names("client", "koop_guard"), "the guard")
     for question, kind, direction in (
         ("publisher", "topics", "publish"),
         ("subscriber", "topics", "subscribe"),
@@ -63,10 +68,10 @@ def test_the_policy_covers_all_that_the_nodes_say_hear_serve_and_ask(start, prob
         ("client", "services", "request"),
     ):
         permitted = allowed(kind, direction)
-        for node in NODES:
+        for node in nodes:
             # the recorder also asks the probe of this test for its parameters
             live = {name for name in names(question, node) if not name.startswith("/probe/")}
-            assert live or question == "client", (node, question)
+            assert live or question == "client" or node == TWIN, (node, question)
             rules = permitted[node]
             unknown = {name for name in live if not any(fnmatchcase(name, r) for r in rules)}
             assert not unknown, (node, question)
