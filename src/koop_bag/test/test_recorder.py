@@ -318,6 +318,28 @@ def test_a_ring_keeps_the_newest_files_for_other_readers(tmp_path):
     assert len(numbers) > 30
 
 
+def test_the_recording_around_a_trip_of_the_guard_is_kept_for_good(tmp_path):
+    guard = "/koop_guard/state"
+    topics = f"topics:=/blob:{BLOB} {guard}:koop_msgs/msg/GuardState"
+    with Recorder(tmp_path / "run", "-p", topics, "-p", "keep_size:=0.5") as recorder:
+        with Talker() as talker:
+            (state,) = talker.publishers({guard: "koop_msgs/msg/GuardState"}).values()
+            publish_blobs(talker, recorder, range(100))
+            for status, tripped_at in ((1, 0.0), (2, 7.5), (2, 7.5)):
+                state.publish(state.msg_type(status=status, tripped_at=tripped_at))
+            recorder.wait_for(guard, 3)
+            publish_blobs(talker, recorder, range(100, 300))
+            recorder.stop()
+        assert recorder.process.returncode == 0, recorder.output()
+    with AnyReader([tmp_path / "run" / "bag" / "alarms"]) as reader:
+        actual = [(c.topic, raw) for c, _, raw in reader.messages()]
+    numbers = [read_number(raw) for topic, raw in actual if topic == "/blob"]
+    assert numbers == list(range(numbers[0], numbers[-1] + 1))
+    assert numbers[0] < 95
+    assert 104 < numbers[-1] < 150
+    assert [topic for topic, _ in actual].count(guard) == 3
+
+
 def test_a_ring_that_the_disk_is_too_small_for_shrinks_and_goes_on(tmp_path):
     size = 20 * shutil.disk_usage(tmp_path).total / 1e6  # of which a file is two disks large
     reports = []

@@ -222,6 +222,24 @@ def test_a_ring_that_was_killed_is_read_as_far_as_it_was_written(tmp_path):
     assert read_steps(tmp_path / "whole")["/state"] == [number - 1 for number in torn]
 
 
+def test_the_files_around_an_alarm_are_kept_apart_when_the_ring_drops_them(tmp_path):
+    folder, alarms = tmp_path / "run", []
+    for seconds, writer in enumerate(record(folder, 5_000, keep_bytes=200_000), start=1):
+        if seconds in (4, 15):
+            writer.note_alarm()
+            alarms.append(seconds * 200)
+        if seconds == 12:
+            first = read_steps(folder / "alarms")["/state"]
+    assert first == list(range(first[0], first[-1] + 1))
+    steps = read_steps(folder / "alarms")["/state"]
+    for alarm in alarms:
+        assert set(range(alarm - 50, alarm + 50)) <= set(steps)  # a file holds 60 or more
+    # one file before, the one in progress and one after; of all files the rest is dropped
+    assert len(list((folder / "alarms").glob("*.mcap"))) == 6
+    assert len(list(folder.glob("*.mcap"))) <= 11
+    assert read_steps(folder)["/state"][-1] == 4_999
+
+
 def test_a_ring_on_a_disk_that_fills_up_shrinks_to_its_newest_file(tmp_path):
     folder, keep = tmp_path / "run", 200_000
     for seconds, writer in enumerate(record(folder, 5_000, keep_bytes=keep), start=1):

@@ -105,6 +105,8 @@ class FileRecord:
     """Messages by topic."""
     size: int = 0
     """Bytes, once it is closed."""
+    of_alarm: bool = False
+    """Whether it is kept for good."""
 
     @property
     def count(self) -> int:

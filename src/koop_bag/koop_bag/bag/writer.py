@@ -17,6 +17,8 @@ from koop_core.config.parameter import parameter, validate
 
 RING = 10
 """Files of a ring: what is dropped at once is one part of so many."""
+ALARMS = "alarms"
+"""Folder in a ring for the files around alarms."""
 RESERVE = 100_000_000
 """Free space that a disk should have where no size of a file says more [B]."""
 
@@ -111,6 +113,8 @@ class BagWriter:
         self._notes: dict[str, dict[str, str]] = {}
         self._files: list[FileRecord] = []
         self._opened = 0
+        self._alarm_goes_on = False
+        self._alarms: list[FileRecord] = []
         self.closed = False
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -206,6 +210,15 @@ class BagWriter:
         if self._chunk.is_due(now):
             self.flush()
 
+    def note_alarm(self) -> None:
+        """Keep the file in progress, the one before and the next for good.
+
+        A ring moves such a file into `alarms/` instead of dropping it.
+        """
+        for record in self._files[-2:]:
+            record.of_alarm = True
+        self._alarm_goes_on = True
+
     def make_room(self, free: int) -> None:
         """Drop the oldest files of a ring while its disk is nearly full.
 
@@ -225,7 +238,7 @@ class BagWriter:
             self._guarded(self._next_file)
         dropped = False
         while free < options.reserve and len(self._files) > 2:
-            free += self._files[0].size
+            free += 0 if self._files[0].of_alarm else self._files[0].size
             self._guarded(self._drop_oldest)
             dropped = True
         if dropped:
@@ -266,7 +279,8 @@ class BagWriter:
     def _open_file(self) -> McapFileWriter:
         file = McapFileWriter(self.folder / f"{self.folder.name}_{self._opened}.mcap")
         self._opened += 1
-        self._files.append(FileRecord(file.path.name))
+        self._files.append(FileRecord(file.path.name, of_alarm=self._alarm_goes_on))
+        self._alarm_goes_on = False
         for schema, channel in self._channels:
             file.add_channel(schema, channel)
         for name, values in self._notes.items():
@@ -308,11 +322,18 @@ class BagWriter:
         return too_large or 0 < options.keep_seconds * 1e9 < age
 
     def _drop_oldest(self) -> None:
-        path = self.folder / self._files.pop(0).path
+        record = self._files.pop(0)
+        path, alarms = self.folder / record.path, self.folder / ALARMS
         try:
-            path.unlink(missing_ok=True)  # a user may have made room
+            if not record.of_alarm:
+                path.unlink(missing_ok=True)  # a user may have made room
+                return
+            alarms.mkdir(exist_ok=True)
+            path.rename(alarms / path.name)
         except OSError as error:
             raise BagWriteError(f"cannot drop {path}: {error.strerror}") from error
+        self._alarms.append(record)
+        self._write_description(self._alarms, alarms)
 
     @property
     def _closed_bytes(self) -> int:
@@ -332,8 +353,8 @@ class BagWriter:
     def _description(self, files: Sequence[FileRecord]) -> dict[str, object]:
         return bag_map(self.topics, files, self.custom_data, self._ros_distro)
 
-    def _write_description(self, files: Sequence[FileRecord]) -> None:
-        path = self.folder / "metadata.yaml"
+    def _write_description(self, files: Sequence[FileRecord], folder: Path | None = None) -> None:
+        path = (folder or self.folder) / "metadata.yaml"
         text = dump({"rosbag2_bagfile_information": self._description(files)})
         try:
             path.write_text(text, encoding="utf-8")

@@ -9,14 +9,17 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
+from koop_msgs.msg import GuardState
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.qos import qos_profile_parameter_events
+from rclpy.serialization import deserialize_message
 
 from koop_bag.bag.losses import LossCounter, early_ends
 from koop_bag.bag.metadata import OfferedQos, dump
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.bag.writer import BagWriter
 from koop_bag.errors import BagError, BagWriteError
+from koop_bag.mcap.chunk import Row
 from koop_bag.recorder import run_folder
 from koop_bag.recorder.config import LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.recorder.parameters import ParameterCollector
@@ -27,6 +30,7 @@ from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 POLL_PERIOD = 0.02  # [s] between fetches of waiting messages; receive times do not depend on it
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
 EARLY_PERIOD, EARLY = 0.05, 5.0  # [s] at first, for a run may be over in less; and how long
+GUARD_STATE = "koop_msgs/msg/GuardState"
 QUIET = 0.2  # [s] without a message after which a stopped run has published everything
 PATIENCE = 1.0  # [s] and no longer than this
 
@@ -44,6 +48,7 @@ class RecorderRun(Run):
         self._recording = self._paused = False
         self._refused: set[str] = set()
         self._models: dict[str, str] = {}
+        self._trips: dict[int, float] = {}  # time of a guard's last one by channel [s]
         chosen = wanted_topics(config.topics) or LOOP_TOPICS | COMMON_TOPICS
         self._awaited = {node.resolve_topic_name(name): kind for name, kind in chosen.items()}
         self._take_all = not config.topics.strip()
@@ -168,7 +173,11 @@ class RecorderRun(Run):
 
     def _announce(self, topic: RecordedTopic) -> int:
         assert self._writer is not None
-        return self._writer.add_topic(topic.name, topic.schema, topic.offered or (OfferedQos(),))
+        offered = topic.offered or (OfferedQos(),)
+        channel = self._writer.add_topic(topic.name, topic.schema, offered)
+        if topic.schema.name == GUARD_STATE:
+            self._trips[channel] = 0.0
+        return channel
 
     # -- writing ------------------------------------------------------------------------------
 
@@ -187,8 +196,21 @@ class RecorderRun(Run):
 
     def _write_waiting(self) -> None:
         assert self._writer is not None
-        self._writer.write_many(fetch(self._topics.values(), self._watched.values()))
+        rows = fetch(self._topics.values(), self._watched.values())
+        self._writer.write_many(rows)
+        if any(self._is_new_trip(row) for row in rows):
+            self._writer.note_alarm()
         self._writer.flush_due(time.time_ns())
+
+    def _is_new_trip(self, row: Row) -> bool:
+        """Return whether a message says that a guard has tripped; it may say so again."""
+        _, channel, _, data = row
+        known = self._trips.get(channel)
+        if known is None:
+            return False
+        state = deserialize_message(data, GuardState)
+        self._trips[channel] = state.tripped_at
+        return state.status == GuardState.TRIPPED and state.tripped_at != known
 
     def _finish_bag(self) -> None:
         if self._writer is None:
