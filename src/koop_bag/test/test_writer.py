@@ -240,6 +240,16 @@ def test_the_files_around_an_alarm_are_kept_apart_when_the_ring_drops_them(tmp_p
     assert read_steps(folder)["/state"][-1] == 4_999
 
 
+def test_alarms_without_end_take_no_more_files_than_the_ring(tmp_path):
+    folder = tmp_path / "run"
+    for writer in record(folder, 10_000, keep_bytes=200_000):
+        writer.note_alarm()
+    steps = read_steps(folder / "alarms")["/state"]
+    assert steps == list(range(len(steps)))  # the first ones stay
+    assert len(list((folder / "alarms").glob("*.mcap"))) == 10
+    assert sum(path.stat().st_size for path in folder.rglob("*.mcap")) < 2 * 240_000
+
+
 def test_a_ring_on_a_disk_that_fills_up_shrinks_to_its_newest_file(tmp_path):
     folder, keep = tmp_path / "run", 200_000
     for seconds, writer in enumerate(record(folder, 5_000, keep_bytes=keep), start=1):

@@ -18,7 +18,7 @@ from koop_core.config.parameter import parameter, validate
 RING = 10
 """Files of a ring: what is dropped at once is one part of so many."""
 ALARMS = "alarms"
-"""Folder in a ring for the files around alarms."""
+"""Folder in a ring for the files around alarms: at most as many as the ring has."""
 RESERVE = 100_000_000
 """Free space that a disk should have where no size of a file says more [B]."""
 
@@ -213,7 +213,8 @@ class BagWriter:
     def note_alarm(self) -> None:
         """Keep the file in progress, the one before and the next for good.
 
-        A ring moves such a file into `alarms/` instead of dropping it.
+        A ring moves such a file into `alarms/` instead of dropping it, while there is room: the
+        first alarms stay, and a guard that trips again and again cannot fill the disk.
         """
         for record in self._files[-2:]:
             record.of_alarm = True
@@ -325,7 +326,7 @@ class BagWriter:
         record = self._files.pop(0)
         path, alarms = self.folder / record.path, self.folder / ALARMS
         try:
-            if not record.of_alarm:
+            if not record.of_alarm or len(self._alarms) >= RING:
                 path.unlink(missing_ok=True)  # a user may have made room
                 return
             alarms.mkdir(exist_ok=True)
