@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import TypeVar
 
 import zstandard
 from mcap.records import Channel, Schema
@@ -15,6 +16,7 @@ from koop_bag.mcap.chunk import ChunkBuffer, Row
 from koop_bag.mcap.file_writer import McapFileWriter
 from koop_core.config.parameter import parameter, validate
 
+Result = TypeVar("Result")
 RING = 10
 """Files of a ring: what is dropped at once is one part of so many."""
 ALARMS = "alarms"
@@ -239,8 +241,7 @@ class BagWriter:
             self._guarded(self._next_file)
         dropped = False
         while free < options.reserve and len(self._files) > 2:
-            free += 0 if self._files[0].of_alarm else self._files[0].size
-            self._guarded(self._drop_oldest)
+            free += self._guarded(self._drop_oldest)
             dropped = True
         if dropped:
             self._guarded(self._describe_the_rest)
@@ -322,19 +323,21 @@ class BagWriter:
         age = last.end - self._files[0].end
         return too_large or 0 < options.keep_seconds * 1e9 < age
 
-    def _drop_oldest(self) -> None:
+    def _drop_oldest(self) -> int:
+        """Drop the oldest file, or keep it apart; return the bytes that became free."""
         record = self._files.pop(0)
         path, alarms = self.folder / record.path, self.folder / ALARMS
         try:
             if not record.of_alarm or len(self._alarms) >= RING:
                 path.unlink(missing_ok=True)  # a user may have made room
-                return
+                return record.size
             alarms.mkdir(exist_ok=True)
             path.rename(alarms / path.name)
         except OSError as error:
             raise BagWriteError(f"cannot drop {path}: {error.strerror}") from error
         self._alarms.append(record)
         self._write_description(self._alarms, alarms)
+        return 0
 
     @property
     def _closed_bytes(self) -> int:
@@ -365,10 +368,10 @@ class BagWriter:
                 f"cannot write {path}: {error.strerror}; `koop bag recover` makes it again"
             ) from error
 
-    def _guarded(self, action: Callable[[], None]) -> None:
+    def _guarded(self, action: Callable[[], Result]) -> Result:
         """Do a write; if it fails, close the bag as well as the disk allows before raising."""
         try:
-            action()
+            return action()
         except BagWriteError:
             self.closed = True
             self._chunk.clear()

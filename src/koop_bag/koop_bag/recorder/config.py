@@ -37,7 +37,7 @@ class RecorderConfig:
     keep_size: float = parameter(
         0.0,
         "size of all files, above which the oldest are dropped; 0: all are kept. A file is a tenth "
-        "of it. What is dropped of the files around a guard's trip goes to bag/alarms for good",
+        "of it. Up to ten files around trips of the guard stay in bag/alarms, beyond that size",
         unit="MB",
         low=0.0,
         read_only=True,
