@@ -312,13 +312,17 @@ def test_a_loop_that_tripped_is_still_tripped_after_a_restart(koop, up, fast_rig
 
 def test_a_loop_goes_on_where_its_controller_was_killed(koop, up, fast_rig, probe, tmp_path):
     process, nodes = up()
-    file = tmp_path / ".loop.yaml.controller"
-    wait(file.exists, "what the controller goes on from", process)
+    file, initial = tmp_path / ".loop.yaml.controller", LOOP["relay_esc"]["theta_initial"]
+
+    def has_moved():
+        return file.exists() and read_json(file)["begin"][0] != initial
+
+    wait(has_moved, "what the controller goes on from", process)
     os.kill(nodes["esc"], signal.SIGKILL)
     home(fast_rig)
     assert process.wait(LONG) == 2
     theta, epsilon, *_ = read_json(file)["begin"]
-    assert theta != LOOP["relay_esc"]["theta_initial"]
+    assert theta != initial
     answers = probe.collect(ControlInput, "/theta")
     process = koop("up", "loop.yaml", "--out", "again")
 
