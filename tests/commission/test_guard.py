@@ -16,6 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from random import random
 
+import numpy as np
 import pytest
 from chromium import Chromium
 from commission_rig import DT, RIG
@@ -132,7 +133,8 @@ def test_a_rig_that_fails_trips_the_guard_until_it_is_rearmed(up, fast_rig, prob
     assert counts["/koop_guard/state"] >= 4
     assert counts["/fast/knob"] > 0
     # the figures are of what the rig was told; the controller itself asks for 0.9 at most
-    assert read(tmp_path / "run").signals.theta[-1] == SAFE
+    theta = read(tmp_path / "run").signals.theta  # not known long after the guard has ended
+    assert theta[np.isfinite(theta)][-1] == SAFE
 
 
 @pytest.mark.parametrize(
