@@ -175,7 +175,7 @@ class RecorderRun(Run):
         assert self._writer is not None
         offered = topic.offered or (OfferedQos(),)
         channel = self._writer.add_topic(topic.name, topic.schema, offered)
-        if topic.schema.name == GUARD_STATE:
+        if self._writer.options.is_ring and topic.schema.name == GUARD_STATE:
             self._trips[channel] = 0.0
         return channel
 
@@ -198,7 +198,7 @@ class RecorderRun(Run):
         assert self._writer is not None
         rows = fetch(self._topics.values(), self._watched.values())
         self._writer.write_many(rows)
-        if any(self._is_new_trip(row) for row in rows):
+        if self._trips and any([self._is_new_trip(row) for row in rows]):
             self._writer.note_alarm()
         self._writer.flush_due(time.time_ns())
 
