@@ -44,13 +44,6 @@ class EscConfig:
     step_ratio: float = parameter(
         0.1, "adaptive: smallest step in units of step_size", low=1e-4, high=1.0
     )
-    lost: float = parameter(
-        8.0,
-        "adaptive: the optimum counts as lost when log r is that many times its noise above the "
-        "level that it had there",
-        low=3.0,
-        high=1e3,
-    )
     dwell: float = parameter(
         15.0, "least time between two flips of the relay", unit="s", low=0.0, high=1e6
     )
@@ -134,7 +127,6 @@ class EscConfig:
             self.law == "adaptive",
             math.exp(-dt / (SWING.level_time * max(self.dwell, dt))),
             self.step_ratio,
-            self.lost,
             self.theta_scale == "log",
             self.theta_min,
             self.theta_max,

@@ -66,8 +66,6 @@ class RelayParams(NamedTuple):
         Filter coefficient of the level of log r [-].
     step_ratio : float
         Smallest step in units of ``step_size``.
-    lost : float
-        Noise above the reference at which the optimum is lost.
     logarithmic : bool
         Whether theta = exp(u).
     theta_min, theta_max : float
@@ -85,7 +83,6 @@ class RelayParams(NamedTuple):
     adaptive: bool
     alpha_level: float
     step_ratio: float
-    lost: float
     logarithmic: bool
     theta_min: float
     theta_max: float
@@ -177,7 +174,7 @@ def insight(p: RelayParams, state: RelayState) -> tuple[float, float, float]:
         gradient = -p.sense * state.epsilon * state.cost_rise_filtered / step_size
     if not p.adaptive:
         return gradient, math.nan, math.nan
-    return gradient, state.swing.noise, confidence(state.swing, p.lost)
+    return gradient, state.swing.noise, confidence(state.swing)
 
 
 @njit(inline="always")
@@ -234,7 +231,7 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
         epsilon = -epsilon
         if p.adaptive:
             length = since_flip / max(p.dwell_samples, 1)
-            swing = turn(swing, length, state.u, p.step_ratio, p.lost)
+            swing = turn(swing, length, state.u, p.step_ratio)
         since_flip = 0
     elif p.adaptive and since_flip >= 2 * p.dwell_samples > 0 and since_flip % p.dwell_samples == 0:
         swing = widen(swing)

@@ -8,7 +8,7 @@ leg before (the noise s) and with the legs at home (the reference):
     home:  m <= reference + 3 s      the optimum is where it was: the reference follows m, and after
                                      four legs that ended as soon as they could the step shrinks,
                                      as long as their dip is to be seen: 0.3 s at least
-    lost:  m > reference + lost s    the step doubles with every leg
+    lost:  m > reference + 8 s       the step doubles with every leg
     a leg of two dwell times         the same: the optimum is elsewhere
 
 No unit of r and no clock stands in a rule: a swing that has become too small to see the optimum
@@ -40,6 +40,9 @@ class SwingSettings:
     )
     arrived: int = studied(4, "short legs in a row before the step shrinks", low=1)
     home: float = studied(3.0, "level above the reference at the optimum", unit="noise", low=0.0)
+    lost: float = studied(
+        8.0, "level above the reference from which the optimum is lost", unit="noise", low=3.0
+    )
     visible: float = studied(0.3, "least dip that is seen", unit="noise", low=0.0)
     dip_rate: float = studied(0.3, "share of a leg in the mean dip", low=0.0, high=1.0)
     stretch: float = studied(0.5, "largest share that a dwell time is longer", low=0.0)
@@ -200,11 +203,10 @@ def gain(swing: Swing, u: float, epsilon: int) -> float:
 
 
 @njit()
-def turn(swing: Swing, length: float, u: float, least: float, lost: float) -> Swing:
+def turn(swing: Swing, length: float, u: float, least: float) -> Swing:
     """End a leg at ``u``, after ``length`` dwell times: judge it and set the step of the next one.
 
-    ``least`` is the smallest factor; the optimum is lost ``lost`` times the noise above the
-    reference.
+    ``least`` is the smallest factor.
     """
     factor, reference, noise, short = swing.factor, swing.reference, swing.noise, swing.short
     lowest, dip = swing.lowest, swing.dip
@@ -215,7 +217,7 @@ def turn(swing: Swing, length: float, u: float, least: float, lost: float) -> Sw
         change = abs(lowest - swing.lowest_before)
         above = lowest - reference
         home = above <= SWING.home * noise
-        away = above > lost * noise
+        away = above > SWING.lost * noise
         if swing.legs < SWING.learned:
             noise = max(noise, change)
         else:  # a jump of the level is not noise
@@ -264,11 +266,11 @@ def turn(swing: Swing, length: float, u: float, least: float, lost: float) -> Sw
 
 
 @njit()
-def confidence(swing: Swing, lost: float) -> float:
+def confidence(swing: Swing) -> float:
     """Return how sure it is that the optimum is within the swing: 1 at the reference, 0 if lost."""
     if swing.legs < 2:
         return 0.0
     above = swing.lowest_before - swing.reference
     if above <= 0.0:
         return 1.0
-    return max(0.0, 1.0 - above / (lost * swing.noise)) if swing.noise > 0.0 else 0.0
+    return max(0.0, 1.0 - above / (SWING.lost * swing.noise)) if swing.noise > 0.0 else 0.0
