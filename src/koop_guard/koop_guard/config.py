@@ -178,6 +178,10 @@ class SafetySettings:
         1000.0, "samples over which the share of repeated values and the noise are known", low=10.0,
         origin=_JUDGED,
     )  # fmt: skip
+    stuck_at_first: float = parameter(
+        0.99, "share of repeated values before anything is known", low=0.0, high=1.0,
+        origin=_JUDGED,
+    )  # fmt: skip
     stuck_recent: float = parameter(
         25.0, "samples over which the recent motion of a channel is known", low=1.0,
         origin="simulated: an oscillation that dies away by 1/e in a period did not trip",

@@ -15,7 +15,6 @@ from enum import Enum, IntEnum
 from koop_guard.config import SAFETY, GuardConfig, SafetySettings
 
 ROUNDED = 1e-9  # share of a step by which rounding takes a controller beyond the rate
-NEVER_STUCK = 0.99  # share of repeated values before anything is known
 
 
 class Status(IntEnum):
@@ -100,7 +99,7 @@ class RepeatMeter:
 
     def __init__(self, settings: SafetySettings = SAFETY) -> None:
         self._settings = settings
-        self._share = self._recent_share = NEVER_STUCK
+        self._share = self._recent_share = settings.stuck_at_first
         self._last, self._before = math.nan, (math.nan, math.nan, math.nan)
         self._mean = self._spread = self._noise = self._differences = 0.0
         self._resolution = math.inf

@@ -23,6 +23,7 @@ def test_limits_far_apart_are_divided_by_a_factor_others_evenly():
 
 def test_a_step_goes_towards_the_limit_further_off():
     far = Scale(0.5, 60.0)
+    assert (far.logarithmic, Scale(0.5, 60.0, apart=200.0).logarithmic) == (True, False)
     two = 2.0 * 120.0**0.25  # a quarter of the way from 0.5 to 60 by its logarithm
     assert far.step_away(2.0, 0.25) == pytest.approx(two)
     assert far.step_away(two, 0.25) == pytest.approx(2.0)

@@ -11,7 +11,8 @@ from koop_commission.report.colors import BEST, FAINT, INTERFERENCE, MEASURED
 from koop_commission.report.contents import Contents
 from koop_core.errors import InputError
 from koop_tune.excitation.channels import Line, pick_lines
-from koop_tune.rig_model.spectra import SHORTEST, Spectra, spectra_by_theta
+from koop_tune.rig_model.dwells import DWELLS
+from koop_tune.rig_model.spectra import Spectra, spectra_by_theta
 from koop_view.report.document import Cell, Column, Figure, Mark, Panel, Section, Series, Table
 
 FINE = 200  # bins that are kept as they are
@@ -63,7 +64,7 @@ def make_spectra(c: Contents) -> Section:
         return Section(name, title, f"None: {c.loaded}.")
     try:
         windows = c.excitation.windows
-        length = windows.length if windows else SHORTEST
+        length = windows.length if windows else DWELLS.window
         spectra = spectra_by_theta(c.loaded, c.rig.scale, c.rig.dt, length, 1)
     except InputError as error:
         return Section(name, title, f"None: {error}.")

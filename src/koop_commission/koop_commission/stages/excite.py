@@ -25,7 +25,7 @@ from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError, LiveError
 from koop_guard.note import note_of
 from koop_tune.excitation import progress as progress_file
-from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, SAME, TIME, Design, Move
+from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, TIME, Design, Move
 from koop_tune.excitation.holds import Hold
 from koop_tune.excitation.progress import ExcitationProgress, HoldSummary
 from koop_tune.rig import rig_file
@@ -304,7 +304,7 @@ def read_holds(rig: RigFile, folder: Path, state: ExcitationProgress) -> list[Ho
     for hold in holds:
         away = np.abs(done - hold.u)
         nearest = int(np.argmin(away))
-        if away[nearest] < SAME:
+        if away[nearest] < ANY.same:
             hold.why = state.holds[nearest].why
             kept.append(hold)
     return kept

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from koop_core.config.parameter import parameter, validate
 from koop_tune.excitation.amplitude import bridge_gaps
 
-FEWEST = 128  # samples, before which there is no spectrum to speak of
 WIDTH = 2  # bins to each side that belong to a line under a Hann window
 
 
@@ -23,6 +22,8 @@ class ChannelSettings:
     levels: float = parameter(0.25, "values over samples of a quantised channel", low=0.0)
     stop: float = parameter(0.01, "share of the samples at an extreme that is a stop", low=0.0)
     flatter: float = parameter(3.0, "that share over the share of a sine", low=1.0)
+    fewest: int = parameter(128, "samples before which there is no spectrum", low=2)
+    shortest: int = parameter(64, "samples of a segment of a spectrum at least", low=8)
     segment: float = parameter(0.25, "segment of a spectrum, over the record", low=0.0, high=1.0)
     line: float = parameter(8.0, "power of a line over the spectrum around it", low=1.0)
     around: int = parameter(12, "bins to each side of that", low=3)
@@ -131,10 +132,10 @@ def find_lines(
     from scipy.signal import welch  # slow to import
 
     finite = np.isfinite(x)
-    if finite.sum() < 64 or np.ptp(x[finite]) == 0.0:
+    if finite.sum() < settings.shortest or np.ptp(x[finite]) == 0.0:
         return []
     x = bridge_gaps(x[:, None])[:, 0]
-    length = max(64, int(settings.segment * x.size))
+    length = max(settings.shortest, int(settings.segment * x.size))
     frequency, power = welch(x, 1.0 / dt, "hann", length, detrend="linear", scaling="spectrum")
     return pick_lines(frequency, power, settings)
 
@@ -184,14 +185,15 @@ def strongest_period(x: NDArray[np.float64], dt: float) -> float | None:
 
 
 def should_listen(
-    x: NDArray[np.float64], dt: float, least: float, periods: float, most: float
-) -> bool:
+    x: NDArray[np.float64], dt: float, least: float, periods: float, most: float,
+    settings: ChannelSettings = CHANNELS,
+) -> bool:  # fmt: skip
     """Return whether more must be heard: some periods of what is strongest, not for ever [s].
 
     What is strongest shows only when it is heard long enough, so this is asked again and again.
     """
     heard = x.shape[0] * dt
-    if heard < max(least, FEWEST * dt):
+    if heard < max(least, settings.fewest * dt):
         return True
     period = strongest_period(x, dt)
     return period is not None and heard < min(periods * period, most)

@@ -41,7 +41,6 @@ from koop_tune.rig.rig_file import RigFile
 
 Array = NDArray[np.float64]
 KNOWN, FLAT, TIME = "known", "flat", "time"
-SAME = 2e-3  # distance of two positions that are one, in ranges
 
 
 @dataclass(frozen=True)
@@ -80,6 +79,10 @@ class DesignSettings:
     longer: int = parameter(4, "windows if nothing, or something slower, reacts, in these", low=2)
     rounds: int = studied(3, "times at the first positions if nothing reacts", low=1)
     finest: float = parameter(0.004, "the same in ranges, if more", low=1e-4)
+    passed: float = parameter(
+        2e-3, "distance of a first position from a hold before, in ranges, at which it is left out",
+        low=0.0, origin="judgement",
+    )  # fmt: skip
     same: float = studied(0.25, "distance of two holds at one place, over the valley", low=0.0)
     beside: float = studied(0.05, "distance of a hold from an end that is the best", low=0.0)
     ends: int = studied(5, "holds at an end that may be the best", low=1)
@@ -155,7 +158,9 @@ class Design:
         up = rig.u_start <= 0.5
         held = np.array([hold.u for hold in self.holds])
         self._queue = [
-            u for u in first_positions(settings.first, up) if not (np.abs(held - u) < SAME).any()
+            u
+            for u in first_positions(settings.first, up)
+            if not (np.abs(held - u) < settings.passed).any()
         ]
         self._rounds, self._patience, self._elapsed = 1, 1.0, 0.0
         self._check_lag = len(self._queue) == 2 * settings.first - 1

@@ -17,10 +17,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import parameter, validate
 from koop_tune.excitation.amplitude import Amplitude, Windows
 
 Array = NDArray[np.float64]
-TREND, SLIGHT = 2.5, 0.01  # from one half to the other: standard errors; of a log amplitude
+
+
+@dataclass(frozen=True)
+class HoldSettings:
+    """When the rig has settled: how far both halves of the windows that count may differ."""
+
+    errors: float = parameter(2.5, "standard errors of the level", low=0.0, origin="judgement")
+    slight: float = parameter(
+        0.01, "change of a log amplitude, if more", low=0.0, origin="judgement"
+    )
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
+HOLDS = HoldSettings()
 
 
 class Hold:
@@ -119,11 +135,12 @@ class Level:
         """error^2 times the windows that count: larger, the slower the amplitude wanders."""
         return self.error**2 * (self.count - self.skip)
 
-    def is_settled(self, slight: float = 0.0) -> bool:
+    def is_settled(self, slight: float = 0.0, settings: HoldSettings = HOLDS) -> bool:
         """Return whether the rig has settled, or changes less than a slight log amplitude."""
         if abs(self.trend) < slight:
             return True
-        return self.skip < self.count // 2 and abs(self.trend) < max(TREND * self.error, SLIGHT)
+        change = max(settings.errors * self.error, settings.slight)
+        return self.skip < self.count // 2 and abs(self.trend) < change
 
     def at_least(self, wander: float) -> Level:
         """Return the level with an error that such a wander explains."""

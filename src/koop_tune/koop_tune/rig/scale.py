@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-LOGARITHMIC = 20.0  # ratio of the limits from which on positions are those of log theta
+from koop_core.config.parameter import parameter
 
 
 @dataclass(frozen=True)
@@ -17,11 +17,15 @@ class Scale:
 
     low: float
     high: float
+    apart: float = parameter(
+        20.0, "ratio of the limits from which on positions are those of log theta", low=1.0,
+        origin="judgement",
+    )  # fmt: skip
 
     @property
     def logarithmic(self) -> bool:
         """Whether positions are those of log theta."""
-        return self.low > 0.0 and self.high / self.low >= LOGARITHMIC
+        return self.low > 0.0 and self.high / self.low >= self.apart
 
     @property
     def span(self) -> float:

@@ -13,8 +13,6 @@ from koop_identify.recording.loaded import Loaded
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import DWELLS, DwellSettings, find_rests, leave_out_short
 
-SHORTEST, LONGEST = 16, 4096  # samples of a piece whose spectra are averaged
-
 
 class Spectra(NamedTuple):
     """Spectra of the channels where theta rested.
@@ -49,7 +47,7 @@ class Spectra(NamedTuple):
 
 
 def spectra_by_theta(
-    loaded: Loaded, scale: Scale, dt: float, length: int = SHORTEST, parts: int | None = None,
+    loaded: Loaded, scale: Scale, dt: float, length: int = DWELLS.window, parts: int | None = None,
     settings: DwellSettings = DWELLS,
 ) -> Spectra:  # fmt: skip
     """Return the spectra at each value of theta.
@@ -76,7 +74,8 @@ def spectra_by_theta(
     """
     u, rests = find_rests(loaded, scale, length, settings)
     u, rests = leave_out_short(u, rests, settings.part_of_spectra)
-    size = min(LONGEST, min(rest.end - rest.begin for rest in rests) // (parts or settings.parts))
+    usual = min(rest.end - rest.begin for rest in rests)
+    size = min(settings.longest_piece, usual // (parts or settings.parts))
     spectra = np.array(
         [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b, _ in rests]
     )
