@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
 
 import dask.config
@@ -173,9 +173,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
 
 
 def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results(
-    tmp_path: Path,
-    start: Callable[..., subprocess.Popen[bytes]],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, start: Callable[..., subprocess.Popen[bytes]]
 ) -> None:
     file = tmp_path / "scheduler.json"
     scheduler = start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
@@ -185,8 +183,8 @@ def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results
     wait_for(lambda: file.exists() and file.read_text().endswith("}"))  # it is written in place
     store, address = Store(tmp_path / "units"), json.loads(file.read_text())["address"]
     settings = {**SHORT, "duration": 500.0}
-    every = [Unit("runs", {"settings": settings, "seeds": [n, n + 1]}) for n in range(33)]
-    units, further, other = every[:16], every[16:32], every[32]
+    every = [Unit("runs", {"settings": settings, "seeds": [n, n + 1]}) for n in range(32)]
+    units, further = every[:16], every[16:]
 
     def kill(process: subprocess.Popen[bytes], units: list[Unit], left: list[int]) -> None:
         wait_for(lambda: sum(map(store.has, units)) >= len(units) // 2)
@@ -203,10 +201,8 @@ def test_a_cluster_loses_nothing_with_a_killed_worker_and_gives_the_same_results
         assert actual == [runs(**unit.arguments) for unit in units]
         again = re.findall("recomputed elsewhere: .*", (tmp_path / "log").read_text())
         assert sum(line.count("runs-") for line in again) <= 2  # what was there is not done again
-        with monkeypatch.context() as patch:  # another study than what the workers are made of
-            patch.setattr("koop_study.workers.units.fingerprint", lambda *_: "other")
-            with pytest.raises(ValueError, match="has other code"):
-                compute_all([other], store, 1, address)
+        with pytest.raises(ValueError, match="has other code"):
+            compute_all([replace(units[0], code="of another commit")], store, 1, address)
         thread.submit(kill, scheduler, further, left)
         with pytest.raises(WorkerLost, match="scheduler has gone"):
             compute_all(further, store, 1, address)
@@ -267,23 +263,24 @@ def test_what_decides_results_imports_nothing_that_the_fingerprint_leaves_out() 
         assert inside or name in ("koop_study.workers", "koop_study.experiments"), name
 
 
-MEANING = lru_cache(maxsize=None)(units.meaning)  # the same source is parsed once
+@pytest.fixture(scope="module")
+def meanings() -> dict[str, str]:
+    """Return the meaning of every module that decides results."""
+    return {name: units.meaning(text) for name, text in units.sources(units.PACKAGES).items()}
 
 
 @pytest.mark.parametrize("package", units.PACKAGES)
 def test_a_changed_line_in_any_package_that_decides_results_changes_the_key(
-    package: str, monkeypatch: pytest.MonkeyPatch
+    package: str, meanings: dict[str, str]
 ) -> None:
     unit = Unit("runs", {"seeds": [1]})
-    monkeypatch.setattr(units, "fingerprint", units.fingerprint.__wrapped__)
-    monkeypatch.setattr(units, "meaning", MEANING)
-    before, every = unit.key, units.sources(units.PACKAGES)
-    names = list(units.sources([package]))
-    assert len(names) > 1
-    for name in (names[0], names[-1]):
-        changed = {**every, name: every[name] + "\nADDED = 1\n"}
-        monkeypatch.setattr(units, "sources", lambda _, changed=changed: changed)
-        assert unit.key != before
+    assert unit.code == units.digest_of(meanings)
+    texts = units.sources([package])
+    assert len(texts) > 1
+    for name in (min(texts), max(texts)):
+        changed = units.meaning(texts[name] + "\nADDED = 1\n")
+        code = units.digest_of({**meanings, name: changed})
+        assert replace(unit, code=code).key != unit.key
 
 
 def test_a_new_module_changes_the_key_and_one_that_knows_ros_does_not(
@@ -293,16 +290,11 @@ def test_a_new_module_changes_the_key_and_one_that_knows_ros_does_not(
     (package / "deep").mkdir(parents=True)
     (package / "__init__.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(units, "PACKAGES", ("invented",))
-
-    def now() -> str:
-        return units.fingerprint.__wrapped__()
-
-    before = now()
+    before = units.digest_of(units.sources(["invented"]))
     (package / "node.py").write_text("import rclpy\n")
-    assert now() == before
+    assert units.digest_of(units.sources(["invented"])) == before
     (package / "deep" / "new.py").write_text("A = 1\n")
-    assert now() != before
+    assert units.digest_of(units.sources(["invented"])) != before
 
 
 def test_results_come_back_to_the_last_bit(tmp_path: Path) -> None:

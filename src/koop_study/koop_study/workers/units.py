@@ -11,8 +11,8 @@ import ast
 import hashlib
 import json
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -29,29 +29,41 @@ ROS = ("node.py", "executable.py")
 LIBRARIES = ("numpy", "scipy", "numba")  # another version may round in another way
 
 
+@lru_cache(maxsize=1)
+def fingerprint() -> str:
+    """Return a hash of everything that decides results: our code, and the libraries' versions."""
+    return digest_of({name: meaning(source) for name, source in sources(PACKAGES).items()})
+
+
+def digest_of(meanings: Mapping[str, str]) -> str:
+    """Return one hash of modules, given the meaning of each, and of the libraries' versions."""
+    every = [*((name, version(name)) for name in LIBRARIES), *meanings.items()]
+    return hashlib.sha256(json.dumps(every).encode()).hexdigest()
+
+
 @dataclass(frozen=True)
 class Unit:
-    """A function of ``koop_study.workers.task.WORK``, with its arguments in JSON terms."""
+    """A function of ``koop_study.workers.task.WORK``.
+
+    Attributes
+    ----------
+    work : str
+        Name of the function.
+    arguments : dict
+        Its arguments, in JSON terms.
+    code : str
+        Fingerprint of the code that decides the result.
+    """
 
     work: str
     arguments: dict[str, Any]
+    code: str = field(default_factory=fingerprint)
 
     @property
     def key(self) -> str:
         """Name of the result: the same work with the same code has the same key."""
-        text = json.dumps([self.work, self.arguments, fingerprint()], sort_keys=True)
+        text = json.dumps([self.work, self.arguments, self.code], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-
-@lru_cache(maxsize=1)
-def fingerprint() -> str:
-    """Return a hash of everything that decides results: our code, and the libraries' versions."""
-    digest = hashlib.sha256()
-    for name in LIBRARIES:
-        digest.update(f"{name} {version(name)}\n".encode())
-    for name, source in sources(PACKAGES).items():
-        digest.update(f"{name} {meaning(source)}\n".encode())
-    return digest.hexdigest()
 
 
 def sources(packages: Sequence[str]) -> dict[str, str]:
