@@ -321,14 +321,14 @@ def test_a_ring_keeps_the_newest_files_for_other_readers(tmp_path):
 def test_the_recording_around_a_trip_of_the_guard_is_kept_for_good(tmp_path):
     guard = "/koop_guard/state"
     topics = f"topics:=/blob:{BLOB} {guard}:koop_msgs/msg/GuardState"
-    with Recorder(tmp_path / "run", "-p", topics, "-p", "keep_size:=0.5") as recorder:
+    with Recorder(tmp_path / "run", "-p", topics, "-p", "keep_size:=2.0") as recorder:
         with Talker() as talker:
             (state,) = talker.publishers({guard: "koop_msgs/msg/GuardState"}).values()
             publish_blobs(talker, recorder, range(100))
             for status, tripped_at in ((1, 0.0), (2, 7.5), (2, 7.5)):
                 state.publish(state.msg_type(status=status, tripped_at=tripped_at))
             recorder.wait_for(guard, 3)
-            publish_blobs(talker, recorder, range(100, 300))
+            publish_blobs(talker, recorder, range(100, 500))
             recorder.stop()
         assert recorder.process.returncode == 0, recorder.output()
     with AnyReader([tmp_path / "run" / "bag" / "alarms"]) as reader:
@@ -340,8 +340,29 @@ def test_the_recording_around_a_trip_of_the_guard_is_kept_for_good(tmp_path):
     assert [topic for topic, _ in actual].count(guard) == 3
 
 
+def test_trips_that_no_room_is_left_for_are_warned_of_once(tmp_path):
+    guard, reports = "/koop_guard/state", []
+    topics = f"topics:=/blob:{BLOB} {guard}:koop_msgs/msg/GuardState"
+    with Recorder(tmp_path / "run", "-p", topics, "-p", "keep_size:=0.5") as recorder:
+        with Talker() as talker:
+            talker.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 100)
+            (state,) = talker.publishers({guard: "koop_msgs/msg/GuardState"}).values()
+            for trip in range(10):
+                state.publish(state.msg_type(status=2, tripped_at=1.0 + trip))
+                recorder.wait_for(guard, 1)  # the ring drops it later
+                publish_blobs(talker, recorder, range(30 * trip, 30 * trip + 30))
+            talker.spin_until(
+                lambda: any("alarms is full" in s.message for r in reports for s in r.status),
+                "a warning",
+            )
+            recorder.stop()
+        assert recorder.output().count("alarms is full") == 1
+    size = sum(path.stat().st_size for path in (tmp_path / "run" / "bag").rglob("*.mcap"))
+    assert size < 600_000
+
+
 def test_a_ring_that_the_disk_is_too_small_for_shrinks_and_goes_on(tmp_path):
-    size = 20 * shutil.disk_usage(tmp_path).total / 1e6  # of which a file is two disks large
+    size = 40 * shutil.disk_usage(tmp_path).total / 1e6  # of which a file is two disks large
     reports = []
     ring = ("-p", f"topics:=/blob:{BLOB}", "-p", f"keep_size:={size}")
     with Recorder(tmp_path / "run", *ring) as recorder, Talker() as talker:

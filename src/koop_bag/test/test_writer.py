@@ -1,8 +1,11 @@
 """Bags read back by readers that share no code with the writer."""
 
+import os
 import resource
 import shutil
+import signal
 import struct
+import sys
 import zlib
 from collections import Counter
 from contextlib import contextmanager, suppress
@@ -224,11 +227,11 @@ def test_a_ring_that_was_killed_is_read_as_far_as_it_was_written(tmp_path):
 
 def test_the_files_around_an_alarm_are_kept_apart_when_the_ring_drops_them(tmp_path):
     folder, alarms = tmp_path / "run", []
-    for seconds, writer in enumerate(record(folder, 5_000, keep_bytes=200_000), start=1):
+    for seconds, writer in enumerate(record(folder, 10_000, keep_bytes=400_000), start=1):
         if seconds in (4, 15):
             writer.note_alarm()
             alarms.append(seconds * 200)
-        if seconds == 12:
+        if seconds == 22:
             first = read_steps(folder / "alarms")["/state"]
     assert first == list(range(first[0], first[-1] + 1))
     steps = read_steps(folder / "alarms")["/state"]
@@ -236,22 +239,69 @@ def test_the_files_around_an_alarm_are_kept_apart_when_the_ring_drops_them(tmp_p
         assert set(range(alarm - 50, alarm + 50)) <= set(steps)  # a file holds 60 or more
     # one file before, the one in progress and one after; of all files the rest is dropped
     assert len(list((folder / "alarms").glob("*.mcap"))) == 6
-    assert len(list(folder.glob("*.mcap"))) <= 11
-    assert read_steps(folder)["/state"][-1] == 4_999
+    assert len(list(folder.glob("*.mcap"))) <= 21 - 6
+    assert read_steps(folder)["/state"][-1] == 9_999
 
 
-def test_alarms_without_end_take_no_more_files_than_the_ring(tmp_path):
-    folder = tmp_path / "run"
-    for writer in record(folder, 10_000, keep_bytes=200_000):
+def test_alarms_without_end_take_half_of_the_ring_and_the_newest_files_the_other(tmp_path):
+    folder, keep = tmp_path / "run", 400_000
+    for seconds, writer in enumerate(record(folder, 12_000, keep_bytes=keep), start=1):
         writer.note_alarm()
-        if len(list(folder.glob("alarms/*.mcap"))) == 10:  # what is dropped now makes room
+        size = sum(path.stat().st_size for path in folder.rglob("*.mcap"))
+        assert writer.bytes_written == size < keep + 40_000
+        if seconds == 30:
+            assert writer.alarms_full
             before = len(list(folder.glob("*.mcap")))
-            writer.make_room(writer.options.reserve - 1)
+            writer.make_room(writer.options.reserve - 1)  # what is dropped now makes room
             assert len(list(folder.glob("*.mcap"))) >= before - 1
-    steps = read_steps(folder / "alarms")["/state"]
+        if seconds == 40:  # a user takes two away: the next ones are kept
+            kept = sorted(folder.glob("alarms/*.mcap"))
+            shutil.copytree(folder / "alarms", tmp_path / "copy")
+            for path in kept[:2]:
+                path.unlink()
+    steps = read_steps(tmp_path / "copy")["/state"]
     assert steps == list(range(len(steps)))  # the first ones stay
-    assert len(list((folder / "alarms").glob("*.mcap"))) == 10
-    assert sum(path.stat().st_size for path in folder.rglob("*.mcap")) < 2 * 240_000
+    assert 0.4 * keep < sum(f.stat().st_size for f in tmp_path.glob("copy/*.mcap")) < 0.5 * keep
+    assert len(set(folder.glob("alarms/*.mcap")) - set(kept)) == 2
+    assert read_steps(folder)["/state"][-1] == 11_999
+    assert writer.alarms_full
+
+
+FILE_EVENTS = ("os.mkdir", "os.link", "os.rename", "os.remove")
+
+
+def die_in_a_drop(folder, survived):
+    """Record with an alarm; end by SIGKILL before a file is touched once more in the first drop."""
+    seen = 0
+
+    def hook(event, arguments):
+        nonlocal seen
+        writes = event == "open" and arguments[1] in ("w", "xb")
+        is_drop = seen or (event == "os.mkdir" and str(arguments[0]).endswith("alarms"))
+        if is_drop and (writes or event in FILE_EVENTS):
+            seen += 1
+            if seen > survived:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(hook)
+    for writer in record(folder, 5_000, keep_bytes=200_000):
+        if writer.message_count < 250:
+            writer.note_alarm()
+    os._exit(0)
+
+
+@pytest.mark.parametrize("survived", range(10))
+def test_a_kill_at_any_step_of_keeping_a_file_apart_loses_nothing(tmp_path, survived):
+    folder = tmp_path / "run"
+    if (child := os.fork()) == 0:
+        die_in_a_drop(folder, survived)
+    _, status = os.waitpid(child, 0)
+    assert os.WTERMSIG(status) == signal.SIGKILL
+    steps = set(read_steps(folder)["/state"])
+    if (folder / "alarms" / "metadata.yaml").exists():
+        steps |= set(read_steps(folder / "alarms")["/state"])
+    assert steps == set(range(min(steps), max(steps) + 1))
+    assert min(steps) < 150 < 250 < max(steps)  # the alarm came at 200
 
 
 def test_a_ring_on_a_disk_that_fills_up_shrinks_to_its_newest_file(tmp_path):

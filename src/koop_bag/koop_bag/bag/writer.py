@@ -14,13 +14,15 @@ from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError, BagWriteError
 from koop_bag.mcap.chunk import ChunkBuffer, Row
 from koop_bag.mcap.file_writer import McapFileWriter
+from koop_core import whole_file
 from koop_core.config.parameter import parameter, validate
+from koop_core.errors import LiveError
 
 Result = TypeVar("Result")
-RING = 10
-"""Files of a ring: what is dropped at once is one part of so many."""
+RING = 20
+"""Files of a ring and its alarms: what is dropped at once is one part of so many."""
 ALARMS = "alarms"
-"""Folder in a ring for the files around alarms: at most as many as the ring has."""
+"""Folder in a ring for the files around alarms: at most half of what the ring may take."""
 RESERVE = 100_000_000
 """Free space that a disk should have where no size of a file says more [B]."""
 
@@ -92,6 +94,8 @@ class BagWriter:
         :meth:`keep` has it written at once.
     topics : list of TopicRecord
         Announced so far.
+    alarms_full : bool
+        Whether a file around an alarm was dropped, for want of room in `alarms/`.
 
     Notes
     -----
@@ -117,6 +121,8 @@ class BagWriter:
         self._opened = 0
         self._alarm_goes_on = False
         self._alarms: list[FileRecord] = []
+        self._dropped: list[Path] = []
+        self.alarms_full = False
         self.closed = False
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -134,7 +140,7 @@ class BagWriter:
     @property
     def bytes_written(self) -> int:
         """Bytes on the disk, without those of dropped files."""
-        return self._closed_bytes + self._file.size
+        return self._closed_bytes + self._file.size + self._alarm_bytes
 
     @property
     def message_count(self) -> int:
@@ -216,7 +222,8 @@ class BagWriter:
         """Keep the file in progress, the one before and the next for good.
 
         A ring moves such a file into `alarms/` instead of dropping it, while there is room: the
-        first alarms stay, and a guard that trips again and again cannot fill the disk.
+        first alarms stay, and a guard that trips again and again cannot empty the ring. A user who
+        takes files away makes room.
         """
         for record in self._files[-2:]:
             record.of_alarm = True
@@ -244,7 +251,8 @@ class BagWriter:
             free += self._guarded(self._drop_oldest)
             dropped = True
         if dropped:
-            self._guarded(self._describe_the_rest)
+            self._guarded(lambda: self._remove_dropped(self._files[:-1]))
+            self._guarded(self._describe)
 
     def add_note(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record at once, so that it outlives a crash."""
@@ -307,37 +315,68 @@ class BagWriter:
         self._chunk.not_before = self._files[-1].end
         while len(self._files) > 1 and self._is_too_much():
             self._drop_oldest()
-        self._file = self._open_file()
         if self.options.is_ring:
-            self._write_description(self._files[:-1])
-
-    def _describe_the_rest(self) -> None:
-        """Describe what is left after a drop; beside the files only those that are whole."""
-        self._describe()
-        self._write_description(self._files[:-1])
+            self._remove_dropped(self._files)
+        self._file = self._open_file()
 
     def _is_too_much(self) -> bool:
         """Whether the closed files and one more like the last are more than is to be kept."""
         last, options = self._files[-1], self.options
-        too_large = 0 < options.keep_bytes < self._closed_bytes + last.size
+        taken = self._closed_bytes + self._alarm_bytes
+        too_large = 0 < options.keep_bytes < taken + last.size
         age = last.end - self._files[0].end
         return too_large or 0 < options.keep_seconds * 1e9 < age
 
     def _drop_oldest(self) -> int:
-        """Drop the oldest file, or keep it apart; return the bytes that became free."""
+        """Give up the oldest file, or keep it apart; return the bytes that become free.
+
+        A kill at any time leaves the file in a bag that describes it: it is gone from here only
+        after it was described in `alarms/`, and after it is no longer described here.
+        """
         record = self._files.pop(0)
         path, alarms = self.folder / record.path, self.folder / ALARMS
+        self._dropped.append(path)
+        if not record.of_alarm:
+            return record.size
+        self._alarms = [item for item in self._alarms if (alarms / item.path).exists()]
+        self.alarms_full = not self._has_room_for(record)
+        if self.alarms_full:
+            return record.size
         try:
-            if not record.of_alarm or len(self._alarms) >= RING:
-                path.unlink(missing_ok=True)  # a user may have made room
-                return record.size
             alarms.mkdir(exist_ok=True)
-            path.rename(alarms / path.name)
+            _link(path, alarms / path.name)
         except OSError as error:
-            raise BagWriteError(f"cannot drop {path}: {error.strerror}") from error
+            raise BagWriteError(f"cannot keep {path}: {error.strerror}") from error
         self._alarms.append(record)
         self._write_description(self._alarms, alarms)
         return 0
+
+    def _has_room_for(self, record: FileRecord) -> bool:
+        """Whether a file around an alarm may be kept for good."""
+        if self.options.keep_bytes:
+            return 2 * (self._alarm_bytes + record.size) <= self.options.keep_bytes
+        return len(self._alarms) < RING // 2
+
+    def _remove_dropped(self, left: Sequence[FileRecord]) -> None:
+        """Describe the whole files that are left, then remove those that were dropped."""
+        try:
+            self._write_description(left)
+        except BagWriteError:  # on a full disk, only what is removed makes room
+            self._unlink_dropped()
+            self._write_description(left)
+        self._unlink_dropped()
+
+    def _unlink_dropped(self) -> None:
+        for path in self._dropped:
+            try:
+                path.unlink(missing_ok=True)  # a user may have made room
+            except OSError as error:
+                raise BagWriteError(f"cannot drop {path}: {error.strerror}") from error
+        self._dropped.clear()
+
+    @property
+    def _alarm_bytes(self) -> int:
+        return sum(file.size for file in self._alarms)
 
     @property
     def _closed_bytes(self) -> int:
@@ -361,12 +400,10 @@ class BagWriter:
         path = (folder or self.folder) / "metadata.yaml"
         text = dump({"rosbag2_bagfile_information": self._description(files)})
         try:
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            path.unlink(missing_ok=True)
-            raise BagWriteError(
-                f"cannot write {path}: {error.strerror}; `koop bag recover` makes it again"
-            ) from error
+            whole_file.write_text(path, text)
+        except LiveError as error:
+            path.unlink(missing_ok=True)  # it does not say what is there now
+            raise BagWriteError(f"{error}; `koop bag recover` makes it again") from error
 
     def _guarded(self, action: Callable[[], Result]) -> Result:
         """Do a write; if it fails, close the bag as well as the disk allows before raising."""
@@ -386,6 +423,14 @@ class BagWriter:
     def _check_open(self) -> None:
         if self.closed:
             raise BagWriteError(f"the bag {self.folder} is closed")
+
+
+def _link(path: Path, target: Path) -> None:
+    """Give a file a second place, or, on a file system without links, only the new one."""
+    try:
+        target.hardlink_to(path)
+    except OSError:
+        path.rename(target)
 
 
 def _chunk_buffer(options: WriterOptions) -> ChunkBuffer:

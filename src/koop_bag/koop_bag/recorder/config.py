@@ -36,8 +36,8 @@ class RecorderConfig:
     )
     keep_size: float = parameter(
         0.0,
-        "size of all files, above which the oldest are dropped; 0: all are kept. A file is a tenth "
-        "of it. Up to ten files around trips of the guard stay in bag/alarms, beyond that size",
+        "size of all files, above which the oldest are dropped; 0: all are kept. A file is a "
+        "twentieth of it. Files around trips of the guard stay in bag/alarms, up to half of it",
         unit="MB",
         low=0.0,
         read_only=True,
@@ -45,7 +45,7 @@ class RecorderConfig:
     keep_age: float = parameter(
         0.0,
         "age of its last message above which a file is dropped; 0: all are kept. A file covers at "
-        "most a tenth of it",
+        "most a twentieth of it; ten files around trips stay without keep_size",
         unit="h",
         low=0.0,
         read_only=True,

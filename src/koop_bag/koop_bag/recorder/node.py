@@ -31,6 +31,9 @@ POLL_PERIOD = 0.02  # [s] between fetches of waiting messages; receive times do 
 LOOK_PERIOD = 0.25  # [s] between looks for new topics, publishers and nodes
 EARLY_PERIOD, EARLY = 0.05, 5.0  # [s] at first, for a run may be over in less; and how long
 GUARD_STATE = "koop_msgs/msg/GuardState"
+ALARMS_FULL = (
+    "bag/alarms is full, the recording around later trips is dropped: move files away from there"
+)
 QUIET = 0.2  # [s] without a message after which a stopped run has published everything
 PATIENCE = 1.0  # [s] and no longer than this
 
@@ -102,9 +105,10 @@ class RecorderRun(Run):
             **{f"lost {name}": count for name, count in lost.items()},
         }
         total = sum(lost.values())
-        if self._scarce or total:
-            return WARN, self._scarce or f"{total} messages lost", values
-        return OK, "recording", values
+        problems = [self._scarce, ALARMS_FULL if self._writer.alarms_full else ""]
+        problems.append(f"{total} messages lost" if total else "")
+        problem = "; ".join(filter(None, problems))
+        return (WARN, problem, values) if problem else (OK, "recording", values)
 
     def fetch_the_last(self) -> None:
         """Go on until nothing comes any more: other nodes that were stopped still publish."""
