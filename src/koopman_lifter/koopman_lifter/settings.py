@@ -1,4 +1,4 @@
-"""Settings of what is learned besides the modes: contrast and delays."""
+"""Settings of what is learned besides the modes: contrast, delays and a run under way."""
 
 from __future__ import annotations
 
@@ -29,4 +29,21 @@ class LearningSettings:
         validate(self)
 
 
+@dataclass(frozen=True)
+class RunningSettings:
+    """How the sums of a run under way forget."""
+
+    alertness: float = judged(
+        0.01, "least gain of a direction over its loss: to follow a weaker oscillation", low=1e-6
+    )
+    quiet: float = judged(
+        1e-4, "gain of a block about its mean, over its share, that says nothing", low=0.0
+    )
+    ridge: float = judged(1e-12, "regularisation, over the variance", low=0.0)
+
+    def __post_init__(self) -> None:
+        validate(self)
+
+
 LEARNING = LearningSettings()
+RUNNING = RunningSettings()
