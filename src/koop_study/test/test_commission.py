@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from koop_core.config.parameter import ConfigError
+from koop_study.commissioning.work import Loops
 from koop_study.experiments import commission
 from koop_study.experiments.commission import CommissionConfig, section
 from koop_study.experiments.spec import Seeds, parse
+from koop_study.family.config import FamilyConfig
+from koop_study.family.rig import draw
 
 STRATA = {"usual": {}, "deep": {"depth": [5.0, 100.0], "channels": [1, 4]}}
 CONFIG = CommissionConfig(Seeds(10, 3), STRATA, {"channels": [1, 2]})
@@ -61,3 +65,12 @@ def test_words_and_truths_are_counted() -> None:
     assert counted["deep"] == ["3", "0", "0", "–", "–", "33.3", "1", "1", "0", "100"]
     assert counted["all"] == ["8", "5", "1", "40.0", "40.0", "33.3", "3", "2", "1", "100"]
     assert [texts[0] for texts in mistakes.texts()] == ["2", "3", "4", "5", "7", "8"]
+
+
+def test_no_round_of_a_verification_repeats_the_noise_of_another() -> None:
+    first = Loops(draw(FamilyConfig(), 7), 7, 400)
+    rounds = [first, first.later(1, 1.0), first.later(2, 2.0)]
+    drawn = [noise.numbers for loops in rounds for noise in loops.noises]
+    assert [len(numbers) for numbers in drawn] == [400, 400, 400, 400, 800, 800]
+    alike = np.corrcoef([numbers[:400, 0] for numbers in drawn]) - np.eye(6)
+    assert np.abs(alike).max() < 0.25  # five standard errors of 400 numbers

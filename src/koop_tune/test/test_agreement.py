@@ -24,6 +24,7 @@ from koop_tune.search.rounds import (
     LoopRun,
     Round,
     Verification,
+    find_longer,
     find_slowdown,
     kept_index,
     load_verification,
@@ -80,6 +81,8 @@ def test_a_run_is_measured_as_its_truth_is(aim, good):
     assert aim.longest == 400.0
     assert replace(aim, growth=150.0).duration == 300.0  # its second half is a growth
     assert replace(aim, growth=300.0).longest == 600.0
+    twice = replace(aim, longer=2.0)
+    assert (twice.duration, twice.longest) == (2.0 * aim.duration, 2.0 * aim.longest)
     # converged: within 1.5 times the best
     assert good.time_to_converge == pytest.approx(TAU * math.log(6.0), abs=3 * aim.window)
     assert good.amplitude_before == pytest.approx(4.0, rel=0.02)
@@ -270,6 +273,15 @@ def test_a_rig_that_was_slower_than_predicted_is_taken_for_a_slower_one():
     assert find_slowdown(rounds_of((False, 30.0, 90.0))) == 1.5
     assert find_slowdown(rounds_of((False, 30.0, 40.0))) == 1.0  # another figure disagreed
     assert find_slowdown(rounds_of((False, 90.0, 30.0), (False, None, 50.0))) == 6.0
+
+
+def test_loops_are_closed_longer_after_rounds_that_only_errors_kept_from_damping_the_rig():
+    (near,) = rounds_of((True, 1.0, 1.0), excess=1.4)
+    (far,) = rounds_of((True, 1.0, 1.0), excess=1.6)
+    begun, damped = replace(near, agrees=None), replace(near, damped=True)
+    for rounds, longer in (([], 1), ([near], 2), ([near, near], 4), ([far, near], 2)):
+        assert find_longer(rounds) == longer
+    assert find_longer([far, begun, damped]) == 1
 
 
 def test_the_last_round_is_kept_if_it_damped_else_the_best_one():

@@ -24,6 +24,7 @@ from koop_tune.search.prediction import Band
 from koop_tune.search.rounds import (
     Round,
     Verification,
+    find_longer,
     load_verification,
     save_verification,
 )
@@ -81,6 +82,7 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     if not rounds or rounds[-1].finished or rounds[-1].prediction != aim.predicted:
         rounds.append(Round(len(rounds) + 1, aim.predicted))
     current = rounds.pop()
+    aim = replace(aim, longer=find_longer(rounds))
     done = [run.start for run in current.runs]
     left = [theta for theta in (rig.theta_min, rig.theta_max) if theta not in done]
     loop = ClosedLoop(rig, aim, folder, current.number, note)

@@ -43,11 +43,15 @@ class Excitation:
     @property
     def loaded(self) -> Loaded:
         """The recording as it is loaded from a bag."""
-        size = self.theta.size
-        begins = np.arange(size) == 0
-        time = np.asarray(np.arange(size) * self.design.windows.dt, np.float64)
-        whole = Loaded(np.ascontiguousarray(self.x.T), begins, self.theta, time)
-        return whole.after(int(self.design.since / self.design.windows.dt))
+        dt = self.design.windows.dt
+        return as_loaded(self.theta, self.x, dt).after(int(self.design.since / dt))
+
+
+def as_loaded(theta: NDArray[np.float64], x: NDArray[np.float64], dt: float) -> Loaded:
+    """Return theta, shape (M,), and channels, shape (M, n), as they are loaded from a bag."""
+    number = np.arange(theta.size)
+    time = np.asarray(number * dt, np.float64)
+    return Loaded(np.ascontiguousarray(x.T), number == 0, theta, time)
 
 
 def file_of(rig: Rig, rate: float, time: float) -> RigFile:

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_study.commissioning.excitation import Excitation, excite, file_of, training_of
+from koop_identify.recording.loaded import Loaded
+from koop_study.commissioning.excitation import (
+    Excitation,
+    as_loaded,
+    excite,
+    file_of,
+    training_of,
+)
 from koop_study.family import oscillator
 from koop_study.family.config import family_of
 from koop_study.family.loop import (
@@ -33,14 +40,15 @@ from koop_tune.search.agreement import (
     measure,
 )
 from koop_tune.search.findings import NoOptimum
-from koop_tune.search.rounds import LoopRun, Round, find_slowdown, kept_index
+from koop_tune.search.rounds import LoopRun, Round, find_longer, find_slowdown, kept_index
 from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.settings import VERIFICATION, TuningSettings
 from koop_tune.search.tuning import Tuning, tune
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 
-EARLIER, OTHER = 1_000_000, 2_000_000  # to the seed, of the excitation and of the other end's noise
+# added to the seed: of the excitation, of the other end's noise, of the noise of the next round
+EARLIER, OTHER, NEXT = 1_000_000, 2_000_000, 20_000_000
 ENDS = (0, 1)
 Row = dict[str, Any]
 
@@ -79,7 +87,7 @@ def commission_plant(
     row: Row = {"stratum": stratum, **_described(rig), "damped": False,
                 "excited": recorded.elapsed / rig.time}  # fmt: skip
     after = rig.later(recorded.elapsed)  # while theta was moved the optimum moved too
-    loops = _Loops(after, seed, round(duration * rig.time / rig.params.dt))
+    loops = Loops(after, seed, round(duration * rig.time / rig.params.dt))
     try:
         if recorded.design.ended == FLAT:
             raise NoOptimum("flat", "nothing reacts")
@@ -99,28 +107,31 @@ def commission_plant(
 
 
 def commissioned(
-    rig: Rig, file: RigFile, recorded: Excitation, loops: _Loops, seed: int, effort: float,
+    rig: Rig, file: RigFile, recorded: Excitation, first: Loops, seed: int, effort: float,
     row: Row,
 ) -> Tuning:  # fmt: skip
     """Tune and verify, as often as ``koop commission`` does; note the outcome in the row.
 
-    The recordings of the loops are not learned from, only how slow they say that the rig is.
+    A later round learns from the loops of the earlier ones, whose noise it does not repeat.
     """
     rounds: list[Round] = []
     tried: list[tuple[Tuning, Row]] = []
+    starts, loaded = (file.theta_min, file.theta_max), recorded.loaded
     while len(rounds) < VERIFICATION.rounds and not (rounds and rounds[-1].damped):
         settings = TuningSettings(
             seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
         )
         amplitude = recorded.design.amplitude
-        found = tune(recorded.loaded, file, training_of(rig), amplitude, settings)
+        found = tune(loaded, file, training_of(rig), amplitude, settings)
         if not rig.has_optimum:
             return found
+        loops = first.later(len(rounds), find_longer(rounds)) if rounds else first
         closed = loops.close(found)
         aim = make_aim(as_json.of_tuning(found, file, None), file)
+        before = [loops.rest(start, aim, 3 * OTHER + end) for end, start in enumerate(starts)]
         runs = tuple(
-            LoopRun(start, measure(aim, loops.before(end, aim), loop.x, loop.theta))
-            for end, start, loop in zip(ENDS, (file.theta_min, file.theta_max), closed, strict=True)
+            LoopRun(start, measure(aim, rest, loop.x, loop.theta))
+            for start, rest, loop in zip(starts, before, closed, strict=True)
         )
         agrees = not any(find_disagreements(aim, run.measured) for run in runs)
         damped = not find_faults(aim, [run.measured for run in runs])
@@ -128,6 +139,12 @@ def commissioned(
         result = {"ratio": [loop.ratio for loop in closed],
                   "converged": [loop.converged for loop in closed]}  # fmt: skip
         tried.append((found, result))
+        for end, (rest, loop, run) in enumerate(zip(before, closed, runs, strict=True)):
+            theta = run.measured.theta
+            after = loops.rest(theta, aim, 5 * OTHER + end)
+            path = np.r_[np.full(len(rest), run.start), loop.theta, np.full(len(after), theta)]
+            seen = as_loaded(path, np.concatenate([rest, loop.x, after]), file.dt)
+            loaded = Loaded.joined([loaded, seen])
     which = kept_index(rounds)
     found, result = tried[which]
     row |= {"runs": {"first": tried[0][1], "tuned": result}, "rounds": len(rounds),
@@ -135,11 +152,15 @@ def commissioned(
     return found
 
 
-class _Loops:
+class Loops:
     """The loop of a rig closed from both ends, with the same noise for every controller."""
 
     def __init__(self, rig: Rig, seed: int, steps: int) -> None:
         self._rig, self._seed, self._steps = rig, seed, steps
+
+    def later(self, number: int, longer: float) -> Loops:
+        """Return those of a later round: with noise of its own, so many times as long."""
+        return Loops(self._rig, self._seed + number * NEXT, round(longer * self._steps))
 
     @functools.cached_property
     def noises(self) -> list[RunNoise]:
@@ -147,12 +168,12 @@ class _Loops:
         return [noise_of(from_end(self._rig, end), self._steps, self._seed + end * OTHER)
                 for end in ENDS]  # fmt: skip
 
-    def before(self, end: int, aim: Aim) -> NDArray[np.float64]:
-        """Return what is measured at rest at an end before the loop is closed there."""
+    def rest(self, theta: float, aim: Aim, other: int) -> NDArray[np.float64]:
+        """Return what is measured once the rig has settled at a theta; ``other``: of its seed."""
         windows = aim.amplitude.windows
         steps = aim.settings.before * max(windows.length, round(aim.time / windows.dt))
-        rig = from_end(self._rig, end)
-        return rig.record(np.full(steps, rig.theta_initial), self._seed + 3 * OTHER + end)[0]
+        rig = replace(self._rig, theta_initial=theta)
+        return rig.record(np.full(steps, theta), self._seed + other)[0]
 
     def close(self, found: Tuning) -> list[ClosedRun]:
         """Close it with the tuned controller."""

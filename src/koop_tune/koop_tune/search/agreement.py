@@ -59,6 +59,8 @@ class Aim:
         The tuning's.
     settings : VerificationSettings
         How a loop is compared with it.
+    longer : float
+        Times that a loop is closed as long as these ask for: earlier ones left a doubt.
     """
 
     amplitude: Amplitude
@@ -74,6 +76,7 @@ class Aim:
     growth: float
     predicted: Prediction
     settings: VerificationSettings = VERIFICATION
+    longer: float = 1.0
 
     @property
     def window(self) -> float:
@@ -83,14 +86,14 @@ class Aim:
     @property
     def longest(self) -> float:
         """Longest duration of a closed loop [s]; the figures describe its second half."""
-        return max(self.predicted.duration, 2.0 * self.growth)
+        return self.longer * max(self.predicted.duration, 2.0 * self.growth)
 
     @property
     def duration(self) -> float:
         """Shortest duration of a closed loop that can confirm the prediction [s]."""
         whole, late = self.longest, self.predicted.converges.high
         least = max(self.settings.least * self.predicted.duration, 2.0 * self.growth)
-        return min(max(self.settings.twice * late, least), whole)
+        return min(self.longer * max(self.settings.twice * late, least), whole)
 
 
 def make_aim(figures: dict[str, Any], rig: RigFile) -> Aim:

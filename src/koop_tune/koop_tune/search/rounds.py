@@ -13,7 +13,7 @@ from koop_core.config.parameter import ConfigError
 from koop_core.whole_file import write_json
 from koop_tune.search.agreement import Measured
 from koop_tune.search.prediction import Prediction
-from koop_tune.search.settings import VERIFICATION, VerificationSettings
+from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
 
 VERIFIED = "verify.json"
 
@@ -164,6 +164,17 @@ def find_slowdown(rounds: Sequence[Round], settings: VerificationSettings = VERI
         ratios = [most if time is None else time / longest for time in times]
         slowdown *= min(max(1.0, *ratios), most)
     return slowdown
+
+
+def find_longer(rounds: Sequence[Round], settings: VerificationSettings = VERIFICATION) -> float:
+    """Return the factor by which the loops of the next round are closed longer.
+
+    Each round that ended near the best from both ends and was not damped lengthens it: what kept it
+    from being so was the error.
+    """
+    good = CONVERGENCE.good
+    doubtful = [r for r in rounds if r.finished and not r.damped and r.worst_excess <= good]
+    return settings.longer ** len(doubtful)
 
 
 def kept_index(rounds: Sequence[Round]) -> int:
