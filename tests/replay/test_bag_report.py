@@ -2,6 +2,7 @@
 
 import json
 import re
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from rosbags.highlevel import AnyReader
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import load_schema
+from koop_core.config.fields import parse_source
 from koop_identify.recording.loop import read_loop
 from koop_lab.cli.main import parser
 from koop_lab.commands.simulate import run as simulate
@@ -51,6 +53,26 @@ def test_the_metrics_are_those_of_the_recorded_theta(capsys):
     assert np.array_equal(offline.theta, theta)
     assert result["e_r_ss"] == metrics.e_r_ss  # what koop simulate prints of the same run
     assert result["lost"] == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
+
+
+def test_a_limit_of_the_controller_counts_only_while_the_guard_follows_it(tmp_path):
+    whole = read_loop(RUN / "bag")
+    tripped = round(np.median(np.flatnonzero(whole.saturated)))
+    with BagReader(RUN / "bag") as reader, BagWriter(tmp_path / "bag") as writer:
+        number = {topic: writer.add_topic(topic, load_schema(kind)) for topic, kind in LOOP.items()}
+        number["/rig/theta"] = writer.add_topic("/rig/theta", load_schema("std_msgs/msg/Float64"))
+        answers = enumerate(whole.theta)
+        for message in (m for m in reader.messages() if m.topic in LOOP):
+            writer.write(number[message.topic], message.log_time, 0, message.data)
+            if message.topic == "/theta":
+                k, theta = next(answers)
+                told = struct.pack("<Id", 256, theta if k < tripped else 0.5)  # 0.5: theta_safe
+                writer.write(number["/rig/theta"], message.log_time, 0, told)
+    guarded = read_loop(tmp_path / "bag", "/", parse_source("/rig/theta:data"))
+    at_limit = np.flatnonzero(guarded.saturated)
+    assert at_limit.size > 10
+    assert guarded.theta[at_limit] == pytest.approx(-5.0)  # the last step to it rounds
+    assert at_limit.max() <= tripped < np.flatnonzero(whole.saturated).max() - 10
 
 
 def test_of_a_plant_that_was_started_again_the_longest_run_counts(tmp_path, capsys):

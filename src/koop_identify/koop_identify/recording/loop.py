@@ -172,6 +172,11 @@ def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
         values = messages.get(name, Messages(None)).at(rows, field, np.nan)
         return np.asarray(values, np.float64)
 
+    theta = at("theta", "theta")
+    limited = messages.get("theta", Messages(None)).at(rows, "saturated", False).astype(np.bool_)
+    if "commanded" in columns["state"]:  # the controller's limit counts where the rig was at it
+        answer, theta = theta, at("state", "commanded")
+        limited &= np.isclose(answer, theta)
     models = columns.get("cost", {}).get("model_id", ())
     times = columns["state"]["log_time"].astype(np.int64)
     truth = "ground_truth" in columns
@@ -180,8 +185,8 @@ def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
         at("state", "x"),
         at("ground_truth", "x") if truth else np.empty((rows.size, 0)),
         at("cost", "r"),
-        at("state", "commanded") if "commanded" in columns["state"] else at("theta", "theta"),
-        messages.get("theta", Messages(None)).at(rows, "saturated", False).astype(np.bool_),
+        theta,
+        limited,
         answered[number == longest],
         str(next((name for name in models if name), "")),
         {
