@@ -23,6 +23,7 @@ from koop_bag.mcap.chunk import Row
 from koop_bag.recorder import run_folder
 from koop_bag.recorder.config import LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.recorder.parameters import ParameterCollector
+from koop_bag.recorder.summary import SummaryWriter
 from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, polled
 from koop_node.node.main import run
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
@@ -56,6 +57,7 @@ class RecorderRun(Run):
         self._awaited = {node.resolve_topic_name(name): kind for name, kind in chosen.items()}
         self._take_all = not config.topics.strip()
         self._writer: BagWriter | None = None
+        self._summary: SummaryWriter | None = None  # of a ring
         self._collector = ParameterCollector(node, node.get_namespace())
         entities.on_close(self._release)
         entities.subscription(
@@ -73,6 +75,8 @@ class RecorderRun(Run):
         self._folder = run_folder.make_run_folder(config.output)
         self._versions = run_folder.write_versions(self._folder)
         self._writer = BagWriter(self._folder / "bag", config.writer_options())
+        if self._writer.options.is_ring:
+            self._summary = SummaryWriter(self._folder)
         node.get_logger().info(f"recording to {self._folder}")
 
     def activate(self, entities: Entities) -> None:
@@ -179,8 +183,10 @@ class RecorderRun(Run):
         assert self._writer is not None
         offered = topic.offered or (OfferedQos(),)
         channel = self._writer.add_topic(topic.name, topic.schema, offered)
-        if self._writer.options.is_ring and topic.schema.name == GUARD_STATE:
-            self._trips[channel] = 0.0
+        if self._summary is not None:
+            self._summary.watch(channel, topic)
+            if topic.schema.name == GUARD_STATE:
+                self._trips[channel] = 0.0
         return channel
 
     # -- writing ------------------------------------------------------------------------------
@@ -204,7 +210,10 @@ class RecorderRun(Run):
         self._writer.write_many(rows)
         if self._trips and any([self._is_new_trip(row) for row in rows]):
             self._writer.note_alarm()
-        self._writer.flush_due(time.time_ns())
+        now = time.time_ns()
+        self._writer.flush_due(now)
+        if self._summary is not None:
+            self._summary.add(rows, now)
 
     def _is_new_trip(self, row: Row) -> bool:
         """Return whether a message says that a guard has tripped; it may say so again."""
@@ -242,6 +251,8 @@ class RecorderRun(Run):
                 writer.add_topic(topic.name, topic.schema, topic.offered)
         writer.custom_data.update(self._custom_data())
         writer.close()
+        if self._summary is not None:
+            self._summary.close()
 
     def _report_ends(self) -> None:
         """Log what no gap shows: topics whose record begins late or ends early."""

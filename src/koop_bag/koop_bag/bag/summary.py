@@ -1,0 +1,130 @@
+"""Each second of a loop as least, largest and mean value of what it measured and did."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_bag.cdr.definition import parse_definition
+from koop_bag.cdr.gather import decode
+from koop_bag.cdr.layout import LayoutFinder
+from koop_bag.errors import BagError
+
+SECOND = 1_000_000_000  # [ns]
+FIELDS = {
+    "koop_msgs/msg/MeasuredState": "x",
+    "koop_msgs/msg/Cost": "r",
+    "koop_msgs/msg/ControlInput": "theta",
+}
+"""What is summarised of a message type."""
+MODEL = "model_id"  # of a cost
+
+
+class Statistics(NamedTuple):
+    """Least, largest, mean and standard deviation of the finite values of columns.
+
+    Each has shape (n,), of n columns; NaN where no value is finite.
+    """
+
+    min: NDArray[np.float64]
+    max: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    std: NDArray[np.float64]
+
+
+@dataclass
+class LoopSecond:
+    """A second of a loop.
+
+    Attributes
+    ----------
+    loop : str
+        Namespace of the loop, without a slash at its end.
+    begin : int
+        Begin of the second [ns since the epoch].
+    count : int
+        States in it.
+    model_id : str
+        Model of its last cost; empty where there is none.
+    statistics : dict of str to Statistics
+        By name: ``x``, ``r``, ``theta``, as far as there were any.
+    """
+
+    loop: str
+    begin: int
+    count: int = 0
+    model_id: str = ""
+    statistics: dict[str, Statistics] = field(default_factory=dict)
+
+
+class Seconds:
+    """Gathers messages and makes seconds of them, of any number of loops."""
+
+    def __init__(self) -> None:
+        self._sources: dict[int, tuple[str, str, LayoutFinder]] = {}
+        self._open: dict[int, dict[int, list[bytes]]] = {}
+        self._next = 0
+
+    def watch(self, channel: int, topic: str, type_name: str, definition: str) -> None:
+        """Summarise a topic, if its type is in FIELDS; its messages come with this channel."""
+        if name := FIELDS.get(type_name):
+            fields = (name, MODEL) if name == "r" else (name,)
+            finder = LayoutFinder(parse_definition(type_name, definition), fields)
+            self._sources[channel] = topic.rpartition("/")[0], name, finder
+
+    def add(self, channel: int, time: int, message: bytes) -> None:
+        """Take a message that was received at a time [ns since the epoch].
+
+        One that comes when its second is finished counts in the next.
+        """
+        if channel in self._sources:
+            second = self._open.setdefault(max(time // SECOND, self._next), {})
+            second.setdefault(channel, []).append(message)
+
+    def finish(self, now: int | None = None) -> Iterator[LoopSecond]:
+        """Yield what is over since a second at a time [ns since the epoch]; all without one."""
+        end = None if now is None else now // SECOND - 1
+        for second in sorted(self._open):
+            if end is None or second < end:
+                self._next = second + 1
+                yield from self._summarise(second, self._open.pop(second))
+
+    def _summarise(self, second: int, messages: dict[int, list[bytes]]) -> Iterator[LoopSecond]:
+        loops: dict[str, LoopSecond] = {}
+        for channel, items in messages.items():
+            loop, name, finder = self._sources[channel]
+            entry = loops.setdefault(loop, LoopSecond(loop, second * SECOND))
+            if name == "x":
+                entry.count = len(items)
+            with suppress(BagError):  # of other lengths within the second: nothing can be said
+                columns = _decode(items, finder)
+                entry.statistics[name] = compute_statistics(columns[name])
+                if MODEL in columns:
+                    entry.model_id = columns[MODEL][-1]
+        yield from loops.values()
+
+
+def compute_statistics(values: NDArray[np.float64]) -> Statistics:
+    """Return the statistics of values, shape (k,) or (k, n)."""
+    columns = values.reshape(len(values), -1)
+    finite = np.where(np.isfinite(columns), columns, np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of a column without a finite value
+        return Statistics(
+            np.nanmin(finite, axis=0),
+            np.nanmax(finite, axis=0),
+            np.nanmean(finite, axis=0),
+            np.nanstd(finite, axis=0),
+        )
+
+
+def _decode(messages: list[bytes], finder: LayoutFinder) -> dict[str, NDArray[Any]]:
+    sizes = np.array([len(message) for message in messages], np.int64)
+    buffer = np.frombuffer(b"".join(messages), np.uint8)
+    return decode(buffer, np.cumsum(sizes) - sizes, sizes, finder.find)
