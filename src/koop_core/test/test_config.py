@@ -5,19 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from koop_core.config.parameter import ConfigError, NodeConfig, parameter, validate
+from koop_core.config.parameter import ConfigError, NodeConfig, Settings, parameter
 
 
 @dataclass(frozen=True)
-class Example:
+class Example(Settings):
     gain: float = parameter(1.0, "a gain", unit="1/s", low=0.0, high=10.0)
     count: int = parameter(3, "a count", low=1)
     mode: str = parameter("a", "a mode", choices=("a", "b"))
     limits: tuple[float, ...] = parameter((0.0, 1.0), "limits", low=-1.0, high=1.0)
     enabled: bool = parameter(True, "a switch", read_only=True)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 def test_defaults_are_valid():

@@ -7,11 +7,11 @@ import pytest
 from koop_core.config import parameter_file
 from koop_core.config.describe import WIDTH, help_text
 from koop_core.config.describe import parameter_file as annotated
-from koop_core.config.parameter import NodeConfig, parameter, validate
+from koop_core.config.parameter import NodeConfig, Settings, parameter
 
 
 @dataclass(frozen=True)
-class Example:
+class Example(Settings):
     gain: float = parameter(1e-6, "a gain", unit="1/s", low=0.0, high=10.0)
     count: int = parameter(3, "a count", low=1)
     free: float = parameter(0.005 / 15.0, "a length without limits", unit="m")
@@ -19,9 +19,6 @@ class Example:
     limits: tuple[float, ...] = parameter((0.0, 1.0), "limits " * 30, low=-1.0, high=1.0)
     none: tuple[float, ...] = parameter((), "more limits")
     where: str = parameter("", "a place: somewhere # here", read_only=True)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 def test_help_says_default_range_unit_and_meaning_of_every_parameter():

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import pytest
 
-from koop_core.config.parameter import constants, parameter, validate
+from koop_core.config.parameter import Settings, constants, parameter
 from koop_core.kernels import borrowed, direct, njit
 
 KERNELS = """
@@ -113,12 +113,9 @@ def test_a_borrowed_array_is_the_owners_memory(x):
 
 
 @dataclass(frozen=True)
-class Example:
+class Example(Settings):
     share: float = parameter(0.1, "share", low=0.0, high=1.0)
     count: int = parameter(3, "count", low=1)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 def test_a_kernel_takes_settings_as_constants_of_their_types() -> None:

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from koop_core.config.fields import Source, parse_source
-from koop_core.config.parameter import ConfigError, NodeConfig, parameter, validate
+from koop_core.config.parameter import ConfigError, NodeConfig, Settings, parameter
 
 THETA, ASKED = "theta", "theta_asked"
 _JUDGED = "judgement"
 
 
 @dataclass(frozen=True)
-class GuardConfig:
+class GuardConfig(Settings):
     """The rig, as its rig file describes it, and what a trip and an end lead to.
 
     Raises
@@ -80,7 +80,7 @@ class GuardConfig:
     )
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         if not self.command:
             raise ConfigError("command is missing: what takes theta, as /rig/theta:data")
         if len(parse_source(self.command).fields) != 1:
@@ -145,14 +145,8 @@ def check_limits(rig: Any, channels: Sequence[str], n: int) -> None:
 
 
 @dataclass(frozen=True)
-class SafetySettings:
-    """Times after which theta returns to theta_safe, and what its rate allows a late message.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type or is out of range.
-    """
+class SafetySettings(Settings):
+    """Times after which theta returns to theta_safe, and what its rate allows a late message."""
 
     late_periods: float = parameter(
         2.0, "periods of the rate that a late message may move theta by", low=1.0,
@@ -222,9 +216,6 @@ class SafetySettings:
         0.5, "time for which theta_safe is repeated before its publisher ends", unit="s", low=0.0,
         origin=_JUDGED,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        validate(self)
 
     def silence(self, period: float) -> float:
         """Return the time without a message after which a rig is silent [s].

@@ -17,7 +17,7 @@ from typing import Any
 from koop_msgs.msg import ControlInput, MeasuredState
 from rclpy.publisher import Publisher
 
-from koop_core.config.parameter import ListenersConfig, parameter, validate
+from koop_core.config.parameter import ListenersConfig, Settings, parameter
 from koop_hil.faults import Channel, parse
 from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
@@ -28,7 +28,7 @@ PERIOD = 0.001  # [s] between looks for delayed messages that are due
 
 
 @dataclass(frozen=True)
-class FaultInjectorConfig:
+class FaultInjectorConfig(Settings):
     """What is wrong with the cable."""
 
     state_fault: str = parameter("ok", "fault on the sensors, as koop_hil.faults names them")
@@ -39,7 +39,7 @@ class FaultInjectorConfig:
     seed: int = parameter(0, "seed of random faults", low=0, high=2**31 - 1, read_only=True)
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         parse(self.state_fault)
         parse(self.theta_fault)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.fields import parse_source
-from koop_core.config.parameter import ConfigError, mapping, parameter, refuse_unknown, validate
+from koop_core.config.parameter import ConfigError, Settings, mapping, parameter, refuse_unknown
 from koop_core.config.yaml_file import read_yaml
 from koop_hil import installed
 from koop_hil.actions import ACTIONS, NODES, number
@@ -47,7 +47,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(Settings):
     """What must hold at the end; theta is what acted on the plant."""
 
     tail_error: float = parameter(0.6, "mean |theta - theta*| over the last 30 %", low=0.0)
@@ -66,12 +66,9 @@ class Limits:
         0, "messages that the recording may lack: those under way when a node was killed"
     )
 
-    def __post_init__(self) -> None:
-        validate(self)
-
 
 @dataclass(frozen=True)
-class Setting:
+class Setting(Settings):
     """Plant and speed of a scenario."""
 
     description: str = parameter("", "purpose of the scenario")
@@ -88,9 +85,6 @@ class Setting:
     model: str = parameter("", "model file, relative to the scenario; empty: the shipped one")
     seed: int = parameter(0, "seed of the plant", low=0, high=2**31 - 1)
     remote: str = parameter("", "what runs on another host; empty: nothing", choices=("", *NODES))
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from koop_core.config.parameter import constants, parameter, validate
+from koop_core.config.parameter import Settings, constants, parameter
 
 judged = partial(parameter, origin="judgement")
 
 
 @dataclass(frozen=True)
-class ReadingSettings:
+class ReadingSettings(Settings):
     """From messages to samples one dt apart, and the candidates learned from them."""
 
     gaps: float = judged(3.0, "pause that is a gap, in usual periods or dt", low=1.0)
@@ -30,9 +30,6 @@ class ReadingSettings:
     stale_least: float = judged(1.0, "the same, at least", unit="s", low=0.0)
     delays: int = judged(8, "samples of the candidates with delays", low=2)
     part: int = judged(2048, "samples in a row where not all are learned from", low=2)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 READING = constants(ReadingSettings())

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_core.config.program import split_command
 
 
 @dataclass(frozen=True)
-class RigConfig:
+class RigConfig(Settings):
     """The rig itself, as far as it is a program of this machine; no node reads it."""
 
     command: str = parameter(
@@ -17,9 +17,6 @@ class RigConfig:
         "program, with its arguments, that is the rig or its driver: started with the loop, ended "
         "with it, and its end ends the loop; empty: you start it yourself",
     )
-
-    def __post_init__(self) -> None:
-        validate(self)
 
     def words(self) -> tuple[str, ...]:
         """Return program and arguments; raise ConfigError if the program does not exist."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 
 
 @dataclass(frozen=True)
-class MetricsSettings:
+class MetricsSettings(Settings):
     """When theta has converged or settled, and where amplitudes are taken."""
 
     tolerance: float = parameter(
@@ -42,9 +42,6 @@ class MetricsSettings:
         200.0, "time over which r* is averaged if the damping does not drift", unit="s", low=1.0,
         origin="judgement",
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 METRICS = MetricsSettings()

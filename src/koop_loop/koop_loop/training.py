@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_core.kernels import njit
 from koopman_lifter.contrast import TrajectoryMoments, with_contrast
 from koopman_lifter.delays import Delays
@@ -27,7 +27,7 @@ Sense = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
-class TrainingConfig:
+class TrainingConfig(Settings):
     """What the paper trains on: trajectories at a random, fixed theta from a random state."""
 
     trajectories: int = parameter(100, "number of simulated trajectories", low=1, high=100_000)
@@ -38,9 +38,6 @@ class TrainingConfig:
     modes: int = parameter(8, "number N of modes to keep", low=1, high=4096)
     corrupted: bool = parameter(True, "train on x' (with interference) as the paper does")
     seed: int = parameter(0, "seed of theta and the initial states", low=0, high=2**31 - 1)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 @njit()

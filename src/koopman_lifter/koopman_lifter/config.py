@@ -8,7 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from koop_core.config.fields import Source, parse_source
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT
 from koopman_lifter.cost import LIFTED, RAW, DetectorParams, detector_params
 
@@ -16,7 +16,7 @@ SOURCES = {"raw": RAW, "lifted": LIFTED}
 
 
 @dataclass(frozen=True)
-class LifterConfig:
+class LifterConfig(Settings):
     """Cost and amplitude detector (paper section 3.4).
 
     The paper gives no value of the detector's corner frequencies; these are the defaults of this
@@ -58,7 +58,7 @@ class LifterConfig:
     )
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         if self.measured:
             parse_source(self.measured)
 
@@ -79,13 +79,13 @@ class LifterConfig:
 
 
 @dataclass(frozen=True)
-class ModelConfig:
+class ModelConfig(Settings):
     """Which model file the node uses."""
 
     model: str = parameter("", "path of the model file; empty: the one shipped for the plant")
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         if not self.model:  # a client that asks for the parameter learns which file is in use
             object.__setattr__(self, "model", str(shipped_model()))
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 
 judged = partial(parameter, origin="judgement")
 
 
 @dataclass(frozen=True)
-class LearningSettings:
+class LearningSettings(Settings):
     """Which windows are compared for a contrast, and what delays span."""
 
     quartile: float = judged(
@@ -25,12 +25,9 @@ class LearningSettings:
     ridge: float = judged(1e-9, "regularisation with delays, over the variance", low=0.0)
     span: float = judged(0.125, "newest to oldest delay, in periods", low=0.01, high=1.0)
 
-    def __post_init__(self) -> None:
-        validate(self)
-
 
 @dataclass(frozen=True)
-class RunningSettings:
+class RunningSettings(Settings):
     """How the sums of a run under way forget."""
 
     alertness: float = judged(
@@ -40,9 +37,6 @@ class RunningSettings:
         1e-4, "gain of a block about its mean, over its share, that says nothing", low=0.0
     )
     ridge: float = judged(1e-12, "regularisation, over the variance", low=0.0)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 LEARNING = LearningSettings()

@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass
 
 from koop_core.config.fields import parse_source
-from koop_core.config.parameter import ConfigError, parameter, validate
+from koop_core.config.parameter import ConfigError, Settings, parameter
 from relay_esc.elementary import exp, log
 from relay_esc.relay import MEMORY, RelayParams, RelayState, dwell_samples, initial, recalled
 from relay_esc.swing import SWING
 
 
 @dataclass(frozen=True)
-class EscConfig:
+class EscConfig(Settings):
     """Relay, filter and saturation of the controller (paper section 2.2, table 1).
 
     Raises
@@ -85,7 +85,7 @@ class EscConfig:
     )
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         if self.command and len(parse_source(self.command).fields) != 1:
             raise ConfigError(f"command = {self.command!r}: theta is one field")
         if self.theta_min >= self.theta_max:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from koop_core.config.parameter import constants, parameter, validate
+from koop_core.config.parameter import Settings, constants, parameter
 from koop_core.kernels import njit
 
 GOLDEN = 0.6180339887498949
@@ -30,7 +30,7 @@ studied = partial(parameter, origin="koop study laws at commit be69197")
 
 
 @dataclass(frozen=True)
-class SwingSettings:
+class SwingSettings(Settings):
     """The adaptive law's rules; docs/explanation/adaptive-law.md says what each is for."""
 
     shrink: float = studied(0.7, "factor of the step at the optimum", low=0.1, high=1.0)
@@ -60,9 +60,6 @@ class SwingSettings:
     pull: float = studied(0.5, "share that a step towards the centre is larger", low=0.0, high=1.0)
     centred: int = studied(3, "legs from which on the centre pulls", low=1)
     centre_rate: float = studied(0.1, "share of a leg in the centre", low=0.0, high=1.0)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 SWING = constants(SwingSettings())

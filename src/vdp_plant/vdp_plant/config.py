@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from koop_core.config.parameter import ConfigError, parameter, validate
+from koop_core.config.parameter import ConfigError, Settings, parameter
 from vdp_plant.dynamics import PlantParams
 
 RESENDS = 3  # times that lockstep sends a state again before it gives up
 
 
 @dataclass(frozen=True)
-class PlantConfig:
+class PlantConfig(Settings):
     """Plant, forcing, interference and discretisation (paper section 3, table 1)."""
 
     epsilon0: float = parameter(1.0, "base damping coefficient", low=0.0, high=100.0)
@@ -79,7 +79,7 @@ class PlantConfig:
     seed: int = parameter(0, "seed of the initial state", low=0, high=2**31 - 1, read_only=True)
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         if len(self.initial_state) not in (0, 2):
             raise ConfigError(
                 f"initial_state has {len(self.initial_state)} values: must be [x, y] or empty"
@@ -136,7 +136,7 @@ def pace_values(text: str) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class PaceConfig:
+class PaceConfig(Settings):
     """How the plant's time runs."""
 
     pace: str = parameter(
@@ -177,7 +177,7 @@ class PaceConfig:
     )
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         if 0.0 < self.theta_safe_timeout < self.theta_timeout:
             raise ConfigError(
                 f"theta_safe_timeout = {self.theta_safe_timeout:g} s must not be below "

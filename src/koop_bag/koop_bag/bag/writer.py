@@ -15,7 +15,7 @@ from koop_bag.errors import BagError, BagWriteError
 from koop_bag.mcap.chunk import ChunkBuffer, Row
 from koop_bag.mcap.file_writer import McapFileWriter
 from koop_core import whole_file
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_core.errors import LiveError
 
 Result = TypeVar("Result")
@@ -28,7 +28,7 @@ RESERVE = 100_000_000
 
 
 @dataclass(frozen=True)
-class WriterOptions:
+class WriterOptions(Settings):
     """How a bag is written."""
 
     compression: str = parameter("zstd", "of the file's chunks", choices=("none", "zstd"))
@@ -50,9 +50,6 @@ class WriterOptions:
     keep_seconds: float = parameter(
         0.0, "drop files whose last message is older than this; 0: keep all", unit="s", low=0.0
     )
-
-    def __post_init__(self) -> None:
-        validate(self)
 
     @property
     def is_ring(self) -> bool:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from koop_core.config.parameter import ConfigError, parameter, validate
+from koop_core.config.parameter import ConfigError, Settings, parameter
 
 FAST, REALTIME = "fast", "realtime"
 
 
 @dataclass(frozen=True)
-class PlayerConfig:
+class PlayerConfig(Settings):
     """Configuration of a playback."""
 
     bag: str = parameter("", "bag, folder of a run, or .mcap file", read_only=True)
@@ -39,7 +39,7 @@ class PlayerConfig:
     )
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         _ = self.speed
 
     @property

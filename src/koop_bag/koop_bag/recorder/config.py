@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.bag.writer import WriterOptions
-from koop_core.config.parameter import ConfigError, NodeConfig, parameter, validate
+from koop_core.config.parameter import ConfigError, NodeConfig, Settings, parameter
 
 LOOP_TOPICS = {
     "state": "koop_msgs/msg/MeasuredState",
@@ -18,7 +18,7 @@ LOOP_TOPICS = {
 
 
 @dataclass(frozen=True)
-class RecorderConfig:
+class RecorderConfig(Settings):
     """Configuration of a recording.
 
     :class:`koop_bag.bag.writer.WriterOptions` bounds what a killed recorder may lose.
@@ -59,7 +59,7 @@ class RecorderConfig:
     )
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         wanted_topics(self.topics)
 
     def writer_options(self) -> WriterOptions:

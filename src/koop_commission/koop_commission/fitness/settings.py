@@ -4,20 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 
 _JUDGED = "judgement"
 
 
 @dataclass(frozen=True)
-class CheckSettings:
-    """Thresholds and times of ``koop check``.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type or is out of range.
-    """
+class CheckSettings(Settings):
+    """Thresholds and times of ``koop check``."""
 
     listen: float = parameter(
         5.0, "shortest time to listen before theta moves", unit="s", low=0.1, origin=_JUDGED
@@ -99,9 +93,6 @@ class CheckSettings:
         0.5, "share of the time that a channel may rest at one value", low=0.0, high=1.0,
         origin=_JUDGED,
     )  # fmt: skip
-
-    def __post_init__(self) -> None:
-        validate(self)
 
     @property
     def series(self) -> tuple[tuple[float, tuple[tuple[int, float], ...]], ...]:

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from koop_core.errors import InputError
 
-Settings = TypeVar("Settings")
+Made = TypeVar("Made")
 SIMILAR = 0.7
 """Similarity of two names, 0 to 1, from which on one is taken for the other misspelt."""
 
@@ -69,24 +69,27 @@ def spec_of(config_field: Field[Any]) -> Spec:
     return spec
 
 
-def validate(config: Any) -> None:
-    """Check every field of a configuration against its type and :class:`Spec`.
+@dataclass(frozen=True)
+class Settings:
+    """Base of configurations: every field is checked against its type and :class:`Spec`.
 
     An integer is accepted where a float is declared and a list where a tuple is (YAML and ROS
     write them so); the field is then converted. ConfigError is raised on the first field with a
     wrong type, a non-finite number or a value out of range.
     """
-    for item in fields(config):
-        if "spec" not in item.metadata:  # a configuration of its own, which checked itself
-            continue
-        value = getattr(config, item.name)
-        try:
-            converted = _converted(value, item.default)
-        except TypeError as error:
-            raise ConfigError(f"{item.name}: {error}") from None
-        if converted is not value:
-            object.__setattr__(config, item.name, converted)
-        _check(item.name, converted, spec_of(item))
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            if "spec" not in item.metadata:  # a configuration of its own, which checked itself
+                continue
+            value = getattr(self, item.name)
+            try:
+                converted = _converted(value, item.default)
+            except TypeError as error:
+                raise ConfigError(f"{item.name}: {error}") from None
+            if converted is not value:
+                object.__setattr__(self, item.name, converted)
+            _check(item.name, converted, spec_of(item))
 
 
 def _converted(value: Any, default: Any) -> Any:
@@ -124,7 +127,7 @@ def _check(name: str, value: Any, spec: Spec) -> None:
                 raise ConfigError(f"{name} = {element:g}: must be {spec.constraint}")
 
 
-def constants(settings: Settings) -> Settings:
+def constants(settings: Made) -> Made:
     """Return the fields of a settings class in a named tuple: constants to a compiled kernel."""
     names = list(type(settings).__dataclass_fields__)  # type: ignore[attr-defined]
     made = namedtuple(type(settings).__name__, names)  # type: ignore[misc]
@@ -163,7 +166,7 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
 
 
 @dataclass(frozen=True)
-class NodeConfig:
+class NodeConfig(Settings):
     """Parameters of every node of the loop."""
 
     autostart: bool = parameter(
@@ -178,12 +181,9 @@ class NodeConfig:
         read_only=True,
     )
 
-    def __post_init__(self) -> None:
-        validate(self)
-
 
 @dataclass(frozen=True)
-class ListenersConfig:
+class ListenersConfig(Settings):
     """Parameters of every node that others of the loop listen to."""
 
     listeners: str = parameter(
@@ -192,6 +192,3 @@ class ListenersConfig:
         "recorder; 'next' is the next node of the loop, whatever its name is",
         read_only=True,
     )
-
-    def __post_init__(self) -> None:
-        validate(self)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded, pieces
 from koopman_lifter.delays import Delays, dominant_period
@@ -17,7 +17,7 @@ JUDGED = "set by judgement; the study's contrast models were learned with it"
 
 
 @dataclass(frozen=True)
-class WindowSettings:
+class WindowSettings(Settings):
     """How a recording is cut into windows in which theta rests."""
 
     longest: float = parameter(10.0, "periods in a window for the contrast, at most", low=1.0)
@@ -46,9 +46,6 @@ class WindowSettings:
         origin="a piece that is slightly shorter counts, too",
     )  # fmt: skip
     without_theta: int = parameter(20, "windows of a recording without theta", low=2)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 DEFAULTS = WindowSettings()

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from koop_core.config.parameter import constants, parameter, validate
+from koop_core.config.parameter import Settings, constants, parameter
 
 judged = partial(parameter, origin="judgement")
 
 
 @dataclass(frozen=True)
-class FamilySettings:
+class FamilySettings(Settings):
     """How rigs are drawn, recorded and judged."""
 
     samples_low: int = judged(20, "samples of a period, at least", low=4)
@@ -32,9 +32,6 @@ class FamilySettings:
     periods: float = judged(10.0, "slowest periods that the rig file's time adds", low=0.0)
     often: float = judged(0.1, "of the samples, after which their number is judged again", low=0.01)
     good: float = judged(1.5, "amplitude over the best, of a converged loop", low=1.0)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 FAMILY = constants(FamilySettings())

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import ConfigError, parameter, refuse_unknown, validate
+from koop_core.config.parameter import ConfigError, Settings, parameter, refuse_unknown
 from koop_loop.training import STATE_NAMES, TrainingConfig
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.delays import Delays
@@ -22,7 +22,7 @@ CHANNELS = {"both": (0, 1), "x": (0,), "y": (1,)}
 
 
 @dataclass(frozen=True)
-class ScenarioConfig:
+class ScenarioConfig(Settings):
     """Disturbances of one run; the defaults are the paper's: none."""
 
     noise: float = parameter(
@@ -44,12 +44,9 @@ class ScenarioConfig:
         0.0, "delay of the interference on the second state", unit="s", low=0.0, high=100.0
     )
 
-    def __post_init__(self) -> None:
-        validate(self)
-
 
 @dataclass(frozen=True)
-class SensingConfig:
+class SensingConfig(Settings):
     """Measured states and delays; the defaults are the paper's: both states, no delays."""
 
     channels: str = parameter("both", "measured states", choices=tuple(CHANNELS))
@@ -59,7 +56,7 @@ class SensingConfig:
     )
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         if (self.delays > 1) != (self.spacing > 0.0):
             raise ConfigError("delays and spacing: both or none; one sample has no spacing")
 

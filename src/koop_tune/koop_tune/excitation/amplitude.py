@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_tune.origin import studied
 
 LOBE = 3  # bins to each side to which a line reaches in a Blackman window
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class AmplitudeSettings:
+class AmplitudeSettings(Settings):
     """When a group of frequencies reacts, and how sure its background is."""
 
     change: float = studied(0.3, "change of a log power that theta makes", low=0.0)
@@ -50,9 +50,6 @@ class AmplitudeSettings:
         0.05, "power over the channel's strongest group, where it is largest, left out", low=0.0
     )
     minor: float = parameter(0.02, "share of the power of a mode that is named", low=0.0, high=1.0)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 AMPLITUDE = AmplitudeSettings()

@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_tune.excitation.amplitude import bridge_gaps
 
 WIDTH = 2  # bins to each side that belong to a line under a Hann window
 
 
 @dataclass(frozen=True)
-class ChannelSettings:
+class ChannelSettings(Settings):
     """When values count as quantised or at a stop, and a peak of a spectrum as a line."""
 
     levels: float = parameter(0.25, "values over samples of a quantised channel", low=0.0)
@@ -29,9 +29,6 @@ class ChannelSettings:
     around: int = parameter(12, "bins to each side of that", low=3)
     share: float = parameter(0.02, "power of a line over the whole", low=0.0, high=1.0)
     lines: int = parameter(4, "lines that are named at most", low=1)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 CHANNELS = ChannelSettings()

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_core.errors import InputError
 from koop_tune.excitation.amplitude import (
     AMPLITUDE,
@@ -44,7 +44,7 @@ KNOWN, FLAT, TIME = "known", "flat", "time"
 
 
 @dataclass(frozen=True)
-class DesignSettings:
+class DesignSettings(Settings):
     """When enough was heard, how long theta is held, and when the map is known."""
 
     window: float = studied(8.0, "window, in periods of the lowest frequency that reacts", low=4.0)
@@ -89,9 +89,6 @@ class DesignSettings:
     most: int = parameter(48, "holds of an excitation", low=9)
     overshoot: float = parameter(0.1, "way beyond, to come back from the other side", low=0.0)
     map: MapSettings = MAP
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 DESIGN = DesignSettings()

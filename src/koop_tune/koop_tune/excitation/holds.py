@@ -17,23 +17,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_tune.excitation.amplitude import Amplitude, Windows
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class HoldSettings:
+class HoldSettings(Settings):
     """When the rig has settled: how far both halves of the windows that count may differ."""
 
     errors: float = parameter(2.5, "standard errors of the level", low=0.0, origin="judgement")
     slight: float = parameter(
         0.01, "change of a log amplitude, if more", low=0.0, origin="judgement"
     )
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 HOLDS = HoldSettings()

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_tune.origin import studied
 
 GRID = 1025  # points of a curve between 0 and 1
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class MapSettings:
+class MapSettings(Settings):
     """How a static map is fitted and judged."""
 
     least_error: float = studied(0.003, "least standard error of a log level", low=1e-6)
@@ -41,9 +41,6 @@ class MapSettings:
     flat: float = studied(25.0, "chi-squared about a constant of 9 holds of nothing", low=0.0)
     jump: float = parameter(8.0, "factor of a cliff", low=1.0)
     cliff: float = parameter(0.5, "width of a cliff over the one of the valley beside", low=0.0)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 MAP = MapSettings()

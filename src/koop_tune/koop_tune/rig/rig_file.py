@@ -15,11 +15,11 @@ from koop_core.config.describe import WIDTH, allowed
 from koop_core.config.fields import Source, format_field, parse_source
 from koop_core.config.parameter import (
     ConfigError,
+    Settings,
     mapping,
     parameter,
     refuse_unknown,
     spec_of,
-    validate,
 )
 from koop_core.config.parameter_file import as_yaml
 from koop_core.config.yaml_file import LinedLoader, read_yaml
@@ -35,7 +35,7 @@ HEAD = """\
 
 
 @dataclass(frozen=True)
-class RigFile:
+class RigFile(Settings):
     """One rig: what is measured of it, and what takes theta.
 
     Raises
@@ -91,7 +91,7 @@ class RigFile:
     )
 
     def __post_init__(self) -> None:
-        validate(self)
+        super().__post_init__()
         n = len(_source("measured", self.measured).fields)
         if len(_source("command", self.command).fields) != 1:
             raise ConfigError(f"command = {self.command!r}: theta is one field")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import Loaded, pieces
 from koop_tune.excitation.amplitude import Amplitude
@@ -20,7 +20,7 @@ from koop_tune.rig.scale import Scale
 
 
 @dataclass(frozen=True)
-class DwellSettings:
+class DwellSettings(Settings):
     """Which rests of theta count, and what theta must change there."""
 
     fewest: int = studied(4, "windows of a rest", low=2)
@@ -40,9 +40,6 @@ class DwellSettings:
     window: int = parameter(16, "samples of a window of spectra", low=4)
     change: float = studied(0.3, "change of a log power that theta makes", low=0.0)
     doubt: float = studied(2.0, "standard errors that are subtracted from a change", low=0.0)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 DWELLS = DwellSettings()

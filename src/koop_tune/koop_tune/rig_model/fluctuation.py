@@ -18,13 +18,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_tune.origin import studied
 from koop_tune.rig_model.dwells import Dwells
 
 
 @dataclass(frozen=True)
-class FluctuationSettings:
+class FluctuationSettings(Settings):
     """How the autocovariance is fitted."""
 
     shortest: float = studied(0.3, "shortest decay", unit="windows", low=0.1)
@@ -34,9 +34,6 @@ class FluctuationSettings:
     least: float = studied(0.4, "share of the variance that lasts: a drift is less", low=0.0)
     wanders: float = studied(0.1, "share of the power from which noise drives it", low=0.0)
     lags: float = studied(0.5, "lags that are fitted, over the longest rest", low=0.0, high=1.0)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 FLUCTUATION = FluctuationSettings()

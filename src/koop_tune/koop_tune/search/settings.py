@@ -5,21 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from koop_core.config.parameter import parameter, validate
+from koop_core.config.parameter import Settings, parameter
 from koop_tune.origin import jsbsim, studied
 
 
 @dataclass(frozen=True)
-class Convergence:
+class Convergence(Settings):
     """When an amplitude counts as near its best."""
 
     good: float = studied(1.5, "amplitude over the best one", low=1.0)
     part: float = studied(
         0.25, "share of what theta can do above the best one, if less", low=0.0, high=1.0
     )
-
-    def __post_init__(self) -> None:
-        validate(self)
 
     def bound(self, span: float) -> float:
         """Return the logarithm of the amplitude over the best one that counts as converged.
@@ -33,7 +30,7 @@ CONVERGENCE = Convergence()
 
 
 @dataclass(frozen=True)
-class SearchSettings:
+class SearchSettings(Settings):
     """The search on surrogates.
 
     The first five are least, usual and largest value in units of the rig's own: its time T and its
@@ -59,15 +56,12 @@ class SearchSettings:
     fine_runs: int = studied(12, "runs of each of these", low=1)
     convergence: Convergence = CONVERGENCE
 
-    def __post_init__(self) -> None:
-        validate(self)
-
 
 SEARCH = SearchSettings()
 
 
 @dataclass(frozen=True)
-class TuningSettings:
+class TuningSettings(Settings):
     """Budget and thresholds of a tuning."""
 
     seed: int = parameter(0, "seed of all random numbers", low=0)
@@ -96,15 +90,12 @@ class TuningSettings:
     y_out_max: float = parameter(10.0, "largest y_out, over the largest recorded", low=1.0)
     search: SearchSettings = SEARCH
 
-    def __post_init__(self) -> None:
-        validate(self)
-
 
 TUNING = TuningSettings()
 
 
 @dataclass(frozen=True)
-class VerificationSettings:
+class VerificationSettings(Settings):
     """How a closed loop is compared with its prediction."""
 
     smoothed: int = studied(3, "windows in whose mean an amplitude counts as converged", low=1)
@@ -128,9 +119,6 @@ class VerificationSettings:
         origin="a factor of 20 either way: next to nothing is known",
     )  # fmt: skip
     rounds: int = studied(3, "rounds of tuning and verifying", low=1)
-
-    def __post_init__(self) -> None:
-        validate(self)
 
 
 VERIFICATION = VerificationSettings()
