@@ -46,7 +46,7 @@ def test_every_command_is_listed_with_what_it_does():
     out = subprocess.run([ROOT / "koop", "--help"], capture_output=True, text=True, check=True)
     listed = re.findall(r"^  (\w+) .{20,}$", out.stdout, re.MULTILINE)
     of_the_script = re.findall(r"^    ([a-z]+)\)", (ROOT / "koop").read_text(), re.MULTILINE)
-    assert {"test", "run", "clean"} <= set(of_the_script)
+    assert {"test", "run", "setup"} <= set(of_the_script)
     assert set(registered()) | set(of_the_script) <= set(listed)
     assert overview() in out.stdout
     assert "others" not in overview()

@@ -258,7 +258,7 @@ def test_uv_installs_where_it_is_present_and_pip_where_uv_fails(clone: Clone) ->
     uv, pip = (call for call in clone.calls() if "requirements/python.txt" in call)
     assert uv.startswith(f"uv pip install --python {clone.root}/.venv/bin/python ")
     assert "-m pip install" in pip
-    assert clone.koop("clean")[0] == 0
+    assert clone.koop("setup", "--clean")[0] == 0
     clone.calls()
     assert clone.koop("setup")[0] == 0
     (call,) = (call for call in clone.calls() if "requirements/python.txt" in call)
@@ -453,10 +453,10 @@ def test_an_environment_in_use_is_not_replaced(
 
 
 def test_an_environment_in_use_is_not_removed(ready: Clone, user: subprocess.Popen[bytes]) -> None:
-    assert ready.koop("clean")[0] == 5
+    assert ready.koop("setup", "--clean")[0] == 5
     user.kill()
     user.wait()
-    assert ready.koop("clean")[0] == 0
+    assert ready.koop("setup", "--clean")[0] == 0
     assert not (ready.root / ".venv").exists()
 
 

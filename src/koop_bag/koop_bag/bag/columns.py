@@ -94,21 +94,27 @@ def iter_columns(
 
 
 def iter_tables(
-    bag: BagReader, tables: Mapping[str, Sequence[str] | None], batch_bytes: int = BATCH_BYTES
+    bag: BagReader,
+    tables: Mapping[str, Sequence[str] | None],
+    batch_bytes: int = BATCH_BYTES,
+    start: int = 0,
 ) -> Iterator[tuple[str, Columns]]:
-    """`read_tables` in batches of (topic, columns)."""
+    """`read_tables` in batches of (topic, columns), without chunks that end before `start` [ns]."""
     decoders = {topic: _table(bag, topic, fields) for topic, fields in tables.items()}
-    return iter_decoded(bag, decoders, batch_bytes)
+    return iter_decoded(bag, decoders, batch_bytes, start)
 
 
 def iter_decoded(
-    bag: BagReader, decoders: Mapping[str, Table], batch_bytes: int = BATCH_BYTES
+    bag: BagReader,
+    decoders: Mapping[str, Table],
+    batch_bytes: int = BATCH_BYTES,
+    start: int = 0,
 ) -> Iterator[tuple[str, Columns]]:
     """Yield (topic, columns) of each decoder, in batches."""
     pending: list[bytes] = []
     names: dict[int, str] = {}
     size = 0
-    for records, channels in bag.blocks(decoders):
+    for records, channels in bag.blocks(decoders, start):
         if pending and (
             size >= batch_bytes or channels != names
         ):  # another file may number its channels otherwise

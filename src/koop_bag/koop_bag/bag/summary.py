@@ -69,6 +69,7 @@ class Seconds:
     def __init__(self) -> None:
         self._sources: dict[int, tuple[str, str, LayoutFinder]] = {}
         self._open: dict[int, dict[int, list[bytes]]] = {}
+        self._channels: dict[str, int] = {}  # measured, by loop
         self._next = 0
 
     def watch(self, channel: int, topic: str, type_name: str, definition: str) -> None:
@@ -107,7 +108,14 @@ class Seconds:
                 entry.statistics[name] = compute_statistics(columns[name])
                 if MODEL in columns:
                     entry.model_id = columns[MODEL][-1]
-        yield from loops.values()
+        for loop, entry in loops.items():
+            if "x" in entry.statistics:
+                self._channels[loop] = entry.statistics["x"].min.size
+            elif loop in self._channels:
+                nothing = np.full(self._channels[loop], np.nan)
+                entry.statistics["x"] = Statistics(nothing, nothing, nothing, nothing)
+            if "x" in entry.statistics:  # a loop begins with its first state
+                yield entry
 
 
 def compute_statistics(values: NDArray[np.float64]) -> Statistics:

@@ -131,7 +131,11 @@ class Mark:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes; ``ticks`` are the names of the positions 0, 1, 2... on the x axis."""
+    """One pair of axes.
+
+    ``ticks`` are the names of the positions 0, 1, 2... on the x axis; with ``time``, x counts whole
+    seconds since the epoch.
+    """
 
     x_label: str
     y_label: str
@@ -141,6 +145,7 @@ class Panel:
     log_y: bool = False
     ticks: tuple[str, ...] = ()
     marks: tuple[Mark, ...] = ()
+    time: bool = False
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,14 @@ import { short } from "./format";
 
 const COLORS = 8; // curves beyond that are dashed
 const FEW = 12; // points of a line that are marked
+const DAY = 86400; // [s]
+/** uPlot's table of labels: least increment, and what stands below where the day changes. */
+const TIMES: uPlot.Axis.Values = [
+  [28 * DAY, "{MMM} {YYYY}", null, null, null, null, null, null, 1],
+  [DAY, "{D} {MMM}", null, null, null, null, null, null, 1],
+  [60, "{H}:{mm}", "\n{D} {MMM}", null, "\n{D} {MMM}", null, null, null, 1],
+  [1, "{H}:{mm}:{ss}", "\n{D} {MMM}", null, "\n{D} {MMM}", null, null, null, 1],
+];
 
 interface Series {
   name: string;
@@ -23,6 +31,7 @@ interface Panel {
   log_x: boolean;
   log_y: boolean;
   ticks: string[];
+  time: boolean; // x counts seconds since the epoch
   marks: { x: number; name: string; low: number | null; high: number | null; color: number }[];
 }
 
@@ -121,6 +130,7 @@ const drawBars: uPlot.Series.PathBuilder = (u, index, first, last) => {
 
 function place(panel: Panel, x: number | null): string {
   if (x === null) return "";
+  if (panel.time) return `${new Date(x * 1000).toISOString().slice(0, 16).replace("T", " ")} UTC`;
   return panel.ticks.length ? (panel.ticks[Math.round(x)] ?? "") : short(x);
 }
 
@@ -134,6 +144,12 @@ function showTogether(u: uPlot, index: number | null, change: uPlot.Series): voi
   });
 }
 
+/** Labels of the x axis: names, uPlot's own of times, or numbers. */
+function xLabels(panel: Panel, names: uPlot.Axis): uPlot.Axis {
+  if (panel.time) return { size: 46, values: TIMES };
+  return panel.ticks.length ? names : {};
+}
+
 function options(panel: Panel, width: number): uPlot.Options {
   const names: uPlot.Axis = {
     splits: () => panel.ticks.map((_name, i) => i),
@@ -143,17 +159,18 @@ function options(panel: Panel, width: number): uPlot.Options {
   const marks = panel.marks.map((mark) => ({ ...mark, color: color(mark.color) }));
   return {
     width,
+    tzDate: (seconds) => uPlot.tzDate(new Date(seconds * 1000), "Etc/UTC"),
     height: isSingle(panel) ? 190 : 280,
     ...curves(panel),
     scales: {
-      x: { time: false, distr: panel.log_x ? 3 : 1, range: padded(panel.log_x, 0.02) },
+      x: { time: panel.time, distr: panel.log_x ? 3 : 1, range: padded(panel.log_x, 0.02) },
       y: {
         distr: panel.log_y ? 3 : 1,
         range: padded(panel.log_y, 0.05, marks.length ? 0.15 : 0),
       },
     },
     axes: [
-      axis(34, panel.log_x, { label: panel.x_label, ...(panel.ticks.length && names) }),
+      axis(34, panel.log_x, { label: panel.x_label, ...xLabels(panel, names) }),
       axis(58, panel.log_y, { label: panel.y_label }),
     ],
     cursor: {

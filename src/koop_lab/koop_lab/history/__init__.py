@@ -1,0 +1,1 @@
+"""``koop report``: what became of a loop over days and months."""

@@ -1,0 +1,146 @@
+"""A sentence for each thing that happened to a loop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+from koop_lab.history.read import GuardMessage, HealthMessage, History
+
+TRIPPED, FOLLOWING = 2, 1  # as in GuardState
+LEVELS = ("OK", "WARN", "ERROR", "STALE")
+BRIEF = 5.0  # [s] below which a warning is not told, as the log of a node does not
+NEAR = 600.0  # [s] between troubles of a node that are told together
+MOST = 500  # sentences
+
+
+class Event(NamedTuple):
+    """What happened: from when, to when [s since the epoch], what kind, and in words."""
+
+    begin: float
+    end: float
+    kind: str
+    text: str
+
+
+class Trouble(NamedTuple):
+    """A node that was not well: from when, to when [s since the epoch], its worst level."""
+
+    begin: float
+    end: float
+    node: str
+    level: int
+    text: str
+
+
+def list_events(history: History) -> list[Event]:
+    """Return what happened, in order."""
+    events = [*_runs(history), *trips(history), *_models(history), *_health(history)]
+    return sorted(events)
+
+
+def format_span(seconds: float) -> str:
+    """Return a duration in its natural unit.
+
+    >>> format_span(90.0), format_span(5.0)
+    ('1.5 min', '5 s')
+    """
+    for name, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 1.5 * size or (name != "d" and seconds >= size):
+            return f"{seconds / size:.3g} {name}"
+    return f"{seconds:.2g} s"
+
+
+def trips(history: History) -> list[Event]:
+    """Return the guard's trips, each until the controller commanded again."""
+    events = []
+    trip: GuardMessage | None = None
+    for message in history.guard:
+        if message.status == TRIPPED and trip is None:
+            trip = message
+        elif message.status == FOLLOWING and trip is not None:
+            events.append(_trip(trip, message.time, "; rearmed after "))
+            trip = None
+        elif trip is not None and (end := _end_between(history, trip.time, message.time)):
+            events.append(_trip(trip, end, "; the recording ended after "))
+            trip = message if message.status == TRIPPED else None
+    if trip is not None:
+        end = max(run.end for run in history.runs)
+        events.append(_trip(trip, end, "; not rearmed until the end, for "))
+    return events
+
+
+def troubles(history: History) -> list[Trouble]:
+    """Return when nodes were not well; the guard's trips are told by the guard."""
+    found = []
+    nodes: dict[str, list[HealthMessage]] = {}
+    for message in history.health:
+        if not message.node.endswith("/koop_guard"):
+            nodes.setdefault(message.node, []).append(message)
+    for node, messages in nodes.items():
+        last = HealthMessage(max(run.end for run in history.runs), node, 0, "")
+        for message, after in pairwise([*messages, last]):
+            end = _end_between(history, message.time, after.time) or after.time
+            if message.level:
+                found.append(Trouble(message.time, end, node, message.level, message.text))
+    return sorted(found)
+
+
+def _trip(trip: GuardMessage, end: float, how: str) -> Event:
+    text = (
+        f"The guard tripped at theta = {trip.tripped_theta:.4g}: {trip.reason or trip.cause}; "
+        f"theta returned to theta_safe{how}{format_span(end - trip.time)}."
+    )
+    return Event(trip.time, end, "trip", text)
+
+
+def _end_between(history: History, begin: float, end: float) -> float | None:
+    """Return when the run that holds the first time ended, if that is before the second."""
+    ends = [run.end for run in history.runs if run.begin - 1.0 <= begin <= run.end < end]
+    return max(ends, default=None)
+
+
+def _runs(history: History) -> Iterator[Event]:
+    before = None
+    for run in history.runs:
+        pause = ""
+        if before is not None and run.begin > before.end:
+            pause = f", after {format_span(run.begin - before.end)} without one"
+        where = f"the recording in {run.folder}{pause}."
+        yield Event(run.begin, run.begin, "run", f"Here begins {where}")
+        if not run.closed:
+            text = "This recording was not closed: it still goes on, or its recorder was killed."
+            yield Event(run.end, run.end, "run", text)
+        before = run
+
+
+def _models(history: History) -> Iterator[Event]:
+    for (_, old), (time, new) in pairwise(history.models):
+        yield Event(time, time, "model", f"The cost came from model {new} in place of {old}.")
+
+
+def _health(history: History) -> Iterator[Event]:
+    """Yield troubles that lasted or were errors; those of a node that are near, together."""
+    together: list[Trouble] = []
+    by_node = sorted(troubles(history), key=lambda trouble: (trouble.node, trouble.begin))
+    told = [t for t in by_node if t.level > 1 or t.end - t.begin >= BRIEF]
+    for trouble in told:
+        if together and (
+            trouble.node != together[-1].node or trouble.begin - together[-1].end > NEAR
+        ):
+            yield _tell(together)
+            together = []
+        together.append(trouble)
+    if together:
+        yield _tell(together)
+
+
+def _tell(together: list[Trouble]) -> Event:
+    worst = max(together, key=lambda trouble: (trouble.level, trouble.end - trouble.begin))
+    lasted = format_span(sum(trouble.end - trouble.begin for trouble in together))
+    times = "" if len(together) == 1 else f" {len(together)} times, together"
+    level = LEVELS[min(worst.level, len(LEVELS) - 1)]
+    name = worst.node.rpartition("/")[2]
+    text = f"{name} said {level}{times} for {lasted}: {worst.text}."
+    return Event(together[0].begin, together[-1].end, "health", text)

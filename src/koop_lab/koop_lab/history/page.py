@@ -1,0 +1,207 @@
+"""The page of ``koop report``: a loop's amplitude, theta, cost and health, and what happened."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+
+import numpy as np
+
+from koop_lab.history.events import (
+    LEVELS,
+    MOST,
+    Event,
+    Trouble,
+    format_span,
+    list_events,
+    trips,
+    troubles,
+)
+from koop_lab.history.read import History
+from koop_lab.history.seconds import Floats, Rows, gather
+from koop_view.report import markup
+from koop_view.report.document import Cell, Column, Figure, Mark, Panel, Section, Series, Table
+
+POINTS = 700  # of a curve
+MARKS = 40  # trips that are named in the figure
+HINT = (
+    "In figures: point at a curve to read it, drag to zoom in, double-click to zoom out. Curves "
+    "are means, bands reach from the least to the largest. All times are UTC."
+)
+TIME = "time (UTC)"
+EVENTS = (Column("time", "time (UTC)"), Column("what", "what happened", words=True))
+
+
+def make_page(histories: Sequence[History]) -> str:
+    """Return the page of the loops of some runs."""
+    sections = [part for history in histories for part in _make_sections(history)]
+    runs = histories[0].runs
+    begin, end = runs[0].begin, max(run.end for run in runs)
+    title = f"Report from {_day(begin)} to {_day(end)}"
+    verdict = "".join(
+        f"<p>{html.escape(text)}</p>" for item in histories for text in write_sentences(item)
+    )
+    body = [
+        f"<h1>{title}</h1>",
+        f'<div class="verdict">{verdict}</div>',
+        f"<p><small>{HINT}</small></p>",
+        *map(markup.section, sections),
+    ]
+    return markup.page(title, body, sections)
+
+
+def write_sentences(history: History) -> Iterator[str]:
+    """Yield what a reader has to know first."""
+    rows, runs, tripped, ill = history.rows, history.runs, trips(history), troubles(history)
+    begin, end = runs[0].begin, max(run.end for run in runs)
+    recorded = _length([(run.begin, run.end) for run in runs])
+    name = f"Loop {history.name}: " if history.name else ""
+    yield (
+        f"{name}{format_span(recorded)} recorded in {_count(len(runs), 'run')}, "
+        f"{_share(recorded, end - begin)} of the time."
+    )
+    tenth = max(1, len(rows.time) // 10)
+    for channel, amplitude in zip(history.channels, rows.amplitude.T, strict=True):
+        if not np.isfinite(amplitude).any():
+            continue
+        first, last = (np.nanmedian(part) for part in (amplitude[:tenth], amplitude[-tenth:]))
+        at = int(np.nanargmax(amplitude))
+        yield (
+            f"Amplitude of {channel}: {first:.3g} in the first tenth of the time, {last:.3g} in "
+            f"the last, at most {amplitude[at]:.3g} ({_minute(rows.time[at])})."
+        )
+    lost = _length([(trip.begin, trip.end) for trip in tripped])
+    yield (
+        f"The guard tripped {_count(len(tripped), 'time')}, and kept theta from the controller for "
+        f"{format_span(lost)}."
+        if tripped
+        else "The guard did not trip."
+    )
+    bad = _length([(trouble.begin, trouble.end) for trouble in ill])
+    yield f"No node complained for {_share(recorded - bad, recorded)} of the recorded time."
+
+
+def _make_sections(history: History) -> Iterator[Section]:
+    events, name = list_events(history), history.name.strip("/").replace("/", "-")
+    told = events[-MOST:]
+    rows: list[tuple[Cell, ...]] = [(_second(event.begin), event.text) for event in told]
+    left = f", the last {MOST} of them" if len(events) > len(told) else ""
+    table = Table(f"events{name}", f"{_count(len(events), 'event')}{left}", EVENTS, rows)
+    of_loop = f" in {history.name}" if history.name else ""
+    figure = Figure(f"time{name}", "", tuple(_panels(history, events)))
+    yield Section(f"over-time{name}", f"Over time{of_loop}", "", figures=[figure])
+    yield Section(f"what-happened{name}", f"What happened{of_loop}", "", tables=[table])
+
+
+def _panels(history: History, events: Sequence[Event]) -> Iterator[Panel]:
+    rows = history.rows
+    width = _width(float(rows.time[-1] - rows.time[0]), rows)
+    thin = gather(rows, width, slow=False)
+    time = thin.time + 0.5 * width
+    found = [event for event in events if event.kind == "trip"]
+    marks = tuple(
+        Mark(int(trip.begin), "trip", int(trip.begin), math.ceil(trip.end), 1)
+        for trip in found[:MARKS]
+    )
+    amplitudes = rows.amplitude
+    ranges = [_extremes(rows.time, amplitudes[:, [i]], width) for i in range(amplitudes.shape[1])]
+    series = [
+        curve
+        for i, channel in enumerate(history.channels)
+        for curve in _curve(channel, time, width, thin.amplitude[:, i], *ranges[i], i)
+    ]
+    yield Panel(TIME, "amplitude", tuple(series), "Amplitude", time=True)
+    low, high, mean = thin.theta[:, :, 0].T
+    curves = tuple(_curve("theta", time, width, mean, low, high))
+    yield Panel(TIME, "theta", curves, "Theta of the controller, and trips", marks=marks, time=True)
+    low, high, mean = thin.r[:, :, 0].T
+    positive = bool(np.nanmin(low, initial=np.inf) > 0.0)
+    wide = positive and np.nanmax(high, initial=1.0) > 50.0 * np.nanmin(low, initial=1.0)
+    curves = tuple(_curve("r", time, width, mean, low, high))
+    yield Panel(TIME, "cost r", curves, "Cost", log_y=bool(wide), time=True)
+    yield Panel(
+        TIME, "level", (_levels(history, troubles(history)),),
+        "Health: the worst node; 0 OK, 1 WARN, 2 ERROR, 3 STALE", time=True,
+    )  # fmt: skip
+
+
+def _width(span: float, rows: Rows) -> float:
+    """Return the length of the intervals that a figure shows: whole rows [s]."""
+    step = float(np.median(np.diff(rows.time))) if rows.time.size > 1 else 1.0
+    return max(1.0, math.ceil(span / POINTS / step)) * step
+
+
+def _extremes(time: Floats, values: Floats, width: float) -> tuple[Floats, Floats]:
+    keys = np.floor(time / width)
+    starts = np.flatnonzero(np.r_[True, np.diff(keys) != 0])
+    column = values[:, 0]
+    return np.fmin.reduceat(column, starts), np.fmax.reduceat(column, starts)
+
+
+def _curve(
+    name: str, time: Floats, width: float, mean: Floats, low: Floats, high: Floats, color: int = 0
+) -> Iterator[Series]:
+    """Yield a band and a curve in it, broken where nothing was recorded."""
+    x: list[float] = []
+    columns: tuple[list[float | None], ...] = ([], [], [])
+    for i, t in enumerate(time.tolist()):
+        if i and t - time[i - 1] > 1.5 * width:
+            x.append(int(time[i - 1] + width))
+            for column in columns:
+                column.append(None)
+        x.append(int(t))
+        for column, values in zip(columns, (mean, low, high), strict=True):
+            column.append(float(values[i]) if math.isfinite(values[i]) else None)
+    yield Series(name, x, columns[1], "band", columns[2], color)
+    yield Series(name, x, columns[0], color=color)
+
+
+def _levels(history: History, ill: Sequence[Trouble]) -> Series:
+    """Return the worst level of all nodes as steps."""
+    edges = sorted({t for trouble in ill for t in (trouble.begin, trouble.end)})
+    begin, end = history.runs[0].begin, max(run.end for run in history.runs)
+    times = [begin, *edges, end]
+    levels = [max((t.level for t in ill if t.begin <= time < t.end), default=0) for time in times]
+    top = len(LEVELS) - 1
+    return Series("worst", [int(t) for t in times], [min(n, top) for n in levels], "steps", (), 1)
+
+
+def _length(spans: Sequence[tuple[float, float]]) -> float:
+    """Return the time [s] that spans cover together."""
+    total, reached = 0.0, -math.inf
+    for begin, end in sorted(spans):
+        total += max(0.0, end - max(begin, reached))
+        reached = max(reached, end)
+    return total
+
+
+def _share(part: float, whole: float) -> str:
+    return f"{100.0 * part / whole:.4g} %" if whole > 0.0 else "all"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _at(time: float) -> datetime:
+    return datetime.fromtimestamp(time, timezone.utc)
+
+
+def _day(time: float) -> str:
+    return f"{_at(time):%-d %B %Y, %H:%M}"
+
+
+def _minute(time: float) -> str:
+    return f"{_at(time):%-d %b, %H:%M}"
+
+
+def _second(time: float) -> str:
+    return f"{_at(time):%a %-d %b %H:%M:%S}"
+
+
+def write_page(path: Path, histories: Sequence[History]) -> None:
+    """Write the page."""
+    path.write_text(make_page(histories), encoding="utf-8")

@@ -1,0 +1,250 @@
+"""What the runs of a loop recorded: their long-term record, and the bag where that ends."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from koop_bag.bag.columns import iter_tables
+from koop_bag.bag.reader import BagReader
+from koop_bag.bag.summary import FIELDS, SECOND, LoopSecond, Seconds
+from koop_bag.errors import BagError
+from koop_core.config.fields import parse_source
+from koop_core.errors import InputError, KoopError
+from koop_identify.recording.recorded_parameters import recorded_values
+from koop_lab.history.seconds import COLUMNS, Rows, from_columns, from_seconds, gather, join
+
+BAG, SUMMARY = "bag", "summary"
+GUARD_STATE = "koop_msgs/msg/GuardState"
+GUARD = ("log_time", "status", "theta", "cause", "reason", "tripped_theta")
+HEALTH = ("log_time", "status[0].name", "status[0].level", "status[0].message")
+LABEL = re.compile(r"\d{8}T\d{6}Z-(.+)")  # of a run's folder
+LONG, SHORT, FINE = 7200.0, 10.0, 60.0  # [s]: within a span of LONG, amplitudes of SHORT, or FINE
+
+
+class GuardMessage(NamedTuple):
+    """What a guard said: time [s since the epoch], status as in GuardState, theta, why."""
+
+    time: float
+    status: int
+    theta: float
+    cause: str
+    reason: str
+    tripped_theta: float
+
+
+class HealthMessage(NamedTuple):
+    """Level of a node on /diagnostics, from a time on [s since the epoch]."""
+
+    time: float
+    node: str
+    level: int
+    text: str
+
+
+@dataclass
+class Run:
+    """A recording: when it began and ended [s since the epoch], and whether it was closed."""
+
+    folder: Path
+    begin: float
+    end: float
+    closed: bool
+
+
+@dataclass
+class History:
+    """A loop, over all runs.
+
+    Attributes
+    ----------
+    name : str
+        Namespace, without a slash at its end.
+    channels : tuple of str
+        Names of the measured channels.
+    rows : Rows
+        Intervals, in order of time.
+    models : list of (float, str)
+        Time [s since the epoch] from which on a model served the cost.
+    """
+
+    name: str
+    channels: tuple[str, ...]
+    rows: Rows
+    runs: list[Run]
+    guard: list[GuardMessage]
+    health: list[HealthMessage]
+    models: list[tuple[float, str]]
+
+
+@dataclass
+class _Parts:
+    """What is gathered while runs are read, by loop or topic."""
+
+    width: float
+    start: int
+    rows: dict[str, list[Rows]] = field(default_factory=dict)
+    guard: dict[tuple[str, float], GuardMessage] = field(default_factory=dict)
+    health: dict[tuple[str, float], HealthMessage] = field(default_factory=dict)
+    models: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
+    channels: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def add(self, loop: str, rows: Rows, models: Sequence[str]) -> None:
+        """Take seconds of a loop."""
+        rows = rows.since(self.start * 1e-9)
+        models = models[len(models) - rows.time.size :]
+        if not rows.time.size:
+            return
+        self.rows.setdefault(loop, []).append(gather(rows, self.width))
+        known = self.models.setdefault(loop, [])
+        for time, model in zip(rows.time.tolist(), models, strict=True):
+            if model and (not known or known[-1][1] != model):
+                known.append((time, model))
+
+
+def read_history(paths: Sequence[Path], since: float | None = None) -> list[History]:
+    """Read the runs of a loop, or of several namespaces.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Folders of runs, or folders of such folders.
+    since : float, optional
+        Only so many seconds before the end of the last one.
+
+    Raises
+    ------
+    koop_bag.errors.BagError
+        If a recording cannot be read.
+    koop_core.errors.InputError
+        If there is none, or runs of loops of other names.
+    """
+    runs = sorted((_look_at(folder) for folder in find_runs(paths)), key=lambda run: run.begin)
+    runs = [run for run in runs if run.end > 0.0]
+    if not runs:
+        raise InputError(f"{paths[0]}: holds no recording with a message in it")
+    end = max(run.end for run in runs)
+    start = min(run.begin for run in runs) if since is None else end - since
+    runs = [replace(run, begin=max(run.begin, start)) for run in runs if run.end > start]
+    parts = _Parts(SHORT if end - start < LONG else FINE, int(start * 1e9))
+    for run in runs:
+        _read_run(run, parts)
+    if not parts.rows:
+        raise InputError(f"{paths[0]}: its recordings hold no state of a loop")
+    return [_make_history(loop, parts, runs) for loop in sorted(parts.rows)]
+
+
+def find_runs(paths: Sequence[Path]) -> list[Path]:
+    """Return the folders of runs; those of loops of different names are refused."""
+    folders: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            raise InputError(f"{path}: is not a folder: name the folder of a run, or of runs")
+        own = [path] if (path / BAG).is_dir() else []
+        found = own or sorted(bag.parent for bag in path.glob(f"*/{BAG}"))
+        if not found:
+            raise InputError(f"{path}: holds no run, a folder with a {BAG} in it")
+        folders += found
+    names = {match[1] for folder in folders if (match := LABEL.fullmatch(folder.resolve().name))}
+    if len(names) > 1:
+        raise InputError(
+            f"{paths[0]}: holds runs of {', '.join(sorted(names)[:5])}: name those of one, "
+            f"such as {paths[0]}/*-{min(names)}"
+        )
+    return folders
+
+
+def _look_at(folder: Path) -> Run:
+    begin, end, closed = np.inf, 0.0, True
+    for name in (SUMMARY, BAG):
+        with suppress(BagError), BagReader(folder / name) as bag:
+            if bag.message_count:
+                begin, end = min(begin, bag.start_time * 1e-9), max(end, bag.end_time * 1e-9)
+            closed = bag.complete
+    return Run(folder, begin, end, closed)
+
+
+def _read_run(run: Run, parts: _Parts) -> None:
+    start = parts.start
+    if (run.folder / SUMMARY).is_dir():
+        with BagReader(run.folder / SUMMARY) as bag:
+            _read_events(bag, parts, start)
+            tables = {
+                topic.name: COLUMNS
+                for topic in bag.topics
+                if topic.type_name == "koop_msgs/msg/LoopSummary" and topic.count
+            }
+            for topic, columns in iter_tables(bag, tables, start=start):
+                loop = topic.rpartition("/")[0]
+                parts.add(loop, from_columns(columns), columns["model_id"].tolist())
+                start = max(start, int(columns["header.stamp"][-1]) + SECOND)
+    with BagReader(run.folder / BAG) as bag:
+        _read_events(bag, parts, start)
+        for loop, seconds in _seconds_of(bag, start).items():
+            parts.add(loop, from_seconds(seconds), [second.model_id for second in seconds])
+        for loop in parts.rows.keys() - parts.channels.keys():
+            with suppress(KoopError, KeyError):
+                values = recorded_values(bag, run.folder, loop or "/")
+                source = parse_source(str(values["koopman_lifter"]["measured"]))
+                parts.channels[loop] = source.names
+
+
+def _seconds_of(bag: BagReader, start: int) -> dict[str, list[LoopSecond]]:
+    """Return the seconds of each loop, from a time on, out of a recording at full rate."""
+    made, channels = Seconds(), {}
+    for number, topic in enumerate(bag.topics):
+        if topic.type_name in FIELDS and topic.count:
+            made.watch(number, topic.name, topic.type_name, topic.definition)
+            channels[topic.name] = number
+    seconds: dict[str, list[LoopSecond]] = {}
+
+    def take(finished: Iterator[LoopSecond]) -> None:
+        for second in finished:
+            seconds.setdefault(second.loop, []).append(second)
+
+    last = 0
+    for message in bag.messages(channels, start):
+        made.add(channels[message.topic], message.log_time, message.data)
+        if message.log_time > last + SECOND:
+            last = message.log_time
+            take(made.finish(last))
+    take(made.finish())
+    return seconds
+
+
+def _read_events(bag: BagReader, parts: _Parts, start: int) -> None:
+    tables: dict[str, Sequence[str] | None] = {}
+    for topic in bag.topics:
+        if topic.count and topic.type_name == GUARD_STATE:
+            tables[topic.name] = GUARD
+        elif topic.count and topic.name == "/diagnostics":
+            tables[topic.name] = HEALTH
+    for name, columns in iter_tables(bag, tables, start=start):
+        fields = tables[name] or ()
+        for values in zip(*(columns[item].tolist() for item in fields), strict=True):
+            time = values[0] * 1e-9
+            if time < start * 1e-9:
+                continue
+            if fields is GUARD:
+                parts.guard.setdefault((name, time), GuardMessage(time, *values[1:]))
+            elif isinstance(values[1], str):
+                _, node, level, text = values
+                parts.health.setdefault((node, time), HealthMessage(time, node, int(level), text))
+
+
+def _make_history(loop: str, parts: _Parts, runs: list[Run]) -> History:
+    rows = join(parts.rows[loop])
+    channels = parts.channels.get(loop, ())
+    if len(channels) != rows.power.shape[1]:
+        channels = tuple(f"x[{i}]" for i in range(rows.power.shape[1]))
+    guard = [message for (topic, _), message in parts.guard.items()
+             if topic.rsplit("/", 2)[0] == loop]  # fmt: skip
+    health = [message for (node, _), message in parts.health.items()
+              if node.rpartition("/")[0] == loop]  # fmt: skip
+    return History(loop, channels, rows, runs, sorted(guard), sorted(health), parts.models[loop])

@@ -1,0 +1,126 @@
+"""A loop's seconds, gathered into rows of longer intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_bag.bag.columns import Columns
+from koop_bag.bag.summary import LoopSecond
+
+Floats = NDArray[np.float64]
+COLUMNS = (
+    "header.stamp", "count", "x_min", "x_max", "x_mean", "x_std",
+    "r_min", "r_max", "r_mean", "theta_min", "theta_max", "theta_mean", "model_id",
+)  # fmt: skip
+"""What is read of a LoopSummary."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Intervals of a loop, in order.
+
+    Attributes
+    ----------
+    time : ndarray, shape (m,)
+        Begin [s since the epoch].
+    weight : ndarray, shape (m,)
+        Seconds that it has.
+    power : ndarray, shape (m, n)
+        Variance of each channel within it.
+    x, r, theta : ndarray, shape (m, 3, n or 1)
+        Least, largest and mean value.
+    """
+
+    time: Floats
+    weight: Floats
+    power: Floats
+    x: Floats
+    r: Floats
+    theta: Floats
+
+    def since(self, time: float) -> Rows:
+        """Return those that begin at a time [s since the epoch] or later."""
+        later = self.time >= time
+        return Rows(*(getattr(self, item.name)[later] for item in fields(self)))
+
+    @property
+    def amplitude(self) -> Floats:
+        """Amplitude of each channel, shape (m, n)."""
+        return np.sqrt(2.0 * self.power)
+
+
+def from_columns(columns: Columns) -> Rows:
+    """Return the rows of LoopSummary messages: one a second."""
+
+    def table(name: str) -> Floats:
+        parts = [columns[f"{name}_{kind}"] for kind in ("min", "max", "mean")]
+        stacked = np.stack(parts, axis=1).astype(np.float64)
+        return stacked.reshape(len(stacked), 3, -1)
+
+    time = columns["header.stamp"] * 1e-9
+    power = columns["x_std"].astype(np.float64) ** 2
+    return Rows(time, np.ones(time.size), power, table("x"), table("r"), table("theta"))
+
+
+def from_seconds(seconds: Sequence[LoopSecond]) -> Rows:
+    """Return the rows of seconds that were made of a recording's messages."""
+
+    def table(name: str) -> Floats:
+        nothing = np.full(1, np.nan)
+        rows = [
+            (s.statistics[name][:3] if name in s.statistics else (nothing,) * 3) for s in seconds
+        ]
+        return np.array(rows)
+
+    time = np.array([s.begin * 1e-9 for s in seconds])
+    power = np.array([s.statistics["x"].std ** 2 for s in seconds])
+    return Rows(time, np.ones(time.size), power, table("x"), table("r"), table("theta"))
+
+
+def join(parts: Iterable[Rows]) -> Rows:
+    """Return rows, one after the other."""
+    parts = list(parts)
+    return Rows(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rows)))
+
+
+def gather(rows: Rows, width: float, slow: bool = True) -> Rows:
+    """Return intervals of `width` [s] that begin at its multiples.
+
+    With `slow`, changes of the mean within an interval count as oscillation: one that is slower
+    than the rows is seen only so.
+    """
+    keys = np.floor(rows.time / width)
+    starts = np.flatnonzero(np.r_[True, np.diff(keys) != 0])
+    mean = _mean(rows.x[:, 2], rows.weight, starts)
+    power = rows.power + rows.x[:, 2] ** 2 if slow else rows.power
+    power = _mean(power, rows.weight, starts) - (mean**2 if slow else 0.0)
+
+    def table(values: Floats) -> Floats:
+        parts = (
+            np.fmin.reduceat(values[:, 0], starts),
+            np.fmax.reduceat(values[:, 1], starts),
+            _mean(values[:, 2], rows.weight, starts),
+        )
+        return np.stack(parts, axis=1)
+
+    return Rows(
+        keys[starts] * width,
+        np.add.reduceat(rows.weight, starts),
+        np.maximum(power, 0.0),
+        table(rows.x),
+        table(rows.r),
+        table(rows.theta),
+    )
+
+
+def _mean(values: Floats, weight: Floats, starts: NDArray[np.int64]) -> Floats:
+    """Return the mean of the finite values of each group; NaN of none."""
+    finite = np.isfinite(values)
+    total = np.add.reduceat(np.where(finite, values, 0.0) * weight[:, None], starts)
+    share = np.add.reduceat(finite * weight[:, None], starts)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(total / share)

@@ -1,0 +1,186 @@
+"""``koop report``: its figures and sentences are those of the days that were written down."""
+
+import html
+import json
+import re
+
+import numpy as np
+import pytest
+from browser import browse
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from koop_msgs.msg import ControlInput, Cost, GuardState, LoopSummary, MeasuredState
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
+
+from koop_bag.bag.writer import BagWriter, WriterOptions
+from koop_bag.cdr.schema import load_schema
+from koop_lab.cli.main import main
+
+BEGIN = 1_795_000_020  # [s since the epoch]: a full minute
+EVERY = 20  # [s] from second to second that is written
+DAY = 86400
+TRIP, REARMED = 30_000, 30_900  # [s] after BEGIN
+ILL = 50_000
+GUARD = "koop_msgs/msg/GuardState"
+
+
+def amplitude_at(t):
+    """Return the amplitude of the first channel, as it is written; it doubles in a trip."""
+    return 0.1 + 0.4 * np.exp(-t / 5000.0) + 0.5 * ((t >= TRIP) & (t < REARMED))
+
+
+def write_days(folder, begin=0, end=DAY, closed=True):
+    """Write a run with a ring: its long-term record, and an empty bag."""
+    with BagWriter(folder / "summary", WriterOptions(chunk_seconds=600.0)) as writer:
+        summary = writer.add_topic("/summary", load_schema("koop_msgs/msg/LoopSummary"))
+        guard = writer.add_topic("/koop_guard/state", load_schema(GUARD))
+        health = writer.add_topic(
+            "/diagnostics", load_schema("diagnostic_msgs/msg/DiagnosticArray")
+        )
+
+        def write(channel, t, message):
+            time = (BEGIN + t) * 10**9
+            writer.write(channel, time, time, serialize_message(message))
+
+        write(guard, begin + 5, GuardState(status=1, theta=0.0))
+        for t in range(begin, end, EVERY):
+            if t == TRIP:
+                trip = {"cause": "told to", "reason": "told to by a test", "tripped_theta": 1.25}
+                write(guard, t, GuardState(status=2, **trip))
+            if t == REARMED:
+                write(guard, t, GuardState(status=1, **trip))
+            for name, at, lasts in (("/relay_esc", ILL, 60), ("/koop_guard", TRIP, 900)):
+                for when, level in ((at, b"\2"), (at + lasts, b"\0")):
+                    if t == when - when % EVERY:
+                        text = "the cost is unusable" if level != b"\0" else ""
+                        status = DiagnosticStatus(name=name, level=level, message=text)
+                        write(health, when, DiagnosticArray(status=[status]))
+            amplitude = float(amplitude_at(t))
+            header = Header()
+            header.stamp.sec = BEGIN + t
+            write(summary, t + 1, LoopSummary(
+                header=header, count=200, model_id="old" if t < DAY / 2 else "new",
+                x_min=[-amplitude, 2.0], x_max=[amplitude, 2.0], x_mean=[0.0, 2.0],
+                x_std=[amplitude / np.sqrt(2.0), 0.0], r_min=0.5, r_max=2.0, r_mean=1.0,
+                theta_min=t / DAY - 0.5, theta_max=t / DAY + 0.5, theta_mean=t / DAY,
+            ))  # fmt: skip
+    with BagWriter(folder / "bag") as bag:
+        if not closed:
+            bag._file.abandon()
+            bag.closed = True
+
+
+def read_page(path):
+    """Return the panels of the page by title, and its text."""
+    page = path.read_text()
+    figures = json.loads(re.search(r'id="figures"[^>]*>(.*?)</script>', page, re.S)[1])
+    (panels,) = [figure["panels"] for figure in figures.values()]
+    text = html.unescape(re.sub(r"<[^>]+>", " ", page.split("<body>")[1].split("<script")[0]))
+    return {panel["title"].split(",")[0].split(":")[0]: panel for panel in panels}, text
+
+
+@pytest.fixture(scope="module")
+def week(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("loop")
+    write_days(folder / "20260101T000000Z-mine", 0, DAY // 2, closed=False)
+    write_days(folder / "20260101T120000Z-mine", DAY // 2 + 3600, DAY)
+    return folder
+
+
+def test_the_figures_show_what_was_written_and_nothing_where_nothing_was(week, capsys):
+    assert main(["report", str(week)]) == 0
+    panels, _ = read_page(week / "history.html")
+    band, curve, *_ = panels["Amplitude"]["series"]
+    t = np.array(curve["x"])
+    shown = np.array(curve["y"], float)
+    gap = (t > BEGIN + DAY / 2 + 120) & (t < BEGIN + DAY / 2 + 3480)
+    assert not np.isfinite(shown[gap]).any()
+    known = np.isfinite(shown)
+    away = known & (np.abs(t - BEGIN - TRIP) > 200) & (np.abs(t - BEGIN - REARMED) > 200)
+    # a curve's point is of some minutes, in which the amplitude falls by a few percent
+    np.testing.assert_allclose(shown[away], amplitude_at(t[away] - BEGIN), rtol=0.03)
+    assert max(v for v in band["upper"] if v) == pytest.approx(amplitude_at(TRIP), rel=0.01)
+    theta = panels["Theta of the controller"]["series"]
+    low, high = (np.array(theta[0][key], float) for key in ("y", "upper"))
+    assert np.nanmin(low) == pytest.approx(-0.5, abs=1e-3)
+    assert np.nanmax(high) == pytest.approx(1.5, abs=1e-2)
+    (mark,) = panels["Theta of the controller"]["marks"]
+    assert (mark["low"], mark["high"]) == (BEGIN + TRIP, BEGIN + REARMED)
+    assert {max(s["y"]) for s in panels["Health"]["series"]} == {2}
+
+
+def test_each_thing_that_happened_has_a_sentence(week, capsys):
+    assert main(["report", str(week)]) == 0
+    _, text = read_page(week / "history.html")
+    for sentence in (
+        "2 runs, 95.81 % of the time",  # an hour of a day is missing
+        "tripped 1 time, and kept theta from the controller for 15 min",
+        "tripped at theta = 1.25: told to by a test",
+        "rearmed after 15 min",
+        "relay_esc said ERROR for 1 min: the cost is unusable",
+        "The cost came from model new in place of old",
+        "This recording was not closed",
+        "1.01 h without one",
+    ):
+        assert sentence in text
+        assert text.count(sentence) == 1
+    assert "koop_guard said" not in text  # its trip is told
+
+
+def test_only_the_last_hours_are_shown_where_so_asked(week, capsys):
+    assert main(["report", str(week), "--since", "6h"]) == 0
+    panels, text = read_page(week / "history.html")
+    times = panels["Cost"]["series"][0]["x"]
+    assert min(times) >= BEGIN + DAY - 6 * 3600 - 60
+    assert "The guard did not trip" in text
+    assert main(["report", str(week), "--since", "six hours"]) == 2
+    assert "such as 7d, 12h or 30m" in capsys.readouterr().err
+
+
+def test_a_recording_that_keeps_all_is_reported_from_its_messages(tmp_path, capsys):
+    types = {"/state": MeasuredState, "/cost": Cost, "/theta": ControlInput}
+    t = np.arange(0.0, 60.0, 0.01)
+    x = 0.7 * np.sin(2.0 * np.pi * 0.2 * t)  # slower than a second
+    with BagWriter(tmp_path / "bag") as writer:
+        channels = {
+            topic: writer.add_topic(topic, load_schema(f"koop_msgs/msg/{kind.__name__}"))
+            for topic, kind in types.items()
+        }
+        for k in range(t.size):
+            time = BEGIN * 10**9 + round(t[k] * 1e9)
+            for topic, values in (
+                ("/state", {"x": [x[k]]}), ("/cost", {"r": 1.0}), ("/theta", {"theta": 3.0})
+            ):  # fmt: skip
+                message = types[topic](step=k, **values)
+                writer.write(channels[topic], time, time, serialize_message(message))
+    assert main(["report", str(tmp_path)]) == 0
+    panels, _ = read_page(tmp_path / "history.html")
+    _, curve = panels["Amplitude"]["series"]
+    assert curve["y"] == pytest.approx([0.7] * len(curve["y"]), rel=0.01)
+    assert len(curve["y"]) == 6
+
+
+def test_runs_of_several_loops_and_folders_without_a_run_are_refused(week, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    assert main(["report", str(tmp_path / "empty")]) == 2
+    for name in ("mine", "other"):
+        with BagWriter(tmp_path / f"20260101T000000Z-{name}" / "bag"):
+            pass
+    assert main(["report", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert "holds no run" in error
+    assert "holds runs of mine, other: name those of one" in error
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(("width", "dark"), [(390, True), (1280, False)])
+def test_the_page_is_drawn_by_a_browser(week, width, dark, tmp_path):
+    assert main(["report", str(week)]) == 0
+    result, errors = browse((week / "history.html").read_text(), width, tmp_path, dark)
+    assert errors == []
+    assert result["content"] <= result["width"]
+    assert (result["empty"], result["wide"], result["small"]) == ([], 0, 0)
+    assert result["plots"] == len(result["drawn"]) == 4
+    assert all(plot["whole"] for plot in result["drawn"])
+    assert 0.3 < result["zoomed"] < 0.7
+    assert "UTC" in result["read"][0]
