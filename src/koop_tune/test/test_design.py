@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from koop_core.errors import InputError
-from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, Design, Move, first_positions
+from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, TIME, Design, Move, first_positions
 from koop_tune.excitation.holds import Hold
 from koop_tune.rig.rig_file import RigFile
 
@@ -143,6 +143,12 @@ def test_a_strong_slow_interference_neither_sets_the_windows_nor_hides_the_map()
     assert abs(hidden.static_map().best() - 0.4) < 0.1
     ranges = [hidden.windows.frequency[[a, b]] for _, a, b in hidden.amplitude.ranges]
     assert not any(low <= 0.4 <= high for low, high in ranges)
+
+
+@pytest.mark.parametrize(("level", "ended"), [(wide, KNOWN), (lambda u: -0.5 * u, TIME)])
+def test_once_more_holds_would_not_help_a_map_with_an_optimum_inside_is_known(level, ended):
+    settings = replace(DESIGN, most=COUNT + 1)
+    assert excite(Simulated(level), settings=settings)[0].ended == ended
 
 
 def test_hysteresis_is_visited_from_both_sides_and_told_as_doubt():

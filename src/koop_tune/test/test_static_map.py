@@ -86,6 +86,10 @@ def test_the_expected_improvement_is_that_of_the_drawn_values(noisy):
     values = y + deviation * np.random.default_rng(3).standard_normal((400_000, 3))
     gain = np.maximum(noisy.least - values, 0.0).mean(axis=0)
     assert noisy.expected_improvement(u) == pytest.approx(gain, rel=0.03, abs=1e-4)
+    floor = noisy.least - 0.02
+    seen = np.maximum(noisy.least - np.maximum(values, floor), 0.0).mean(axis=0)
+    assert noisy.expected_improvement(u, floor) == pytest.approx(seen, rel=0.03, abs=1e-4)
+    assert noisy.expected_improvement(u, noisy.least + 0.1) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])

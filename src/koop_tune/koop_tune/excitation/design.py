@@ -210,8 +210,9 @@ class Design:
         if move is None:
             self.ended = self.ended or KNOWN
             return None
-        if len(self.holds) >= self._settings.most:
-            self.ended = TIME  # nothing more is learned
+        if len(self.holds) >= self._settings.most:  # nothing more is learned
+            known = self.amplitude is not None and self.static_map().interior
+            self.ended = KNOWN if known else TIME
             return None
         return move
 
@@ -235,7 +236,8 @@ class Design:
             return Move(self._queue[0], why="again, with longer windows: nothing reacted")
         grid = static_map.grid[::4]
         held = (np.abs(static_map.u[:, None] - grid) < s.finest).sum(axis=0)
-        gain = np.where(held < s.often, static_map.expected_improvement(grid), 0.0)
+        gain = static_map.expected_improvement(grid, self._floor)
+        gain = np.where(held < s.often, gain, 0.0)
         if float(gain.max()) > self._tolerance(static_map):
             return Move(float(grid[int(np.argmax(gain))]), why="a better value may be there")
         if (between := self._bracket(static_map)) is not None:
@@ -292,6 +294,13 @@ class Design:
             if amplitude is not None and amplitude.weight[:, windows.frequency < lowest].any():
                 return windows.length
         return None
+
+    @property
+    def _floor(self) -> float:
+        """The least y that a hold can have: what is weaker is hidden by the background."""
+        if self.amplitude is None or self.rig.sense < 0.0:
+            return -math.inf
+        return math.log(self.amplitude.floor)
 
     def _tolerance(self, static_map: StaticMap) -> float:
         return max(self._settings.improvement, 0.5 * float(np.median(static_map.error)))

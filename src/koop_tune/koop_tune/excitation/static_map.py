@@ -278,8 +278,15 @@ class StaticMap:
             return None
         return Cliff(inner, outer, float(y[beyond[0]]) - best)
 
-    def expected_improvement(self, u: Array) -> Array:
-        """Return by how much a hold at positions is expected to be better than the best so far."""
+    def expected_improvement(self, u: Array, floor: float = -math.inf) -> Array:
+        """Return by how much a hold at positions is expected to be better than the best so far.
+
+        ``floor`` is the least y that a hold can have.
+        """
         y, deviation = self.predict(u)
-        z = (self.least - y) / deviation
-        return np.asarray(deviation * (z * norm.cdf(z) + norm.pdf(z)))
+
+        def below(bound: float) -> Array:
+            z = (bound - y) / deviation
+            return np.asarray(deviation * (z * norm.cdf(z) + norm.pdf(z)))
+
+        return below(self.least) - (below(min(floor, self.least)) if floor > -math.inf else 0.0)
