@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, MetadataIndex, Schema, Statistics
 
-from koop_bag.mcap.file_reader import MESSAGE_HEAD, RECORD_HEAD, McapFile, Place, inner_places
+from koop_bag.mcap.file_reader import MESSAGE_HEAD, RECORD_HEAD, McapFile, Place
 
+_NOTED = (Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA)
 _CHUNK_TIMES = struct.Struct("<QQ")  # of its first and its last message
 
 
@@ -32,14 +33,11 @@ def survey(file: McapFile) -> FileContents:
         return contents
     contents = FileContents(file)
     for place in file.places():
-        if place.opcode == Opcode.CHUNK:
-            records = file.chunk_records(place)
-            for inner in inner_places(records):
-                _note(contents, inner, records[inner.start : inner.start + inner.length])
-        elif place.opcode == Opcode.DATA_END:
+        if place.opcode == Opcode.DATA_END:
             break
-        elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.METADATA):
-            _note(contents, place, file.content(place))
+        if place.opcode in _NOTED:
+            for opcode, data in file.records(place):
+                _note(contents, opcode, data, place.start)
     return contents
 
 
@@ -56,33 +54,30 @@ def _read_summary(contents: FileContents) -> bool:
             )
             counted = True
         elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            _note(contents, place, file.content(place))
+            _note(contents, place.opcode, file.content(place), place.start)
         elif place.opcode == Opcode.METADATA_INDEX:
             index = file.parse(MetadataIndex, place)
-            offset, length = index.offset, index.length
-            _note(
-                contents,
-                Place(Opcode.METADATA, offset, length),
-                file.content(Place(0, offset + 9, length - 9)),
-            )
+            head = RECORD_HEAD.size
+            data = file.content(Place(0, index.offset + head, index.length - head))
+            _note(contents, Opcode.METADATA, data, index.offset)
     return counted and all(number in contents.channels for number in contents.counts)
 
 
-def _note(contents: FileContents, place: Place, data: bytes) -> None:
+def _note(contents: FileContents, opcode: int, data: bytes, where: int) -> None:
     file = contents.file
-    if place.opcode == Opcode.MESSAGE:
-        channel, _, log_time, _ = file.unpack(MESSAGE_HEAD, data, place.start)
+    if opcode == Opcode.MESSAGE:
+        channel, _, log_time, _ = file.unpack(MESSAGE_HEAD, data, where)
         contents.counts[channel] = contents.counts.get(channel, 0) + 1
         contents.start = min(contents.start, log_time)
         contents.end = max(contents.end, log_time)
-    elif place.opcode == Opcode.CHANNEL:
-        channel_record = file.parse_bytes(Channel, data, place.start)
+    elif opcode == Opcode.CHANNEL:
+        channel_record = file.parse_bytes(Channel, data, where)
         contents.channels[channel_record.id] = channel_record
-    elif place.opcode == Opcode.SCHEMA:
-        schema = file.parse_bytes(Schema, data, place.start)
+    elif opcode == Opcode.SCHEMA:
+        schema = file.parse_bytes(Schema, data, where)
         contents.schemas[schema.id] = schema
-    elif place.opcode == Opcode.METADATA:
-        metadata = file.parse_bytes(Metadata, data, place.start)
+    elif opcode == Opcode.METADATA:
+        metadata = file.parse_bytes(Metadata, data, where)
         contents.notes[metadata.name] = metadata.metadata
 
 

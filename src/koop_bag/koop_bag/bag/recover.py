@@ -1,6 +1,6 @@
 """Makes a valid bag from a torn or damaged one."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from koop_bag.bag.metadata import (
 from koop_bag.bag.writer import BagWriter
 from koop_bag.cdr.schema import MessageSchema
 from koop_bag.errors import BagError, BagWriteError
-from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile, Place, inner_places
+from koop_bag.mcap.file_reader import MESSAGE_HEAD, McapFile
 
 
 @dataclass
@@ -106,7 +106,7 @@ class _FileCopy:
                 end = file.size
                 break
             try:
-                records = list(_records(file, place))
+                records = list(file.records(place))
             except BagError:
                 report.damaged_records += 1
                 continue
@@ -142,15 +142,6 @@ class _FileCopy:
                 parse_map(note.metadata.get("serialized_metadata", ""), "metadata record")
             else:
                 self._writer.add_note(note.name, note.metadata)
-
-
-def _records(file: McapFile, place: Place) -> Iterator[tuple[int, bytes]]:
-    if place.opcode != Opcode.CHUNK:
-        yield place.opcode, file.content(place)
-        return
-    records = file.chunk_records(place)
-    for opcode, start, length in inner_places(records):
-        yield opcode, records[start : start + length]
 
 
 def _add_topic(writer: BagWriter, channel: Channel, schema: Schema) -> int:

@@ -93,6 +93,15 @@ class McapFile:
         self._file.seek(place.start)
         return self._file.read(place.length)
 
+    def records(self, place: Place) -> Iterator[tuple[int, bytes]]:
+        """Opcode and content of a record; of a chunk, those of each record in it."""
+        if place.opcode != Opcode.CHUNK:
+            yield place.opcode, self.content(place)
+            return
+        inside = self.chunk_records(place)
+        for opcode, start, length in inner_places(inside):
+            yield opcode, inside[start : start + length]
+
     def parse(self, kind: type[_Parsed], place: Place) -> _Parsed:
         """A record as the `mcap` library sees it."""
         return self.parse_bytes(kind, self.content(place), place.start)
