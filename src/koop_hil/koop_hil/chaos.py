@@ -148,12 +148,11 @@ class Run:
             raise ConfigError(f"{folder} is there already: choose another --out")
         folder.mkdir(parents=True)
         self.parameters, self.model = folder / "loop.yaml", folder / "model.npz"
-        self._model = (installed("models") / "galloping.npz").read_bytes()
-        self.model.write_bytes(self._model)
+        self.model.write_bytes((installed("models") / "galloping.npz").read_bytes())
         lifter = {**LOOP["koopman_lifter"], "model": str(self.model)}
         parameter_file.write({**LOOP, "koopman_lifter": lifter}, self.parameters)
         self.parameters.write_text(self.parameters.read_text().replace("/**/", "/"))
-        self._whole = self.parameters.read_bytes()
+        self._whole = {file: file.read_bytes() for file in (self.parameters, self.model)}
         self._environment = {**os.environ, MARK: str(folder)}
         self._events: IO[str] = (folder / "events.jsonl").open("w", buffering=1)
         self._loop: subprocess.Popen[bytes] | None = None
@@ -253,17 +252,10 @@ class Run:
         self._rig.wait()
         self._rig = self._start_rig()
 
-    def damage(self, on: bool, file: Path, whole: bytes) -> None:
+    def damage(self, file: Path, on: bool) -> None:
         """Cut a file of the loop in half, or mend it."""
+        whole = self._whole[file]
         file.write_bytes(whole[: len(whole) // 2] if on else whole)
-
-    def damage_parameters(self, on: bool) -> None:
-        """Damage the parameter file, or mend it."""
-        self.damage(on, self.parameters, self._whole)
-
-    def damage_model(self, on: bool) -> None:
-        """Damage the model, or mend it."""
-        self.damage(on, self.model, self._model)
 
     def memory(self) -> dict[str, int]:
         """Return the resident memory [kB] of the loop's processes."""
@@ -337,8 +329,8 @@ KINDS: dict[str, Callable[[Run, bool], None]] = {
     "network flooded": _flood,
     "disk full": _disk,
     **{f"no memory for {name}": _memory(name) for name in ("controller", "recorder")},
-    "parameter file damaged": lambda run, on: run.damage_parameters(on),
-    "model file damaged": lambda run, on: run.damage_model(on),
+    "parameter file damaged": lambda run, on: run.damage(run.parameters, on),
+    "model file damaged": lambda run, on: run.damage(run.model, on),
 }
 """What begins and ends a fault of each kind, given the run and whether it begins."""
 

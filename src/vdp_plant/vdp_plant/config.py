@@ -92,26 +92,8 @@ class PlantConfig(Settings):
 
     def params(self) -> PlantParams:
         """Return the values that the kernels of ``vdp_plant.dynamics`` take."""
-        return PlantParams(
-            self.epsilon0,
-            self.epsilon0_drift,
-            self.drift_frequency,
-            self.forcing_amplitude,
-            self.forcing_frequency,
-            self.mu,
-            self.x_offset,
-            self.theta_star,
-            self.interference_amplitude_1,
-            self.interference_frequency_1,
-            self.interference_phase_1,
-            self.interference_amplitude_2,
-            self.interference_frequency_2,
-            self.interference_phase_2,
-            self.dt,
-            self.theta_min,
-            self.theta_max,
-            self.theta_rate if self.theta_rate > 0.0 else math.inf,
-        )
+        values = {name: getattr(self, name) for name in PlantParams._fields}
+        return PlantParams(**{**values, "theta_rate": self.theta_rate or math.inf})
 
 
 def pace_values(text: str) -> dict[str, Any]:
