@@ -15,6 +15,7 @@ from std_msgs.msg import Float64
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_bringup.live.loop import LiveNodes
+from koop_bringup.plan import Plan
 from koop_commission.rig.graph import identify_publishers
 from koop_commission.rig.guarded_theta import GUARD, guard_section
 from koop_commission.rig.listener import Listener
@@ -64,7 +65,7 @@ def assert_walked(moved, rig):
 )
 def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, reason):
     told = []
-    nodes = LiveNodes(tmp_path, {GUARD: guard_section(SLOW, None)}, rig=True)
+    nodes = LiveNodes(tmp_path, Plan({GUARD: guard_section(SLOW, None)}, rig=True))
     with Client("koop_test") as client, nodes:
         client.node.create_subscription(Float64, SLOW.knob.topic, told.append, 1000)
         listener = Listener(client, SLOW.state.topic, TYPES[0], SLOW.state.fields)

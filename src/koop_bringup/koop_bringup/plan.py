@@ -116,12 +116,12 @@ class Plan:
 
     Attributes
     ----------
+    parameters : dict
+        All that is given, by node, of those that are started.
     namespace : str
-        Namespace of all nodes; empty for the root.
+        Namespace of all nodes, such as ``/rig``; empty for the root.
     nodes : tuple of PlannedNode
         In the order of starting.
-    parameters : dict
-        All that is given, by node.
     rig : bool
         Whether a rig is the plant.
     program : tuple of str
@@ -134,14 +134,14 @@ class Plan:
         What the user should know.
     """
 
-    namespace: str
-    nodes: tuple[PlannedNode, ...]
     parameters: dict[str, dict[str, Any]]
-    rig: bool
-    program: tuple[str, ...]
-    composed: bool
-    remaps: tuple[str, ...]
-    notes: tuple[str, ...]
+    namespace: str = ""
+    nodes: tuple[PlannedNode, ...] = ()
+    rig: bool = False
+    program: tuple[str, ...] = ()
+    composed: bool = False
+    remaps: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def processes(self) -> tuple[PlannedNode, ...]:
         """Return what is started: a process a node, or one for all but recorder and guard."""
@@ -235,7 +235,7 @@ def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> P
     remaps = (f"relay_esc:{THETA}:={ASKED}",) if guard and guard.asked == ASKED else ()
     nodes = tuple(PlannedNode(name, *EXECUTABLES[name]) for name in started)
     composed = _flag("composed", arguments, False)
-    return Plan(namespace, nodes, values, not simulated, program, composed, remaps, tuple(notes))
+    return Plan(values, namespace, nodes, not simulated, program, composed, remaps, tuple(notes))
 
 
 def refuse_other_arguments(words: list[str]) -> None:

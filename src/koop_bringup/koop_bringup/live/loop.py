@@ -6,7 +6,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import partial
@@ -19,7 +19,7 @@ from koop_bringup.live.monitor import Monitor, Progress
 from koop_bringup.live.notify import ServiceManager
 from koop_bringup.live.process import START_TIMEOUT, STOP_TIMEOUT, NodeProcess, uninterrupted
 from koop_bringup.live.turns import take_turns
-from koop_bringup.plan import return_time
+from koop_bringup.plan import Plan, return_time
 from koop_core.config import parameter_file
 from koop_core.errors import LiveError
 from koop_guard.note import THETA_LEFT
@@ -36,18 +36,8 @@ class LiveNodes:
     ----------
     folder : Path
         Folder of the run: receives bag, logs and parameters.
-    values : mapping of str to mapping
-        Parameters by node, of those that are started.
-    namespace : str
-        Namespace of all nodes, such as ``/rig``; empty for the root.
-    rig : bool
-        Whether a rig is the plant.
-    program : sequence of str
-        The rig's own program; empty: it is started by others.
-    composed : bool
-        Whether the nodes share one process, the container, besides recorder and guard.
-    remaps : sequence of str
-        Topics of one node that have another name, as ``NODE:FROM:=TO``.
+    planned : Plan
+        What is started; the nodes are those that have parameters.
 
     Attributes
     ----------
@@ -59,26 +49,16 @@ class LiveNodes:
         Parameter file of the loop, by which ``koop status`` may find it.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        values: Mapping[str, Mapping[str, Any]],
-        namespace: str = "",
-        rig: bool = False,
-        program: Sequence[str] = (),
-        composed: bool = False,
-        remaps: Sequence[str] = (),
-    ) -> None:
+    def __init__(self, folder: Path, planned: Plan) -> None:
         self.folder = folder
         self.notes: list[str] = []
         self.lost: list[str] = []
         self.file: Path | None = None
-        self._values = values
-        self._namespace = namespace
-        self._rig = rig
-        self._program = list(program)
-        self._composed = {n: c for n, c in COMPONENTS.items() if composed and n in values}
-        self._remaps = list(remaps)
+        self._values, self._namespace = planned.parameters, planned.namespace
+        self._rig, self._program = planned.rig, list(planned.program)
+        self._remaps = planned.remaps
+        shared = planned.parameters if planned.composed else {}
+        self._composed = {node: COMPONENTS[node] for node in COMPONENTS if node in shared}
         self._in_turn = False
         """Whether the nodes work one after the other."""
         self._nodes: dict[str, NodeProcess] = {}
@@ -283,5 +263,5 @@ class LiveLoop(LiveNodes):
         for section in values.values():
             section["listeners"] = "next recorder"
         values["recorder"] = asdict(replace(recorder, output=str(folder)))
-        super().__init__(folder, values, composed=composed)
+        super().__init__(folder, Plan(values, composed=composed))
         self._in_turn = parameters.pace.pace == "lockstep"

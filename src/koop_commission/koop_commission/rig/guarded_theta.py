@@ -20,12 +20,12 @@ PATIENCE = 20.0  # [s] beyond the time to return, after which theta may be elsew
 ROUNDED = 1e-6  # share of theta's range by which a command of few digits may be off
 
 
-def guard_remaps(rig: RigFile) -> list[str]:
+def guard_remaps(rig: RigFile) -> tuple[str, ...]:
     """Let ``theta`` be what the rig is told, ``theta_asked`` what a controller asks for."""
-    asked = [f"relay_esc:{THETA}:={ASKED}"]
+    asked = (f"relay_esc:{THETA}:={ASKED}",)
     if rig.guard.asked == ASKED:
         return asked
-    return [*asked, f"{GUARD}:{THETA}:={ASKED}", f"{GUARD}:~/theta:={THETA}"]
+    return (*asked, f"{GUARD}:{THETA}:={ASKED}", f"{GUARD}:~/theta:={THETA}")
 
 
 def guard_section(rig: RigFile, note: Path | None) -> dict[str, Any]:

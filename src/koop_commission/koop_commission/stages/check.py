@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_bringup.live.loop import LiveNodes
+from koop_bringup.plan import Plan
 from koop_commission.fitness.fitness import (
     BAD,
     NOTE,
@@ -130,7 +131,7 @@ def check_rig(
         try:
             with TemporaryDirectory() as folder:
                 sections = {GUARD: guard_section(rig, note)}
-                with LiveNodes(Path(folder), sections, rig=True) as nodes:
+                with LiveNodes(Path(folder), Plan(sections, rig=True)) as nodes:
                     session = Session(rig, client, listener, command_type, nodes, note)
                     with session.command_theta():
                         yield _move_theta(rig, session, period, rng or random.Random(), settings)

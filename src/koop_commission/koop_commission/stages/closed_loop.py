@@ -11,7 +11,7 @@ import numpy as np
 
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
-from koop_bringup.plan import plan
+from koop_bringup.plan import Plan, plan
 from koop_commission.rig.guarded_theta import GUARD, guard_remaps, guard_section
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.session import Session, open_session, spell_time
@@ -69,7 +69,7 @@ class ClosedLoop:
         while (run := self.folder / f"verify-{self.number}" / f"start-{count}").exists():
             count += 1
         remaps = guard_remaps(self.rig)
-        nodes = LiveNodes(run, self._plan_nodes(run, start), rig=True, remaps=remaps)
+        nodes = LiveNodes(run, Plan(self._plan_nodes(run, start), rig=True, remaps=remaps))
         with open_session(self.rig, nodes, self.note) as session:
             return self._drive(session, start, str((run / "bag").relative_to(self.folder)))
 

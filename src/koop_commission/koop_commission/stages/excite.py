@@ -13,6 +13,7 @@ import numpy as np
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveNodes
+from koop_bringup.plan import Plan
 from koop_commission.rig.guarded_theta import GUARD, guard_remaps, guard_section
 from koop_commission.stages.session import (
     Session,
@@ -130,7 +131,7 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
     parameters: dict[str, dict[str, Any]] = {
         "recorder": recorder, "koopman_lifter": lifter, GUARD: guard_section(rig, note),
     }  # fmt: skip
-    nodes = LiveNodes(folder / part, parameters, rig=True, remaps=guard_remaps(rig))
+    nodes = LiveNodes(folder / part, Plan(parameters, rig=True, remaps=guard_remaps(rig)))
     with open_session(rig, nodes, note) as session:
         state.parts.append(part)
         Excitation(rig, folder, state, holds, session).run()

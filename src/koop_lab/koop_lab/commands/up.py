@@ -81,15 +81,7 @@ def main(args: argparse.Namespace) -> int:
         status.show(progress)
         memory.keep(progress)
 
-    nodes = LiveNodes(
-        folder,
-        planned.parameters,
-        planned.namespace,
-        planned.rig,
-        planned.program,
-        planned.composed,
-        planned.remaps,
-    )
+    nodes = LiveNodes(folder, planned)
     nodes.file = find_controller(args.file)[0]
     try:
         with nodes, served(args.serve, folder / "logs"):
