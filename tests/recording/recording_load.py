@@ -38,8 +38,8 @@ def main(rate: float, seconds: float, farewell: float = 10.0) -> None:
     import rclpy
     from rclpy.duration import Duration
 
-    from koop_bag.recorder.topics import message_class
     from koop_node.node.main import set_dds_profile
+    from koop_node.node.managed import message_type
     from koop_node.node.qos import RELIABLE
     from koop_node.process.lifeline import end_with_parent
 
@@ -49,8 +49,8 @@ def main(rate: float, seconds: float, farewell: float = 10.0) -> None:
     node = rclpy.create_node("load")
     pools, publishers = [], []
     for topic, type_name in LOOP_TOPICS.items():
-        pools.append(serialized_variants(message_class(type_name)))
-        publishers.append(node.create_publisher(message_class(type_name), topic, RELIABLE))
+        pools.append(serialized_variants(message_type(type_name)))
+        publishers.append(node.create_publisher(message_type(type_name), topic, RELIABLE))
     while not all(publisher.get_subscription_count() for publisher in publishers):
         time.sleep(0.02)
     steps = round(rate * seconds)

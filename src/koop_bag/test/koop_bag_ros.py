@@ -20,8 +20,8 @@ from rclpy.serialization import deserialize_message
 
 from koop_bag.bag.reader import BagReader
 from koop_bag.errors import BagError
-from koop_bag.recorder.topics import message_class
 from koop_node.client.question import Question
+from koop_node.node.managed import message_type
 
 Self = TypeVar("Self", bound="Program")
 PATIENCE = 30.0  # [s] for what should take far less
@@ -150,7 +150,7 @@ class Talker:
     def publishers(self, types: dict[str, str], qos: QoSProfile | int = 1000) -> dict[str, Any]:
         """Return publishers by topic once a recorder listens to all of them."""
         made = {
-            topic: self.node.create_publisher(message_class(kind), topic, qos)
+            topic: self.node.create_publisher(message_type(kind), topic, qos)
             for topic, kind in types.items()
         }
         wait_until(
@@ -161,7 +161,7 @@ class Talker:
     def collect(self, topic: str, kind: str, qos: QoSProfile | int = 10000) -> list[bytes]:
         """Subscribe; the serialized messages that arrive are appended to the returned list."""
         actual: list[bytes] = []
-        self.node.create_subscription(message_class(kind), topic, actual.append, qos, raw=True)
+        self.node.create_subscription(message_type(kind), topic, actual.append, qos, raw=True)
         return actual
 
     def call(self, service_type: Any, name: str, request: Any) -> Any:

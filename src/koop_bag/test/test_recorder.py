@@ -28,7 +28,7 @@ from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
-from koop_bag.recorder.topics import message_class
+from koop_node.node.managed import message_type
 
 pytestmark = pytest.mark.ros
 
@@ -196,7 +196,7 @@ def test_topics_of_the_namespace_are_recorded_whatever_their_qos_and_no_others(t
     qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT, deadline=deadline)
     joints = "sensor_msgs/msg/JointState"
     with Recorder(tmp_path / "run", "-r", "__ns:=/rig") as recorder, Talker() as talker:
-        outside = talker.node.create_publisher(message_class(LOOP["/state"]), "/other/state", 10)
+        outside = talker.node.create_publisher(message_type(LOOP["/state"]), "/other/state", 10)
         # matched only once the recorder has seen what is offered
         publishers = talker.publishers({"/rig/state": LOOP["/state"]}, qos)
         publish(publishers, lambda _, k: messages.loop("/state", k), range(20))
@@ -222,7 +222,7 @@ def test_chosen_topics_are_recorded_while_the_recorder_is_active(tmp_path, messa
     chosen = "topics:=state /joints:sensor_msgs/msg/JointState"
     types = {"/state": LOOP["/state"], "/joints": "sensor_msgs/msg/JointState"}
     with Recorder(tmp_path / "run", "-p", chosen) as recorder, Talker() as talker:
-        unwanted = talker.node.create_publisher(message_class(LOOP["/cost"]), "/cost", 10)
+        unwanted = talker.node.create_publisher(message_type(LOOP["/cost"]), "/cost", 10)
         publishers = talker.publishers(types)
         state = {"/state": publishers["/state"]}
 

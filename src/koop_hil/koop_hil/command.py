@@ -9,6 +9,7 @@ from typing import Any
 
 from koop_bag.recorder.run_folder import default_folder
 from koop_core.config.parameter import ConfigError
+from koop_core.text_table import table
 from koop_hil import chaos
 from koop_hil.chaos_verdict import judge
 from koop_hil.run import run
@@ -76,8 +77,8 @@ def run_chaos(folder: Path, seed: int, count: int) -> int:
     verdict = judge(folder)
     with (folder / "chaos.csv").open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(verdict.table())
-    for row in verdict.table():
-        print(f"{row[0]:<26}" + "".join(f"{cell:>15}" for cell in row[1:-1]) + f"{row[-1]:>24}")
+    header, *rows = verdict.table()
+    print(table(header, rows))
     causes = "; ".join(f"{cause} {count}" for cause, count in verdict.causes.most_common())
     print(f"\ntrips: {causes or 'none'}; the rig's own time-out acted {verdict.own} times")
     for failure in verdict.failures:

@@ -16,7 +16,7 @@ from koop_bag.bag.topics import is_common
 from koop_bag.errors import BagError
 from koop_bag.player.config import PlayerConfig
 from koop_bag.player.outlet import Outlet
-from koop_core.errors import InputError
+from koop_core.errors import InputError, KoopError
 from koop_node.node.main import run
 from koop_node.node.managed import OK, Entities, ManagedNode, Run
 from koop_node.node.qos import RELIABLE
@@ -90,7 +90,7 @@ class PlayerRun(Run):
             topic = self._bag.topic(name)
             try:
                 yield Outlet(entities, topic)
-            except BagError as error:
+            except KoopError as error:
                 if chosen:
                     raise
                 self._node.get_logger().warning(f"{name} is not played: {error}")

@@ -17,8 +17,7 @@ from koop_bag.bag.metadata import OfferedQos, parse_qos
 from koop_bag.bag.reader import BagTopic
 from koop_bag.cdr.schema import load_schema
 from koop_bag.errors import BagError
-from koop_bag.recorder.topics import message_class
-from koop_node.node.managed import Entities
+from koop_node.node.managed import Entities, message_type
 
 DEPTH = 1000
 """Messages that a writer keeps at least. Discovery does not give a recorder the depth that was
@@ -40,7 +39,7 @@ class Outlet:
 
     Raises
     ------
-    BagError
+    koop_core.errors.KoopError
         If its messages cannot be published as they are: another encoding, a type that is not
         installed, or one that is installed in another version than the recorded one.
     """
@@ -58,7 +57,7 @@ class Outlet:
         self.topic = topic.name
         self.count = 0
         profile = qos_profile(parse_qos(topic.metadata.get("offered_qos_profiles", "")))
-        self.publisher = entities.publisher(message_class(topic.type_name), topic.name, profile)
+        self.publisher = entities.publisher(message_type(topic.type_name), topic.name, profile)
         self._patience = profile.depth // 2
         """Messages after which a player without a clock waits for its subscribers."""
         self._stuck = False

@@ -18,13 +18,14 @@ from koop_bag.bag.losses import LossCounter, early_ends
 from koop_bag.bag.metadata import OfferedQos, dump
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.bag.writer import BagWriter
-from koop_bag.errors import BagError, BagWriteError
+from koop_bag.errors import BagWriteError
 from koop_bag.mcap.chunk import Row
 from koop_bag.recorder import run_folder
 from koop_bag.recorder.config import LOOP_TOPICS, RecorderConfig, wanted_topics
 from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.summary import SummaryWriter
 from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, polled
+from koop_core.errors import KoopError
 from koop_node.node.main import run
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 
@@ -169,7 +170,7 @@ class RecorderRun(Run):
     def _try_topic(self, name: str, type_name: str) -> None:
         try:
             self._add_topic(name, type_name)
-        except BagError as error:
+        except KoopError as error:
             if name not in self._refused:
                 self._refused.add(name)
                 self._node.get_logger().warning(f"{name} is not recorded: {error}")

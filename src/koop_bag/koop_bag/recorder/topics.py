@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
-from importlib import import_module
 from operator import itemgetter
 from typing import Any
 
@@ -23,8 +22,8 @@ from koop_bag.bag.losses import LossCounter
 from koop_bag.bag.metadata import OfferedQos
 from koop_bag.cdr.header import has_step, step_of
 from koop_bag.cdr.schema import MessageSchema, load_schema
-from koop_bag.errors import BagError
 from koop_bag.mcap.chunk import Row
+from koop_node.node.managed import message_type
 
 _AT_ONCE = 2000
 """Messages taken from one topic before the next one has its turn."""
@@ -69,7 +68,7 @@ class RecordedTopic:
         self.losses = LossCounter() if has_step(self.schema.name, self.schema.text) else None
         self._announce = announce
         self._node = node
-        self._type = message_class(self.schema.name)
+        self._type = message_type(self.schema.name)
         self._queue = queue
         self._wanted = (ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
         self.subscription = self._subscribe()
@@ -190,17 +189,6 @@ def fetch(topics: Collection[RecordedTopic], nodes: Iterable[WatchedNode] = ()) 
             topic.losses.add(step_of(data))
         rows.append((received, topic.channel or topic.open_channel(), sent, data))
     return rows
-
-
-def message_class(type_name: str) -> Any:
-    """Return the Python class of a message type."""
-    package, _, name = type_name.partition("/msg/")
-    try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:
-        raise BagError(
-            f"{type_name} has no Python class: build the package and source it"
-        ) from error
 
 
 def offered_qos(profile: QoSProfile) -> OfferedQos:

@@ -37,7 +37,9 @@ def message_type(name: str) -> Any:
     try:
         return getattr(import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError):
-        raise ConfigError(f"message type {name} is not installed") from None
+        raise ConfigError(
+            f"message type {name} is not installed: build its package and source it"
+        ) from None
 
 
 class Run:

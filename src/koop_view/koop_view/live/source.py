@@ -20,10 +20,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from koop_bag.bag.topics import COMMON_TOPICS
 from koop_bag.cdr.schema import load_schema
-from koop_bag.errors import BagError
 from koop_bag.recorder.parameters import ParameterCollector
-from koop_bag.recorder.topics import message_class, subscribe, waiting
-from koop_core.errors import one_line
+from koop_bag.recorder.topics import subscribe, waiting
+from koop_core.errors import KoopError, one_line
+from koop_node.node.managed import message_type
 from koop_view import protocol
 from koop_view.config import ViewConfig
 from koop_view.live.services import OFFERED, ServiceCaller, describe, load, unpack
@@ -108,7 +108,7 @@ class LiveSource(ViewSource):
         for name in self._topics.keys() - wanted:
             self._node.destroy_subscription(self._topics.pop(name)[0])
         for name in wanted - self._topics.keys():
-            kind = message_class(self._types.get(name) or COMMON_TOPICS[name])
+            kind = message_type(self._types.get(name) or COMMON_TOPICS[name])
             reliable = Reliability.RELIABLE if name in COMMON_TOPICS else Reliability.BEST_EFFORT
             kept = Durability.TRANSIENT_LOCAL if name == "/rosout" else Durability.VOLATILE
             made = subscribe(self._node, kind, name, WAITING, reliable, kept)
@@ -189,9 +189,9 @@ class LiveSource(ViewSource):
                 continue
             self._types[topic] = types[0]
             try:
-                message_class(types[0])
+                message_type(types[0])
                 definition = load_schema(types[0]).text
-            except BagError as error:
+            except KoopError as error:
                 self.log(f"{topic} is not shown: {error}")
                 continue
             added.append(AdvertisedChannel(next(self._numbers), topic, types[0], definition))
