@@ -36,9 +36,10 @@ def write_text(path: Path, text: str) -> None:
             os.fsync(file.fileno())
         os.replace(new, path)
     except OSError as error:
-        with suppress(OSError):
-            new.unlink()
         raise LiveError(describe_failure(path, error)) from None
+    finally:
+        with suppress(OSError):
+            new.unlink(missing_ok=True)
 
 
 def describe_failure(path: Path, error: OSError) -> str:

@@ -28,7 +28,7 @@ from koop_study.simulation.work import runs
 from koop_study.workers import cluster, units
 from koop_study.workers.cluster import WorkerLost, compute_all
 from koop_study.workers.task import WORK
-from koop_study.workers.units import Store, Unit, write_atomically
+from koop_study.workers.units import Store, Unit
 from koop_view.report.document import Column, Table
 
 TINY = """
@@ -301,15 +301,6 @@ def test_results_come_back_to_the_last_bit(tmp_path: Path) -> None:
     store, unit = Store(tmp_path), Unit("runs", {})
     store.save(unit, [0.1 + 0.2, float("inf"), None])
     assert store.load(unit) == [0.1 + 0.2, float("inf"), None]
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
-    path = tmp_path / "x.json"
-    write_atomically(path, "old")
-    with pytest.raises(UnicodeEncodeError):
-        write_atomically(path, "new \ud800")
-    assert path.read_text() == "old"
-    assert [p.name for p in tmp_path.iterdir()] == ["x.json"]
 
 
 def test_quantiles_are_values_that_occurred_also_beside_infinity() -> None:

@@ -8,9 +8,7 @@ from surrogate_rigs import make_amplitude
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
-from koop_core import whole_file
 from koop_core.config.parameter import ConfigError
-from koop_core.errors import LiveError
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Windows
 from koop_tune.folder import CONTROLLER, TUNED, find_controller
@@ -109,19 +107,3 @@ def test_a_controller_is_found_by_its_file_or_a_folder_above_it(tmp_path):
     assert find_controller(file.parent)[0] == file
     with pytest.raises(ConfigError, match="run 'koop tune' first"):
         find_controller(tmp_path)
-
-
-def test_a_file_is_whole_or_the_old_one(tmp_path):
-    path = tmp_path / "a.json"
-    whole_file.write_json(path, {"a": 1})
-    (tmp_path / "a.json.new").symlink_to("/dev/full")
-    with pytest.raises(LiveError, match=r"a\.json: No space left on device: make room"):
-        whole_file.write_json(path, {"a": 2})
-    assert [item.name for item in tmp_path.iterdir()] == ["a.json"]
-    assert whole_file.read_json(path) == {"a": 1}
-    with pytest.raises(LiveError, match="No such file"):
-        whole_file.write_text(tmp_path / "no" / "b", "text")
-    assert whole_file.read_json(tmp_path / "none") == {}
-    path.write_text("{")
-    with pytest.raises(ConfigError, match="cannot be read"):
-        whole_file.read_json(path)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import yaml
 
+from koop_core.whole_file import write_text
 from koop_study.experiments.kinds import Experiment
 from koop_study.report import summary
-from koop_study.workers.units import write_atomically
 from koop_view.report import markup
 from koop_view.report.document import Section
 
@@ -24,9 +24,9 @@ def write(
     (folder / "tables").mkdir(parents=True, exist_ok=True)
     for section in sections:
         for table in section.tables:
-            write_atomically(folder / "tables" / f"{table.name}.csv", table.csv())
+            write_text(folder / "tables" / f"{table.name}.csv", table.csv())
     path = folder / "report.html"
-    write_atomically(path, render(sections, experiments, command))
+    write_text(path, render(sections, experiments, command))
     return path
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -18,6 +17,8 @@ from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+
+from koop_core.whole_file import write_text
 
 # packages all code of which decides results, but for the modules that know ROS
 PACKAGES = (
@@ -116,17 +117,7 @@ class Store:
 
     def save(self, unit: Unit, result: Any) -> None:
         """Write a unit's result; a file is whole or absent, whenever the program is stopped."""
-        write_atomically(self._path(unit), json.dumps(result))
+        write_text(self._path(unit), json.dumps(result))
 
     def _path(self, unit: Unit) -> Path:
         return self.folder / f"{unit.key}.json"
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a text file so that a reader sees the old content or the new, never a part."""
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
