@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from koop_core.config.fields import Source, parse_source
 from koop_core.config.parameter import ConfigError, NodeConfig, Settings, parameter
@@ -14,8 +12,8 @@ _JUDGED = "judgement"
 
 
 @dataclass(frozen=True)
-class GuardConfig(Settings):
-    """The rig, as its rig file describes it, and what a trip and an end lead to.
+class RigLimits(Settings):
+    """The rig: what is measured of it, what takes theta, and its limits.
 
     Raises
     ------
@@ -24,34 +22,108 @@ class GuardConfig(Settings):
     """
 
     measured: str = parameter(
-        "state:x[0]", "measured channels as topic:field,field", read_only=True
+        "state:x[0]",
+        "measured channels as topic:field,field, such as /joint_states:position[0],velocity[0]; "
+        "all in one message, and only those that oscillate",
+        read_only=True,
     )
     command: str = parameter(
         "",
-        "what takes theta, as topic:field; the message type is the one that the rig subscribes to",
+        "what takes theta, as topic:field, such as /rig/theta:data; the message type is the one "
+        "that the rig subscribes to, and a koop_msgs/msg/ControlInput answers each state by its "
+        "step",
         read_only=True,
     )
     dt: float = parameter(
         0.005, "time between two messages of the measured channels", unit="s", low=1e-6, high=1.0,
         read_only=True,
     )  # fmt: skip
-    pace: float = parameter(
-        1.0, "seconds of the rig's own time per second", low=1e-3, high=1e3, read_only=True
-    )
-    theta_min: float = parameter(-5.0, "least theta that is ever commanded", read_only=True)
-    theta_max: float = parameter(5.0, "largest theta that is ever commanded", read_only=True)
+    theta_min: float = parameter(-5.0, "least theta that may be commanded", read_only=True)
+    theta_max: float = parameter(5.0, "largest theta that may be commanded", read_only=True)
     theta_rate: float = parameter(
-        1.0, "largest change of theta per second of the rig's time", unit="1/s", low=1e-12,
-        read_only=True,
+        1.0, "largest change of theta per second of the rig's time, also while it returns",
+        unit="1/s", low=1e-12, read_only=True,
     )  # fmt: skip
     theta_start: float = parameter(0.0, "theta of the rig before any command", read_only=True)
-    theta_safe: float = parameter(0.0, "theta to which a trip returns", read_only=True)
+    theta_safe: float = parameter(
+        0.0, "theta to which every command and every trip returns", read_only=True
+    )
     channel_min: tuple[float, ...] = parameter(
-        (), "least value of each channel, below which the guard trips; []: any", read_only=True
-    )
+        (), "least value of each channel, below which theta returns to theta_safe; []: any",
+        read_only=True,
+    )  # fmt: skip
     channel_max: tuple[float, ...] = parameter(
-        (), "largest value of each channel, above which the guard trips; []: any", read_only=True
+        (), "largest value of each channel, above which theta returns to theta_safe; []: any",
+        read_only=True,
+    )  # fmt: skip
+    pace: float = parameter(
+        1.0,
+        "seconds of the rig's own time per second: 1, or N of a rig that is simulated at N times "
+        "real time",
+        low=1e-3, high=1e3, read_only=True,
+    )  # fmt: skip
+    on_alarm: str = parameter(
+        "",
+        "program, with its arguments, that runs when the guard of 'koop up' trips; "
+        "KOOP_ALARM_REASON and the like in its environment say what happened; empty: none",
+        read_only=True,
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.command:
+            raise ConfigError("command is missing: what takes theta, as /rig/theta:data")
+        measured, command = (self._parse(name) for name in ("measured", "command"))
+        if len(command.fields) != 1:
+            raise ConfigError(f"command = {self.command!r}: theta is one field")
+        if measured.topic.lstrip("~/") == command.topic.lstrip("~/"):
+            raise ConfigError(f"command = {self.command!r}: is the topic of the measured channels")
+        if self.theta_min >= self.theta_max:
+            raise ConfigError(
+                f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}: "
+                "are they swapped?"
+            )
+        for name in ("theta_start", "theta_safe"):
+            if not self.theta_min <= (value := getattr(self, name)) <= self.theta_max:
+                raise ConfigError(
+                    f"{name} = {value:g}: must lie within [theta_min, theta_max] = "
+                    f"[{self.theta_min:g}, {self.theta_max:g}]"
+                )
+        self.check_counts("channel_min", "channel_max")
+        for low, high in zip(self.channel_min, self.channel_max, strict=False):
+            if low >= high:
+                raise ConfigError(
+                    f"channel_min = {low:g} must be below channel_max = {high:g}: are they swapped?"
+                )
+
+    def _parse(self, name: str) -> Source:
+        try:
+            return parse_source(getattr(self, name))
+        except ConfigError as error:
+            raise ConfigError(f"{name}: {error}") from None
+
+    def check_counts(self, *names: str) -> None:
+        """Raise ConfigError unless each of the named values has one number a channel, or none."""
+        n = len(self.names)
+        for name in names:
+            if (count := len(getattr(self, name))) not in (0, n):
+                raise ConfigError(f"{name} has {count} values: one for each of {n} channels, or []")
+
+    @property
+    def source(self) -> Source:
+        """Topic and fields of the measured channels."""
+        return parse_source(self.measured)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The channels, as the file writes them."""
+        return self.source.names
+
+
+@dataclass(frozen=True)
+class GuardConfig(RigLimits):
+    """The rig, as its rig file describes it, and what a trip and an end lead to."""
+
     at_limit: float = parameter(
         0.0, "time for which the controller may be at a limit of its theta; 0: any", unit="s",
         low=0.0, read_only=True,
@@ -69,36 +141,11 @@ class GuardConfig(Settings):
         "what an orderly end leaves behind: theta at theta_safe, or held where it is",
         choices=("safe", "hold"), read_only=True,
     )  # fmt: skip
-    on_alarm: str = parameter(
-        "", "program, with its arguments, that runs at each trip; KOOP_ALARM_REASON and the like "
-        "in its environment say what happened; empty: none", read_only=True,
-    )  # fmt: skip
     note: str = parameter(
         "",
         "file that notes where theta of the rig was left, and a trip; empty: none",
         read_only=True,
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.command:
-            raise ConfigError("command is missing: what takes theta, as /rig/theta:data")
-        if len(parse_source(self.command).fields) != 1:
-            raise ConfigError(f"command = {self.command!r}: theta is one field")
-        n = len(self.source.fields)
-        if self.source.topic == parse_source(self.command).topic:
-            raise ConfigError(f"command = {self.command!r}: is the topic of the measured channels")
-        check_limits(self, ("channel_min", "channel_max"), n)
-
-    @property
-    def source(self) -> Source:
-        """Topic and fields of the measured channels."""
-        return parse_source(self.measured)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The channels, as the file writes them."""
-        return self.source.names
 
     @property
     def asked(self) -> str:
@@ -118,30 +165,6 @@ class GuardConfig(Settings):
     def return_time(self, theta: float) -> float:
         """Return how long theta takes to return to theta_safe [s], by the clock on the wall."""
         return abs(theta - self.theta_safe) / self.theta_rate / self.pace
-
-
-def check_limits(rig: Any, channels: Sequence[str], n: int) -> None:
-    """Check theta's limits and start, and that each named value has one number a channel.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If values contradict each other.
-    """
-    if rig.theta_min >= rig.theta_max:
-        raise ConfigError(
-            f"theta_min = {rig.theta_min:g} must be below theta_max = {rig.theta_max:g}: "
-            "are they swapped?"
-        )
-    for name in ("theta_start", "theta_safe"):
-        if not rig.theta_min <= (value := getattr(rig, name)) <= rig.theta_max:
-            raise ConfigError(
-                f"{name} = {value:g}: must lie within [theta_min, theta_max] = "
-                f"[{rig.theta_min:g}, {rig.theta_max:g}]"
-            )
-    for name in channels:
-        if (count := len(getattr(rig, name))) not in (0, n):
-            raise ConfigError(f"{name} has {count} values: one for each of {n} channels, or []")
 
 
 @dataclass(frozen=True)

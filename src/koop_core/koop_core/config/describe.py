@@ -11,6 +11,7 @@ from koop_core.config.parameter import spec_of
 from koop_core.config.parameter_file import as_yaml
 
 WIDTH = 100
+FIXED = ", fixed while the node runs"
 ARGUMENTS = "--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO]"
 
 
@@ -35,7 +36,7 @@ def allowed(item: Field[Any]) -> str:
         kind = spec.constraint
     elif spec.constraint:
         kind = f"{kind}, {spec.constraint}"
-    return f"{kind}, fixed while the node runs" if spec.read_only else kind
+    return f"{kind}{FIXED}" if spec.read_only else kind
 
 
 def help_text(program: str, purpose: str, classes: Iterable[type]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from koop_core.config.describe import parameter_file
 from koop_core.text_table import table
-from koop_guard.config import GuardConfig
+from koop_guard.config import RigLimits
 from koop_tune.result.parameter_text import HEAD, KNOWN
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.findings import Findings
@@ -162,8 +162,8 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
 
 
 def _guard(rig: RigFile, note: Path | None) -> Parameters:
-    shared = {item.name for item in fields(GuardConfig)} & {item.name for item in fields(RigFile)}
-    parameters: Parameters = {name: (getattr(rig, name), OF_RIG) for name in sorted(shared)}
+    names = sorted(item.name for item in fields(RigLimits))
+    parameters: Parameters = {name: (getattr(rig, name), OF_RIG) for name in names}
     if note is not None:
         parameters["note"] = (str(note.resolve()), "beside the rig file")
     return parameters

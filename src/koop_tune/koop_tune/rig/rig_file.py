@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from koop_core.config.describe import WIDTH, allowed
-from koop_core.config.fields import Source, format_field, parse_source
+from koop_core.config.describe import FIXED, WIDTH, allowed
+from koop_core.config.fields import Source, parse_source
 from koop_core.config.parameter import (
     ConfigError,
-    Settings,
     mapping,
     parameter,
     refuse_unknown,
@@ -23,7 +22,7 @@ from koop_core.config.parameter import (
 )
 from koop_core.config.parameter_file import as_yaml
 from koop_core.config.yaml_file import LinedLoader, read_yaml
-from koop_guard.config import GuardConfig, check_limits
+from koop_guard.config import GuardConfig, RigLimits
 from koop_tune.rig.scale import Scale
 
 STATE, STATE_TYPE = "/state", "koop_msgs/msg/MeasuredState"
@@ -35,41 +34,9 @@ HEAD = """\
 
 
 @dataclass(frozen=True)
-class RigFile(Settings):
-    """One rig: what is measured of it, and what takes theta.
+class RigFile(RigLimits):
+    """One rig, as its file describes it: its limits, and what is wanted of it."""
 
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If a value has the wrong type, is out of range or contradicts another.
-    """
-
-    measured: str = parameter(
-        "",
-        "measured channels as topic:field,field, such as /joint_states:position[0],velocity[0]; "
-        "all in one message, and only those that oscillate",
-    )
-    command: str = parameter(
-        "",
-        "what takes theta, as topic:field, such as /rig/theta:data; a koop_msgs/msg/ControlInput "
-        "answers each state by its step",
-    )
-    dt: float = parameter(
-        0.0, "time between two messages of the measured channels", unit="s", low=1e-6, high=1.0
-    )
-    theta_min: float = parameter(0.0, "least theta that may be commanded")
-    theta_max: float = parameter(0.0, "largest theta that may be commanded")
-    theta_rate: float = parameter(
-        0.0, "largest change of theta per second, also while it returns", unit="1/s", low=1e-12
-    )
-    theta_start: float = parameter(0.0, "theta of the rig before any command")
-    theta_safe: float = parameter(0.0, "theta to which every command returns, however it ends")
-    channel_min: tuple[float, ...] = parameter(
-        (), "least value of each channel, below which theta returns to theta_safe; []: any"
-    )
-    channel_max: tuple[float, ...] = parameter(
-        (), "largest value of each channel, above which theta returns to theta_safe; []: any"
-    )
     weights: tuple[float, ...] = parameter(
         (), "how much each channel counts in the amplitude, in units of its own motion; []: alike"
     )
@@ -77,34 +44,12 @@ class RigFile(Settings):
         "minimise", "what is wanted of the oscillation", choices=("minimise", "maximise")
     )
     time: float = parameter(1800.0, "longest time that the excitation may take", unit="s", low=1.0)
-    pace: float = parameter(
-        1.0,
-        "seconds of the rig's own time per second: 1, or N of a rig that is simulated at N times "
-        "real time",
-        low=1e-3,
-        high=1e3,
-    )
-    on_alarm: str = parameter(
-        "",
-        "program, with its arguments, that runs when the guard of 'koop up' trips; "
-        "KOOP_ALARM_REASON and the like in its environment say what happened; empty: none",
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        n = len(_source("measured", self.measured).fields)
-        if len(_source("command", self.command).fields) != 1:
-            raise ConfigError(f"command = {self.command!r}: theta is one field")
-        if self.state.topic == self.knob.topic:
-            raise ConfigError(f"command = {self.command!r}: is the topic of the measured channels")
-        check_limits(self, ("channel_min", "channel_max", "weights"), n)
+        self.check_counts("weights")
         if self.weights and not (min(self.weights) >= 0.0 < max(self.weights)):
             raise ConfigError(f"weights = {list(self.weights)}: none is below 0, one is above 0")
-        for low, high in zip(self.channel_min, self.channel_max, strict=False):
-            if low >= high:
-                raise ConfigError(
-                    f"channel_min = {low:g} must be below channel_max = {high:g}: are they swapped?"
-                )
 
     @property
     def state(self) -> Source:
@@ -134,13 +79,7 @@ class RigFile(Settings):
     @property
     def guard(self) -> GuardConfig:
         """What the guard of this rig keeps."""
-        shared = {item.name for item in fields(GuardConfig)} & {item.name for item in fields(self)}
-        return GuardConfig(**{name: getattr(self, name) for name in shared})
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The channels, as the file writes them."""
-        return tuple(map(format_field, self.state.fields))
+        return GuardConfig(**{item.name: getattr(self, item.name) for item in fields(RigLimits)})
 
     @property
     def span(self) -> float:
@@ -203,7 +142,7 @@ def written(rig: RigFile) -> str:
     lines = [HEAD.rstrip("\n")]
     values = asdict(rig)
     for item in fields(RigFile):
-        text = f"{spec_of(item).description} ({allowed(item)})"
+        text = f"{spec_of(item).description} ({allowed(item).removesuffix(FIXED)})"
         lines += ["", *textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ")]
         lines.append(f"{item.name}: {as_yaml(values[item.name])}")
     return "\n".join(lines) + "\n"
@@ -231,13 +170,6 @@ def state_source(channels: int) -> str:
     '/state:x[0],x[1]'
     """
     return f"{STATE}:{','.join(f'x[{i}]' for i in range(channels))}"
-
-
-def _source(name: str, text: str) -> Source:
-    try:
-        return parse_source(text)
-    except ConfigError as error:
-        raise ConfigError(f"{name}: {error}") from None
 
 
 def _full(source: Source) -> Source:
