@@ -159,19 +159,22 @@ def test_ctrl_c_that_comes_again_and_again_is_still_a_clean_end(start, probe):
 
 WITHOUT_A_RUN = """
 import sys
-from importlib import import_module
+from pkgutil import resolve_name
 
-for module in ("vdp_plant", "koopman_lifter", "relay_esc", "koop_bag.recorder"):
-    node = import_module(f"{module}.node")
+for name in (
+    "vdp_plant.executable:main", "koopman_lifter.executable:main", "relay_esc.executable:main",
+    "koop_bag.executable:recorder",
+):
+    program = resolve_name(name)
     sys.argv[1:] = ["--help"]
     try:
-        node.main()
+        program()
     except SystemExit as end:
         print(f"exit code {end.code}", flush=True)
     for parameter in ("dampening:=1.0", "priority:=-1", "autostart:=7"):
         sys.argv[1:] = ["--ros-args", "-p", parameter]
         try:
-            node.main()
+            program()
         except SystemExit as end:
             print(f"exit code {end.code}", file=sys.stderr)
 """

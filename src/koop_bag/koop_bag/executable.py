@@ -5,9 +5,9 @@ from koop_node.node.start import start
 
 def recorder() -> None:
     """Start the recorder."""
-    start("koop_bag.recorder.node")
+    start("koop_bag.recorder.node:RecorderNode")
 
 
 def player() -> None:
     """Start the player."""
-    start("koop_bag.player.node")
+    start("koop_bag.player.node:PlayerNode")

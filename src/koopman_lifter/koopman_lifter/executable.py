@@ -5,4 +5,4 @@ from koop_node.node.start import start
 
 def main() -> None:
     """Start the node."""
-    start("koopman_lifter.node")
+    start("koopman_lifter.node:LifterNode")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from array import array
 from collections.abc import Mapping
@@ -21,7 +20,6 @@ from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.adapter import StateAdapter
 from koop_node.node.entities import Writer
 from koop_node.node.graph import listeners_of, publishers_of
-from koop_node.node.main import run
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
 from koop_node.node.wire import codec
@@ -257,8 +255,3 @@ class LifterNode(ManagedNode[LifterRun]):
 
     def __init__(self, name: str = "koopman_lifter", **options: Any) -> None:
         super().__init__(name, LifterRun, **options)
-
-
-def main() -> None:
-    """Run the node until it is told to stop."""
-    sys.exit(run(LifterNode))

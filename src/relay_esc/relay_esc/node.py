@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,7 +20,6 @@ from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT, Arrival, timeout_o
 from koop_core.stream.monitor import StreamMonitor
 from koop_node.node.entities import Writer
 from koop_node.node.graph import Listeners, listeners_of, subscribers_of
-from koop_node.node.main import run
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import NEWEST, RELIABLE
 from koop_node.node.wire import codec
@@ -190,8 +188,3 @@ class EscNode(ManagedNode[EscRun]):
 
     def __init__(self, name: str = "relay_esc", **options: Any) -> None:
         super().__init__(name, EscRun, **options)
-
-
-def main() -> None:
-    """Run the node until it is told to stop."""
-    sys.exit(run(EscNode))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -17,7 +16,6 @@ from koop_bag.errors import BagError
 from koop_bag.player.config import PlayerConfig
 from koop_bag.player.outlet import Outlet
 from koop_core.errors import InputError, KoopError
-from koop_node.node.main import run
 from koop_node.node.managed import OK, Entities, ManagedNode, Run
 from koop_node.node.qos import RELIABLE
 from koop_node.node.schedule import Timer
@@ -140,8 +138,3 @@ class PlayerNode(ManagedNode[PlayerRun]):
 
     def __init__(self, name: str = "player", **options: Any) -> None:
         super().__init__(name, PlayerRun, **options)
-
-
-def main() -> None:
-    """Run the node until it is stopped."""
-    sys.exit(run(PlayerNode))

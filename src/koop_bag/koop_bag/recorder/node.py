@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
@@ -26,7 +25,6 @@ from koop_bag.recorder.parameters import ParameterCollector
 from koop_bag.recorder.summary import SummaryWriter
 from koop_bag.recorder.topics import RecordedTopic, WatchedNode, fetch, polled
 from koop_core.errors import KoopError
-from koop_node.node.main import run
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run
 
 POLL_PERIOD = 0.02  # [s] between fetches of waiting messages; receive times do not depend on it
@@ -343,8 +341,3 @@ class RecorderNode(ManagedNode[RecorderRun]):
         if self.run is not None and self.active:
             self.run.fetch_the_last()
         super().close()
-
-
-def main() -> None:
-    """Run the node until it is stopped."""
-    sys.exit(run(RecorderNode))

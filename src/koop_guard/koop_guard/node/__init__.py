@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import signal
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -27,7 +26,6 @@ from koop_guard.note import Keeper, Note, find_theta, read
 from koop_node.node import schedule
 from koop_node.node.adapter import StateAdapter
 from koop_node.node.graph import Listeners, full_name, publishers_of, subscribers_of
-from koop_node.node.main import run
 from koop_node.node.managed import ERROR, OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
 
@@ -432,8 +430,3 @@ class GuardNode(ManagedNode[GuardRun]):
 
     def __init__(self, name: str = "koop_guard", **options: Any) -> None:
         super().__init__(name, GuardRun, **options)
-
-
-def main() -> None:
-    """Run the node until it is told to stop."""
-    sys.exit(run(GuardNode))

@@ -55,8 +55,8 @@ def hint(arguments: Sequence[str], nodes: Sequence[str]) -> str:
     return "; '-p NAME:=VALUE' is for all nodes of a container, '-p NODE:NAME:=VALUE' for one"
 
 
-def main() -> None:
-    """Run the nodes until they are told to stop or the first one has ended."""
+def main() -> int:
+    """Run the nodes until they are told to stop or the first has ended; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="ros2 run koop_node container",
         usage=f"%(prog)s COMPONENT[@NAMESPACE]... {ARGUMENTS}",
@@ -73,4 +73,4 @@ def main() -> None:
         "@NAMESPACE: in that namespace, such as @/rig",
     )
     options = parser.parse_args(remove_ros_args()[1:])
-    sys.exit(run_nodes(partial(make, options.components)))
+    return run_nodes(partial(make, options.components))

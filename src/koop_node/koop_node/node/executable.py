@@ -5,4 +5,4 @@ from koop_node.node.start import start
 
 def main() -> None:
     """Start the container."""
-    start("koop_node.node.container")
+    start("koop_node.node.container:main")

@@ -1,20 +1,21 @@
-"""Starts a node's module. Pure, and quick to import: an interrupt finds it listening early."""
+"""Starts a node. Pure, and quick to import: an interrupt finds it listening early."""
 
 from __future__ import annotations
 
-import importlib
 import os
 import signal
+import sys
+from pkgutil import resolve_name
 from types import FrameType
 
 from koop_node.process.lifeline import take_signals
 
 
-def start(module: str) -> None:
-    """Run ``main`` of a module; SIGINT and SIGTERM end the process cleanly while it is imported.
+def start(name: str) -> None:
+    """Run ``module:Node`` or ``module:function``; SIGINT and SIGTERM end the import cleanly.
 
-    rclpy and numba take a second or more to import, in which Ctrl-C would print a traceback. From
-    ``main`` on the node handles both signals itself (:func:`koop_node.node.main.run`).
+    rclpy and numba take a second or more to import, in which Ctrl-C would print a traceback. A node
+    handles both signals itself (:func:`koop_node.node.main.run`).
     """
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -23,4 +24,9 @@ def start(module: str) -> None:
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
     take_signals()
-    importlib.import_module(module).main()
+    named = resolve_name(name)
+    if not isinstance(named, type):
+        sys.exit(named())
+    from koop_node.node.main import run
+
+    sys.exit(run(named))

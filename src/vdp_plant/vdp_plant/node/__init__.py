@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 from koop_core.config.parameter import ListenersConfig
-from koop_node.node.main import run
 from koop_node.node.managed import Entities, ManagedNode
 from vdp_plant.config import PaceConfig, PlantConfig
 from vdp_plant.node.base import PlantRun
@@ -26,8 +24,3 @@ class PlantNode(ManagedNode[PlantRun]):
 def _make_run(node: PlantNode, entities: Entities) -> PlantRun:
     lockstep = node.parameters[PaceConfig].pace == "lockstep"
     return LockstepRun(node) if lockstep else TimedRun(node)
-
-
-def main() -> None:
-    """Run the node until it is told to stop."""
-    sys.exit(run(PlantNode))
