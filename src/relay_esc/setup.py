@@ -11,7 +11,7 @@ setup(
         ("share/" + PACKAGE, ["package.xml"]),
     ],
     install_requires=["koop_core", "koop_node"],
-    extras_require={"test": ["numpy", "pytest", "scipy"]},
+    extras_require={"test": ["hypothesis", "numpy", "pytest", "scipy"]},
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="Relay extremum-seeking control: pure kernel and a thin node.",

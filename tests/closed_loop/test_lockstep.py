@@ -41,7 +41,7 @@ LIMITED = {  # every limit and timeout away from its default; y_out_max, limits 
     },
     "relay_esc": {
         "dwell": 0.5, "tau_f": 2.0, "step_size": 0.01, "theta_min": 1.95, "theta_max": 2.1,
-        "rate_limit": 0.3, "epsilon_initial": -1,
+        "rate_limit": 0.3,
     },
     "vdp_plant": {
         "theta_min": 1.98, "theta_max": 2.05, "theta_rate": 0.2, "theta_timeout": 3.0,

@@ -28,6 +28,8 @@ RIG = RigFile(
 class FastRig:
     """Oscillates at 20 Hz; its amplitude follows 0.3 + (theta - 0.8)^2 within 0.1 s.
 
+    Its effort, of rms exp(2 (worn - theta)), is the larger, the smaller theta is.
+
     Attributes
     ----------
     theta : float
@@ -40,6 +42,8 @@ class FastRig:
         Channel that does not change.
     not_finite : bool
         Whether the first channel is not a number.
+    worn : float
+        By how much more theta the same effort needs.
     """
 
     def __init__(self):
@@ -53,6 +57,7 @@ class FastRig:
         self.applied, self.silent, self.spike = True, False, False
         self.dead: int | None = None
         self.not_finite = False
+        self.worn = 0.0
         self._context = rclpy.Context()
         self._context.init(args=[])
         self._node = WithoutEvents("fast_rig", context=self._context)
@@ -60,6 +65,7 @@ class FastRig:
         self._executor.add_node(self._node)
         self._message = Float64MultiArray()
         self._publisher = self._node.create_publisher(Float64MultiArray, "/fast", 100)
+        self._effort = self._node.create_publisher(Float64, "/fast/effort", 100)
         self._node.create_subscription(Float64, "/fast/knob", self._on_command, 10)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -78,6 +84,8 @@ class FastRig:
         self.moved.append((time.monotonic(), message.data))
 
     def _run(self):
+        from std_msgs.msg import Float64
+
         rng, size, k, due = random.Random(0), 1.0, 0, time.monotonic()
         while not self._over.is_set():
             self._executor.spin_once(timeout_sec=max(due - time.monotonic(), 0.0))
@@ -96,4 +104,6 @@ class FastRig:
                 said[0] = math.nan
             self._message.data = said
             if not self.silent:
+                effort = math.sqrt(2.0) * math.exp(2.0 * (self.worn - self.theta))
+                self._effort.publish(Float64(data=effort * math.sin(OMEGA * k * DT)))
                 self._publisher.publish(self._message)

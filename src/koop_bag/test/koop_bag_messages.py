@@ -49,7 +49,7 @@ class Messages:
             fields["x"] = np.array([k + 0.25, -k - 0.5])
         elif topic == "/cost":
             fields |= {"r": k * 1.5, "y_out": k * 2.0, "source": k % 2, "model_id": model_id}
-            fields |= {"dt": 0.005}
+            fields |= {"dt": 0.005, "margin": k / 19}
         elif topic == "/theta":
             fields |= {"theta": -k / 7, "epsilon": 1 - 2 * (k % 2), "cost_rise_filtered": k / 3}
             fields |= {"saturated": k % 3 == 0, "holding": k % 5 == 0}

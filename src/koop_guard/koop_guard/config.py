@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from koop_core.config.constraint import Constraint, parse_constraint
 from koop_core.config.fields import Source, parse_source
 from koop_core.config.parameter import ConfigError, NodeConfig, Settings, parameter
 
@@ -56,6 +57,13 @@ class RigLimits(Settings):
         (), "largest value of each channel, above which theta returns to theta_safe; []: any",
         read_only=True,
     )  # fmt: skip
+    constraint: str = parameter(
+        "",
+        "bound on a second signal that theta must keep, rms(/rig/effort:data, 10 s) < 1.5 or "
+        "peak(...) over a window of so many seconds; theta returns to theta_safe where it is not "
+        "kept for three windows; empty: none",
+        read_only=True,
+    )
     pace: float = parameter(
         1.0,
         "seconds of the rig's own time per second: 1, or N of a rig that is simulated at N times "
@@ -90,6 +98,7 @@ class RigLimits(Settings):
                     f"[{self.theta_min:g}, {self.theta_max:g}]"
                 )
         self.check_counts("channel_min", "channel_max")
+        parse_constraint(self.constraint)
         for low, high in zip(self.channel_min, self.channel_max, strict=False):
             if low >= high:
                 raise ConfigError(
@@ -115,6 +124,11 @@ class RigLimits(Settings):
         return parse_source(self.measured)
 
     @property
+    def bounded(self) -> Constraint | None:
+        """The constraint; None without one."""
+        return parse_constraint(self.constraint)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The channels, as the file writes them."""
         return self.source.names
@@ -131,10 +145,6 @@ class GuardConfig(RigLimits):
     rearms: int = parameter(
         0, "trips after which the guard rearms by itself; then only ~/rearm does", low=0,
         high=1000, read_only=True,
-    )  # fmt: skip
-    rearm_pause: float = parameter(
-        60.0, "least time at theta_safe before it rearms by itself; it doubles with each", unit="s",
-        low=1.0, read_only=True,
     )  # fmt: skip
     on_end: str = parameter(
         "safe",
@@ -183,9 +193,17 @@ class SafetySettings(Settings):
         1.0, "shortest time without a message after which the rig is silent", unit="s",
         low=0.1, origin=_JUDGED,
     )  # fmt: skip
+    broken: float = parameter(
+        3.0, "windows of a constraint without a margin after which it is broken", low=1.0,
+        origin="a window forgets what was before theta moved; then the barrier takes it back",
+    )  # fmt: skip
     calm: float = parameter(
         2.5, "time for which a cause must be gone before a rearm", unit="s", low=0.0,
         origin="the graph is looked at once a second",
+    )  # fmt: skip
+    rearm_pause: float = parameter(
+        10.0, "least time without a cause before an automatic rearm; it doubles with each",
+        unit="s", low=0.1, origin=_JUDGED,
     )  # fmt: skip
     stuck_chance: float = parameter(
         1e-12, "chance of a run of equal values that counts as stuck", low=1e-300, high=1e-3,

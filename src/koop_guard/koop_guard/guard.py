@@ -40,6 +40,7 @@ class Cause(str, Enum):
     TOO_OLD = "controller too old"
     INACTIVE = "controller inactive"
     DOUBLED = "controller doubled"
+    BROKEN = "constraint broken"
     AT_LIMIT = "controller at a limit"
     OTHER = "another commander"
     ASKED = "asked"
@@ -183,6 +184,10 @@ class Guard:
         self._moved = math.inf
         self._arrived = self._answered = self._old = -math.inf
         self._saturated = self._calm = math.inf
+        bounded = config.bounded
+        window = bounded.window / config.pace if bounded else math.inf
+        self._broken = max(settings.broken * window, self._silence)
+        self._margin, self._kept = math.nan, math.inf
         self._causes: dict[Cause, tuple[str, float]] = {}
 
     @property
@@ -237,8 +242,22 @@ class Guard:
                 f"{now - self._saturated:.0f} s", now,
             )  # fmt: skip
 
+    def hear_margin(self, margin: float, now: float) -> None:
+        """Take the margin of the constraint; NaN: it is not known.
+
+        Before it is known for the first time the controller holds theta, and nothing is broken.
+        """
+        self._margin = margin
+        if margin >= 0.0 or (math.isinf(self._kept) and margin < 0.0):
+            self._kept = now
+
     def hear_time(self, now: float) -> None:
-        """Detect silence."""
+        """Detect silence, and a constraint that was broken for too long."""
+        if (age := now - self._kept) > self._broken:
+            left = f"its margin is {self._margin:.3g}"
+            left = "its signal is not known" if math.isnan(self._margin) else left
+            text = f"the constraint {self._config.constraint} is not kept for {age:.1f} s: {left}"
+            self.note(Cause.BROKEN, text, now)
         topic = self._config.source.topic
         if self._arrived > -math.inf and (age := now - self._arrived) > self._silence:
             self.note(Cause.RIG_SILENT, f"no message on {topic} for {age:.1f} s", now)
@@ -292,7 +311,7 @@ class Guard:
         trip, config = self.trip, self._config
         if self.status is not Status.TRIPPED or trip is None or trip.cause in ONCE:
             return False
-        pause = config.rearm_pause * 2.0**self.rearmed
+        pause = self._settings.rearm_pause * 2.0**self.rearmed
         return self.rearmed < config.rearms and now - self._calm > pause
 
     def advance(self, now: float) -> float:

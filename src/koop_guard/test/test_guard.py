@@ -146,6 +146,33 @@ def test_a_controller_at_its_limit_is_allowed_for_a_time():
     assert loop.run(0.2, saturated=True).trip.cause is Cause.AT_LIMIT
 
 
+def test_a_constraint_may_be_broken_for_three_windows():
+    config = GuardConfig(
+        measured="/r:x,y", command="/r/t:data", dt=DT, constraint="rms(/r/effort:data, 2 s) < 3"
+    )
+    loop = Loop(config, 0.0)
+
+    def run(seconds, margin):
+        for _ in range(round(seconds / DT)):
+            loop.guard.hear_margin(margin, loop.now)
+            loop.run(DT)
+        return loop.guard
+
+    assert run(20.0, math.nan).status is Status.FOLLOWING  # the signal was never heard
+    assert run(20.0, 0.1).status is Status.FOLLOWING
+    for margin, words in ((-0.2, "its margin is -0.2"), (math.nan, "its signal is not known")):
+        assert run(5.8, margin).status is Status.FOLLOWING
+        guard = run(0.4, margin)
+        assert (guard.status, guard.trip.cause) == (Status.TRIPPED, Cause.BROKEN)
+        assert guard.reason.startswith("the constraint rms(/r/effort:data, 2 s) < 3 is not kept")
+        assert guard.reason.endswith(words)
+        assert "is not kept" in run(1.0, margin).refusal(loop.now)  # while it lasts
+        run(CALM + 0.1, 0.1)
+        assert guard.refusal(loop.now) == ""
+        guard.rearm(loop.now, True)
+        assert run(20.0, 0.1).status is Status.FOLLOWING
+
+
 def test_a_rearm_is_refused_while_the_cause_lasts_and_theta_goes_on_from_theta_safe():
     loop = Loop()
     loop.run(1.0)
@@ -173,7 +200,7 @@ def test_a_guard_that_was_told_to_trip_may_be_rearmed_once_theta_is_back():
 
 def test_automatic_rearms_are_counted_and_their_pause_doubles():
     config = GuardConfig(
-        measured="/r:x,y", command="/r/t:data", dt=DT, rearms=2, rearm_pause=10.0,
+        measured="/r:x,y", command="/r/t:data", dt=DT, rearms=2,
         channel_max=(3.0, 9.0),
     )  # fmt: skip
     loop = Loop(config, 0.0)

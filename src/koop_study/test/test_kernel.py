@@ -84,8 +84,8 @@ def test_no_limit_is_silently_ignored(name: str) -> None:
                for part, _, field in [path.partition(".")]}  # fmt: skip
     only = limited("raw", **{path: value for path, value in default.items() if path != name})
     only = override(only, {"esc.dwell": 1e4, **({"esc.dwell": 1.0} if name == "esc.dwell" else {})})
-    if name.endswith("theta_max"):
-        only = override(only, {"esc.epsilon_initial": -1})
+    if name.endswith("theta_max"):  # theta begins in the lower half, and goes up
+        only = override(only, {"esc.theta_min": 1.99})
     without = override(only, {name: default[name]})
     actual, free = (run(case).ground_truth for case in (only, without))
     assert not np.array_equal(actual, free)

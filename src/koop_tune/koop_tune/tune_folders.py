@@ -56,6 +56,7 @@ def tune_folders(
     """
     began = time.monotonic()
     bags, excitation = find_bags(folders, rig)
+    rig = excitation.narrow(rig)
     if (out / CONTROLLER).exists():
         raise ConfigError(f"{out / CONTROLLER} exists already: choose another --out")
     loaded, reading = load_since(bags, rig, excitation)
@@ -72,7 +73,10 @@ def tune_folders(
             bar.update(100.0 * share)
 
         try:
-            tuning = tune(loaded, rig, BagTraining(reading), excitation.amplitude, settings, report)
+            tuning = tune(
+                loaded, rig, BagTraining(reading), excitation.amplitude, settings, report,
+                excitation.safe,
+            )  # fmt: skip
         except NoOptimum as refusal:
             bar.close()
             whole_file.write_json(out / FIGURES, as_json.of_refusal(refusal))

@@ -143,7 +143,7 @@ def closed(rig, esc, steps=20_000, drift=0.0, start=0.0):
 def esc_config(**changes):
     settings = {
         "step_size": 5e-4, "dwell": 4.5, "tau_f": 2.0, "theta_min": 0.0, "theta_max": 1.0,
-        "theta_initial": 0.0, "rate_limit": 1.0, "epsilon_initial": -1,
+        "theta_initial": 0.0, "rate_limit": 1.0,
     }  # fmt: skip
     return EscConfig(**(settings | changes))
 
@@ -180,7 +180,7 @@ def test_a_rig_that_settled_elsewhere_comes_to_its_level_with_its_time_constant(
     def level(u):
         return -2.0 * u
 
-    still = esc_config(step_size=1e-12, theta_initial=1.0, rate_limit=1e-9, epsilon_initial=1)
+    still = esc_config(step_size=1e-12, theta_initial=1.0, rate_limit=1e-9)
     _, power = closed(surrogate(level, tau=20.0), still, start=0.0)
     t = (np.arange(BLOCKS) + 0.5) * 20_000 * DT / BLOCKS
     assert 0.5 * np.log(power) == pytest.approx(-2.0 * (1.0 - np.exp(-t / 20.0)), abs=0.01)

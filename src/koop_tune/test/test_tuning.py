@@ -116,7 +116,6 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
     assert loop.lifter.omega_h == pytest.approx(c.omega_h, rel=0.005)
     assert loop.lifter.y_out_max == 123.0
     assert loop.esc.step_size == pytest.approx(c.speed * 0.02, rel=0.005)
-    assert loop.esc.epsilon_initial == -1  # theta_safe is below the best theta: up
     assert loop.esc.theta_initial == RIG.theta_safe
     assert loop.esc.command == ""  # the guard alone commands the rig
     guard = parameters.build(parameters.read(path, GUARD), GUARD)["koop_guard"][GuardConfig]
@@ -141,7 +140,6 @@ def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, t
     assert (loop.esc.theta_scale, loop.esc.objective) == ("log", "maximise")
     assert loop.esc.rate_limit == pytest.approx(0.5 / 50.0)  # of log theta, at its largest
     assert loop.esc.step_size <= 0.5 / 50.0 * 0.02 * 1.001
-    assert loop.esc.epsilon_initial == 1  # theta_safe is above the best theta: down
     assert loop.lifter.cost == "lifted"
     assert "model: model.npz" in path.read_text()  # beside the file: the folder may be moved
     assert "a factor of 100 apart" in path.read_text()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+from koop_core.config.constraint import Constraint, parse_constraint
 from koop_core.config.fields import Source, parse_source
 from koop_core.config.parameter import Settings, parameter
 from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT
@@ -57,15 +58,28 @@ class LifterConfig(Settings):
         read_only=True,
     )
 
+    constraint: str = parameter(
+        "",
+        "bound on a second signal, rms(/topic:field, 10 s) < 1.5 or peak(...); cost then says what "
+        "margin is left; empty: none",
+        read_only=True,
+    )
+
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.measured:
             parse_source(self.measured)
+        parse_constraint(self.constraint)
 
     @property
     def rig_source(self) -> Source | None:
         """Where the state comes from if not from the topic 'state'."""
         return parse_source(self.measured) if self.measured else None
+
+    @property
+    def bounded(self) -> Constraint | None:
+        """The constraint; None without one."""
+        return parse_constraint(self.constraint)
 
     @property
     def source(self) -> int:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 from koop_msgs.msg import Cost, MeasuredState
 from numpy.typing import NDArray
 
-from koop_core.config.fields import Source, check_fields
+from koop_core.config.constraint import Constraint
+from koop_core.config.fields import Source, check_fields, read_field
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival, timeout_of
@@ -23,7 +25,7 @@ from koop_node.node.graph import listeners_of, publishers_of
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
 from koop_node.node.wire import codec
-from koopman_lifter import cost
+from koopman_lifter import cost, margin
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load_fitting, load_for
 
@@ -72,6 +74,35 @@ class ForeignSource:
         return early > (taken - before) / 2
 
 
+class BoundedSignal:
+    """The signal of a constraint, and the margin that it leaves."""
+
+    def __init__(self, constraint: Constraint, dt: float) -> None:
+        self._source = constraint.source
+        self._meter = margin.SignalMeter(constraint, dt)
+        self._params, self._state = margin.margin_params(constraint, dt), margin.BEGIN
+        self._follow = direct(margin.follow, self._params, self._state, 0, 0.0)
+
+    def listen(self, entities: Entities, then: Callable[[], object]) -> None:
+        """Hear the signal once it is published, and ``then`` go on."""
+
+        def listen_to(name: str) -> None:
+            kind = message_type(name)
+            check_fields(self._source.fields, kind())
+            entities.subscription(kind, self._source.topic, self._hear, BEST_EFFORT)
+            then()
+
+        entities.when_typed(publishers_of, self._source.topic, listen_to)
+
+    def _hear(self, message: Any) -> None:
+        self._meter.hear(read_field(self._source.fields[0], message))
+
+    def follow(self, arrival: int) -> float:
+        """Return the margin at the next state; NaN where it is not known."""
+        left, self._state = self._follow(self._params, self._state, arrival, self._meter.take())
+        return left
+
+
 class LifterRun(Run):
     """A lifter with its model, if it has one, from the first state on."""
 
@@ -85,8 +116,10 @@ class LifterRun(Run):
         self._source, self._detector = config.source, config.detector_params()
         self._use(load_for(config, node.parameters[ModelConfig], self._seen))
         self._state = cost.initial()
+        bounded = config.bounded
+        self._signal = None if bounded is None else BoundedSignal(bounded, config.dt)
         self._answer = codec(Cost).new()
-        self._answer.dt = config.dt
+        self._answer.dt, self._answer.margin = config.dt, math.nan
         self._topic = "state" if source is None else source.topic
         self._input = StreamMonitor(self._topic, timeout_of(config.dt), config.dt, may_end=True)
         self.inputs = (self._input,)
@@ -113,7 +146,9 @@ class LifterRun(Run):
             qos = RELIABLE if kind is MeasuredState else BEST_EFFORT
             entities.dated_subscription(kind, foreign.topic, self._on_foreign, qos)
 
-        entities.when_heard(needed, listen)
+        signal = self._signal
+        ready = listen if signal is None else partial(signal.listen, entities, listen)
+        entities.when_heard(needed, ready)
 
     def deactivate(self) -> None:
         self._input.pause()
@@ -146,6 +181,8 @@ class LifterRun(Run):
         if self._input.step is None:
             return OK, "no state yet", values
         values |= {"step": self._answer.step, "r": self._answer.r}
+        if self._signal is not None:
+            values["margin"] = self._answer.margin
         if self._foreign is not None and self._foreign.too_fast(self._input.count):
             text = f"'{self._topic}' is faster than one message in dt = {config.dt:g} s"
             return WARN, text, values
@@ -182,6 +219,8 @@ class LifterRun(Run):
             self._source, loaded.lifting, self._detector, self._state, int(arrival), state.step,
             x, loaded.work,
         )  # fmt: skip
+        if self._signal is not None:
+            answer.margin = self._signal.follow(int(arrival))
         if math.isnan(answer.r) and not (answer.settling and self._believed(x)):
             self._report_unusable(state.x)
 

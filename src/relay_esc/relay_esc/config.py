@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from koop_core.config.fields import parse_source
 from koop_core.config.parameter import ConfigError, Settings, parameter
+from relay_esc.barrier import BarrierParams, barrier_params
 from relay_esc.elementary import exp, log
 from relay_esc.relay import MEMORY, RelayParams, RelayState, dwell_samples, initial, recalled
 from relay_esc.swing import SWING
@@ -68,14 +69,17 @@ class EscConfig(Settings):
         low=-1e6,
         high=1e6,
     )
-    epsilon_initial: int = parameter(
-        1, "first relay sign: 1 moves theta down, -1 up", low=-1, high=1, read_only=True
-    )
     begin: tuple[float, ...] = parameter(
         (),
         "what the controller goes on from, as 'koop up' has noted it; []: theta_initial",
         read_only=True,
     )
+    margin_slope: float = parameter(
+        0.0,
+        "change of the constraint's margin per unit of theta (theta_scale log: of ln theta), as "
+        "'koop tune' found it: a barrier keeps the bound; 0: there is none",
+        low=-1e9, high=1e9, read_only=True,
+    )  # fmt: skip
     command: str = parameter(
         "",
         "topic:field, such as /rig/theta:data, on which theta is also published, for a rig that "
@@ -105,8 +109,6 @@ class EscConfig(Settings):
                     raise ConfigError(f"{name} = {value:g}: must be above 0 with theta_scale log")
         if self.begin and (len(self.begin) != MEMORY or self.begin[1] not in (1.0, -1.0)):
             raise ConfigError(f"begin: is not what a controller goes on from, {MEMORY} numbers")
-        if self.epsilon_initial == 0:
-            raise ConfigError("epsilon_initial = 0: must be 1 or -1")
 
     def scaled(self, theta: float) -> float:
         """Return u of a theta: theta itself, or its logarithm."""
@@ -132,16 +134,22 @@ class EscConfig(Settings):
             self.theta_max,
         )
 
+    def barrier(self, dt: float) -> BarrierParams:
+        """Return the values that ``relay_esc.barrier.answer`` takes at a sampling time [s]."""
+        return barrier_params(self.margin_slope, dwell_samples(self.dwell, dt))
+
     @property
     def beginning(self) -> float:
         """Where theta begins to seek: its initial value, or the limit beyond which that is."""
         return min(max(self.theta_initial, self.theta_min), self.theta_max)
 
     def initial(self) -> RelayState:
-        """Return the relay's state before the first sample."""
+        """Return the relay's state before the first sample; theta first goes to the middle."""
         if self.begin:
             first = self.begin[0]
             theta = exp(first) if self.theta_scale == "log" else first
             return recalled(initial(first, 1, theta), self.begin)
-        begin = initial(self.scaled(self.beginning), self.epsilon_initial, self.theta_initial)
+        u = self.scaled(self.beginning)
+        middle = 0.5 * (self.scaled(self.theta_min) + self.scaled(self.theta_max))
+        begin = initial(u, 1 if u >= middle else -1, self.theta_initial)
         return begin._replace(commanded=self.scaled(self.theta_initial))

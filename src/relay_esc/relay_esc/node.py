@@ -23,7 +23,7 @@ from koop_node.node.graph import Listeners, listeners_of, subscribers_of
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import NEWEST, RELIABLE
 from koop_node.node.wire import codec
-from relay_esc import relay
+from relay_esc import barrier, relay
 from relay_esc.config import EscConfig
 
 
@@ -45,8 +45,11 @@ class EscRun(Run):
         self._command: Publisher | Writer | None = None
         self._own: Any = None  # the rig's message, unless that is the answer itself
         # for the types that messages bring, and compiled before the first of them
-        first_cost = (int(Arrival.RESTART), False, False, 0.0, False)
-        self._respond = direct(relay.answer, self._params, self._state, *first_cost)
+        first_cost = (int(Arrival.RESTART), False, False, 0.0, False, math.nan)
+        self._barrier, self._bound = barrier.UNKNOWN, config.barrier(LONGEST_DT)
+        self._respond = direct(
+            barrier.answer, self._params, self._bound, self._state, self._barrier, *first_cost
+        )
         self._insight = direct(relay.insight, self._params, self._state)
         entities.service(Trigger, "~/reset", self._on_reset)
         entities.service(SetBool, "~/hold", self._on_hold)
@@ -86,7 +89,11 @@ class EscRun(Run):
         self._publisher = self._command = None
 
     def parameters_changed(self, names: set[str]) -> None:
-        self._params = self._node.parameters[EscConfig].params(self._input.dt)
+        self._take_parameters()
+
+    def _take_parameters(self) -> None:
+        config, dt = self._node.parameters[EscConfig], self._input.dt
+        self._params, self._bound = config.params(dt), config.barrier(dt)
 
     def samples(self) -> int:
         return self._input.count
@@ -136,7 +143,7 @@ class EscRun(Run):
             cost.r, cost.settling = math.nan, False
             return
         self._input.follow(cost.dt)
-        self._params = self._node.parameters[EscConfig].params(cost.dt)
+        self._take_parameters()
         self._node.get_logger().info(
             f"the costs are {cost.dt:g} s apart", throttle_duration_sec=1.0
         )
@@ -145,9 +152,9 @@ class EscRun(Run):
         origin = (cost.source, cost.model_id)
         switched, self._origin = origin != self._origin, origin
         answer = self._answer
-        self._state, answer.holding, answer.saturated = self._respond(
-            self._params, self._state, int(arrival), switched, cost.settling, cost.r,
-            self._hold_asked,
+        self._state, self._barrier, answer.holding, answer.saturated = self._respond(
+            self._params, self._bound, self._state, self._barrier, int(arrival), switched,
+            cost.settling, cost.r, self._hold_asked, cost.margin,
         )  # fmt: skip
         if not (math.isfinite(cost.r) or cost.settling):
             self._input.reject(f"step {cost.step}: r = {cost.r}, dt = {cost.dt} s")

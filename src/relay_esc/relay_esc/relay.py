@@ -376,7 +376,14 @@ def answer(
     else:
         state, holding = respond(p, state, arrival, switched, settling, r, hold_asked)
         commanded = slew(state.commanded, state.u, p.largest_change)
-    state = RelayState(
+    state = command(p, state, commanded)
+    return state, holding, at_limit(p, state)
+
+
+@njit(inline="always")
+def command(p: RelayParams, state: RelayState, commanded: float) -> RelayState:
+    """Give out a control input [u]."""
+    return RelayState(
         state.u,
         state.epsilon,
         state.cost_rise_filtered,
@@ -387,7 +394,12 @@ def answer(
         theta_of(p, commanded) if p.logarithmic else commanded,
         state.swing,
     )
-    return state, holding, commanded <= p.u_min or commanded >= p.u_max
+
+
+@njit(inline="always")
+def at_limit(p: RelayParams, state: RelayState) -> bool:
+    """Return whether the control input is at one of its limits."""
+    return state.commanded <= p.u_min or state.commanded >= p.u_max
 
 
 @njit()

@@ -265,9 +265,9 @@ def test_on_a_log_scale_the_law_seeks_in_the_logarithm_of_theta(law):
 
 
 def test_on_a_log_scale_the_limits_are_met_exactly():
-    options = {"theta_min": 0.1, "theta_max": 0.3, "theta_initial": 0.11}
-    for epsilon, limit in ((1, 0.1), (-1, 0.3)):
-        esc = config(law="relay", theta_scale="log", epsilon_initial=epsilon, **options)
+    options = {"theta_min": 0.1, "theta_max": 0.3}
+    for first, limit in ((0.29, 0.1), (0.11, 0.3)):
+        esc = config(law="relay", theta_scale="log", theta_initial=first, **options)
         state = esc.initial()
         for k in range(200):
             state, _, saturated = answer(esc, state, 1.0 - 1e-3 * k)

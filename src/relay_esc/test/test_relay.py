@@ -73,9 +73,9 @@ def test_the_relay_keeps_its_direction_until_the_dwell_time_has_passed():
 
 
 def test_theta_stops_at_its_limits():
-    config = EscConfig(theta_initial=-4.999)
+    config = EscConfig(theta_min=1.99, theta_max=2.005)
     states = run(config, np.linspace(1.0, 0.0, 100))
-    assert states[-1].u == -5.0
+    assert states[-1].u == 1.99
     assert answer(config, states[-1], 0.0)[2]
     assert not answer(config, states[0], 1.0)[2]
 
@@ -109,7 +109,6 @@ def test_the_compiled_kernel_is_the_python_function():
     [
         ({"theta_min": 5.0, "theta_max": -5.0}, "theta_min = 5 must be below theta_max = -5"),
         ({"theta_initial": 9.0}, "theta_initial = 9 must lie within"),
-        ({"epsilon_initial": 0}, "epsilon_initial = 0: must be 1 or -1"),
         ({"tau_f": 0.0}, "tau_f = 0: must be 0.001 to 1e\\+06 s"),
         ({"objective": "minimize"}, "must be one of minimise, maximise"),
     ],
@@ -216,7 +215,7 @@ def test_what_is_given_out_gets_to_a_jump_at_its_limited_rate():
 
 @pytest.mark.parametrize("law", ["relay", "adaptive"])
 def test_from_beyond_its_limits_theta_goes_there_and_the_relay_waits(law):
-    common = {"law": law, "rate_limit": 0.02, "theta_max": 1.9, "epsilon_initial": -1}
+    common = {"law": law, "rate_limit": 0.02, "theta_max": 1.9}
     narrowed, begins = EscConfig(**common, theta_initial=1.0), EscConfig(**common)
     for state in (EscConfig().initial(), begins.initial()):
         for k in range(1, 1000):

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.live.process import START_TIMEOUT
 from koop_bringup.plan import Plan, plan
+from koop_commission.fitness.samples import Samples
 from koop_commission.rig.guarded_theta import GUARD, guard_remaps, guard_section
 from koop_commission.rig.listener import Listener
-from koop_commission.stages.session import Session, open_session, spell_time
+from koop_commission.stages.session import COST, COST_TYPE, Session, open_session, spell_time
 from koop_core.config.fields import parse_field
 from koop_tune.excitation import progress
 from koop_tune.excitation.holds import mean_level
@@ -79,12 +78,10 @@ class ClosedLoop:
         arguments = {"params": str(file), "plant": "false", "record": "true", "output": str(run)}
         parameters = plan(arguments).parameters
         parameters[GUARD] = guard_section(self.rig, self.note)  # the limits of the rig
-        u = self.aim.scale.u(np.array([start, self.aim.theta]))
         parameters["koopman_lifter"]["listeners"] = "recorder"  # it works before the controller
         parameters[ESC] |= {
             "autostart": False,
             "theta_initial": start,
-            "epsilon_initial": -1 if u[0] <= u[1] else 1,
             "command": "",
             "listeners": f"{GUARD} recorder",
         }
@@ -95,6 +92,7 @@ class ClosedLoop:
         aim, dt, states = self.aim, self.rig.dt, session.listener
         fields = (parse_field("theta"), parse_field("epsilon"))
         answers = Listener(session.client, THETA, THETA_TYPE, fields, reliable=True)
+        margins = Listener(session.client, COST, COST_TYPE, (parse_field("margin"),), reliable=True)
         rest = aim.settings.before * aim.amplitude.windows.length
         session.still = aim.amplitude.windows.length
         session.client.change_state(f"/{ESC}", "configure", START_TIMEOUT, session.check)
@@ -119,7 +117,7 @@ class ClosedLoop:
             self._wait(session, closed, seconds)
             loop = states.samples(closed)
             theta = answers.samples(first).x[:, 0]
-            measured = measure(aim, before, loop.x, theta)
+            measured = replace(measure(aim, before, loop.x, theta), broken=broken(margins, loop))
             lacks = find_faults(aim, [measured]) or find_disagreements(aim, measured)
             if seconds >= aim.longest or not lacks:
                 break
@@ -154,6 +152,13 @@ class ClosedLoop:
                 theta = session.theta.value
                 at = (due - closed) * dt
                 print(f"{at:6.0f} s  theta {theta:<9.4g} amplitude {level:.3g}", flush=True)
+
+
+def broken(margins: Listener, loop: Samples) -> float:
+    """Return the share of a loop's second half in which a constraint was broken; 0 without one."""
+    costs = margins.samples()
+    late = costs.x[costs.step >= loop.step[loop.step.size // 2], 0]
+    return float((late < 0.0).mean()) if late.size else 0.0
 
 
 def _wait_for(session: Session, count: int) -> None:

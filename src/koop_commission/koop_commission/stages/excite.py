@@ -15,6 +15,7 @@ from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveNodes
 from koop_bringup.plan import Plan
 from koop_commission.rig.guarded_theta import GUARD, guard_remaps, guard_section
+from koop_commission.stages.safe_range import find_safe_range
 from koop_commission.stages.session import (
     Session,
     open_session,
@@ -121,7 +122,7 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
             f"{folder}: the {rig.time:g} s of the rig file are over: set a longer 'time' in it"
         )
     refuse_small_disk(rig, folder, rig.time - state.elapsed)
-    holds, state.ended = read_holds(rig, folder, state), ""
+    holds, state.ended = read_holds(state.narrow(rig), folder, state), ""
     number = len(state.parts) + 1
     while (folder / (part := f"part-{number}")).exists():  # of one killed before it was noted
         number += 1
@@ -134,7 +135,11 @@ def excite(rig: RigFile, folder: Path, note: Path | None = None) -> ExcitationPr
     nodes = LiveNodes(folder / part, Plan(parameters, rig=True, remaps=guard_remaps(rig)))
     with open_session(rig, nodes, note) as session:
         state.parts.append(part)
-        Excitation(rig, folder, state, holds, session).run()
+        if rig.bounded is not None and state.safe is None:
+            begun = session.listener.count
+            state.safe = find_safe_range(rig, rig.bounded, session)
+            state.elapsed += (session.listener.count - begun) * rig.dt
+        Excitation(state.narrow(rig), folder, state, holds, session).run()
     return state
 
 

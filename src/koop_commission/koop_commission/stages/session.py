@@ -30,7 +30,7 @@ from koop_loop.ending import describe_end
 from koop_node.client.client import Client
 from koop_tune.rig.rig_file import STATE, STATE_TYPE, RigFile, state_source
 
-COST = "/cost"
+COST, COST_TYPE = "/cost", "koop_msgs/msg/Cost"
 GONE = 3.0  # [s] in which DDS forgets a program that has ended
 BYTES = 250.0  # of a bag for one state, with its cost and theta
 BAR = "{desc} |{bar}| {n:.0f}/{total:.0f} s{postfix}"

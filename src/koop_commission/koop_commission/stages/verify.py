@@ -11,6 +11,7 @@ from koop_commission.stages.closed_loop import ClosedLoop
 from koop_commission.stages.session import refuse_small_disk, resumable, spell_time
 from koop_core.text_table import table
 from koop_guard.note import note_of
+from koop_tune.excitation import progress
 from koop_tune.folder import FIGURES, TUNED
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
@@ -77,6 +78,7 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     koop_core.config.parameter.ConfigError
         If the folder holds no controller for this rig.
     """
+    rig = narrowed(rig, folder)
     aim = read_aim(folder / TUNED / FIGURES, rig)
     rounds = list(load_verification(folder).rounds)
     if not rounds or rounds[-1].finished or rounds[-1].prediction != aim.predicted:
@@ -110,6 +112,12 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     return judge(rig, folder, len(rounds))
 
 
+def narrowed(rig: RigFile, folder: Path) -> RigFile:
+    """Return the rig file with the limits of theta that kept the constraint in the excitation."""
+    excitation = progress.load(rig, folder)
+    return rig if excitation is None else excitation.narrow(rig)
+
+
 def judge(rig: RigFile, folder: Path, index: int) -> Verification:
     """Write the verdict on the controller of ``tuned`` into verify.json, and return its content.
 
@@ -122,7 +130,8 @@ def judge(rig: RigFile, folder: Path, index: int) -> Verification:
     index : int
         Round in which that controller was verified; the first is 0.
     """
-    verification, aim = load_verification(folder), read_aim(folder / TUNED / FIGURES, rig)
+    verification = load_verification(folder)
+    aim = read_aim(folder / TUNED / FIGURES, narrowed(rig, folder))
     chosen = verification.rounds[index].runs
     runs, starts = [run.measured for run in chosen], [run.start for run in chosen]
     verification = replace(

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
-from koop_msgs.msg import ControlInput, GuardState, MeasuredState
+from koop_msgs.msg import ControlInput, Cost, GuardState, MeasuredState
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
@@ -111,6 +111,8 @@ class GuardRun(Run):
                 return
             waiting.cancel()
             entities.waiting_for = ""
+            if config.bounded is not None:
+                entities.reader(Cost, "cost", self._on_cost, BEST_EFFORT)
             qos = RELIABLE if self._counts_steps else BEST_EFFORT
             entities.dated_subscription(state, source.topic, self._on_state, qos)
             rig = {self._command.publisher: Listeners(next="any")}
@@ -222,6 +224,9 @@ class GuardRun(Run):
             guard.go(self._target if now - self._begun > SAFETY.matched else guard.theta)
         if self._to_target or guard.status is Status.TRIPPED:
             self._say(now)
+
+    def _on_cost(self, cost: Any, written: float) -> None:
+        self._guard.hear_margin(cost.margin, time.monotonic())
 
     def _answer_state(self, state: Any, written: float) -> None:
         """Answer a state of the loop with what is commanded, where no controller does."""

@@ -264,5 +264,7 @@ def costs_of(run: RecordedRun, model: Path | None = None) -> dict[str, NDArray[n
     )
     esc, held = EscConfig(), np.ones(signals.step.size, np.bool_)
     x = np.ascontiguousarray(signals.x)
-    r, _ = OfflineLoop(esc).answer(lifter, esc, fitting, signals.step, x, held)
+    r, _ = OfflineLoop(esc).answer(
+        lifter, esc, fitting, signals.step, x, held, np.full(x.shape[0], np.nan)
+    )
     return {f"r under {fitting.model_id}" if fitting is not None else "raw r": r, **costs}

@@ -50,6 +50,8 @@ def replay_live(
     koop_core.errors.LiveError
         If a node ends, does not answer or refuses a parameter.
     """
+    if plan.segments[0].parameters.lifter.constraint:
+        raise LiveError("the signal of a constraint is not played to the nodes: add --offline")
     with tempfile.TemporaryDirectory(prefix="koop-replay-") as name:
         components = [COMPONENTS[node] for node in reversed(CONTROLLER)]
         arguments = ["--ros-args", "--params-file", str(_parameter_file(Path(name), plan))]

@@ -9,19 +9,23 @@ from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import NOTHING, Arrival
 from koop_lab.replay.plan import ReplayPlan
 from koop_lab.replay.recording import Recording
-from koop_loop.kernel import Controller, LoopMemory, control, listen
+from koop_loop.kernel import Controller, LoopMemory, listen
 from koop_loop.loop import controller
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
 from koopman_lifter.model import KoopmanModel
+from relay_esc import barrier
+from relay_esc.barrier import BarrierParams, BarrierState
 from relay_esc.config import EscConfig
 
 
 @njit()
 def replay_kernel(
     p: Controller,
+    bound: BarrierParams,
     memory: LoopMemory,
+    held: BarrierState,
     work: Workspace,
     switched: bool,
     step: NDArray[np.int64],
@@ -29,16 +33,17 @@ def replay_kernel(
     cost_arrivals: NDArray[np.int8],
     x: NDArray[np.float64],
     hold: NDArray[np.bool_],
+    margin: NDArray[np.float64],
     r: NDArray[np.float64],
     theta: NDArray[np.float64],
-) -> LoopMemory:
+) -> tuple[LoopMemory, BarrierState]:
     """Answer M states one after the other, as the two nodes do.
 
     Parameters
     ----------
-    p : Controller
+    p, bound : Controller, BarrierParams
         Parameters.
-    memory : LoopMemory
+    memory, held : LoopMemory, BarrierState
         After the previous message.
     work : Workspace
         Buffers of this run.
@@ -53,12 +58,14 @@ def replay_kernel(
         Measured states; one that is not finite has no cost.
     hold : ndarray, shape (M,)
         Whether the user holds theta.
+    margin : ndarray, shape (M,)
+        Of the constraint; NaN where it is not known.
     r, theta : ndarray, shape (M,)
         Receive the answers; NaN where there is none.
 
     Returns
     -------
-    LoopMemory
+    memory, held
         After the last message.
     """
     source, lifting, detector_params, relay_params = p
@@ -69,14 +76,16 @@ def replay_kernel(
         if state_arrivals[k] == Arrival.LATE:
             r[k] = theta[k] = np.nan
             continue
-        r[k], detector, relay = control(
-            source, lifting, detector_params, relay_params, detector, relay,
-            state_arrivals[k], cost_arrivals[k], switched, hold[k], step[k], states[k],
-            work,
+        r[k], _, settling, detector = cost.answer(
+            source, lifting, detector_params, detector, state_arrivals[k], step[k], states[k], work
+        )
+        relay, held, _, _ = barrier.answer(
+            relay_params, bound, relay, held, cost_arrivals[k], switched, settling, r[k], hold[k],
+            margin[k],
         )  # fmt: skip
         theta[k] = relay.output
         switched = False
-    return LoopMemory(detector, relay)
+    return LoopMemory(detector, relay), held
 
 
 class OfflineLoop:
@@ -89,7 +98,7 @@ class OfflineLoop:
     """
 
     def __init__(self, esc: EscConfig) -> None:
-        self._memory = LoopMemory(cost.initial(), esc.initial())
+        self._memory, self._held = LoopMemory(cost.initial(), esc.initial()), barrier.UNKNOWN
         self._work: Workspace | None = None
         self._states = self._costs = NOTHING
         self._origin: tuple[int, str] | None = None
@@ -107,6 +116,7 @@ class OfflineLoop:
         step: NDArray[np.int64],
         x: NDArray[np.float64],
         hold: NDArray[np.bool_],
+        margin: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Answer states with the same parameters.
 
@@ -120,6 +130,8 @@ class OfflineLoop:
             Measured states.
         hold : ndarray of bool, shape (M,)
             Whether the user holds theta.
+        margin : ndarray, shape (M,)
+            Of the constraint; NaN where it is not known.
 
         Returns
         -------
@@ -139,9 +151,10 @@ class OfflineLoop:
         costs = np.full_like(states, Arrival.LATE)
         costs[answered] = arrivals
         r, theta = np.empty(step.size), np.empty(step.size)
-        self._memory = replay_kernel(
-            made, self._memory, self._work, switched, step, states, costs, x, hold, r, theta
-        )
+        self._memory, self._held = replay_kernel(
+            made, esc.barrier(lifter.dt), self._memory, self._held, self._work, switched, step,
+            states, costs, x, hold, margin, r, theta,
+        )  # fmt: skip
         return r, theta
 
 
@@ -169,7 +182,7 @@ def replay_offline(
         answers.append(
             loop.answer(
                 lifter, parameters.esc, model,
-                recording.step[part], x[part], recording.hold[part],
+                recording.step[part], x[part], recording.hold[part], recording.margin[part],
             )
         )  # fmt: skip
     r, theta = zip(*answers, strict=True)

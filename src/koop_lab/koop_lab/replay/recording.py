@@ -27,7 +27,7 @@ from koopman_lifter.config import SOURCES
 
 NO_SOURCE = 255  # none of koop_msgs/Cost
 FIELDS = {
-    "cost": ["step", "r", "source", "model_id", "publish_time"],
+    "cost": ["step", "r", "margin", "source", "model_id", "publish_time"],
     "theta": ["step", "theta", "holding", "publish_time"],
 }
 
@@ -50,6 +50,8 @@ class Recording:
         Whether a newer state had overtaken it, so that it has no answer.
     r, theta : ndarray, shape (M,)
         Recorded answers; NaN where there is none.
+    margin : ndarray, shape (M,)
+        Recorded margin of a constraint; NaN where there is none.
     has_r, has_theta : ndarray of bool, shape (M,)
         Whether the answer was recorded.
     hold : ndarray of bool, shape (M,)
@@ -75,6 +77,7 @@ class Recording:
     late: NDArray[np.bool_]
     r: NDArray[np.float64]
     theta: NDArray[np.float64]
+    margin: NDArray[np.float64]
     has_r: NDArray[np.bool_]
     has_theta: NDArray[np.bool_]
     hold: NDArray[np.bool_]
@@ -188,6 +191,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         late,
         r,
         theta.at(key, "theta", np.nan),
+        np.asarray(cost.at(key, "margin", np.nan), np.float64),
         cost.hold(key),
         theta.hold(key),
         np.asarray(theta.at(key, "holding", False).astype(np.bool_) & np.isfinite(r)),

@@ -108,8 +108,7 @@ def close_from_end(
     rig: Rig, controller: RigController, end: int, noise: RunNoise, seed: int
 ) -> ClosedRun:
     """Close the loop from the lower (0) or upper (1) end of theta's range."""
-    inwards = replace(controller.esc, epsilon_initial=1 if end else -1)
-    return close(from_end(rig, end), replace(controller, esc=inwards), noise, seed)
+    return close(from_end(rig, end), controller, noise, seed)
 
 
 def from_end(rig: Rig, end: int) -> Rig:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from koop_core.config.parameter import ConfigError
 from koop_core.whole_file import write_json
 from koop_tune.excitation.amplitude import Amplitude, Windows
+from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.rig.rig_file import RigFile, as_values
 
 NAME = "excite.json"
@@ -46,6 +47,8 @@ class ExcitationProgress:
         Time [s] before which holds do not count.
     ended : str
         Why it ended: ``known``, ``flat`` or ``time``; empty before.
+    safe : SafeRange or None
+        Thetas that keep the constraint; None before they are known, and without one.
     """
 
     windows: Windows | None = None
@@ -55,6 +58,11 @@ class ExcitationProgress:
     parts: list[str] = field(default_factory=list)
     since: float = 0.0
     ended: str = ""
+    safe: SafeRange | None = None
+
+    def narrow(self, rig: RigFile) -> RigFile:
+        """Return the rig file with the limits of theta that keep the constraint."""
+        return rig if self.safe is None else self.safe.narrow(rig)
 
 
 def save(progress: ExcitationProgress, rig: RigFile, folder: Path) -> None:
@@ -62,7 +70,7 @@ def save(progress: ExcitationProgress, rig: RigFile, folder: Path) -> None:
     amplitude = progress.amplitude
     values = {
         name: getattr(progress, name)
-        for name in ("windows", "holds", "elapsed", "parts", "since", "ended")
+        for name in ("windows", "holds", "elapsed", "parts", "since", "ended", "safe")
     }
     amplitudes = None if amplitude is None else amplitude.as_json()
     write_json(folder / NAME, {"rig": as_values(rig), **values, "amplitude": amplitudes})
@@ -80,7 +88,7 @@ def load(rig: RigFile, folder: Path) -> ExcitationProgress | None:
     if not path.exists():
         return None
     recorded_rig, state = read(folder)
-    refuse_other_rig(path, recorded_rig, rig)
+    refuse_other_rig(path, recorded_rig, state.narrow(rig))
     return state
 
 
@@ -96,11 +104,12 @@ def read(folder: Path) -> tuple[RigFile, ExcitationProgress]:
     try:
         values = json.loads(path.read_text(encoding="utf-8"))
         recorded_rig = RigFile(**values.pop("rig"))
-        amplitude, windows = values.pop("amplitude"), values.pop("windows")
+        amplitude, windows, safe = (values.pop(name) for name in ("amplitude", "windows", "safe"))
         state = ExcitationProgress(
             Windows(*windows) if windows else None,
             Amplitude.from_json(amplitude) if amplitude else None,
             [HoldSummary(*hold) for hold in values.pop("holds")],
+            safe=SafeRange(tuple(safe[0]), tuple(safe[1]), *safe[2:]) if safe else None,
             **values,
         )
     except (OSError, ValueError, TypeError, KeyError, IndexError) as error:

@@ -77,6 +77,7 @@ def of_seen(findings: Findings, tuning: Tuning | None = None) -> dict[str, Any]:
                 "error": maps.deviation[::EVERY].tolist(),
             },
         },
+        "safe": findings.safe._asdict() if findings.safe else None,
         "costs": [_cost(candidate, findings, tuning) for candidate in findings.costs],
     }
 

@@ -12,6 +12,7 @@ import numpy as np
 from koop_core.config.describe import parameter_file
 from koop_core.text_table import table
 from koop_guard.config import RigLimits
+from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.result.parameter_text import HEAD, KNOWN
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.findings import Findings
@@ -74,6 +75,10 @@ def as_words(tuning: Tuning) -> str:
     span = "of log theta's range" if tuning.findings.scale.logarithmic else "of theta's range"
     direction = "down" if tuning.task.sense > 0 else "up"
     notes = [f"in doubt: {tuning.findings.doubt}"] if tuning.findings.doubt else []
+    if (safe := tuning.findings.safe) is not None:
+        best = tuning.findings.scale.theta_at(tuning.findings.static_map.best())
+        margin = f"margin {safe.margin_at(best):.2g} is predicted at {best:.4g}"
+        notes.append(f"the constraint is kept from {safe.low:.4g} to {safe.high:.4g}: {margin}")
     notes += [f"narrower: {tuning.findings.limits.why}"] if tuning.findings.limits.why else []
     return "\n".join(
         [
@@ -134,8 +139,7 @@ def _lifter(tuning: Tuning, rig: RigFile, model: Path | None) -> Parameters:
 
 def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
     c, findings, time = tuning.best.constants, tuning.findings, tuning.time
-    best = findings.static_map.best()
-    theta_best, logarithmic = findings.scale.theta_at(best), findings.scale.logarithmic
+    logarithmic = findings.scale.logarithmic
     ratio = rig.theta_max / rig.theta_min if rig.theta_min else math.nan
     reasons = {
         "law": "of the same search",
@@ -154,11 +158,18 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
     }  # fmt: skip
     esc = make_esc(tuning.task, c, rig.theta_safe)
     parameters: Parameters = {name: (getattr(esc, name), why) for name, why in reasons.items()}
-    above = float(findings.scale.u(np.array(rig.theta_safe))) > best
-    parameters["epsilon_initial"] = (
-        1 if above else -1, f"towards {theta_best:.4g}, where the recording is best"
-    )  # fmt: skip
+    if findings.safe is not None:
+        slope = float(f"{findings.safe.slope(findings.scale):.3g}")
+        parameters["margin_slope"] = (slope, describe_barrier(findings.safe, slope))
     return parameters
+
+
+def describe_barrier(safe: SafeRange, slope: float) -> str:
+    """Return in words what keeps the bound of the constraint."""
+    if slope != 0.0:
+        return "the steepest that was seen towards the bound: the barrier keeps it, if it moves too"
+    sides = "both sides" if safe.bound_low else "no side"
+    return f"the constraint ends theta's range on {sides}: theta's limits alone keep it"
 
 
 def _guard(rig: RigFile, note: Path | None) -> Parameters:

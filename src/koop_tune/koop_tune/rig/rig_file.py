@@ -71,10 +71,10 @@ class RigFile(RigLimits):
 
     @property
     def lifter_input(self) -> dict[str, str]:
-        """The lifter's parameters that name the measured channels; none where it needs none."""
-        if self.speaks_state:
-            return {}
-        return {"measured": self.measured}
+        """The lifter's parameters that name what it hears; none where it needs none."""
+        values = {"measured": "" if self.speaks_state else self.measured}
+        values["constraint"] = self.constraint
+        return {name: value for name, value in values.items() if value}
 
     @property
     def guard(self) -> GuardConfig:

@@ -151,6 +151,8 @@ class Measured:
         Amplitude before over the amplitude in the second half (its inverse).
     theta, low, high : float
         Mean of theta over the second half, and its least and largest.
+    broken : float
+        Share of the second half in which a constraint was broken.
     """
 
     time_to_converge: float | None
@@ -164,6 +166,7 @@ class Measured:
     theta: float
     low: float
     high: float
+    broken: float = 0.0
 
     @property
     def swing(self) -> float:
@@ -262,6 +265,11 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
                 f"theta swings from {run.low:.4g} to {run.high:.4g}, the valley reaches from "
                 f"{aim.valley[0]:.4g} to {aim.valley[1]:.4g}"
             )
+    faults += [
+        f"near theta = {run.theta:.4g} the constraint is broken for {100.0 * run.broken:.2g} % of "
+        f"the time, {100.0 * aim.settings.broken:g} % is the most"
+        for run in runs if run.broken > aim.settings.broken
+    ]  # fmt: skip
     gains = [math.log(run.reduction) - aim.settings.errors * run.error for run in runs]
     if max(gains) <= 0.0:
         verb = "falls" if aim.sense > 0 else "rises"

@@ -14,6 +14,7 @@ from koop_identify.model.windows import period_of
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.amplitude import Amplitude, Mode, Windows, window_length
 from koop_tune.excitation.design import DESIGN, Design
+from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.excitation.static_map import StaticMap
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
@@ -105,6 +106,8 @@ class Findings:
         Longest time that the oscillation was seen to need to grow to a level [s].
     doubt : str
         What is not sure about the optimum, in words; empty if it is.
+    safe : SafeRange or None
+        Thetas that keep the constraint.
     """
 
     scale: Scale
@@ -118,6 +121,7 @@ class Findings:
     modes: list[Mode]
     growth: float = 0.0
     doubt: str = ""
+    safe: SafeRange | None = None
 
 
 def analyse(
@@ -126,10 +130,12 @@ def analyse(
     training: BagTraining,
     amplitude: Amplitude | None = None,
     settings: TuningSettings = TUNING,
+    safe: SafeRange | None = None,
 ) -> Findings:
     """Find where theta rested, the static map of the amplitude, and that of every cost.
 
     ``amplitude`` is the one of the excitation; without it, it is chosen from the recording.
+    ``safe`` are the thetas that keep the constraint.
 
     Raises
     ------
@@ -162,8 +168,8 @@ def analyse(
         candidates.append(CostMaps(cost, maps, static_map, settings.near))
     findings = Findings(
         scale, dwells, static_map, period, amplitude.name(rig.names), rig.names, candidates,
-        limit_theta(static_map, rig, settings), amplitude.modes(powers),
-        dwells.longest_growth(DESIGN.grown),
+        limit_theta(static_map, rig, settings, safe), amplitude.modes(powers),
+        dwells.longest_growth(DESIGN.grown), safe=safe,
     )  # fmt: skip
     return decide(findings, rig, settings)
 
@@ -180,9 +186,12 @@ def decide(findings: Findings, rig: RigFile, settings: TuningSettings = TUNING) 
     if static_map.flat or float(np.ptp(static_map.mean)) < settings.slight:
         raise NoOptimum("flat", _flat(findings), findings)
     if not static_map.interior:
-        if static_map.best_end is not None:
+        if (end := static_map.best_end) is None:
+            findings = _doubted(findings, _doubt(static_map))
+        elif findings.safe is not None and findings.safe.ends(upper=end > 0.0):
+            findings = _doubted(findings, _at_bound(findings, rig, end))
+        else:
             raise NoOptimum("monotone", _monotone(findings, rig), findings)
-        findings = _doubted(findings, _doubt(static_map))
     if not any(candidate.usable for candidate in findings.costs):
         findings = _doubted(
             findings, findings.doubt or "no cost shows the optimum of the amplitude beyond doubt"
@@ -204,6 +213,13 @@ def _doubt(static_map: StaticMap) -> str:
         f"the amplitude changes by {_change(static_map)} %, but whether it gets worse again "
         f"towards theta_{limit} is not certain (errors of {_error(static_map)} %): if not, theta "
         "will stay near that limit"
+    )
+
+
+def _at_bound(findings: Findings, rig: RigFile, end: float) -> str:
+    return (
+        f"the amplitude of {findings.name} is best at {findings.scale.theta_at(end):.4g}, where "
+        f"the constraint {rig.constraint} ends theta's range: theta will stay near it"
     )
 
 

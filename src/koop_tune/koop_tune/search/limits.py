@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.excitation.static_map import Cliff, StaticMap
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
@@ -35,7 +36,10 @@ class ThetaLimits(NamedTuple):
 
 
 def limit_theta(
-    static_map: StaticMap, rig: RigFile, settings: TuningSettings = TUNING
+    static_map: StaticMap,
+    rig: RigFile,
+    settings: TuningSettings = TUNING,
+    safe: SafeRange | None = None,
 ) -> ThetaLimits:
     """Return limits of the controller's theta: they contain the best value seen, with room.
 
@@ -45,11 +49,16 @@ def limit_theta(
     A cliff wants more care. A loop goes a little beyond the optimum again and again; beyond a cliff
     the cost is so large that the filters forget it only slowly, and while they do theta moves on,
     whatever it does. So there theta stays a margin inside the last good value.
+
+    Away from a constraint that ends the range on the other side theta keeps all of its way: there
+    it must go if the bound moves.
     """
     scale, ends, why = rig.scale, [rig.theta_min, rig.theta_max], ["", ""]
     best, valley = static_map.best(), static_map.valley(settings.limits)
     least = max(settings.least_room, 0.1 * valley.width)
     for end, side in ((0, -1), (1, 1)):
+        if safe is not None and safe.ends(upper=not end):
+            continue
         edge = valley[end]
         cliff = static_map.cliff(side)
         if cliff is not None:

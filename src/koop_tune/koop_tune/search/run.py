@@ -135,7 +135,6 @@ def make_esc(task: Task, c: Constants, theta: float) -> EscConfig:
         rate_limit=rate,
         objective="minimise" if task.sense > 0.0 else "maximise",
         theta_initial=theta,
-        epsilon_initial=1,
     )
 
 
@@ -166,7 +165,7 @@ def try_out(task: Task, c: Constants, number: int, seed: int, fine: bool = True)
     steps = task.steps // every
     limit = task.settings.drift
     drift = 0.0 if number % 4 < 2 else float(rng.uniform(-limit, limit)) / steps
-    esc = replace(make_esc(task, c, theta), epsilon_initial=1 if end else -1)
+    esc = make_esc(task, c, theta)
     detector = make_lifter(task, c).detector_params()
     if s.coarse:
         esc = replace(esc, step_size=esc.step_size * every)  # the same motion of theta

@@ -119,6 +119,10 @@ class VerificationSettings(Settings):
         origin="a factor of 20 either way: next to nothing is known",
     )  # fmt: skip
     rounds: int = studied(3, "rounds of tuning and verifying", low=1)
+    broken: float = parameter(
+        0.01, "share of a loop's second half in which a constraint may be broken", low=0.0,
+        high=1.0, origin="the bound is to be kept for 99 % of the time",
+    )  # fmt: skip
 
 
 VERIFICATION = VerificationSettings()

@@ -13,6 +13,7 @@ import numpy as np
 from koop_identify.model.from_bags import BagTraining
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation.amplitude import Amplitude
+from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.surrogate import Times, fit_times
 from koop_tune.search.findings import CostMaps, Findings, NoOptimum, analyse
@@ -108,6 +109,7 @@ def tune(
     amplitude: Amplitude | None = None,
     settings: TuningSettings = TUNING,
     report: Report = lambda step, share: None,
+    safe: SafeRange | None = None,
 ) -> Tuning:
     """Choose the cost and all constants of a controller.
 
@@ -125,6 +127,8 @@ def tune(
         Budget and thresholds.
     report : callable
         Is told what is done, and of each step its share of all.
+    safe : SafeRange, optional
+        Thetas that keep the constraint; the rig's limits are within them.
 
     Raises
     ------
@@ -134,7 +138,7 @@ def tune(
         If the recording cannot be used.
     """
     report("costs", 0.0)
-    findings = analyse(loaded, rig, training, amplitude, settings)
+    findings = analyse(loaded, rig, training, amplitude, settings, safe)
     times = fit_times(loaded, findings.dwells, findings.static_map, findings.scale, rig.dt)
     slowest = max(times.tau(float(a), up) for a in findings.static_map.mean for up in (False, True))
     slowdown = limit_slowdown(slowest, rig.time, settings)

@@ -1,0 +1,86 @@
+"""The margin of a constraint: its statistics beside their definitions, and what has none."""
+
+import math
+
+import numpy as np
+import pytest
+
+from koop_core.config.constraint import parse_constraint
+from koop_core.config.parameter import ConfigError
+from koop_core.stream.arrival import Arrival
+from koopman_lifter import margin
+
+DT, WINDOW, BOUND = 0.01, 0.5, 2.0
+
+
+def margins(statistic, values, arrivals=None):
+    """Return the margin at each value."""
+    p = margin.margin_params(parse_constraint(f"{statistic}(/a:x, {WINDOW} s) < {BOUND}"), DT)
+    state, left = margin.BEGIN, []
+    for k, value in enumerate(values):
+        arrival = Arrival.NEXT if arrivals is None else arrivals[k]
+        one, state = margin.follow(p, state, int(arrival), float(value))
+        left.append(one)
+    return np.array(left)
+
+
+def test_the_rms_of_a_sine_leaves_what_its_amplitude_says():
+    t = np.arange(2000) * DT
+    left = margins("rms", 3.0 * math.sqrt(2.0) * np.sin(2.0 * np.pi * 20.0 * t))
+    assert np.isnan(left[: round(WINDOW / DT) - 1]).all()
+    np.testing.assert_allclose(left[round(WINDOW / DT) :], 1.0 - 3.0 / BOUND, atol=0.02)
+
+
+def test_a_step_is_forgotten_with_the_window_as_time_constant():
+    values = np.r_[np.full(500, 1.5), np.full(500, 0.5)]
+    squares = ((1.0 - margins("rms", values)) * BOUND) ** 2
+    t = (np.arange(500) + 1) * DT
+    np.testing.assert_allclose(squares[500:], 0.25 + 2.0 * np.exp(-t / WINDOW), rtol=1e-9)
+
+
+def test_the_peak_is_the_largest_of_one_to_two_windows():
+    values = np.random.default_rng(0).standard_normal(1000)
+    n = round(WINDOW / DT)
+    statistic = (1.0 - margins("peak", values)) * BOUND
+    for k in range(n, 1000):
+        most, least = (np.abs(values[max(0, k + 1 - m) : k + 1]).max() for m in (2 * n, n))
+        assert least <= statistic[k] <= most
+
+
+@pytest.mark.parametrize("statistic", ["rms", "peak"])
+def test_a_gap_or_a_start_begins_anew(statistic):
+    values, n = np.ones(300), round(WINDOW / DT)
+    values[100] = np.nan
+    arrivals = [Arrival.NEXT] * 300
+    arrivals[200] = Arrival.JOIN
+    left = margins(statistic, values, arrivals)
+    for begin in (0, 101, 200):
+        assert np.isnan(left[begin : begin + n - 1]).all()
+        assert left[begin + n] == 0.5
+
+
+def test_what_came_between_two_states_counts_and_silence_ends():
+    signal = margin.SignalMeter(parse_constraint("rms(/a:x, 0.05 s) < 1"), DT)
+    assert math.isnan(signal.take())
+    signal.hear(3.0)
+    signal.hear(-4.0)
+    assert signal.take() == pytest.approx(math.sqrt(12.5))
+    assert [signal.take() for _ in range(4)] == [-4.0] * 4  # a signal slower than the state
+    assert math.isnan(signal.take())
+    peak = margin.SignalMeter(parse_constraint("peak(/a:x, 0.05 s) < 1"), DT)
+    peak.hear(-4.0)
+    peak.hear(3.0)
+    assert peak.take() == 4.0
+    peak.hear(math.nan)
+    peak.hear(1.0)
+    assert math.isnan(peak.take())
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["mean(/a:x, 1 s) < 2", "rms(/a:x) < 2", "rms(/a:x, 1 s) > 2", "rms(/a:x, -1 s) < 2",
+     "rms(/a:x, 1 s) < 0", "rms(/a:x, nan s) < 2", "rms(/a:x, 1 s) < two", "rms(a b:x, 1) < 2"],
+)  # fmt: skip
+def test_what_is_no_constraint_is_refused(text):
+    with pytest.raises(ConfigError):
+        parse_constraint(text)

@@ -1,0 +1,154 @@
+"""A bound that theta keeps: a barrier around the relay (after Williams, Krstic and Scheinker 2024).
+
+What the relay asks for is changed as little as a margin h asks for, of which the bound is h = 0:
+
+    h' u' >= -c low,   c = 1 / dwell,   low = mean(h) - z dev(h)
+
+h' is the margin's slope over u, as an excitation has shown it; mean and dev are of the margin over
+the last half dwell time and eight dwell times, dev is the mean absolute deviation. Inside the bound
+the relay is free, at it u stops, beyond it u goes back. While the barrier holds u back the relay
+does not turn away from the bound: each swing inwards would cost, and tell nothing that is not
+known. Without a margin (NaN) theta is held.
+
+The published law descends the cost's estimated gradient and projects it with the estimated gradient
+of the margin (arXiv 2309.15401, 2404.08842); here the relay takes the place of the descent.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from koop_core.kernels import njit
+from relay_esc import relay
+from relay_esc.relay import RelayParams, RelayState
+from relay_esc.swing import gain
+
+MEAN, DEVIATION = 0.5, 8.0  # [dwell times] over which they are taken
+DEVIATIONS = 3.0  # z
+
+
+class BarrierParams(NamedTuple):
+    """Scalars of the barrier.
+
+    Attributes
+    ----------
+    slope : float
+        h', change of the margin over u; 0: there is no bound.
+    dwell_samples : int
+        Dwell time in samples, at least 1.
+    alpha_mean, alpha_deviation : float
+        Filter coefficients [-].
+    """
+
+    slope: float
+    dwell_samples: int
+    alpha_mean: float
+    alpha_deviation: float
+
+
+class BarrierState(NamedTuple):
+    """What is remembered of the margin.
+
+    Attributes
+    ----------
+    mean, deviation : float
+        Its mean and mean absolute deviation.
+    known : bool
+        Whether there was a margin before.
+    """
+
+    mean: float
+    deviation: float
+    known: bool
+
+
+UNKNOWN = BarrierState(0.0, 0.0, False)
+
+
+def barrier_params(slope: float, dwell_samples: int) -> BarrierParams:
+    """Return the scalars for a slope [1/u] and a dwell time in samples."""
+    n = max(dwell_samples, 1)
+    return BarrierParams(slope, n, math.exp(-1.0 / (MEAN * n)), math.exp(-1.0 / (DEVIATION * n)))
+
+
+@njit(inline="always")
+def answer(
+    p: RelayParams,
+    q: BarrierParams,
+    state: RelayState,
+    barrier: BarrierState,
+    arrival: int,
+    switched: bool,
+    settling: bool,
+    r: float,
+    hold_asked: bool,
+    margin: float,
+) -> tuple[RelayState, BarrierState, bool, bool]:
+    """Answer one cost as :func:`relay_esc.relay.answer` does, within the bound.
+
+    Parameters
+    ----------
+    p, state, arrival, switched, settling, r, hold_asked
+        See there.
+    q : BarrierParams
+        Parameters; without a slope this is the relay alone.
+    barrier : BarrierState
+        After the cost before.
+    margin : float
+        Share of the bound that is left; NaN where it is not known.
+
+    Returns
+    -------
+    state, holding, saturated
+        See there; between the first two:
+    barrier : BarrierState
+        After this cost.
+    """
+    bounded = q.slope != 0.0
+    hold_asked = hold_asked or (bounded and not math.isfinite(margin))
+    before = state
+    state, holding, saturated = relay.answer(p, state, arrival, switched, settling, r, hold_asked)
+    if not bounded:
+        return state, barrier, holding, saturated
+    barrier = follow(q, barrier, margin)
+    if holding:
+        return state, barrier, holding, saturated
+    low = barrier.mean - DEVIATIONS * barrier.deviation
+    most = max(low / (q.dwell_samples * abs(q.slope)), -p.step_size)  # towards the bound
+    out = -1.0 if q.slope > 0.0 else 1.0
+    stays = before.epsilon == -out and most < p.step_size * gain(
+        before.swing, before.u, before.epsilon
+    )
+    if stays and state.epsilon != before.epsilon:  # the relay would turn away
+        u = before.u + out * min(most, 0.0)
+        epsilon, since_flip, swing = before.epsilon, before.since_flip, before.swing
+    else:
+        u = before.u + out * min(out * (state.u - before.u), most)
+        epsilon, since_flip, swing = state.epsilon, state.since_flip, state.swing
+    u = min(max(u, p.u_min), p.u_max)
+    state = RelayState(
+        u,
+        epsilon,
+        state.cost_rise_filtered,
+        state.x_previous,
+        since_flip,
+        state.primed,
+        before.commanded,
+        before.output,
+        swing,
+    )
+    state = relay.command(p, state, relay.slew(before.commanded, u, p.largest_change))
+    return state, barrier, False, relay.at_limit(p, state)
+
+
+@njit(inline="always")
+def follow(q: BarrierParams, state: BarrierState, margin: float) -> BarrierState:
+    """Take a margin into mean and deviation; NaN: nothing is known any more."""
+    if not math.isfinite(margin):
+        return BarrierState(0.0, 0.0, False)
+    if not state.known:
+        return BarrierState(margin, 0.0, True)
+    mean = margin + q.alpha_mean * (state.mean - margin)
+    away = abs(margin - mean)
+    return BarrierState(mean, away + q.alpha_deviation * (state.deviation - away), True)
