@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pwd
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -494,3 +495,10 @@ def test_an_edited_source_drops_the_compiled_kernels_of_all_that_may_call_it(rea
     os.utime(edited, (stamp + 1, stamp + 1))
     assert ready.koop("shell", "-c", "true")[0] == 0
     assert not kernel.exists()
+
+
+def test_an_empty_environment_has_a_home_where_ros_2_keeps_its_logs(ready: Clone) -> None:
+    code, out, err = ready.koop("shell", "-c", 'echo "$HOME"')
+    assert (code, err) == (0, "")
+    assert out.strip() == pwd.getpwuid(os.getuid()).pw_dir
+    assert ready.koop("shell", "-c", 'echo "$HOME"', HOME="/elsewhere")[1].strip() == "/elsewhere"
