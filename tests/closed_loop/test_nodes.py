@@ -426,6 +426,32 @@ def test_the_first_state_waits_for_no_compilation():
     assert done.returncode == 0, done.stderr
 
 
+def test_a_rig_that_has_changed_is_reported(fresh_lifter, probe):
+    """An oscillation of 10 Hz, 20 samples a period, moves by a tenth."""
+    reports, phase, step = probe.collect(DiagnosticArray, "/diagnostics"), 0.0, 0
+    assert set_parameters(probe, "koopman_lifter", cost="raw").successful
+
+    def said(words):
+        status = [s for r in reports for s in r.status if "lifter" in s.name]
+        return any(words in s.message or words in {v.key for v in s.values} for s in status)
+
+    def swing(hertz, samples):
+        nonlocal phase, step
+        for _ in range(samples):
+            step, phase = step + 1, phase + 2.0 * math.pi * 0.005 * hertz
+            size = 1.5 + math.sin(0.02 * phase)
+            fresh_lifter(step, x=[size * math.cos(phase), size * math.sin(phase)])
+
+    while not said("frequency"):  # once a second it is looked for, where enough was heard
+        swing(10.0, 200)
+        assert step < 200_000
+    swing(10.0, 9000)
+    assert not said("the rig has changed")
+    while not said("moved from 10 to"):
+        swing(11.0, 200)
+        assert step < 400_000
+
+
 def test_an_inactive_lifter_is_silent(fresh_lifter, probe):
     lifter = fresh_lifter
     lifter(0, x=[1.0, 1.0])

@@ -124,8 +124,6 @@ def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
     koop_core.errors.InputError
         If there are too few samples, or no channel moves.
     """
-    from scipy.signal import spectrogram  # slow to import, and only training asks
-
     sizes = np.sort([piece.shape[1] for piece in pieces])[::-1]
     half = sizes[np.searchsorted(np.cumsum(sizes), 0.5 * sizes.sum())] if sizes.size else 0
     length = int(min(half, sizes.sum() // 20))
@@ -136,13 +134,15 @@ def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
             "the spacing of delays or the length of windows by"
         )
     moving = deviation > 0.0
-    powers = [
-        spectrogram(
-            piece[moving] / deviation[moving, None], 1.0 / dt, "hann", length, 0, detrend="linear"
-        )[2].sum(axis=0)
-        for piece in pieces
-        if piece.shape[1] >= length
-    ]
+    t = np.arange(length) - 0.5 * (length - 1)
+    hann = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
+    powers = []
+    for piece in pieces:
+        count = piece.shape[1] // length
+        cut = piece[moving, : count * length] / deviation[moving, None]
+        windows = cut.reshape(len(cut), count, length)
+        line = (windows @ t / (t @ t))[..., None] * t + windows.mean(axis=2, keepdims=True)
+        powers.append((np.abs(np.fft.rfft((windows - line) * hann)) ** 2).sum(axis=0).T)
     low, high = np.quantile(np.hstack(powers), [0.1, 0.9], axis=1)
     peak = 2 + int(np.argmax((high - low)[2:-1]))
     around = slice(peak - 1, peak + 2)  # the window function spreads a line over three bins

@@ -26,6 +26,7 @@ from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message
 from koop_node.node.qos import BEST_EFFORT, RELIABLE
 from koop_node.node.wire import codec
 from koopman_lifter import cost, margin
+from koopman_lifter.change import Change, Watch
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import KoopmanModel, load_fitting, load_for
 
@@ -113,13 +114,14 @@ class LifterRun(Run):
         self._foreign = None if source is None else ForeignSource(source, config.dt)
         self._seen = 0 if source is None else len(source.fields)
         self._candidate: KoopmanModel | None = None
+        self._change: Change | None = None
         self._source, self._detector = config.source, config.detector_params()
+        self._answer = codec(Cost).new()
+        self._answer.dt, self._answer.margin = config.dt, math.nan
         self._use(load_for(config, node.parameters[ModelConfig], self._seen))
         self._state = cost.initial()
         bounded = config.bounded
         self._signal = None if bounded is None else BoundedSignal(bounded, config.dt)
-        self._answer = codec(Cost).new()
-        self._answer.dt, self._answer.margin = config.dt, math.nan
         self._topic = "state" if source is None else source.topic
         self._input = StreamMonitor(self._topic, timeout_of(config.dt), config.dt, may_end=True)
         self.inputs = (self._input,)
@@ -170,6 +172,7 @@ class LifterRun(Run):
         self._source, self._detector = config.source, config.detector_params()
         if {"cost", "model"} & names:  # of another quantity the filters know nothing
             self._state = cost.joining(self._detector)
+            self._begin_watch()
             self._loaded.work = cost.workspace(self._loaded.lifting)
 
     def samples(self) -> int:
@@ -180,6 +183,9 @@ class LifterRun(Run):
         values: dict[str, object] = {"cost": config.cost, "model_id": self._loaded.id}
         if self._input.step is None:
             return OK, "no state yet", values
+        self._watch.look()
+        if (frequency := self._watch.frequency) is not None:
+            values["frequency"] = frequency
         values |= {"step": self._answer.step, "r": self._answer.r}
         if self._signal is not None:
             values["margin"] = self._answer.margin
@@ -192,6 +198,8 @@ class LifterRun(Run):
         if self._state.settling:
             left = self._state.settling * config.dt
             return OK, f"joined a run: no cost until the filters settle in {left:.1f} s", values
+        if self._change is not None:
+            return WARN, str(self._change), values
         return OK, "lifting", values
 
     def _on_foreign(self, message: Any, written: float) -> None:
@@ -202,11 +210,14 @@ class LifterRun(Run):
         arrival = self._input.hear_message(state, time.monotonic(), written)
         if arrival >= Arrival.LATE or self._publisher is None:
             return
-        if arrival is not Arrival.REPEAT:  # else asked again: the same answer, no second update
-            self._process(state, arrival)
+        if arrival is Arrival.REPEAT:  # asked again: the same answer, no second update
+            self._publisher.publish(self._answer)
+            return
+        x = self._process(state, arrival)
         self._publisher.publish(self._answer)
+        self._observe(x)
 
-    def _process(self, state: Any, arrival: Arrival) -> None:
+    def _process(self, state: Any, arrival: Arrival) -> NDArray[np.float64]:
         answer = self._answer
         answer.header = state.header
         answer.step = state.step
@@ -223,6 +234,28 @@ class LifterRun(Run):
             answer.margin = self._signal.follow(int(arrival))
         if math.isnan(answer.r) and not (answer.settling and self._believed(x)):
             self._report_unusable(state.x)
+        return x
+
+    def _observe(self, x: NDArray[np.float64]) -> None:
+        """Look whether the rig has changed, once the answer is on its way.
+
+        In the contrast where there is one: interference that may outshine the oscillation is not in
+        it.
+        """
+        projector, work = self._loaded.lifting.projector, self._loaded.work
+        if self._source == cost.LIFTED and len(projector) == 1:
+            if self._filling():
+                return
+            x = projector @ work.z
+        if x.size != self._watch.channels:
+            self._begin_watch(x.size)
+        change = self._watch.take(self._answer.step, x)
+        if change is not None:
+            self._change = change
+
+    def _begin_watch(self, channels: int = 1) -> None:
+        self._watch = Watch(channels, self._answer.dt)
+        self._change = None
 
     def _use(self, model: KoopmanModel | None) -> None:
         self._loaded = LoadedModel(model)
@@ -278,6 +311,7 @@ class LifterRun(Run):
             cost.joining(self._detector), int(Arrival.JOIN), 0, x, self._loaded.work,
         )  # fmt: skip
         self._loaded.work.cursor[:] = 0
+        self._begin_watch()
 
 
 class LifterNode(ManagedNode[LifterRun]):

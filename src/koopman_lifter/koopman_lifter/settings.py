@@ -1,11 +1,11 @@
-"""Settings of what is learned besides the modes: contrast, delays and a run under way."""
+"""Settings of what is learned besides the modes: contrast and delays, and of a run under way."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
 
-from koop_core.config.parameter import Settings, parameter
+from koop_core.config.parameter import Settings, constants, parameter
 
 judged = partial(parameter, origin="judgement")
 
@@ -39,5 +39,24 @@ class RunningSettings(Settings):
     ridge: float = judged(1e-12, "regularisation, over the variance", low=0.0)
 
 
+@dataclass(frozen=True)
+class WatchSettings(Settings):
+    """What is a change of the oscillation's frequency, and how its known range is learned."""
+
+    listened: int = judged(
+        4096, "samples, or means of several, in which the oscillation is looked for", low=640
+    )
+    known: int = judged(200, "windows that the known range is learned from", low=32)
+    move: float = parameter(
+        0.1, "change that is looked for, over the frequency", low=0.01, high=0.2, origin="demand"
+    )
+    averaged: int = judged(16, "windows of the running mean frequency", low=2)
+    memory: int = judged(50, "windows of its variance and of the usual power", low=2)
+    least: float = judged(0.005, "deviation of a frequency that is believed, at least", low=1e-6)
+    new: float = judged(0.5, "information of a window that those before it lack", low=0.1, high=1.0)
+    most: float = judged(0.6, "of the threshold, that one window may add", low=0.1, high=1.0)
+
+
 LEARNING = LearningSettings()
 RUNNING = RunningSettings()
+WATCH = constants(WatchSettings())

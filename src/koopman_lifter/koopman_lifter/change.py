@@ -1,0 +1,348 @@
+"""Whether the rig is no longer the one it was: the frequency of its oscillation has moved.
+
+First the oscillation is looked for (:func:`koopman_lifter.delays.dominant_period`) in a few
+thousand samples, or in means of 2, 4, ... samples until it is slow enough for them. That gives f0.
+
+From then on four segments of two periods each are a window. The window's spectrum at the bins
+around f0, combined as a Blackman window, is the complex amplitude C of a channel: interference 40 %
+away is 58 dB down. From one window to the next, two periods later, its phase advances by
+
+    arg P = 4 pi e,     e = f / f0 - 1,     P = sum over channels of conj(C) C' / usual variance,
+
+which gives f within a quarter of f0, whatever the amplitude: what a controller does to that is no
+change. The running mean of e over the first windows gives the known range [low, high], which holds
+what f owes to theta. Then a cumulative sum (CUSUM; Page 1954) for either side adds up the logarithm
+of the likelihood that e is ``move`` beyond the range to that of its being at the end of it,
+
+    S' = max(0, S + w (move / s^2) (beyond - move / 2)),
+
+and S > ln(windows of a day) is a change: from independent windows of the range it takes a day at
+least on average until the next (Lorden 1971). s^2 is the variance of e about its running mean, w
+the power of a window over the usual one, at most 1 as noise moves the phase of a weak oscillation
+more, times what overlapping windows leave of new information.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.errors import InputError
+from koop_core.kernels import direct, njit
+from koopman_lifter.cost import BRIDGED
+from koopman_lifter.delays import dominant_period
+from koopman_lifter.settings import WATCH
+
+SEGMENTS = 4  # of a window, two periods each: their phases are quarters of a turn
+BLACKMAN = (0.04, -0.25, 0.42, -0.25, 0.04)  # of the bins 6 to 10 of a window: the 8th is at f0
+FIRST_BIN = 6
+QUARTERS = (1.0 + 0.0j, -1.0j, -1.0 + 0.0j, 1.0j)  # exp(-i phase) after quarters of a turn
+DAY = 86400.0  # [s]
+LOOKED = 20  # windows that dominant_period makes of what is listened to
+FITS = 4  # periods in one of them, at least
+
+
+class Spectrum(NamedTuple):
+    """Arrays that the kernel writes to.
+
+    Attributes
+    ----------
+    sums : ndarray of complex, shape (SEGMENTS, n, 5)
+        Spectra of the last segments, by age; the first one is being filled.
+    moments : ndarray, shape (SEGMENTS, n, 2)
+        Sums of their samples and of the squares.
+    turn : ndarray of complex, shape (2, 5)
+        exp(-i phase) of the next sample, and of one sample.
+    amplitude : ndarray of complex, shape (n,)
+        C of the last window.
+    usual : ndarray, shape (n,)
+        Running mean of the sum of squares of a window about its mean.
+    last : ndarray, shape (n,)
+        The last sample.
+    cursor : ndarray of int64, shape (5,)
+        Samples in the first segment and in a whole one; segments and windows without a gap; step of
+        the last sample; windows.
+    """
+
+    sums: NDArray[np.complex128]
+    moments: NDArray[np.float64]
+    turn: NDArray[np.complex128]
+    amplitude: NDArray[np.complex128]
+    usual: NDArray[np.float64]
+    last: NDArray[np.float64]
+    cursor: NDArray[np.int64]
+
+
+class Side(NamedTuple):
+    """S of one side, and the mean of e since it was 0, a window the weight of all before it."""
+
+    s: float = 0.0
+    e: float = 0.0
+
+
+class Tally(NamedTuple):
+    """What the windows so far say.
+
+    Attributes
+    ----------
+    above, below : Side
+        Cumulative sums.
+    low, high : float
+        Known range of e.
+    mean, variance, power : float
+        Running means of e, of its squared deviation, and of \\|P\\|.
+    windows : int
+        How many.
+    """
+
+    above: Side = Side()
+    below: Side = Side()
+    low: float = math.inf
+    high: float = -math.inf
+    mean: float = 0.0
+    variance: float = WATCH.move**2
+    power: float = 0.0
+    windows: int = 0
+
+
+def spectrum(segment: int, channels: int) -> Spectrum:
+    """Return what the windows begin with; ``segment`` is the number of samples of two periods."""
+    bins = FIRST_BIN + np.arange(len(BLACKMAN))
+    turn = np.exp(-2j * math.pi * bins / (SEGMENTS * segment))
+    return Spectrum(
+        np.zeros((SEGMENTS, channels, bins.size), np.complex128),
+        np.zeros((SEGMENTS, channels, 2)),
+        np.stack([np.ones(bins.size, np.complex128), turn]),
+        np.zeros(channels, np.complex128),
+        np.zeros(channels),
+        np.zeros(channels),
+        np.array([0, segment, 0, 0, 0]),
+    )
+
+
+@njit()
+def _begin_segment(s: Spectrum) -> None:
+    s.cursor[0] = 0
+    s.sums[0] = 0.0
+    s.moments[0] = 0.0
+    s.turn[0] = 1.0
+
+
+@njit()
+def _add(s: Spectrum, x: NDArray[np.float64]) -> complex:
+    """Add a sample; return P where it completes the second or a later window, else 0."""
+    sums, moments, turn, cursor = s.sums, s.moments, s.turn, s.cursor
+    for i in range(x.shape[0]):
+        moments[0, i, 0] += x[i]
+        moments[0, i, 1] += x[i] * x[i]
+        for m in range(turn.shape[1]):
+            sums[0, i, m] += x[i] * turn[0, m]
+    for m in range(turn.shape[1]):
+        turn[0, m] *= turn[1, m]
+    cursor[0] += 1
+    if cursor[0] < cursor[1]:
+        return 0j
+    cursor[2] = min(cursor[2] + 1, SEGMENTS + 1)
+    product = 0j
+    cursor[4] += cursor[2] >= SEGMENTS
+    for i in range(x.shape[0] if cursor[2] >= SEGMENTS else 0):
+        c = 0j
+        for age in range(SEGMENTS):
+            for m in range(turn.shape[1]):
+                quarters = (FIRST_BIN + m) * (SEGMENTS - 1 - age) % 4  # since the oldest
+                c += BLACKMAN[m] * QUARTERS[quarters] * sums[age, i, m]
+        total, squares = moments[:, i, 0].sum(), moments[:, i, 1].sum()
+        variance = squares - total * total / (SEGMENTS * cursor[1])
+        s.usual[i] += (variance - s.usual[i]) / min(cursor[4], WATCH.memory)
+        if cursor[2] > SEGMENTS and s.usual[i] > 0.0:
+            product += s.amplitude[i].conjugate() * c / s.usual[i]
+        s.amplitude[i] = c
+    for age in range(SEGMENTS - 1, 0, -1):
+        sums[age] = sums[age - 1]
+        moments[age] = moments[age - 1]
+    _begin_segment(s)
+    return product
+
+
+@njit()
+def _side(side: Side, gain: float, e: float) -> Side:
+    s = side.s + gain
+    if s <= 0.0:
+        return Side(0.0, 0.0)
+    return Side(s, e if side.s == 0.0 else 0.5 * (side.e + e))
+
+
+@njit()
+def _count(threshold: float, t: Tally, product: complex) -> Tally:
+    """Take a window."""
+    n, e = t.windows + 1, math.atan2(product.imag, product.real) / (4.0 * math.pi)
+    usual = t.power + (abs(product) - t.power) / min(n, WATCH.memory)
+    w = min(abs(product) / usual, 1.0) if usual > 0.0 else 0.0
+    away = e - t.mean
+    mean = t.mean + w * away / min(n, WATCH.averaged)
+    variance = t.variance
+    if n > 1:
+        variance += (w * away * away - variance) / min(n, WATCH.memory)
+    above, below, low, high = t.above, t.below, t.low, t.high
+    if n > WATCH.known:
+        slope = WATCH.new * w * WATCH.move / max(t.variance, WATCH.least**2)
+        most, allowed = WATCH.most * threshold, 0.5 * WATCH.move
+        above = _side(above, min(slope * (e - high - allowed), most), e)
+        below = _side(below, min(slope * (low - e - allowed), most), e)
+    elif n >= WATCH.averaged:
+        low, high = min(low, mean), max(high, mean)
+    return Tally(above, below, low, high, mean, variance, usual, n)
+
+
+@njit()
+def follow(threshold: float, s: Spectrum, tally: Tally, step: int, x: NDArray[np.float64]) -> Tally:
+    """Take a measured state, shape (n,); one or two lost ones are as the one before."""
+    for i in range(x.shape[0]):
+        if not math.isfinite(x[i]):
+            return tally
+    lost = step - s.cursor[3] - 1
+    if lost < 0 or lost > BRIDGED:
+        s.cursor[2] = lost = 0
+        _begin_segment(s)
+    for i in range(lost + 1):
+        product = _add(s, x if i == lost else s.last)
+        if product != 0j:
+            tally = _count(threshold, tally, product)
+    s.last[:] = x
+    s.cursor[3] = step
+    return tally
+
+
+class Listening(NamedTuple):
+    """Samples in which an oscillation is looked for.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (M, n)
+        Means of ``every`` samples.
+    part : ndarray, shape (n,)
+        Sum of the samples of the next mean.
+    cursor : ndarray of int64, shape (4,)
+        Rows filled, ``every``, samples in ``part``, step of the last sample.
+    """
+
+    rows: NDArray[np.float64]
+    part: NDArray[np.float64]
+    cursor: NDArray[np.int64]
+
+
+@njit()
+def listen(ear: Listening, step: int, x: NDArray[np.float64]) -> None:
+    """Take a measured state, shape (n,); what is full takes no more."""
+    cursor = ear.cursor
+    for i in range(x.shape[0]):
+        if not math.isfinite(x[i]):
+            return
+    lost = step - cursor[3] - 1
+    cursor[3] = step
+    if lost < 0 or lost > BRIDGED:
+        cursor[0] = cursor[2] = 0
+    if cursor[0] == ear.rows.shape[0]:
+        return
+    for i in range(x.shape[0]):
+        ear.part[i] = (ear.part[i] if cursor[2] > 0 else 0.0) + x[i]
+    cursor[2] += 1
+    if cursor[2] == cursor[1]:
+        ear.rows[cursor[0]] = ear.part / cursor[1]
+        cursor[0] += 1
+        cursor[2] = 0
+
+
+@dataclass(frozen=True)
+class Change:
+    """A mode that has moved: from and to [Hz]."""
+
+    before: float
+    after: float
+
+    def __str__(self) -> str:
+        moved = f"moved from {self.before:.4g} to {self.after:.4g} Hz"
+        return f"the rig has changed: its oscillation {moved}"
+
+
+class Watch:
+    """The watch of a run; after a change it learns again what is known.
+
+    Parameters
+    ----------
+    channels : int
+        Number of measured values.
+    dt : float
+        Sampling time [s].
+    """
+
+    def __init__(self, channels: int, dt: float) -> None:
+        self.channels, self._dt = channels, dt
+        self._x = np.zeros(channels)
+        ear = Listening(np.zeros((1, channels)), self._x, np.zeros(4, np.int64))
+        self._listen = direct(listen, ear, 0, self._x)
+        self._follow = direct(follow, 1.0, spectrum(9, channels), Tally(), 0, self._x)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what is known."""
+        n = self.channels
+        self._listening = Listening(
+            np.zeros((WATCH.listened, n)), np.zeros(n), np.array([0, 1, 0, 0])
+        )
+        self._spectrum: Spectrum | None = None
+        self._tally, self._threshold = Tally(), 0.0
+
+    @property
+    def frequency(self) -> float | None:
+        """Mean frequency of the last windows [Hz]; None while the oscillation is looked for."""
+        return None if self._spectrum is None else self._hertz(self._tally.mean)
+
+    @property
+    def learned(self) -> bool:
+        """Whether the known range is learned."""
+        return self._tally.windows >= WATCH.known
+
+    def take(self, step: int, x: NDArray[np.float64]) -> Change | None:
+        """Take a measured state, shape (n,)."""
+        self._x[:] = x
+        if self._spectrum is None:
+            self._listen(self._listening, step, self._x)
+            return None
+        self._tally = t = self._follow(self._threshold, self._spectrum, self._tally, step, self._x)
+        return self._judge() if max(t.above.s, t.below.s) > self._threshold else None
+
+    def look(self) -> None:
+        """Look for the oscillation where enough was heard: some milliseconds now and then."""
+        rows, _, cursor = self._listening
+        size = len(rows)
+        if self._spectrum is not None or cursor[0] < size:
+            return
+        dt = float(cursor[1]) * self._dt
+        try:
+            period = dominant_period([rows.T], dt)
+        except InputError:  # nothing moves
+            cursor[0] = 0
+            return
+        if FITS * period > size // LOOKED * dt:
+            rows[: size // 2] = 0.5 * (rows[0::2] + rows[1::2])
+            cursor[0], cursor[1] = size // 2, 2 * cursor[1]
+            return
+        segment = max(round(2.0 * period / self._dt), 1)
+        self._spectrum = spectrum(segment, self.channels)
+        self._threshold = math.log(max(DAY / (segment * self._dt), 10.0))
+
+    def _judge(self) -> Change:
+        t = self._tally
+        after, end = (t.above.e, t.high) if t.above.s > t.below.s else (t.below.e, t.low)
+        change = Change(self._hertz(end), self._hertz(after))
+        self.begin()
+        return change
+
+    def _hertz(self, e: float) -> float:
+        assert self._spectrum is not None
+        return float(2.0 * (1.0 + e) / (self._spectrum.cursor[1] * self._dt))

@@ -1,0 +1,125 @@
+"""The watch over the frequency of an oscillation, on signals whose frequency is known."""
+
+import numpy as np
+import pytest
+
+from koop_core.kernels import njit
+from koopman_lifter.change import Listening, Watch, listen
+
+DT = 0.02  # [s], of an oscillation of about 1 Hz
+LEARNED = 750  # periods in which a watch surely learns what is known
+
+
+@njit()
+def _heard(ear, first, x):
+    for k in range(x.shape[0]):
+        listen(ear, first + k, x[k])
+
+
+def test_the_kernels_do_the_same_with_and_without_compiler():
+    x = swinging(np.ones(5000))
+    ears = [Listening(np.zeros((400, 1)), np.zeros(1), np.array([0, 4, 0, 0])) for _ in range(2)]
+    _heard(ears[0], 1, x)
+    for k in range(5000):
+        listen.py_func(ears[1], 1 + k, x[k])
+    np.testing.assert_array_equal(ears[0].rows, ears[1].rows)
+    np.testing.assert_allclose(ears[0].rows[3, 0], x[12:16, 0].mean())
+
+
+def swinging(frequency, amplitude=1.0, noise=0.0, tones=0.0, seed=0):
+    """Return an oscillation of a frequency [Hz] at each sample, shape (M, 1), noise on it."""
+    rng = np.random.default_rng(seed)
+    phase = 2.0 * np.pi * DT * np.cumsum(frequency)
+    t = DT * np.arange(frequency.size)
+    x = amplitude * np.sin(phase) + noise * rng.standard_normal(t.size) + 3.0
+    for tone in (0.41, 1.63):
+        x += tones * np.sin(2.0 * np.pi * tone * t)
+    return x[:, None]
+
+
+def seeking(size):
+    """Return an amplitude as a controller makes it: it falls to a tenth, and is sought again."""
+    t = DT * np.arange(size)
+    return 0.1 + 0.9 * np.exp(-t / 200.0) + 0.05 * (1.0 + np.sin(0.09 * t))
+
+
+def changes(watch, x, first=1):
+    """Return the changes that a watch sees, and their samples."""
+    seen = []
+    for k in range(x.shape[0]):
+        change = watch.take(first + k, x[k])
+        watch.look()
+        if change is not None:
+            seen.append((k, change))
+    return seen
+
+
+def samples(periods):
+    return round(periods / DT)
+
+
+@pytest.mark.parametrize("frequency", [0.06, 1.0, 3.7])
+def test_an_oscillation_is_found_and_its_frequency_known(frequency):
+    watch = Watch(1, DT)
+    t = DT * np.arange(samples(LEARNED / frequency))
+    wave = (1.5 + np.sin(0.05 * frequency * t)) * np.sin(2.0 * np.pi * frequency * t)
+    assert changes(watch, wave[:, None]) == []
+    assert watch.learned
+    assert watch.frequency == pytest.approx(frequency, rel=1e-3)
+
+
+@pytest.mark.parametrize("ratio", [1.1, 1.0 / 1.1])
+@pytest.mark.parametrize("when", [0.0, 0.7, 1.4])  # within a segment of two periods
+def test_a_mode_moved_by_a_tenth_is_seen_within_ten_periods(ratio, when):
+    before, after = samples(LEARNED + when), samples(40)
+    frequency = np.ones(before + after)
+    frequency[before:] = ratio
+    x = swinging(frequency, seeking(before + after), noise=0.03, tones=0.5)
+    watch = Watch(1, DT)
+    (k, change), *_ = changes(watch, x)
+    assert 0 < (k - before) * DT <= 10.0
+    assert change.before == pytest.approx(1.0, abs=0.01)
+    assert change.after == pytest.approx(ratio, abs=0.04)  # a part of the window is from before
+    assert "moved from" in str(change)
+
+
+def test_what_a_controller_does_to_the_amplitude_is_no_change():
+    size = samples(20_000)
+    x = swinging(np.ones(size), seeking(size), noise=0.03, tones=0.5)
+    assert changes(Watch(1, DT), x) == []
+
+
+def test_a_frequency_that_has_always_come_and_gone_is_no_change():
+    size = samples(6000)
+    frequency = 1.0 + 0.08 * np.sin(2.0 * np.pi * DT * np.arange(size) / 120.0)
+    assert changes(Watch(1, DT), swinging(frequency, noise=0.1)) == []
+
+
+def test_lost_and_unusable_samples_are_no_change():
+    rng = np.random.default_rng(1)
+    x = swinging(np.ones(samples(3000)), noise=0.03)
+    watch, step = Watch(1, DT), 0
+    for k in range(len(x)):
+        step += 1
+        if rng.random() < 1e-3 or 90_000 <= k < 90_400:
+            continue
+        assert watch.take(step, x[k] if rng.random() > 1e-3 else np.array([np.nan])) is None
+        watch.look()
+    assert watch.learned
+    assert watch.frequency == pytest.approx(1.0, rel=1e-3)
+
+
+def test_where_nothing_moves_nothing_is_found():
+    watch = Watch(2, DT)
+    assert changes(watch, np.ones((20_000, 2))) == []
+    assert watch.frequency is None
+
+
+def test_after_a_change_the_new_frequency_is_known():
+    before, after = samples(LEARNED), samples(LEARNED + 100)
+    frequency = np.ones(before + after)
+    frequency[before:] = 1.2
+    watch = Watch(1, DT)
+    assert len(changes(watch, swinging(frequency, noise=0.1))) == 1
+    assert watch.learned
+    assert watch.frequency == pytest.approx(1.2, rel=5e-3)
