@@ -44,6 +44,8 @@ class FastRig:
         Whether the first channel is not a number.
     worn : float
         By how much more theta the same effort needs.
+    time_out : float or None
+        Time without a command [s] after which it returns theta by itself.
     """
 
     def __init__(self):
@@ -58,6 +60,7 @@ class FastRig:
         self.dead: int | None = None
         self.not_finite = False
         self.worn = 0.0
+        self.time_out: float | None = None
         self._context = rclpy.Context()
         self._context.init(args=[])
         self._node = WithoutEvents("fast_rig", context=self._context)
@@ -93,6 +96,9 @@ class FastRig:
                 continue
             due += DT
             k += 1
+            silent = time.monotonic() - self.moved[-1][0] if self.moved else 0.0
+            if self.time_out is not None and silent > self.time_out:
+                self.theta = RIG.theta_safe
             aim = 0.3 + ((self.theta if self.applied else 1.5) - BEST) ** 2
             size += DT / 0.03 * (aim - size)
             x = size * math.sin(OMEGA * k * DT) + rng.gauss(0.0, 0.05)

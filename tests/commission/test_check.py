@@ -1,13 +1,20 @@
 """``koop check`` on a live rig: a fit one, and a user's mistakes."""
 
+import os
 import random
 import re
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from commission_rig import RIG
 from std_msgs.msg import Float64, Float64MultiArray
+from test_excite import wait
 
 from koop_commission.fitness.fitness import BAD
 from koop_commission.fitness.settings import CheckSettings
@@ -37,6 +44,71 @@ def test_a_fit_rig_reacts_and_theta_ends_at_its_safe_value(fast_rig):
     # within the rate: over a time longer than the messages may be late
     for i, j in zip(range(0, theta.size - 60, 20), range(60, theta.size, 20), strict=False):
         assert abs(theta[j] - theta[i]) <= RIG.theta_rate * (times[j] - times[i] + 0.15)
+
+
+def silences_of(rig):
+    """Return for how long nobody commanded theta at each theta, if for longer than a second."""
+    return {
+        round(theta, 3): later - earlier
+        for (earlier, theta), (later, _) in pairwise(rig.moved)
+        if later - earlier > 1.0
+    }
+
+
+@pytest.mark.parametrize("time_out", [2.0, None])
+def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, time_out):
+    fast_rig.time_out = time_out
+    settings, asked = CheckSettings(listen=1.0, silence=12.0), []
+
+    def ask(question):
+        asked.append(question)
+        return True
+
+    rows = {r.name: r for r in check_rig(RIG, rng=random.Random(0), settings=settings, ask=ask)}
+    assert len(asked) == 1
+    assert "up to 12 s without a guard" in asked[0]
+    text = rows["time-out"].text
+    ((theta, silent),) = silences_of(fast_rig).items()
+    assert abs(theta - RIG.theta_safe) == pytest.approx(0.25 * RIG.span)
+    assert fast_rig.theta == RIG.theta_safe
+    assert fast_rig.moved[-1][1] == RIG.theta_safe
+    if time_out is None:
+        assert 12.0 < silent < 16.0
+        assert re.search(r"as at theta = \S+: no time-out, or a longer one", text)
+    else:
+        found = float(re.search(r"within (\S+) s without a command the rig oscillates", text)[1])
+        assert 2.0 < found < 6.0  # at once, but on a busy machine
+        assert silent < 10.0  # the test ends once it is seen
+
+
+def test_nobody_is_asked_without_a_terminal_and_no_is_no(fast_rig):
+    rows, bad = rows_of(RIG)
+    assert bad == []
+    assert rows["time-out"].text.startswith("was not tested")
+    assert silences_of(fast_rig) == {}
+
+
+def test_theta_returns_though_the_test_of_the_time_out_is_killed(fast_rig, tmp_path):
+    code = (
+        "from commission_rig import RIG\n"
+        "from koop_commission.fitness.settings import CheckSettings\n"
+        "from koop_commission.stages.check import check_rig\n"
+        "settings = CheckSettings(listen=1.0, silence=6.0)\n"
+        "list(check_rig(RIG, settings=settings, ask=lambda question: True))\n"
+    )
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path}
+    with (tmp_path / "log").open("wb") as log:
+        check = subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=log)
+    try:
+        wait(lambda: fast_rig.moved and time.monotonic() - fast_rig.moved[-1][0] > 1.5, "silence")
+        assert fast_rig.theta != RIG.theta_safe
+    finally:
+        check.kill()
+        check.wait()
+    wait(lambda: fast_rig.theta == RIG.theta_safe, "theta to return")
+    assert len(silences_of(fast_rig)) == 1
+    assert max(silences_of(fast_rig).values()) < 10.0
 
 
 def test_a_mistake_of_the_user_is_a_finding(fast_rig, probe):

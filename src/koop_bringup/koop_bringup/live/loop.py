@@ -7,7 +7,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -138,6 +138,10 @@ class LiveNodes:
             silent = killed if guard.poll() else "theta was not commanded"
             text = lines[-1].rpartition("]: ")[2] if lines else silent
         self._theta_left = text
+
+    def silenced(self, seconds: float) -> AbstractContextManager[None]:
+        """Stop guard and twin for at most so many seconds: nobody commands the rig."""
+        return self._nodes["koop_guard"].stopped(seconds)
 
     def run(self, on_progress: Callable[[Progress], None]) -> None:
         """Wait until the plant has done its steps, then stop the other nodes.

@@ -12,7 +12,7 @@ import subprocess
 import time
 import weakref
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from koop_loop.parameters import CONTAINER, EXECUTABLES
 from koop_node.process.lifeline import OWN_GROUP, TIED, deferred_signals
 
 START_TIMEOUT = 60.0  # [s] for imports and, the first time, for the compilation of the kernels
+RESUMED = 1.0  # [s] in which a stopped process that goes on gives a sign of life
 STOP_TIMEOUT = 10.0  # [s] after which a node that ignores SIGINT is killed
 
 
@@ -136,6 +137,34 @@ class NodeProcess:
             self.process.kill()
             self.process.wait()
         return self.process.returncode
+
+    @contextmanager
+    def stopped(self, seconds: float) -> Iterator[None]:
+        """Stop the process and its children, as by SIGSTOP, for at most so many seconds.
+
+        A program of its own lets them go on then, for this one may be killed meanwhile. The process
+        goes on first, so that a child which watches it sees it alive.
+        """
+        own = self.process.pid
+        children = [int(w) for w in Path(f"/proc/{own}/task/{own}/children").read_text().split()]
+        later = f"kill -CONT {own}; sleep {RESUMED:g}; kill -CONT {' '.join(map(str, children))}"
+        waiting = subprocess.Popen(
+            ["sh", "-c", f"sleep {seconds:g}; {later}"],
+            stdin=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        try:
+            for pid in (*children, own):
+                os.kill(pid, signal.SIGSTOP)
+            yield
+        finally:
+            with uninterrupted():
+                self.ask_to_stop(signal.SIGCONT)
+                time.sleep(RESUMED)
+                for pid in children:
+                    with suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGCONT)
+                os.killpg(waiting.pid, signal.SIGKILL)
+                waiting.wait()
 
     def outlived(self, timeout: float) -> bool:
         """Return whether something that the process started still runs after a time [s]."""

@@ -89,6 +89,20 @@ class CheckSettings(Settings):
         0.999, "share of a channel's power that these bands hold", low=0.5, high=1.0,
         origin=_JUDGED,
     )  # fmt: skip
+    silence: float = parameter(
+        30.0, "longest time for which nobody commands theta, in the test of a time-out", unit="s",
+        low=1.0, origin=_JUDGED,
+    )  # fmt: skip
+    known: int = parameter(
+        4, "blocks at either theta that tell the two apart in that test", low=2, origin=_JUDGED
+    )
+    apart: float = parameter(
+        3.0, "standard deviations by which they must differ", low=1.0, origin=_JUDGED
+    )
+    lucky: float = parameter(
+        0.05, "variance, of all that a feature has, that is added to what it has at one theta",
+        low=0.0, origin="few blocks show too little of it now and then",
+    )  # fmt: skip
     stuck: float = parameter(
         0.5, "share of the time that a channel may rest at one value", low=0.0, high=1.0,
         origin=_JUDGED,

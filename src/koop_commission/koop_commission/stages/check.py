@@ -6,8 +6,9 @@ import argparse
 import itertools
 import math
 import random
+import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,6 +32,13 @@ from koop_commission.fitness.reaction import compare_blocks, draw_order
 from koop_commission.fitness.recording import check_recording
 from koop_commission.fitness.samples import Samples, refuse_dead
 from koop_commission.fitness.settings import DEFAULTS, CheckSettings
+from koop_commission.fitness.time_out import NAME as TIME_OUT
+from koop_commission.fitness.time_out import (
+    describe_doubt,
+    is_back,
+    judge_time_out,
+    tell_apart,
+)
 from koop_commission.rig.graph import (
     describe_other_commanders,
     describe_second_rig,
@@ -54,12 +62,21 @@ def register(commands: Any) -> None:
         "check",
         description="Listens to a rig, then moves theta by a quarter of its range several times "
         "and tests whether the rig reacts. One line for each finding; exit code 0 only if the rig "
-        "is fit to be commissioned. theta returns to theta_safe.",
+        "is fit to be commissioned. theta returns to theta_safe. If you say yes, it also tests "
+        "whether the rig returns theta by itself where nobody commands.",
     )
     parser.add_argument("rig", metavar="RIG.YAML", help="rig file, from 'koop commission --new'")
     parser.add_argument("bag", metavar="BAG", nargs="?", help="a recording in place of the rig")
     parser.add_argument("--still", action="store_true", help="do not move theta")
     parser.set_defaults(func=main)
+
+
+def ask_yes(question: str) -> bool:
+    """Return whether the user says yes; nobody is asked without a terminal."""
+    if not sys.stdin.isatty():
+        return False
+    print(f"{question} [y/N] ", end="", flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
 def main(args: argparse.Namespace) -> int:
@@ -68,7 +85,7 @@ def main(args: argparse.Namespace) -> int:
     if args.bag:
         bad = print_findings(check_recording(rig, Path(args.bag)))
     else:
-        bad = print_findings(check_rig(rig, not args.still, note_of(args.rig)))
+        bad = print_findings(check_rig(rig, not args.still, note_of(args.rig), ask=ask_yes))
     command = f"./koop excite {args.rig}" if not args.bag else "./koop train"
     print(f"\nnot fit: {bad} BAD" if bad else f"\nfit; next: {command}")
     return 1 if bad else 0
@@ -89,6 +106,7 @@ def check_rig(
     note: Path | None = None,
     rng: random.Random | None = None,
     settings: CheckSettings = DEFAULTS,
+    ask: Callable[[str], bool] = lambda question: False,
 ) -> Iterator[Finding]:
     """Yield the findings of a live rig.
 
@@ -104,6 +122,8 @@ def check_rig(
         Draws the order in which theta is moved.
     settings : CheckSettings
         Times and thresholds.
+    ask : callable
+        Asks whether to do what may harm, and returns the answer.
     """
     state, command = rig.state.topic, rig.knob.topic
     with Client("_koop_check") as client:
@@ -134,7 +154,15 @@ def check_rig(
                 with LiveNodes(Path(folder), Plan(sections, rig=True)) as nodes:
                     session = Session(rig, client, listener, command_type, nodes, note)
                     with session.command_theta():
-                        yield _move_theta(rig, session, period, rng or random.Random(), settings)
+                        draw = rng or random.Random()
+                        finding, settle, blocks = _move_theta(rig, session, period, draw, settings)
+                        yield finding
+                        if finding.level != BAD and ask(describe_test(rig, settings)):
+                            yield _test_time_out(rig, session, settle, blocks, settings)
+                        elif finding.level != BAD:
+                            yield Finding(
+                                NOTE, TIME_OUT, "was not tested; in a terminal, 'koop check' asks"
+                            )
         except LiveError as error:
             yield Finding(BAD, "theta", f"{error}: theta returns to {rig.theta_safe:g}")
 
@@ -154,8 +182,11 @@ def _listen(listener: Listener, rig: RigFile, settings: CheckSettings) -> Sample
 
 def _move_theta(
     rig: RigFile, session: Session, period: float, rng: random.Random, settings: CheckSettings
-) -> Finding:
-    """Test with blocks of growing length until the rig reacts or the time is over."""
+) -> tuple[Finding, int, Blocks]:
+    """Test with blocks of growing length until the rig reacts or the time is over.
+
+    Returned are also the states left out before a block, and how the last ones were looked at.
+    """
     theta = session.theta.value
     other = rig.scale.step_away(theta, settings.step)
     finding = None
@@ -190,7 +221,45 @@ def _move_theta(
         if finding.level != BAD:
             break
     assert finding is not None
-    return finding
+    return finding, settle, blocks
+
+
+def describe_test(rig: RigFile, settings: CheckSettings) -> str:
+    """Return the question whether to test for a time-out of the rig."""
+    far = rig.scale.step_away(rig.theta_safe, settings.step)
+    return (
+        f"      Has the rig a time-out of its own? To see, theta stays at {far:.4g} for up to "
+        f"{settings.silence:g} s without a guard, and nothing is commanded. Test that?"
+    )
+
+
+def _test_time_out(
+    rig: RigFile, session: Session, settle: int, blocks: Blocks, settings: CheckSettings
+) -> Finding:
+    """Stop guard and twin beside theta_safe, and see whether the rig returns by itself.
+
+    What the guard then does is no longer looked at: it may trip for what it did not hear.
+    """
+    far = rig.scale.step_away(rig.theta_safe, settings.step)
+    known: dict[float, list[NDArray[np.float64]]] = {rig.theta_safe: [], far: []}
+    for theta in tuple(known) * settings.known:
+        known[theta].append(_observe(rig, session, theta, settle, blocks))
+    telling = tell_apart(np.array(known[far]), np.array(known[rig.theta_safe]), settings)
+    if doubt := describe_doubt(telling, settings):
+        return Finding(NOTE, TIME_OUT, doubt)
+    length, listener = blocks.windows.length, session.listener
+    shares: list[float] = []
+    ends: list[float] = []
+    with session.silenced(settings.silence):
+        begun = time.monotonic()
+        while not is_back(shares):
+            first, left = listener.count, begun + settings.silence - time.monotonic()
+            if not session.client.spin_until(lambda: listener.count >= first + length, left):  # noqa: B023
+                break
+            x = listener.samples(first, first + length).x
+            shares.append(telling.share(blocks.features(x)))
+            ends.append(time.monotonic() - begun)
+    return judge_time_out(rig, far, shares, ends)
 
 
 def _observe(

@@ -6,7 +6,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from tqdm import tqdm
@@ -105,6 +105,10 @@ class Session:
                 self._bar.close()
                 self._nodes.stop_guard()
                 self.theta.wait_until_safe()
+
+    def silenced(self, seconds: float) -> AbstractContextManager[None]:
+        """Command nothing for at most so many seconds; end the session afterwards."""
+        return self._nodes.silenced(seconds)
 
     def check_nodes(self) -> None:
         """Raise LiveError if the recorder or another node has ended."""
