@@ -44,6 +44,24 @@ def test_theta_goes_towards_the_bound_step_by_step_and_not_beyond_it(fast_rig, k
     assert f"the constraint is kept from theta_min {safe.low:.4g} to" in out
 
 
+@pytest.mark.parametrize(
+    ("signal", "said"),
+    [
+        ("/fast/efort:data", "constraint: /fast/efort has no publisher: is the rig running"),
+        ("/fast/effort:x", "constraint: Float64 has no field 'x'"),
+    ],
+)
+def test_a_signal_that_is_not_there_is_named_before_theta_moves(
+    fast_rig, koop, tmp_path, signal, said
+):
+    rig = replace(RIG, constraint=f"rms({signal}, 0.5 s) < {BOUND}", theta_safe=1.5)
+    rig_file.write(rig, tmp_path / "rig.yaml")
+    for words in (("check", "rig.yaml"), ("excite", "rig.yaml", "--out", "run")):
+        out, error = koop(*words).communicate(timeout=LONG)
+        assert said in out + error
+    assert fast_rig.moved == []
+
+
 def test_the_loop_keeps_a_bound_that_moves_and_the_guard_one_that_it_cannot(
     fast_rig, koop, tmp_path
 ):

@@ -91,24 +91,28 @@ def find_types(client: Client, rig: RigFile) -> tuple[str, str]:
     Raises
     ------
     koop_core.errors.LiveError
-        If the measured topic has no publisher or the command no subscriber, a topic has several
+        If a signal has no publisher or the command no subscriber, a topic has several
         message types, or the rig publishes another one on the loop's own topic.
     koop_core.config.parameter.ConfigError
         If a type is not installed or has no such field.
     """
     from koop_node.node.managed import message_type
 
-    sides = (
+    sides = [
         ("measured", "publisher", rig.state, publishers_of),
         ("command", "subscriber", rig.knob, subscribers_of),
-    )
+    ]
+    if rig.bounded is not None:
+        sides.append(("constraint", "publisher", rig.bounded.source, publishers_of))
     topics = find_topics(
         client, lambda: all(ends(client.node, source.topic) for *_, source, ends in sides)
     )
     types = []
     for key, role, source, ends in sides:
         if not (endpoints := ends(client.node, source.topic)):
-            offered = [t for t in topics if (t.publishers if key == "measured" else t.subscribers)]
+            offered = [
+                t for t in topics if (t.publishers if role == "publisher" else t.subscribers)
+            ]
             others = ", ".join(f"{t.name} ({t.type})" for t in offered[:8]) or "none"
             raise LiveError(
                 f"{key}: {source.topic} has no {role}: is the rig running, in this ROS domain? "
@@ -120,7 +124,7 @@ def find_types(client: Client, rig: RigFile) -> tuple[str, str]:
         except KoopError as error:
             raise type(error)(f"{key}: {error}") from None
         types.append(kind)
-    measured, command = types
+    measured, command, *_ = types
     if rig.state.topic == STATE and measured != STATE_TYPE:
         raise LiveError(
             f"measured: {STATE} is {measured}, for the lifter it is {STATE_TYPE}: let the rig "
