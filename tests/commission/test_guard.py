@@ -30,7 +30,9 @@ from test_excite import wait
 from koop_bag.bag.reader import BagReader
 from koop_core.config import parameter_file
 from koop_core.whole_file import read_json
+from koop_guard.config import SAFETY
 from koop_guard.node import KEPT
+from koop_guard.node.twin import Twin
 from koop_hil import installed
 from koop_lab.recorded.report import read
 from koop_tune.rig.rig_file import as_values
@@ -538,3 +540,14 @@ def test_the_page_says_what_tripped_the_guard_and_rearms_it(up, fast_rig, tmp_pa
         page.wait("document.querySelector('#acts').textContent.split('done').length === 3")
         wait(lambda: fast_rig.theta < 0.7, "the controller to command again", process)
         assert page.errors == []
+
+
+def test_a_twin_that_was_stopped_at_its_start_hangs(own_domain):
+    twin = Twin()
+    try:
+        os.kill(twin.process.pid, signal.SIGSTOP)
+        assert not twin.hangs(time.monotonic())
+        assert twin.hangs(time.monotonic() + SAFETY.first)  # the guard then starts another one
+    finally:
+        twin.process.kill()
+        twin.release(0.0)

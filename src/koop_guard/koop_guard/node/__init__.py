@@ -108,6 +108,7 @@ class GuardRun(Run):
             assert self._command is not None
             assert self._twin is not None
             if not self._twin.shared.ready and self._twin.process.poll() is None:
+                self._renew_twin()
                 return
             waiting.cancel()
             entities.waiting_for = ""
@@ -295,10 +296,7 @@ class GuardRun(Run):
     def _look(self) -> None:
         """Look at the graph for other publishers, and at the twin."""
         now, guard, node = time.monotonic(), self._guard, self._node
-        if self._twin is not None and self._twin.process.poll() is not None:
-            node.get_logger().error("the guard's twin has ended: another one is started")
-            self._twin = Twin()
-            self._twin.prepare(*self._order)
+        self._renew_twin()
         config = self._config
         controllers = publishers_of(node, config.asked)
         if guard.status is not Status.WAITING:
@@ -321,6 +319,19 @@ class GuardRun(Run):
         if len(controllers) == 1 and full_name(controllers[0]).startswith("/"):  # its name is known
             self._find_reset(f"{full_name(controllers[0])}/reset")
         self._announce()
+
+    def _renew_twin(self) -> None:
+        """Start another twin where it has ended, or hangs at its start."""
+        twin = self._twin
+        if twin is None:
+            return
+        ended = twin.process.poll() is not None
+        if ended or twin.hangs(time.monotonic()):
+            how = "has ended" if ended else "does not get ready"
+            self._node.get_logger().error(f"the guard's twin {how}: another one is started")
+            twin.process.kill()
+            self._twin = Twin()
+            self._twin.prepare(*self._order)
 
     def _find_reset(self, service: str) -> None:
         if self._controller is not None:

@@ -73,6 +73,11 @@ class Twin:
                 env={name: value for name, value in os.environ.items() if name != VARIABLE},
                 **OWN_GROUP,  # Ctrl-C reaches the guard, which lets it go
             )
+        self._begun = time.monotonic()
+
+    def hangs(self, now: float) -> bool:
+        """Return whether it should be ready by now [s], and is not."""
+        return not self.shared.ready and now - self._begun > SAFETY.first
 
     def prepare(self, config: dict[str, Any], topic: str, kind: str, publishers: list[str]) -> None:
         """Say what it may have to command.
