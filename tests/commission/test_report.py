@@ -54,7 +54,8 @@ def verification(folder, rig, file):
         bag = f"verify-1/start-{number}/bag"
         write_bag(folder / bag, rig, way, rig.record(way, number)[0], loop=True)
         runs.append({"start": start, "bag": bag, "time_to_converge": 60.0, "distance": 0.01,
-                     "amplitude_before": 3.0, "amplitude": 0.5, "excess": 1.0, "reduction": 6.0,
+                     "broken": 0.0, "amplitude_before": 3.0, "amplitude": 0.5, "excess": 1.0,
+                     "reduction": 6.0,
                      "theta": best, "low": best, "high": best, "error": 0.01, "doubt": 0.01,
                      "closed": {"seconds": 100.0, "steps": [rest, way.size - 1]}})  # fmt: skip
     tuned = json.loads((folder / "tuned/tune.json").read_text())

@@ -212,7 +212,7 @@ def test_the_best_round_is_kept_where_none_damped(tuned, tmp_path, capsys):
     rounds = [
         {"number": i + 1, "agrees": i == 2, "damped": False, "summary": "worse",
          "prediction": TUNED["predicted"],
-         "runs": [{**run, "excess": e, "amplitude": 0.31 * e} for e in (1.1, worst)]}
+         "runs": [{**run, "broken": 0.0, "excess": e, "amplitude": 0.31 * e} for e in (1.1, worst)]}
         for i, worst in enumerate((3.0, 1.8, 2.0))
     ]  # fmt: skip
     verified = {"rounds": rounds, "damped": False, "verdict": ""}

@@ -144,12 +144,12 @@ class EscConfig(Settings):
         return min(max(self.theta_initial, self.theta_min), self.theta_max)
 
     def initial(self) -> RelayState:
-        """Return the relay's state before the first sample; theta first goes to the middle."""
+        """Return the relay's state before the first sample."""
         if self.begin:
             first = self.begin[0]
             theta = exp(first) if self.theta_scale == "log" else first
             return recalled(initial(first, 1, theta), self.begin)
-        u = self.scaled(self.beginning)
-        middle = 0.5 * (self.scaled(self.theta_min) + self.scaled(self.theta_max))
-        begin = initial(u, 1 if u >= middle else -1, self.theta_initial)
+        u, low, high = map(self.scaled, (self.beginning, self.theta_min, self.theta_max))
+        down = u - low >= 0.25 * (high - low)  # as in the paper; else there is little way down
+        begin = initial(u, 1 if down else -1, self.theta_initial)
         return begin._replace(commanded=self.scaled(self.theta_initial))
