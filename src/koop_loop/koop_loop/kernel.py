@@ -2,9 +2,9 @@
 
 The rules for a gap, a restart, a join, an unusable state and a limit stand in
 :func:`koopman_lifter.cost.answer` and :func:`relay_esc.relay.answer`, which the nodes call once a
-message. What is here puts them together in the order of the nodes: the offline loop, the replay and
-the benchmarks call :func:`control`, the study the same two functions with other costs and
-controllers in their places.
+message. What is here puts them together in the order of the nodes: the offline loop and the
+benchmarks call :func:`control`, the study the same two functions with other costs and controllers
+in their places, the replay the controller with the barrier of a constraint around it.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from koop_bringup.plan import Plan, plan
 from koop_commission.fitness.samples import Samples
 from koop_commission.rig.guarded_theta import GUARD, guard_remaps, guard_section
 from koop_commission.rig.listener import Listener
-from koop_commission.stages.session import COST, COST_TYPE, Session, open_session, spell_time
+from koop_commission.stages.session import Session, open_session, spell_time
 from koop_core.config.fields import parse_field
 from koop_tune.excitation import progress
 from koop_tune.excitation.holds import mean_level
@@ -92,7 +92,7 @@ class ClosedLoop:
         aim, dt, states = self.aim, self.rig.dt, session.listener
         fields = (parse_field("theta"), parse_field("epsilon"))
         answers = Listener(session.client, THETA, THETA_TYPE, fields, reliable=True)
-        margins = Listener(session.client, COST, COST_TYPE, (parse_field("margin"),), reliable=True)
+        margins = None if self.rig.bounded is None else session.listen_to_margins()
         rest = aim.settings.before * aim.amplitude.windows.length
         session.still = aim.amplitude.windows.length
         session.client.change_state(f"/{ESC}", "configure", START_TIMEOUT, session.check)
@@ -117,7 +117,9 @@ class ClosedLoop:
             self._wait(session, closed, seconds)
             loop = states.samples(closed)
             theta = answers.samples(first).x[:, 0]
-            measured = replace(measure(aim, before, loop.x, theta), broken=broken(margins, loop))
+            measured = measure(aim, before, loop.x, theta)
+            if margins is not None:
+                measured = replace(measured, broken=find_broken(margins.samples(), loop))
             lacks = find_faults(aim, [measured]) or find_disagreements(aim, measured)
             if seconds >= aim.longest or not lacks:
                 break
@@ -154,10 +156,9 @@ class ClosedLoop:
                 print(f"{at:6.0f} s  theta {theta:<9.4g} amplitude {level:.3g}", flush=True)
 
 
-def broken(margins: Listener, loop: Samples) -> float:
-    """Return the share of a loop's second half in which a constraint was broken; 0 without one."""
-    costs = margins.samples()
-    late = costs.x[costs.step >= loop.step[loop.step.size // 2], 0]
+def find_broken(margins: Samples, loop: Samples) -> float:
+    """Return the share of a loop's second half in which its constraint was broken."""
+    late = margins.x[margins.step >= loop.step[loop.step.size // 2], 0]
     return float((late < 0.0).mean()) if late.size else 0.0
 
 

@@ -7,10 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_commission.rig.listener import Listener
-from koop_commission.stages.session import COST, COST_TYPE, Session
+from koop_commission.stages.session import Session
 from koop_core.config.constraint import Constraint
-from koop_core.config.fields import parse_field
 from koop_core.errors import LiveError
 from koop_tune.excitation.safe_range import SAFE_RANGE, SafeRange, SafeRangeSearch
 from koop_tune.rig.rig_file import RigFile
@@ -78,8 +76,7 @@ class Margins:
     """
 
     def __init__(self, session: Session, window: int) -> None:
-        fields = (parse_field("margin"),)
-        self._listener = Listener(session.client, COST, COST_TYPE, fields, reliable=True)
+        self._listener = session.listen_to_margins()
         self._session, self._window = session, window
 
     def hold(self) -> float:

@@ -22,7 +22,7 @@ from koop_commission.rig.graph import (
 )
 from koop_commission.rig.guarded_theta import GuardedTheta
 from koop_commission.rig.listener import Listener
-from koop_core.config.fields import parse_source
+from koop_core.config.fields import parse_field, parse_source
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_guard.note import find_theta
@@ -139,6 +139,10 @@ class Session:
         first, dt = self.listener.count, self._rig.dt
         self.show = lambda: self.draw(phase, (self.listener.count - first) * dt, count * dt)
         self.wait_until(lambda: self.listener.count >= first + count)
+
+    def listen_to_margins(self) -> Listener:
+        """Return a listener to the margin of the constraint, which each cost tells."""
+        return Listener(self.client, COST, COST_TYPE, (parse_field("margin"),), reliable=True)
 
     def go(self, theta: float) -> None:
         """Move theta, and wait for the first state after its arrival."""
