@@ -169,7 +169,7 @@ def test_runs_of_several_loops_and_folders_without_a_run_are_refused(week, tmp_p
     assert main(["report", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert "holds no run" in error
-    assert "holds runs of mine, other: name those of one" in error
+    assert "holds runs of mine, other: name the folders of one" in error
     assert "Traceback" not in error
 
 

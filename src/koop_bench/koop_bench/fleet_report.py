@@ -10,7 +10,7 @@ from koop_core.stream.durations import Durations, read
 
 
 class Counts(NamedTuple):
-    """What the three nodes of a loop report, of all their time or of a part of it."""
+    """Counts that the three nodes of a loop report, of all their time or of a part of it."""
 
     time: float
     """Time on the plant's clock when it reported [s]."""

@@ -1,1 +1,1 @@
-"""What the launch file decides before it starts a node."""
+"""Launch: the plan of what is started, and running loops."""

@@ -112,7 +112,7 @@ class PlannedNode(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """What a launch does.
+    """Processes and parameters of a launch.
 
     Attributes
     ----------

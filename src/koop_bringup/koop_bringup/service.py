@@ -19,7 +19,7 @@ WATCHDOG = 30.0  # [s] without a sign of life of the loop after which it is star
 KEPT = ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_STATIC_PEERS", "KOOP_UNDERLAY",
         "FASTDDS_BUILTIN_TRANSPORTS", "ROS_SECURITY_ENABLE", "ROS_SECURITY_KEYSTORE",
         "ROS_SECURITY_STRATEGY")  # fmt: skip
-"""What of the environment the loop keeps as a service."""
+"""Variables of the environment that a loop keeps as a service."""
 UNIT = """\
 # Written by 'koop up --install'; 'systemctl edit {name}' changes it and survives the next one.
 [Unit]

@@ -1,1 +1,1 @@
-"""What every package builds on: configuration, streams, kernels. Needs no ROS."""
+"""Base of every package: configuration, streams, kernels. Needs no ROS."""

@@ -20,7 +20,7 @@ from numba.extending import intrinsic, overload
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
-    """What is kept of one kernel."""
+    """The compiled code of one kernel on the disk."""
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         rtsys.initialize(context)  # memory for arrays: all that a kept kernel needs

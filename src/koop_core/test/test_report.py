@@ -1,12 +1,12 @@
 """Which findings become lines of the log."""
 
-from koop_core.stream.report import ERROR, OK, SETTLED, STALE, WARN, Finding, News
+from koop_core.stream.report import ERROR, OK, SETTLED, STALE, WARN, News, NodeFinding
 
 
 def lines(levels):
     """Return the levels that are logged, one look a second."""
     news = News()
-    reported = [news.of(Finding(level, "text"), float(t)) for t, level in enumerate(levels)]
+    reported = [news.of(NodeFinding(level, "text"), float(t)) for t, level in enumerate(levels)]
     return [item.level if item else None for item in reported]
 
 
@@ -17,12 +17,12 @@ def test_what_gets_worse_is_told_at_once_and_once():
 
 
 def test_what_may_be_so_at_every_start_is_told_when_it_has_lasted():
-    news, actual = News(), Finding(WARN, "nothing yet", at_once=False)
+    news, actual = News(), NodeFinding(WARN, "nothing yet", at_once=False)
     reported = [news.of(actual, float(t)) for t in range(int(SETTLED) + 2)]
     assert [item is not None for item in reported] == [*[False] * int(SETTLED), True, False]
     short = News()
     assert not any(
-        short.of(item, float(t)) for t, item in enumerate([actual, actual, Finding(OK, "")])
+        short.of(item, float(t)) for t, item in enumerate([actual, actual, NodeFinding(OK, "")])
     )
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from koop_core.stream.arrival import WINDOW, Arrival
 from koop_core.stream.monitor import StreamMonitor
-from koop_core.stream.report import ERROR, OK, STALE, WARN, Finding, summary
+from koop_core.stream.report import ERROR, OK, STALE, WARN, NodeFinding, summary
 
 NEXT, RESUME, RESTART, JOIN, REPEAT, LATE, TOO_OLD = Arrival
 
@@ -107,10 +107,10 @@ def test_latency_is_from_stamp_to_arrival_and_unknown_for_simulated_stamps(monit
 
 def test_what_was_never_heard_is_not_ok_and_the_log_says_so_only_if_it_lasts(monitor):
     assert list(monitor.findings(1.0, 0)) == [
-        Finding(WARN, "nothing on 'state' yet: no publisher", at_once=False)
+        NodeFinding(WARN, "nothing on 'state' yet: no publisher", at_once=False)
     ]
     unheard = "'/state' is published by /rig as std_msgs/msg/Float64"
-    assert list(monitor.findings(1.0, 1, unheard=[unheard])) == [Finding(ERROR, unheard)]
+    assert list(monitor.findings(1.0, 1, unheard=[unheard])) == [NodeFinding(ERROR, unheard)]
     monitor.hear(0, 0.0, 1.1)
     assert list(monitor.findings(1.2, 1)) == []
 
@@ -119,7 +119,7 @@ def test_a_source_that_has_nothing_more_to_say_has_ended():
     monitor = StreamMonitor("cost", 0.5, DT, may_end=True)
     monitor.hear(7, 0.0, 1.0)
     (actual,) = monitor.findings(2.0, 1, can_say_more=False)
-    assert actual == Finding(OK, "'cost' has ended at step 7")
+    assert actual == NodeFinding(OK, "'cost' has ended at step 7")
 
 
 def test_where_the_newest_counts_a_gap_is_counted_and_no_finding():
@@ -139,10 +139,15 @@ def test_findings_tell_what_is_new(monitor):
 
 
 def test_the_summary_is_the_most_urgent():
-    findings = [Finding(OK, "fine"), Finding(WARN, "w"), Finding(ERROR, "e"), Finding(STALE, "s")]
-    assert summary(findings) == Finding(ERROR, "e; s; w")
-    assert summary(findings[:1]) == Finding(OK, "fine")
-    assert summary([]) == Finding(OK, "")
+    findings = [
+        NodeFinding(OK, "fine"),
+        NodeFinding(WARN, "w"),
+        NodeFinding(ERROR, "e"),
+        NodeFinding(STALE, "s"),
+    ]
+    assert summary(findings) == NodeFinding(ERROR, "e; s; w")
+    assert summary(findings[:1]) == NodeFinding(OK, "fine")
+    assert summary([]) == NodeFinding(OK, "")
 
 
 def test_the_kinds_that_are_processed_come_first():
@@ -154,7 +159,7 @@ def test_a_source_that_left_in_order_has_ended_and_one_that_was_lost_is_stale():
     for monitor in (left, lost):
         monitor.hear(20_000, 0.0, 10.0)
         assert list(monitor.findings(10.4, 1)) == []
-    assert list(left.findings(11.0, 0)) == [Finding(OK, "'state' has ended at step 20000")]
+    assert list(left.findings(11.0, 0)) == [NodeFinding(OK, "'state' has ended at step 20000")]
     # killed: discovery still counts it, for 20 s
     assert [f.level for f in lost.findings(11.0, 1)] == [STALE]
     assert [f.level for f in lost.findings(40.0, 0)] == [STALE]

@@ -1,4 +1,4 @@
-"""What may happen to the loop of a scenario: how each action is checked, begun and ended."""
+"""Actions on the loop of a scenario: how each is checked, begun and ended."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Started(Protocol):
 
 
 class Loop(NamedTuple):
-    """What an action acts on."""
+    """The running loop, on which actions act."""
 
     monitor: Monitor
     processes: Started

@@ -39,7 +39,7 @@ PROCESSES = {
     "twin": "koop_guard.node.twin",
     "recorder": "/lib/koop_bag/",
 }
-"""What the command of each process contains."""
+"""Words by which each process is found: its command contains them."""
 
 UP = "koop up"
 EVERY = 3.0  # [s] mean time between two faults
@@ -68,7 +68,7 @@ SENSOR = (
 )  # fmt: skip
 
 
-class Fault(NamedTuple):
+class TimedFault(NamedTuple):
     """A fault of a run.
 
     Attributes
@@ -137,7 +137,7 @@ class Operator(Client):
             publisher.publish(self._types[topic](**{name: theta}))
 
 
-class Run:
+class ChaosRun:
     """The rig, the loop under test, and what acts on them; a context manager."""
 
     def __init__(self, folder: Path) -> None:
@@ -159,7 +159,7 @@ class Run:
         self._rig = self._start_rig()
         self.operator = Operator(self.note)
 
-    def __enter__(self) -> Run:
+    def __enter__(self) -> ChaosRun:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -278,19 +278,19 @@ def _address_space(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[0]) * 4096 + BYTES
 
 
-def _killed(name: str) -> Callable[[Run, bool], None]:
+def _killed(name: str) -> Callable[[ChaosRun, bool], None]:
     return lambda run, on: run.signal(name, signal.SIGKILL) if on else None
 
 
-def _stopped(name: str) -> Callable[[Run, bool], None]:
+def _stopped(name: str) -> Callable[[ChaosRun, bool], None]:
     return lambda run, on: run.signal(name, signal.SIGSTOP if on else signal.SIGCONT)
 
 
-def _sensor(name: str) -> Callable[[Run, bool], None]:
+def _sensor(name: str) -> Callable[[ChaosRun, bool], None]:
     return lambda run, on: run.sensor(name, on)
 
 
-def _flood(run: Run, on: bool) -> None:
+def _flood(run: ChaosRun, on: bool) -> None:
     """Send datagrams of noise to the ports of the domain's participants."""
     first = 7400 + 250 * current_domain() + 10
     noise = b"RTPS\x02\x03" + run.random.randbytes(1200)
@@ -300,7 +300,7 @@ def _flood(run: Run, on: bool) -> None:
                 out.sendto(noise, ("127.0.0.1", first + i % 40))
 
 
-def _memory(name: str) -> Callable[[Run, bool], None]:
+def _memory(name: str) -> Callable[[ChaosRun, bool], None]:
     return lambda run, on: (
         run.limit(name, resource.RLIMIT_AS, _address_space)
         if on
@@ -310,16 +310,16 @@ def _memory(name: str) -> Callable[[Run, bool], None]:
     )
 
 
-def _disk(run: Run, on: bool) -> None:
+def _disk(run: ChaosRun, on: bool) -> None:
     run.limit("recorder", resource.RLIMIT_FSIZE, lambda _: 1 if on else resource.RLIM_INFINITY)
 
 
-def _other(topic: str) -> Callable[[Run, bool], None]:
+def _other(topic: str) -> Callable[[ChaosRun, bool], None]:
     """Return what begins or ends another publisher of theta_safe on a topic."""
     return lambda run, on: run.operator.publish_beside(topic, on)
 
 
-KINDS: dict[str, Callable[[Run, bool], None]] = {
+KINDS: dict[str, Callable[[ChaosRun, bool], None]] = {
     **{f"kill {name}": _killed(name) for name in (*PROCESSES, UP)},
     **{f"stop {name}": _stopped(name) for name in (*PROCESSES, UP)},
     **{f"sensor {name}": _sensor(name) for name in SENSOR},
@@ -332,14 +332,14 @@ KINDS: dict[str, Callable[[Run, bool], None]] = {
     "parameter file damaged": lambda run, on: run.damage(run.parameters, on),
     "model file damaged": lambda run, on: run.damage(run.model, on),
 }
-"""What begins and ends a fault of each kind, given the run and whether it begins."""
+"""Functions that begin and end a fault of each kind, given the run and whether it begins."""
 
 TARGETS = {kind: name for name in (*PROCESSES, UP) for kind in KINDS if kind.endswith(f" {name}")}
 TARGETS["disk full"] = "recorder"
 """The process that a fault needs."""
 
 
-def draw(seed: int, count: int) -> list[Fault]:
+def draw(seed: int, count: int) -> list[TimedFault]:
     """Return faults at random times, every kind as often as another, in order of time.
 
     >>> draw(1, 3) == draw(1, 3)
@@ -349,7 +349,9 @@ def draw(seed: int, count: int) -> list[Fault]:
     kinds = list(KINDS) * (count // len(KINDS)) + rng.sample(list(KINDS), count % len(KINDS))
     rng.shuffle(kinds)
     begins = itertools.accumulate(rng.expovariate(1.0 / EVERY) for _ in kinds)
-    return [Fault(at, rng.uniform(*LASTS), kind) for at, kind in zip(begins, kinds, strict=True)]
+    return [
+        TimedFault(at, rng.uniform(*LASTS), kind) for at, kind in zip(begins, kinds, strict=True)
+    ]
 
 
 def run(folder: Path, seed: int, count: int) -> None:
@@ -362,7 +364,7 @@ def run(folder: Path, seed: int, count: int) -> None:
     koop_core.errors.LiveError
         If the loop does not run before the first fault.
     """
-    with Run(folder) as it, tqdm(total=count, desc="chaos", unit="fault", disable=None) as bar:
+    with ChaosRun(folder) as it, tqdm(total=count, desc="chaos", unit="fault", disable=None) as bar:
         if not it.settle():
             raise LiveError(f"the loop does not run: see {folder}/loop-1.log")
         begin = time.monotonic()

@@ -34,7 +34,7 @@ LOSING = (*SILENT, "sensor lossy", "sensor delayed", "rig", "recorder", "disk", 
 
 @dataclass
 class ChaosVerdict:
-    """What a run came to.
+    """Figures and failures of a run.
 
     Attributes
     ----------
@@ -248,11 +248,13 @@ def _stamps(bag: Path) -> NDArray[np.float64]:
 
 def _memory(events: list[dict[str, Any]]) -> dict[str, tuple[int, int]]:
     """Return the largest memory of each process in the first and in the last third."""
-    seen = [event["memory"] for event in events if event["what"] == "fault"]
-    third = max(1, len(seen) // 3)
+    samples = [event["memory"] for event in events if event["what"] == "fault"]
+    third = max(1, len(samples) // 3)
     largest: dict[str, tuple[int, int]] = {}
-    for name in {name for memory in seen for name in memory}:
-        parts = [[m[name] for m in part if name in m] for part in (seen[:third], seen[-third:])]
+    for name in {name for memory in samples for name in memory}:
+        parts = [
+            [m[name] for m in part if name in m] for part in (samples[:third], samples[-third:])
+        ]
         if all(parts):
             largest[name] = max(parts[0]), max(parts[1])
     return largest

@@ -29,7 +29,7 @@ PERIOD = 0.001  # [s] between looks for delayed messages that are due
 
 @dataclass(frozen=True)
 class FaultInjectorConfig(Settings):
-    """What is wrong with the cable."""
+    """Faults of the cable."""
 
     state_fault: str = parameter("ok", "fault on the sensors, as koop_hil.faults names them")
     theta_fault: str = parameter("ok", "fault on the actuator")

@@ -23,7 +23,7 @@ RIGS = ("galloping", "other", "paper", "jsbsim")  # of koop_hil/rigs
 
 
 @dataclass(frozen=True)
-class Event:
+class ScenarioEvent:
     """Something that happens to the loop.
 
     Attributes
@@ -48,7 +48,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Limits(Settings):
-    """What must hold at the end; theta is what acted on the plant."""
+    """Limits that must hold at the end; theta is the value that acted on the plant."""
 
     tail_error: float = parameter(0.6, "mean |theta - theta*| over the last 30 %", low=0.0)
     max_error: float = parameter(NO_LIMIT, "largest |theta - theta*| from the first event on")
@@ -94,7 +94,7 @@ class Scenario:
     name: str
     setting: Setting
     parameters: dict[str, dict[str, Any]]
-    events: tuple[Event, ...]
+    events: tuple[ScenarioEvent, ...]
     limits: Limits
     levels: dict[str, str]
 
@@ -225,7 +225,7 @@ def with_controller(scenario: Scenario, file: Path) -> Scenario:
     return replace(scenario, parameters={**scenario.parameters, **by_node})
 
 
-def _event(item: Any, folder: Path) -> Event:
+def _event(item: Any, folder: Path) -> ScenarioEvent:
     entry = mapping(item, "an event")
     refuse_unknown(entry, ("at", "for", *ACTIONS), "key", "an event")
     actions = [key for key in entry if key in ACTIONS]
@@ -233,4 +233,4 @@ def _event(item: Any, folder: Path) -> Event:
         raise ConfigError(f"an event has one of {', '.join(ACTIONS)}: {entry}")
     at, lasts = (number(entry.get(key, 0.0), key) for key in ("at", "for"))
     what = ACTIONS[actions[0]].check(entry[actions[0]], folder)
-    return Event(at, lasts, actions[0], what)
+    return ScenarioEvent(at, lasts, actions[0], what)

@@ -23,7 +23,7 @@ from koop_node.client.alone import alone
 
 @dataclass
 class RunRecord:
-    """What happened in a run.
+    """Times, levels and failures of a run.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What the end of one node means for the run. Pure.
+"""Consequences of a node's end for the run. Pure.
 
 The table for all commands is in docs/reference/exit-codes.md.
 """
@@ -9,7 +9,7 @@ from enum import Enum
 
 
 class Ending(Enum):
-    """What follows from the end of a node."""
+    """Consequence of a node's end."""
 
     DONE = "the run has done what it was asked to"
     FAILED = "the run ends, and the other nodes with it"

@@ -48,7 +48,7 @@ class Controller(NamedTuple):
 
 
 class LoopMemory(NamedTuple):
-    """What lifter and controller remember between two messages."""
+    """State of lifter and controller between two messages."""
 
     detector: DetectorState
     relay: RelayState

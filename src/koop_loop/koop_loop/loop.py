@@ -72,7 +72,7 @@ class LoopResult:
 
 
 class Exposure(NamedTuple):
-    """What a run is exposed to; an array of length 0 switches its disturbance off.
+    """Disturbances of a run; an array of length 0 switches its disturbance off.
 
     Attributes
     ----------

@@ -28,7 +28,7 @@ Sense = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class TrainingConfig(Settings):
-    """What the paper trains on: trajectories at a random, fixed theta from a random state."""
+    """The paper's training set: trajectories at a random, fixed theta from a random state."""
 
     trajectories: int = parameter(100, "number of simulated trajectories", low=1, high=100_000)
     duration: float = parameter(100.0, "length of one trajectory", unit="s", low=0.1, high=1e5)

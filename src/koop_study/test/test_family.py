@@ -13,7 +13,7 @@ from koop_study.experiments.spec import parse
 from koop_study.family import oscillator
 from koop_study.family.config import MAPS, WITH_OPTIMUM, FamilyConfig
 from koop_study.family.loop import RigController, close, close_from_end, noise_of
-from koop_study.family.rig import GRID, Rig, draw
+from koop_study.family.rig import GRID, RandomRig, draw
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 
@@ -22,11 +22,11 @@ ALL = FamilyConfig(maps=dict.fromkeys(MAPS, 1.0))
 RIGS = [draw(ALL, seed) for seed in range(60)]
 
 
-def of(maps: str, seed: int = 0, **settings: object) -> Rig:
+def of(maps: str, seed: int = 0, **settings: object) -> RandomRig:
     return draw(FamilyConfig(maps={maps: 1.0}, **{**STILL, **settings}), seed)  # type: ignore[arg-type]
 
 
-def rms(rig: Rig, theta: float, seed: int, periods: float) -> float:
+def rms(rig: RandomRig, theta: float, seed: int, periods: float) -> float:
     """Brute force: amplitude at a resting theta, after it has settled."""
     steps = round(periods / rig.frequency / rig.params.dt)
     settling = round(25.0 * rig.slowest / rig.params.dt)
@@ -34,7 +34,7 @@ def rms(rig: Rig, theta: float, seed: int, periods: float) -> float:
     return float(np.sqrt(np.mean(amplitude[settling:] ** 2)))
 
 
-def same(one: Rig, other: Rig) -> bool:
+def same(one: RandomRig, other: RandomRig) -> bool:
     return all(np.array_equal(a, b) for a, b in zip(one.params, other.params, strict=True))
 
 
@@ -53,7 +53,7 @@ def test_another_range_of_one_quantity_leaves_the_rest_of_the_rig_as_it_was() ->
     loud, still = of("symmetric", 5, clean=0.0), of("symmetric", 5, clean=1.0)
     assert loud.params.tone.size > 0 == still.params.tone.size
     bare = {name: np.zeros(0) for name in ("tone", "tone_amplitude", "tone_phase")}
-    assert same(*(Rig(0, "", 1.0, 0.0, rig.params._replace(**bare)) for rig in (loud, still)))
+    assert same(*(RandomRig(0, "", 1.0, 0.0, rig.params._replace(**bare)) for rig in (loud, still)))
 
 
 def test_rigs_are_within_the_ranges_and_of_every_kind() -> None:
@@ -201,7 +201,7 @@ def test_the_best_fixed_theta_of_a_drifting_optimum_is_the_best_of_many_runs() -
     assert run(theta) <= 1.02 * min(run(other) for other in thetas)
 
 
-def controller_of(rig: Rig, speed: float) -> RigController:
+def controller_of(rig: RandomRig, speed: float) -> RigController:
     """Return the raw cost and a relay that moves theta by so many ranges in the rig's own time."""
     p = rig.params
     esc = EscConfig(
@@ -222,7 +222,7 @@ def test_a_theta_left_at_the_best_has_a_ratio_of_one_and_is_within_bounds_at_onc
     assert done.converged <= 0.01
 
 
-def at(rig: Rig, u: float) -> float:
+def at(rig: RandomRig, u: float) -> float:
     """Return the amplitude at a position over that at the best theta."""
     return rig.amplitude(oscillator.theta_at(rig.params, u)) / rig.best()[1]
 

@@ -44,9 +44,9 @@ class Access:
         to 127.0.0.1 (DNS rebinding). So the host is an address, this machine, or allowed.
         """
         name = (urlsplit(f"//{host}").hostname or "") if _is_url(host) else ""
-        own = {"localhost", socket.gethostname().lower()}
+        local = {"localhost", socket.gethostname().lower()}
         allowed = {urlsplit(origin).hostname for origin in self.origins}
-        if name in own | allowed or _is_address(name):
+        if name in local | allowed or _is_address(name):
             return None
         return Refusal(
             HTTPStatus.MISDIRECTED_REQUEST,

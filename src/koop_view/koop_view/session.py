@@ -53,7 +53,7 @@ class Refused(Exception):
 
 
 class ViewSource:
-    """What is shown, a loop or a recording; the base class shows nothing."""
+    """A loop or a recording that is shown; the base class shows nothing."""
 
     mode: ClassVar[str] = ""
 
@@ -67,7 +67,7 @@ class ViewSource:
         self.loops: dict[str, LoopNames] = {}
         """By namespace."""
         self.about = ""
-        """What the command that runs the loops does now."""
+        """Line about the command that runs the loops."""
         self._identity = secrets.token_hex(8)
         self._lines = Budget(1.0, 10.0)  # the log is recorded
 

@@ -142,7 +142,7 @@ class DetectorParams(NamedTuple):
 
 
 class DetectorState(NamedTuple):
-    """What the detector remembers.
+    """State of the amplitude detector.
 
     Attributes
     ----------

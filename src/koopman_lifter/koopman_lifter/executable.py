@@ -1,4 +1,4 @@
-"""What ``ros2 run koopman_lifter lifter`` starts."""
+"""Entry point of ``ros2 run koopman_lifter lifter``."""
 
 from koop_node.node.start import start
 

@@ -41,7 +41,7 @@ class MarginParams(NamedTuple):
 
 
 class MarginState(NamedTuple):
-    """What is remembered of the signal.
+    """State of the signal's statistic.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ def follow(
 
 
 class SignalMeter:
-    """What a signal did between two samples of the state.
+    """Sums of a signal between two samples of the state.
 
     Parameters
     ----------

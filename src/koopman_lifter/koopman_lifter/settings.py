@@ -41,7 +41,7 @@ class RunningSettings(Settings):
 
 @dataclass(frozen=True)
 class WatchSettings(Settings):
-    """What is a change of the oscillation's frequency, and how its known range is learned."""
+    """When the oscillation's frequency has changed, and how its usual range is learned."""
 
     listened: int = judged(
         4096, "samples, or means of several, in which the oscillation is looked for", low=640

@@ -48,7 +48,7 @@ class BarrierParams(NamedTuple):
 
 
 class BarrierState(NamedTuple):
-    """What is remembered of the margin.
+    """State of the barrier.
 
     Attributes
     ----------
@@ -150,5 +150,5 @@ def follow(q: BarrierParams, state: BarrierState, margin: float) -> BarrierState
     if not state.known:
         return BarrierState(margin, 0.0, True)
     mean = margin + q.alpha_mean * (state.mean - margin)
-    away = abs(margin - mean)
-    return BarrierState(mean, away + q.alpha_deviation * (state.deviation - away), True)
+    distance = abs(margin - mean)
+    return BarrierState(mean, distance + q.alpha_deviation * (state.deviation - distance), True)

@@ -1,4 +1,4 @@
-"""What ``ros2 run relay_esc esc`` starts."""
+"""Entry point of ``ros2 run relay_esc esc``."""
 
 from koop_node.node.start import start
 

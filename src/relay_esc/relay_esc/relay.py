@@ -37,7 +37,7 @@ LASTING = {
     "factor": float, "stretch": float, "lowest_before": float, "reference": float, "noise": float,
     "dip": float, "legs": int, "turned": float, "centre": float, "centred": int,
 }  # fmt: skip
-"""What of the swing outlasts a leg."""
+"""Fields of the swing that outlast a leg."""
 MEMORY = 2 + len(LASTING)  # numbers of :func:`memory`
 
 
@@ -89,7 +89,7 @@ class RelayParams(NamedTuple):
 
 
 class RelayState(NamedTuple):
-    """What the relay remembers between samples.
+    """State of the relay between samples.
 
     Attributes
     ----------

@@ -66,7 +66,7 @@ SWING = constants(SwingSettings())
 
 
 class Swing(NamedTuple):
-    """What the adaptive law remembers besides the relay's state; levels are of log r.
+    """State of the adaptive law besides the relay's; levels are of log r.
 
     Attributes
     ----------
@@ -214,7 +214,7 @@ def turn(swing: Swing, length: float, u: float, least: float) -> Swing:
         change = abs(lowest - swing.lowest_before)
         above = lowest - reference
         home = above <= SWING.home * noise
-        away = above > SWING.lost * noise
+        risen = above > SWING.lost * noise
         if swing.legs < SWING.learned:
             noise = max(noise, change)
         else:  # a jump of the level is not noise
@@ -234,9 +234,9 @@ def turn(swing: Swing, length: float, u: float, least: float) -> Swing:
         else:
             short = 0
             reference += SWING.reference_rate_away * above
-            if away:
+            if risen:
                 factor = min(1.0, factor * SWING.grow)
-        if away or length > SWING.long:
+        if risen or length > SWING.long:
             centred = 0
     stretch = 1.0
     if factor >= SWING.wide:
@@ -264,7 +264,7 @@ def turn(swing: Swing, length: float, u: float, least: float) -> Swing:
 
 @njit()
 def confidence(swing: Swing) -> float:
-    """Return how sure it is that the optimum is within the swing: 1 at the reference, 0 if lost."""
+    """Return the confidence that the optimum is within the swing: 1 at the reference, 0 if lost."""
     if swing.legs < 2:
         return 0.0
     above = swing.lowest_before - swing.reference

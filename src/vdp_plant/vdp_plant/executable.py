@@ -1,4 +1,4 @@
-"""What ``ros2 run vdp_plant plant`` starts."""
+"""Entry point of ``ros2 run vdp_plant plant``."""
 
 from koop_node.node.start import start
 

@@ -1,4 +1,4 @@
-"""What of the plant depends on time alone, evaluated once for all loops of a study.
+"""Parts of the plant that depend on time alone, evaluated once for all loops of a study.
 
 Damping, forcing and interference are eight sines a step, half of the time of a loop. A step from
 these tables has the bits of :mod:`vdp_plant.dynamics`: the same functions fill them.

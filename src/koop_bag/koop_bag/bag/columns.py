@@ -106,7 +106,7 @@ def iter_tables(
 
 def iter_decoded(
     bag: BagReader,
-    decoders: Mapping[str, Table],
+    decoders: Mapping[str, TopicDecoder],
     batch_bytes: int = BATCH_BYTES,
     start: int = 0,
 ) -> Iterator[tuple[str, Columns]]:
@@ -127,7 +127,7 @@ def iter_decoded(
         yield from _decode_batch(b"".join(pending), names, decoders)
 
 
-class Table:
+class TopicDecoder:
     """The wanted columns of one topic.
 
     Parameters
@@ -156,15 +156,15 @@ class Table:
         return {name: columns[name] for name in self.fields}
 
 
-def _table(bag: BagReader, topic: str, fields: Sequence[str] | None) -> Table:
+def _table(bag: BagReader, topic: str, fields: Sequence[str] | None) -> TopicDecoder:
     root = definition_of(bag, topic)
     names = _names(root) if fields is None else fields
     finder = LayoutFinder(root, tuple(name for name in names if name not in STORED))
-    return Table(topic, names, finder.find)
+    return TopicDecoder(topic, names, finder.find)
 
 
 def _decode_batch(
-    records: bytes, names: dict[int, str], tables: Mapping[str, Table]
+    records: bytes, names: dict[int, str], tables: Mapping[str, TopicDecoder]
 ) -> Iterator[tuple[str, Columns]]:
     places: dict[int, list[int]] = {number: [] for number in names}
     # The one loop over messages: opcode, length and channel in one step, no call but the unpacking.

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from koop_bag.bag.columns import STORED, Table, definition_of, iter_decoded
+from koop_bag.bag.columns import STORED, TopicDecoder, definition_of, iter_decoded
 from koop_bag.bag.reader import BagReader
 from koop_bag.cdr.layout import Layout, walk
 from koop_core.cdr import Array, MessageType, Primitive, Struct, Text
@@ -39,7 +39,7 @@ def measure(bag: BagReader, topic: str) -> Extent:
     def find(message: bytes) -> Layout:
         return Layout(walk(root, message, _Measured("", longest)), {})
 
-    for _ in iter_decoded(bag, {topic: Table(topic, (), find)}):
+    for _ in iter_decoded(bag, {topic: TopicDecoder(topic, (), find)}):
         pass
     extent = Extent()
     _list(root, "", longest, extent)

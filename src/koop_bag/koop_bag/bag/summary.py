@@ -22,7 +22,7 @@ FIELDS = {
     "koop_msgs/msg/Cost": "r",
     "koop_msgs/msg/ControlInput": "theta",
 }
-"""What is summarised of a message type."""
+"""Fields of a message type that are summarised."""
 MODEL = "model_id"  # of a cost
 
 

@@ -136,12 +136,12 @@ class BagWriter:
 
     @property
     def bytes_written(self) -> int:
-        """Bytes on the disk, without those of dropped files."""
+        """Bytes on the disk, without dropped files."""
         return self._closed_bytes + self._file.size + self._alarm_bytes
 
     @property
     def message_count(self) -> int:
-        """Messages on the disk, without those of dropped files."""
+        """Messages on the disk, without dropped files."""
         return sum(file.count for file in self._files)
 
     @property

@@ -141,7 +141,7 @@ def _keys(name: str) -> list[_Key]:
     return [key for pair in path for key in pair if key is not None]
 
 
-def _check(root: Struct, name: str, shown: str) -> None:
+def _check(root: Struct, name: str, label: str) -> None:
     kind: MessageType = root
     for key in _keys(name):
         if isinstance(key, int) and isinstance(kind, Array):
@@ -150,11 +150,11 @@ def _check(root: Struct, name: str, shown: str) -> None:
             kind = dict(kind.fields)[key]
         else:
             columns = ", ".join(leaf_fields(root)) or "no column"
-            raise BagError(f"{root.name} has no field '{shown}'; it has {columns}")
+            raise BagError(f"{root.name} has no field '{label}'; it has {columns}")
     if isinstance(kind, Struct) and not kind.is_stamp:
-        inner = ", ".join(f"{shown}.{item}" for item in leaf_fields(kind))
-        raise BagError(f"'{shown}' is a message of its own; choose one of its fields: {inner}")
+        inner = ", ".join(f"{label}.{item}" for item in leaf_fields(kind))
+        raise BagError(f"'{label}' is a message of its own; choose one of its fields: {inner}")
     if isinstance(kind, Array) and not isinstance(kind.element, Primitive):
         raise BagError(
-            f"'{shown}' is an array of messages or strings; choose an element, such as '{shown}[0]'"
+            f"'{label}' is an array of messages or strings; choose an element, such as '{label}[0]'"
         )

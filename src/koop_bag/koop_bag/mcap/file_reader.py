@@ -94,7 +94,7 @@ class McapFile:
         return self._file.read(place.length)
 
     def records(self, place: Place) -> Iterator[tuple[int, bytes]]:
-        """Opcode and content of a record; of a chunk, those of each record in it."""
+        """Opcode and content of a record, or of each record in a chunk."""
         if place.opcode != Opcode.CHUNK:
             yield place.opcode, self.content(place)
             return

@@ -217,12 +217,12 @@ class RecorderRun(Run):
     def _is_new_trip(self, row: Row) -> bool:
         """Return whether a message says that a guard has tripped; it may say so again."""
         _, channel, _, data = row
-        known = self._trips.get(channel)
-        if known is None:
+        last_trip = self._trips.get(channel)
+        if last_trip is None:
             return False
         state = deserialize_message(data, GuardState)
         self._trips[channel] = state.tripped_at
-        return state.status == GuardState.TRIPPED and state.tripped_at != known
+        return state.status == GuardState.TRIPPED and state.tripped_at != last_trip
 
     def _finish_bag(self) -> None:
         if self._writer is None:

@@ -1,4 +1,4 @@
-"""What a running loop says of itself: whether it is healthy, and its status in a few lines."""
+"""Health of a running loop, and its status in a few lines."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def judge_health(
     progress : Progress
         What its nodes report.
     nodes, lost : collection of str
-        Those that were started, and those of them that have ended.
+        Nodes that were started, and the ones among them that have ended.
     now : float
         Steady time [s].
     """

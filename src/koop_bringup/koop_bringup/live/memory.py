@@ -1,4 +1,4 @@
-"""What the controller of a guarded rig goes on from when the loop is started again.
+"""State of a guarded rig's controller, kept for the next start of the loop.
 
 The controller says it on /diagnostics once a second. So the file is written where no message waits
 for the disk: in the process that watches the nodes.

@@ -1,4 +1,4 @@
-"""What the nodes of a running loop report."""
+"""Reports of the nodes of a running loop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LEVELS = ("OK", "WARN", "ERROR", "STALE")
 
 @dataclass
 class Progress:
-    """What /diagnostics last said about the loop.
+    """The last report about the loop on /diagnostics.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a service manager hears of a loop: that it is ready, works on, and ends (sd_notify(3))."""
+"""Messages to a service manager: the loop is ready, works on, and ends (sd_notify(3))."""
 
 from __future__ import annotations
 

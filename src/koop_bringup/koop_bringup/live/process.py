@@ -145,15 +145,15 @@ class NodeProcess:
         A program of its own lets them go on then, for this one may be killed meanwhile. The process
         goes on first, so that a child which watches it sees it alive.
         """
-        own = self.process.pid
-        children = [int(w) for w in Path(f"/proc/{own}/task/{own}/children").read_text().split()]
-        later = f"kill -CONT {own}; sleep {RESUMED:g}; kill -CONT {' '.join(map(str, children))}"
+        main = self.process.pid
+        children = [int(w) for w in Path(f"/proc/{main}/task/{main}/children").read_text().split()]
+        later = f"kill -CONT {main}; sleep {RESUMED:g}; kill -CONT {' '.join(map(str, children))}"
         waiting = subprocess.Popen(
             ["sh", "-c", f"sleep {seconds:g}; {later}"],
             stdin=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
         try:
-            for pid in (*children, own):
+            for pid in (*children, main):
                 os.kill(pid, signal.SIGSTOP)
             yield
         finally:

@@ -1,4 +1,4 @@
-"""What decides whether a rig is fit to be commissioned. Pure: no ROS."""
+"""Settings that decide whether a rig is fit to be commissioned. Pure: no ROS."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ NAME = "time-out"
 
 
 class Telling(NamedTuple):
-    """What tells a block at theta_safe from one at another theta.
+    """The difference between blocks at theta_safe and at another theta.
 
     Attributes
     ----------
@@ -49,14 +49,14 @@ def tell_apart(
     within = 0.5 * (far.var(axis=0, ddof=1) + safe.var(axis=0, ddof=1)) / spread**2
     change = (safe.mean(axis=0) - far.mean(axis=0)) / spread
     weights = change / (within + settings.lucky) / spread
-    away, home = far @ weights, safe @ weights
-    noise = np.sqrt(0.5 * (away.var(ddof=1) + home.var(ddof=1)))
-    mean_far, mean_safe = float(away.mean()), float(home.mean())
+    beyond, home = far @ weights, safe @ weights
+    noise = np.sqrt(0.5 * (beyond.var(ddof=1) + home.var(ddof=1)))
+    mean_far, mean_safe = float(beyond.mean()), float(home.mean())
     return Telling(weights, mean_far, mean_safe, abs(mean_safe - mean_far) / max(noise, 1e-12))
 
 
 def is_back(shares: Sequence[float]) -> bool:
-    """Return whether the last two blocks are those of theta_safe."""
+    """Return whether the last two blocks are at theta_safe."""
     return len(shares) > 1 and all(abs(share - 1.0) < 0.5 for share in shares[-2:])
 
 

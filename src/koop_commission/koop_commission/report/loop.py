@@ -10,7 +10,7 @@ import numpy as np
 from koop_bag.errors import BagError
 from koop_commission.report.colors import BEST, MEASURED
 from koop_commission.report.contents import Contents
-from koop_commission.report.runs import RecordedRun, read_run
+from koop_commission.report.runs import RunCurves, read_run
 from koop_core.errors import InputError
 from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.search.prediction import Prediction
@@ -72,7 +72,7 @@ def make_loop(c: Contents) -> Section:
 
 def _draw(
     c: Contents, name: str, caption: str, tuned: dict[str, Any], path: dict[str, Any],
-    run: RecordedRun | None = None,
+    run: RunCurves | None = None,
 ) -> Figure:  # fmt: skip
     time = path["time"]
     ends = [0.0, max(time[-1], float(run.time[-1]))] if run else [time[0], time[-1]]

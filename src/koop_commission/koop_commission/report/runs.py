@@ -18,7 +18,7 @@ from koop_tune.excitation.amplitude import Amplitude
 POINTS = 400  # of a curve; theta has twice as many
 
 
-class RecordedRun(NamedTuple):
+class RunCurves(NamedTuple):
     """A closed loop.
 
     Attributes
@@ -35,7 +35,7 @@ class RecordedRun(NamedTuple):
     amplitude: NDArray[np.float64]
 
 
-def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RecordedRun:
+def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RunCurves:
     """Read a recording.
 
     Parameters
@@ -69,7 +69,7 @@ def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RecordedR
                 middles.append(float(t[first]) + 0.5 * length * dt)
                 amplitudes.append(float(np.exp(amplitude.logs(x)[0])))
     every = max(-(-len(middles) // POINTS), 1)
-    return RecordedRun(
+    return RunCurves(
         *thin(t[controlled], signals.theta[controlled]),
         np.array(middles[::every]),
         np.array(amplitudes[::every]),

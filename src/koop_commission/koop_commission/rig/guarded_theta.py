@@ -72,7 +72,7 @@ class GuardedTheta:
 
     @property
     def value(self) -> float:
-        """What the rig was told last."""
+        """The last command to the rig."""
         from rclpy.serialization import deserialize_message
 
         if not self._command:

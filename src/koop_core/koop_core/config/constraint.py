@@ -18,7 +18,7 @@ _FORM = re.compile(r"(\w+)\s*\(\s*([^,]+?)\s*,\s*(\S+?)\s*s?\s*\)\s*<\s*(\S+)", 
 
 
 class Constraint(NamedTuple):
-    """What must stay below a bound.
+    """A statistic of a signal that must stay below a bound.
 
     Attributes
     ----------

@@ -28,7 +28,7 @@ class ConfigError(InputError):
 
 @dataclass(frozen=True)
 class Spec:
-    """What a parameter means and which values it may take."""
+    """Meaning and allowed values of a parameter."""
 
     description: str
     unit: str = ""
@@ -40,7 +40,7 @@ class Spec:
     read_only: bool = False
     """Whether the value cannot change while the node runs."""
     origin: str = ""
-    """What chose the default: a study, a measurement, a standard; empty where nothing had to."""
+    """Source of the default: a study, a measurement, a standard; empty where nothing had to."""
 
     @property
     def constraint(self) -> str:

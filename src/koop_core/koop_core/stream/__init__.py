@@ -1,1 +1,1 @@
-"""What a stream of messages says: arrival, age, losses, findings."""
+"""Streams of messages: arrival, age, losses, findings."""

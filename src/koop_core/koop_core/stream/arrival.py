@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 
 class Arrival(IntEnum):
-    """What a message is; those up to JOIN are processed, those up to REPEAT answered."""
+    """Class of a message: up to JOIN they are processed, up to REPEAT answered."""
 
     NEXT = 0
     """Follows on the last message, perhaps after a few lost ones."""
@@ -42,7 +42,7 @@ WINDOW = 64  # steps that a message may be overtaken by; further back is another
 
 
 class Heard(NamedTuple):
-    """What is remembered of a stream."""
+    """State of a stream's classifier."""
 
     step: int
     """Step of the newest message; -1 before the first."""

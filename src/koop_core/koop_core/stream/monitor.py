@@ -20,7 +20,7 @@ from typing import Any
 
 from koop_core.stream.age import AgeMeter
 from koop_core.stream.arrival import NOTHING, WINDOW, Arrival, classify, timeout_of
-from koop_core.stream.report import ERROR, OK, STALE, WARN, Finding
+from koop_core.stream.report import ERROR, OK, STALE, WARN, NodeFinding
 
 
 class StreamMonitor:
@@ -149,7 +149,7 @@ class StreamMonitor:
         publishers: int,
         can_say_more: bool = True,
         unheard: Sequence[str] = (),
-    ) -> Iterator[Finding]:
+    ) -> Iterator[NodeFinding]:
         """Say what is wrong at a steady time [s]; counts are those since the last call.
 
         ``publishers`` is their number, ``can_say_more`` whether one of them may have something to
@@ -163,29 +163,29 @@ class StreamMonitor:
         )
         self._reported = counts
         for text in unheard:
-            yield Finding(ERROR, text)
+            yield NodeFinding(ERROR, text)
         if publishers > 1:
-            yield Finding(ERROR, f"{publishers} publishers on '{self.topic}'")
+            yield NodeFinding(ERROR, f"{publishers} publishers on '{self.topic}'")
         if unusable:
-            yield Finding(ERROR, f"{unusable} unusable on '{self.topic}', last {self.problem}")
+            yield NodeFinding(ERROR, f"{unusable} unusable on '{self.topic}', last {self.problem}")
         if math.isnan(self._heard) and not unheard:
             source = "its publisher is silent" if publishers else "no publisher"
-            yield Finding(WARN, f"nothing on '{self.topic}' yet: {source}", at_once=False)
+            yield NodeFinding(WARN, f"nothing on '{self.topic}' yet: {source}", at_once=False)
         if self.stale(now):
             if self._may_end and not (publishers and can_say_more) and not self._silent:
-                yield Finding(OK, f"'{self.topic}' has ended at step {self.step}")
+                yield NodeFinding(OK, f"'{self.topic}' has ended at step {self.step}")
             else:  # a source that was lost stays so when discovery gives it up
                 self._silent = True
                 text = f"nothing on '{self.topic}' for {self.age(now):.1f} s"
-                yield Finding(STALE, f"{text}, timeout {self.timeout:g} s")
+                yield NodeFinding(STALE, f"{text}, timeout {self.timeout:g} s")
         if restarts:
-            yield Finding(WARN, f"steps on '{self.topic}' went back")
+            yield NodeFinding(WARN, f"steps on '{self.topic}' went back")
         noted = [(repeated, "repeated"), (too_old, "too old")]
         if not self._newest_counts:
             noted = [(missed, "missed"), (late, "late"), *noted]
         for number, what in noted:
             if number:
-                yield Finding(WARN, f"{number} {what} on '{self.topic}'")
+                yield NodeFinding(WARN, f"{number} {what} on '{self.topic}'")
 
     def values(self, now: float, wall: float, publishers: int) -> dict[str, object]:
         """Return the figures for /diagnostics."""

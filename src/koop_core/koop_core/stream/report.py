@@ -1,4 +1,4 @@
-"""What a node says on /diagnostics, before it is a message. Pure: imports nothing of ROS."""
+"""A node's report on /diagnostics, before it is a message. Pure: imports nothing of ROS."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _URGENCY = (OK, WARN, STALE, ERROR)  # a broken input asks for more than a silen
 SETTLED = 5.0  # [s] that a lower level must last before it is news
 
 
-class Finding(NamedTuple):
+class NodeFinding(NamedTuple):
     """One thing that a node found, with its level."""
 
     level: int
@@ -21,18 +21,18 @@ class Finding(NamedTuple):
     """Whether the log says so at once; else only when it has lasted, as at every start."""
 
 
-def summary(findings: Iterable[Finding]) -> Finding:
+def summary(findings: Iterable[NodeFinding]) -> NodeFinding:
     """Return the most urgent level, and all texts that are not OK with the most urgent first.
 
     Where all is OK, the texts are the OK findings' texts.
     """
     ordered = sorted(findings, key=lambda item: -_URGENCY.index(item.level))
     if not ordered:
-        return Finding(OK, "")
+        return NodeFinding(OK, "")
     level = ordered[0].level
     at_once = any(item.at_once for item in ordered if item.level == level)
     texts = [item.text for item in ordered if item.text and (item.level or not level)]
-    return Finding(level, "; ".join(texts), at_once)
+    return NodeFinding(level, "; ".join(texts), at_once)
 
 
 class News:
@@ -46,7 +46,7 @@ class News:
         self._logged = OK
         self._since = math.nan  # when the level changed that was not logged yet [s]
 
-    def of(self, state: Finding, now: float) -> Finding | None:
+    def of(self, state: NodeFinding, now: float) -> NodeFinding | None:
         """Return what to log of the summary at a steady time [s]."""
         change = _URGENCY.index(state.level) - _URGENCY.index(self._logged)
         if change == 0:

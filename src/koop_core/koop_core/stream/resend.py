@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Due(Enum):
-    """What is to be done about a question."""
+    """The next action for an open question."""
 
     WAIT = "wait"
     AGAIN = "ask again"

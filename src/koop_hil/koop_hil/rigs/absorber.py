@@ -13,7 +13,7 @@ import math
 import random
 from typing import Any
 
-from stand import Knob, Rig, parse_rig
+from stand import Knob, SimulatedRig, parse_rig
 
 DT, STEPS = 0.02, 4  # between two samples [s]; steps of the integration within
 OMEGA = 2.0 * math.pi * 1.1  # of the structure alone [rad/s]
@@ -26,7 +26,7 @@ WAVES, WAVE = (1.6, 1.3), 2.0 * math.pi * 0.13  # interference of the sensors; f
 NOISE = 0.02  # of the sensors, standard deviation
 
 
-class Absorber(Rig):
+class Absorber(SimulatedRig):
     """Structure and damper in modal coordinates: x, x' and z, z', displacements in cm.
 
     With w = OMEGA and the force f = theta^2 w^2 (z - x) + 2 LOST theta w (z' - x') per mass of

@@ -26,7 +26,7 @@ LEAP, LATE, STEP = 3600.0, 0.3, 0.5  # a clock's jump [s], a delay [s], a coarse
 
 
 class Sensors:
-    """What the sensors say of the true state, with the faults that they have."""
+    """Readings of the true state by sensors with faults."""
 
     def __init__(self, seed: int) -> None:
         self.faults: set[str] = set()

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from stand import Knob, Rig, parse_rig
+from stand import Knob, SimulatedRig, parse_rig
 
 DT = 0.005  # [s]
 START, STROKE = 2.0, 5.0  # of theta
@@ -126,7 +126,7 @@ def advance(physics: Physics, t: float, dt: float, state: State, theta: float) -
     return x + dt / 6 * (ax + 2 * bx + 2 * cx + dx), y + dt / 6 * (ay + 2 * by + 2 * cy + dy)
 
 
-class Oscillator(Rig):
+class Oscillator(SimulatedRig):
     """One of :data:`RIGS` with its sensors, noisy and quantised."""
 
     dt, message, topics = DT, "MeasuredState", ("state", "theta")

@@ -19,7 +19,7 @@ OLDEST = 0.5  # age of the state behind a command, beyond which it is ignored [s
 
 
 class Knob(NamedTuple):
-    """What moves theta.
+    """The actuator of theta.
 
     Attributes
     ----------
@@ -36,8 +36,8 @@ class Knob(NamedTuple):
     rate: float = 0.0
 
 
-class Rig(Protocol):
-    """What a rig's module makes of the command line; the stand does the rest.
+class SimulatedRig(Protocol):
+    """A rig, as its module makes it of the command line; the stand does the rest.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Actuator:
         return self.theta
 
 
-def run(rig: Rig, args: argparse.Namespace) -> None:
+def run(rig: SimulatedRig, args: argparse.Namespace) -> None:
     """Run a rig at its own pace, with its own clock, until its time is over or it is stopped.
 
     Raises ValueError if the rig breaks.
@@ -134,26 +134,26 @@ def run(rig: Rig, args: argparse.Namespace) -> None:
     print(f"{k} steps in {time.monotonic() - begin:.2f} s", flush=True)
 
 
-class Change(NamedTuple):
-    """What is set to a value at a time [s]."""
+class TimedValue(NamedTuple):
+    """A quantity that is set to a value at a time [s]."""
 
     time: float
     name: str
     value: float
 
 
-def change(text: str) -> Change:
+def change(text: str) -> TimedValue:
     """Return the change that ``T:NAME=VALUE`` names.
 
     >>> change("60:throttle=0.9")
-    Change(time=60.0, name='throttle', value=0.9)
+    TimedValue(time=60.0, name='throttle', value=0.9)
     """
     when, _, what = text.partition(":")
     name, _, value = what.partition("=")
     try:
-        wanted = Change(float(when), name, float(value))
+        wanted = TimedValue(float(when), name, float(value))
     except ValueError:
-        wanted = Change(math.nan, "", math.nan)
+        wanted = TimedValue(math.nan, "", math.nan)
     if not (name and wanted.time >= 0.0 and math.isfinite(wanted.value)):
         raise argparse.ArgumentTypeError(f"{text!r}: write T:NAME=VALUE, such as 60:throttle=0.9")
     return wanted

@@ -7,13 +7,13 @@ import math
 import random
 
 import numpy as np
-from stand import Rig
+from stand import SimulatedRig
 
 SAMPLES = 60_000  # at each value, unless a duration is wanted
 SETTLING = 1.0 / 3.0  # of them
 
 
-def true_amplitudes(rig: Rig, theta: float, samples: int) -> np.ndarray:
+def true_amplitudes(rig: SimulatedRig, theta: float, samples: int) -> np.ndarray:
     """Return sqrt(2) times the standard deviation of each number of the true state."""
     rng, truth = random.Random(0), []
     for k in range(samples):
@@ -28,7 +28,7 @@ def print_map(args: argparse.Namespace) -> None:
     print("     theta  true amplitude")
     for theta in np.linspace(low, high, round(points)):
         args.theta_initial = float(theta)
-        rig: Rig = args.make(args)
+        rig: SimulatedRig = args.make(args)
         samples = round(args.duration / rig.dt) or SAMPLES
         values = true_amplitudes(rig, args.theta_initial, samples)
         print(f"{theta:10.4g}", *(f"{value:10.4g}" for value in values), flush=True)

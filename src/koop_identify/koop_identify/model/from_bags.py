@@ -27,7 +27,7 @@ from koopman_lifter.observables import Monomials
 
 @dataclass(frozen=True)
 class BagTraining:
-    """What to learn from bags.
+    """Settings of a training on bags.
 
     Attributes
     ----------

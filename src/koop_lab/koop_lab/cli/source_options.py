@@ -1,4 +1,4 @@
-"""What is measured and commanded in a bag, as options; light, so that ``koop bag`` is quick."""
+"""Measured and commanded fields of a bag, as options; light, so that ``koop bag`` is quick."""
 
 from __future__ import annotations
 

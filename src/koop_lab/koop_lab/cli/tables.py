@@ -1,4 +1,4 @@
-"""What the commands print as tables: modes, metrics."""
+"""Tables that the commands print: modes, metrics."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def main(args: argparse.Namespace) -> int:
         print(f"note: {note}")
     started = ", ".join([node.name for node in planned.nodes] + ["rig"] * bool(planned.program))
     print(f"starting {started}; logs in {folder}/logs; Ctrl-C ends the run", flush=True)
-    status = Status()
+    status = StatusLine()
 
     def show(progress: Progress) -> None:
         status.show(progress)
@@ -107,9 +107,9 @@ def install(args: argparse.Namespace, planned: Plan) -> int:
         raise ConfigError("--install: without --out, each start has a run folder of its own")
     system = os.geteuid() == 0
     name = unit_name(find_controller(args.file)[1])
-    given = {option: getattr(args, option) for option in (*OPTIONS, "serve")}
+    values = {option: getattr(args, option) for option in (*OPTIONS, "serve")}
     options = ["--composed"] * args.composed
-    options += [f"--{key}={value}" for key, value in given.items() if value is not None]
+    options += [f"--{key}={value}" for key, value in values.items() if value is not None]
     text = describe_unit(name, args.file, options, planned, system)
     Path("recordings").mkdir(exist_ok=True)
     unit = unit_folder(system) / name
@@ -146,7 +146,7 @@ def read_options(args: argparse.Namespace) -> tuple[Plan, Path]:
     return planned, folder
 
 
-class Status:
+class StatusLine:
     """Prints where the run is: when a node's level changes, and every now and then."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ MOST = 500  # sentences
 
 
 class Event(NamedTuple):
-    """What happened: from when, to when [s since the epoch], what kind, and in words."""
+    """An event: begin and end [s since the epoch], kind, and a sentence."""
 
     begin: float
     end: float
@@ -73,7 +73,7 @@ def trips(history: History) -> list[Event]:
 
 def troubles(history: History) -> list[Trouble]:
     """Return when nodes were not well; the guard's trips are told by the guard."""
-    found = []
+    troubles = []
     nodes: dict[str, list[HealthMessage]] = {}
     for message in history.health:
         if not message.node.endswith("/koop_guard"):
@@ -83,8 +83,8 @@ def troubles(history: History) -> list[Trouble]:
         for message, after in pairwise([*messages, last]):
             end = _end_between(history, message.time, after.time) or after.time
             if message.level:
-                found.append(Trouble(message.time, end, node, message.level, message.text))
-    return sorted(found)
+                troubles.append(Trouble(message.time, end, node, message.level, message.text))
+    return sorted(troubles)
 
 
 def _trip(trip: GuardMessage, end: float, how: str) -> Event:
@@ -121,11 +121,11 @@ def _models(history: History) -> Iterator[Event]:
 
 
 def _health(history: History) -> Iterator[Event]:
-    """Yield troubles that lasted or were errors; those of a node that are near, together."""
+    """Yield troubles that lasted or were errors; near ones of a node together."""
     together: list[Trouble] = []
     by_node = sorted(troubles(history), key=lambda trouble: (trouble.node, trouble.begin))
-    told = [t for t in by_node if t.level > 1 or t.end - t.begin >= BRIEF]
-    for trouble in told:
+    lasting = [t for t in by_node if t.level > 1 or t.end - t.begin >= BRIEF]
+    for trouble in lasting:
         if together and (
             trouble.node != together[-1].node or trouble.begin - together[-1].end > NEAR
         ):

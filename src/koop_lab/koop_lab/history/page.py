@@ -86,9 +86,9 @@ def write_sentences(history: History) -> Iterator[str]:
 
 def _make_sections(history: History) -> Iterator[Section]:
     events, name = list_events(history), history.name.strip("/").replace("/", "-")
-    told = events[-MOST:]
-    rows: list[tuple[Cell, ...]] = [(_second(event.begin), event.text) for event in told]
-    left = f", the last {MOST} of them" if len(events) > len(told) else ""
+    latest = events[-MOST:]
+    rows: list[tuple[Cell, ...]] = [(_second(event.begin), event.text) for event in latest]
+    left = f", the last {MOST} of them" if len(events) > len(latest) else ""
     table = Table(f"events{name}", f"{_count(len(events), 'event')}{left}", EVENTS, rows)
     of_loop = f" in {history.name}" if history.name else ""
     figure = Figure(f"time{name}", "", tuple(_panels(history, events)))
@@ -101,10 +101,10 @@ def _panels(history: History, events: Sequence[Event]) -> Iterator[Panel]:
     width = _width(float(rows.time[-1] - rows.time[0]), rows)
     thin = gather(rows, width, slow=False)
     time = thin.time + 0.5 * width
-    found = [event for event in events if event.kind == "trip"]
+    marked = [event for event in events if event.kind == "trip"]
     marks = tuple(
         Mark(int(trip.begin), "trip", int(trip.begin), math.ceil(trip.end), 1)
-        for trip in found[:MARKS]
+        for trip in marked[:MARKS]
     )
     amplitudes = rows.amplitude
     ranges = [_extremes(rows.time, amplitudes[:, [i]], width) for i in range(amplitudes.shape[1])]

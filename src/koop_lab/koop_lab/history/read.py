@@ -1,4 +1,4 @@
-"""What the runs of a loop recorded: their long-term record, and the bag where that ends."""
+"""Records of a loop's runs: the long-term record, and the bag where that ends."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LONG, SHORT, FINE = 7200.0, 10.0, 60.0  # [s]: within a span of LONG, amplitudes
 
 
 class GuardMessage(NamedTuple):
-    """What a guard said: time [s since the epoch], status as in GuardState, theta, why."""
+    """A guard's message: time [s since the epoch], status as in GuardState, theta, why."""
 
     time: float
     status: int
@@ -49,7 +49,7 @@ class HealthMessage(NamedTuple):
 
 
 @dataclass
-class Run:
+class RunSpan:
     """A recording: when it began and ended [s since the epoch], and whether it was closed."""
 
     folder: Path
@@ -77,7 +77,7 @@ class History:
     name: str
     channels: tuple[str, ...]
     rows: Rows
-    runs: list[Run]
+    runs: list[RunSpan]
     guard: list[GuardMessage]
     health: list[HealthMessage]
     models: list[tuple[float, str]]
@@ -85,7 +85,7 @@ class History:
 
 @dataclass
 class _Parts:
-    """What is gathered while runs are read, by loop or topic."""
+    """Parts gathered while runs are read, by loop or topic."""
 
     width: float
     start: int
@@ -102,10 +102,10 @@ class _Parts:
         if not rows.time.size:
             return
         self.rows.setdefault(loop, []).append(gather(rows, self.width))
-        known = self.models.setdefault(loop, [])
+        changes = self.models.setdefault(loop, [])
         for time, model in zip(rows.time.tolist(), models, strict=True):
-            if model and (not known or known[-1][1] != model):
-                known.append((time, model))
+            if model and (not changes or changes[-1][1] != model):
+                changes.append((time, model))
 
 
 def read_history(paths: Sequence[Path], since: float | None = None) -> list[History]:
@@ -141,36 +141,36 @@ def read_history(paths: Sequence[Path], since: float | None = None) -> list[Hist
 
 
 def find_runs(paths: Sequence[Path]) -> list[Path]:
-    """Return the folders of runs; those of loops of different names are refused."""
+    """Return the folders of runs; loops of different names are refused."""
     folders: list[Path] = []
     for path in paths:
         if not path.is_dir():
             raise InputError(f"{path}: is not a folder: name the folder of a run, or of runs")
-        own = [path] if (path / BAG).is_dir() else []
-        found = own or sorted(bag.parent for bag in path.glob(f"*/{BAG}"))
-        if not found:
+        single = [path] if (path / BAG).is_dir() else []
+        runs = single or sorted(bag.parent for bag in path.glob(f"*/{BAG}"))
+        if not runs:
             raise InputError(f"{path}: holds no run, a folder with a {BAG} in it")
-        folders += found
+        folders += runs
     names = {match[1] for folder in folders if (match := LABEL.fullmatch(folder.resolve().name))}
     if len(names) > 1:
         raise InputError(
-            f"{paths[0]}: holds runs of {', '.join(sorted(names)[:5])}: name those of one, "
+            f"{paths[0]}: holds runs of {', '.join(sorted(names)[:5])}: name the folders of one, "
             f"such as {paths[0]}/*-{min(names)}"
         )
     return folders
 
 
-def _look_at(folder: Path) -> Run:
+def _look_at(folder: Path) -> RunSpan:
     begin, end, closed = np.inf, 0.0, True
     for name in (SUMMARY, BAG):
         with suppress(BagError), BagReader(folder / name) as bag:
             if bag.message_count:
                 begin, end = min(begin, bag.start_time * 1e-9), max(end, bag.end_time * 1e-9)
             closed = bag.complete
-    return Run(folder, begin, end, closed)
+    return RunSpan(folder, begin, end, closed)
 
 
-def _read_run(run: Run, parts: _Parts) -> None:
+def _read_run(run: RunSpan, parts: _Parts) -> None:
     start = parts.start
     if (run.folder / SUMMARY).is_dir():
         with BagReader(run.folder / SUMMARY) as bag:
@@ -238,7 +238,7 @@ def _read_events(bag: BagReader, parts: _Parts, start: int) -> None:
                 parts.health.setdefault((node, time), HealthMessage(time, node, int(level), text))
 
 
-def _make_history(loop: str, parts: _Parts, runs: list[Run]) -> History:
+def _make_history(loop: str, parts: _Parts, runs: list[RunSpan]) -> History:
     rows = join(parts.rows[loop])
     channels = parts.channels.get(loop, ())
     if len(channels) != rows.power.shape[1]:

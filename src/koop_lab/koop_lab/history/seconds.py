@@ -16,7 +16,7 @@ COLUMNS = (
     "header.stamp", "count", "x_min", "x_max", "x_mean", "x_std",
     "r_min", "r_max", "r_mean", "theta_min", "theta_max", "theta_mean", "model_id",
 )  # fmt: skip
-"""What is read of a LoopSummary."""
+"""Fields of a LoopSummary that are read."""
 
 
 @dataclass(frozen=True)

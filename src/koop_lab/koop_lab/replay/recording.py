@@ -1,4 +1,4 @@
-"""What a replay needs of a bag: the states that were heard, the answers, what the user changed."""
+"""A bag as a replay needs it: states that were heard, answers, changes by the user."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What makes a managed node: parameters, entities, QoS, schedule, container."""
+"""Parts of a managed node: parameters, entities, QoS, schedule, container."""

@@ -106,7 +106,7 @@ class _OfRos:
 
 
 class Entities:
-    """What belongs to one state of a node's life: made on the way in, destroyed on the way out.
+    """Entities of one state of a node's life: made on the way in, destroyed on the way out.
 
     Callbacks are called only until then: an executor may still hold messages that came before.
     Timers run on the steady clock, whatever simulated time does.
@@ -114,7 +114,7 @@ class Entities:
 
     def __init__(self, node: Node) -> None:
         self.inputs: dict[str, Input] = {}
-        """What :meth:`reader` and :meth:`dated_subscription` have made, by topic as written."""
+        """Made by :meth:`reader` and :meth:`dated_subscription`, by topic as written."""
         self.waiting_for = ""
         self.fail: Callable[[], object] = bool
         """Ends the node as one that failed."""

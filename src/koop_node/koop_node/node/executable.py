@@ -1,4 +1,4 @@
-"""What ``ros2 run koop_node container`` starts."""
+"""Entry point of ``ros2 run koop_node container``."""
 
 from koop_node.node.start import start
 

@@ -18,7 +18,7 @@ from koop_core.config.fields import check_type
 from koop_core.config.parameter import ConfigError, NodeConfig
 from koop_core.errors import KoopError
 from koop_core.stream.monitor import StreamMonitor
-from koop_core.stream.report import ERROR, OK, STALE, WARN, Finding, News, summary
+from koop_core.stream.report import ERROR, OK, STALE, WARN, News, NodeFinding, summary
 from koop_node.node import schedule
 from koop_node.node.entities import Entities, Input, WithoutEvents
 from koop_node.node.graph import can_say_more, publishers_of, unheard
@@ -43,7 +43,7 @@ def message_type(name: str) -> Any:
 
 
 class Run:
-    """What a node works with from configure to cleanup, in one object.
+    """All that a node works with from configure to cleanup, in one object.
 
     A subclass makes everything in its constructor ``(node, entities)``; what it creates through
     the entities is destroyed with it, also if the constructor fails midway. Constructor and
@@ -266,14 +266,14 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
         now, count = time.monotonic(), run.samples()
         before, counted = self._counted
         self._counted = (now, count)
-        findings = [Finding(level, message)]
+        findings = [NodeFinding(level, message)]
         values: dict[str, object] = {
             "lifecycle_state": self.lifecycle_state,
             "rate_hz": f"{max(count - counted, 0) / (now - before):.1f}",
             **own_values,
         }
         if self._while_active is not None and self._while_active.waiting_for:
-            findings.append(Finding(WARN, self._while_active.waiting_for, at_once=False))
+            findings.append(NodeFinding(WARN, self._while_active.waiting_for, at_once=False))
         for monitor in run.inputs:
             publishers = publishers_of(self, monitor.topic)
             if self._while_active is not None:
@@ -281,7 +281,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
             values |= monitor.values(now, time.time(), len(publishers))
         if self.get_parameter("use_sim_time").value and not self.get_clock().now().nanoseconds:
             findings.append(
-                Finding(WARN, "use_sim_time is set, but nothing is published on /clock")
+                NodeFinding(WARN, "use_sim_time is set, but nothing is published on /clock")
             )
         state = summary(findings)
         self._log(self._news.of(state, now))
@@ -298,7 +298,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
 
     def _findings(
         self, monitor: StreamMonitor, now: float, publishers: list[Any], inputs: dict[str, Input]
-    ) -> Iterator[Finding]:
+    ) -> Iterator[NodeFinding]:
         """Return what is wrong with an input; it then hears all publishers that it can."""
         if monitor.topic not in inputs:  # not before all listen who must
             return iter(())
@@ -310,7 +310,7 @@ class ManagedNode(WithoutEvents, RefusingLifecycleNode, Generic[RunT]):
             unheard(inputs[monitor.topic].subscription, publishers),
         )
 
-    def _log(self, news: Finding | None) -> None:
+    def _log(self, news: NodeFinding | None) -> None:
         if news is None:
             return
         logger = self.get_logger()

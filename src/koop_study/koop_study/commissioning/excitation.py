@@ -13,14 +13,14 @@ from koop_identify.recording.loaded import Loaded
 from koop_identify.recording.samples import recorded_source
 from koop_identify.recording.segmentation import BagReading
 from koop_study.family import oscillator
-from koop_study.family.rig import Rig
+from koop_study.family.rig import RandomRig
 from koop_study.family.settings import FAMILY
 from koop_tune.excitation.design import DESIGN, Design
 from koop_tune.rig.rig_file import RigFile, state_source
 
 
 @dataclass(frozen=True)
-class Excitation:
+class SimulatedExcitation:
     """The recording of an excitation.
 
     Attributes
@@ -54,12 +54,12 @@ def as_loaded(theta: NDArray[np.float64], x: NDArray[np.float64], dt: float) -> 
     return Loaded(np.ascontiguousarray(x.T), number == 0, theta, time)
 
 
-def file_of(rig: Rig, rate: float, time: float) -> RigFile:
+def file_of(rig: RandomRig, rate: float, time: float) -> RigFile:
     """Return the rig file that an engineer would write.
 
     Parameters
     ----------
-    rig : Rig
+    rig : RandomRig
         The rig.
     rate : float
         Largest change of theta: ranges in the rig's own time.
@@ -76,7 +76,7 @@ def file_of(rig: Rig, rate: float, time: float) -> RigFile:
     )  # fmt: skip
 
 
-def training_of(rig: Rig) -> BagTraining:
+def training_of(rig: RandomRig) -> BagTraining:
     """Return how models of the rig are learned."""
     names = tuple(f"x{i}" for i in range(rig.channels))
     reading = BagReading(recorded_source("/state:x"), dt=rig.params.dt)
@@ -88,7 +88,7 @@ class Running:
 
     Parameters
     ----------
-    rig : Rig
+    rig : RandomRig
         The rig, which has settled at its first theta.
     rate : float
         Largest change of theta per second.
@@ -96,7 +96,7 @@ class Running:
         Seed of noise and first phase.
     """
 
-    def __init__(self, rig: Rig, rate: float, seed: int) -> None:
+    def __init__(self, rig: RandomRig, rate: float, seed: int) -> None:
         self._rig = rig
         self._most = rate * rig.params.dt
         self._state = rig.initial(seed)
@@ -137,7 +137,7 @@ class Running:
         return np.concatenate(theta), np.concatenate(x)
 
 
-def excite(rig: Rig, file: RigFile, seed: int) -> Excitation:
+def excite(rig: RandomRig, file: RigFile, seed: int) -> SimulatedExcitation:
     """Excite a rig until the static map is known or the time is over.
 
     Raises
@@ -155,7 +155,7 @@ def excite(rig: Rig, file: RigFile, seed: int) -> Excitation:
         design.rig = replace(file, time=factor * file.time)
         if _go_on(design, running):
             break
-    return Excitation(*running.recorded(), design, running.elapsed)
+    return SimulatedExcitation(*running.recorded(), design, running.elapsed)
 
 
 def _go_on(design: Design, running: Running) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from koop_identify.recording.loaded import Loaded
 from koop_study.commissioning.excitation import (
-    Excitation,
+    SimulatedExcitation,
     as_loaded,
     excite,
     file_of,
@@ -28,7 +28,7 @@ from koop_study.family.loop import (
     from_end,
     noise_of,
 )
-from koop_study.family.rig import Rig, draw
+from koop_study.family.rig import RandomRig, draw
 from koop_tune.excitation.design import FLAT, KNOWN
 from koop_tune.result import as_json
 from koop_tune.rig.rig_file import RigFile
@@ -93,10 +93,10 @@ def commission_plant(
             raise NoOptimum("flat", "nothing reacts")
         if recorded.design.ended != KNOWN:
             raise NoOptimum("time", "the time was over before the map was known")
-        found = commissioned(rig, file, recorded, loops, seed, effort, row)
-        row |= {"verdict": "tuned", "why": found.why, "doubt": found.findings.doubt,
-                "cost": found.chosen.name, "constants": asdict(found.best.constants),
-                "predicted": found.prediction.excess.high}  # fmt: skip
+        tuning = commissioned(rig, file, recorded, loops, seed, effort, row)
+        row |= {"verdict": "tuned", "why": tuning.why, "doubt": tuning.findings.doubt,
+                "cost": tuning.chosen.name, "constants": asdict(tuning.best.constants),
+                "predicted": tuning.prediction.excess.high}  # fmt: skip
     except NoOptimum as no:
         row |= {"verdict": no.kind, "why": str(no)}
     except ValueError as error:
@@ -107,8 +107,8 @@ def commission_plant(
 
 
 def commissioned(
-    rig: Rig, file: RigFile, recorded: Excitation, first: Loops, seed: int, effort: float,
-    row: Row,
+    rig: RandomRig, file: RigFile, recorded: SimulatedExcitation, first: Loops, seed: int,
+    effort: float, row: Row,
 ) -> Tuning:  # fmt: skip
     """Tune and verify, as often as ``koop commission`` does; note the outcome in the row.
 
@@ -122,12 +122,12 @@ def commissioned(
             seed=seed + len(rounds), effort=effort, slowdown=find_slowdown(rounds), workers=1
         )
         amplitude = recorded.design.amplitude
-        found = tune(loaded, file, training_of(rig), amplitude, settings)
+        tuning = tune(loaded, file, training_of(rig), amplitude, settings)
         if not rig.has_optimum:
-            return found
+            return tuning
         loops = first.later(len(rounds), find_longer(rounds)) if rounds else first
-        closed = loops.close(found)
-        aim = make_aim(as_json.of_tuning(found, file, None), file)
+        closed = loops.close(tuning)
+        aim = make_aim(as_json.of_tuning(tuning, file, None), file)
         before = [loops.rest(start, aim, 3 * OTHER + end) for end, start in enumerate(starts)]
         runs = tuple(
             LoopRun(start, measure(aim, rest, loop.x, loop.theta))
@@ -138,28 +138,28 @@ def commissioned(
         rounds.append(Round(len(rounds) + 1, aim.predicted, runs, agrees, damped))
         result = {"ratio": [loop.ratio for loop in closed],
                   "converged": [loop.converged for loop in closed]}  # fmt: skip
-        tried.append((found, result))
+        tried.append((tuning, result))
         for end, (rest, loop, run) in enumerate(zip(before, closed, runs, strict=True)):
             theta = run.measured.theta
             after = loops.rest(theta, aim, 5 * OTHER + end)
             path = np.r_[np.full(len(rest), run.start), loop.theta, np.full(len(after), theta)]
-            seen = as_loaded(path, np.concatenate([rest, loop.x, after]), file.dt)
-            loaded = Loaded.joined([loaded, seen])
+            recording = as_loaded(path, np.concatenate([rest, loop.x, after]), file.dt)
+            loaded = Loaded.joined([loaded, recording])
     which = kept_index(rounds)
-    found, result = tried[which]
+    tuning, result = tried[which]
     row |= {"runs": {"first": tried[0][1], "tuned": result}, "rounds": len(rounds),
             "damped": rounds[which].damped}  # fmt: skip
-    return found
+    return tuning
 
 
 class Loops:
     """The loop of a rig closed from both ends, with the same noise for every controller."""
 
-    def __init__(self, rig: Rig, seed: int, steps: int) -> None:
+    def __init__(self, rig: RandomRig, seed: int, steps: int) -> None:
         self._rig, self._seed, self._steps = rig, seed, steps
 
     def later(self, number: int, longer: float) -> Loops:
-        """Return those of a later round: with noise of its own, so many times as long."""
+        """Return the loops of a later round: with noise of its own, so many times as long."""
         return Loops(self._rig, self._seed + number * NEXT, round(longer * self._steps))
 
     @functools.cached_property
@@ -175,13 +175,13 @@ class Loops:
         rig = replace(self._rig, theta_initial=theta)
         return rig.record(np.full(steps, theta), self._seed + other)[0]
 
-    def close(self, found: Tuning) -> list[ClosedRun]:
+    def close(self, tuning: Tuning) -> list[ClosedRun]:
         """Close it with the tuned controller."""
-        task, constants, rig = found.task, found.best.constants, self._rig
+        task, constants, rig = tuning.task, tuning.best.constants, self._rig
         tuned = RigController(
             make_lifter(task, constants),
             make_esc(task, constants, rig.theta_initial),
-            found.chosen.maps.cost.model,
+            tuning.chosen.maps.cost.model,
         )
         return [
             close_from_end(rig, tuned, end, self.noises[end], self._seed + end * OTHER)
@@ -189,7 +189,7 @@ class Loops:
         ]
 
 
-def _described(rig: Rig) -> Row:
+def _described(rig: RandomRig) -> Row:
     p = rig.params
     rms = p.middle * math.sqrt(0.5)
     tone = float(np.sqrt(0.5 * (p.tone_amplitude**2).sum(axis=0)).mean()) if p.tone.size else 0.0
@@ -207,7 +207,7 @@ def _described(rig: Rig) -> Row:
     }
 
 
-def with_defaults(rig: Rig, rate: float, noises: list[RunNoise]) -> Row:
+def with_defaults(rig: RandomRig, rate: float, noises: list[RunNoise]) -> Row:
     """Return how the nodes' defaults do, which know the rig's limits and dt, with the raw cost."""
     p = rig.params
     limit = rate * (p.theta_max - p.theta_min) / rig.time

@@ -90,9 +90,9 @@ def cumulative(curves: Mapping[str, Sequence[float]], total: int) -> tuple[Serie
     for i, (name, values) in enumerate(curves.items()):
         ordered = np.sort(np.asarray(values, np.float64))
         shares = (np.arange(ordered.size) + 1.0) / total * 100.0
-        shown = (ordered > 0.0) & np.isfinite(ordered)
-        if shown.any():
-            x, y = ordered[shown].tolist(), shares[shown].tolist()
+        positive = (ordered > 0.0) & np.isfinite(ordered)
+        if positive.any():
+            x, y = ordered[positive].tolist(), shares[positive].tolist()
             series.append(Series(name, x, y, "steps", color=i))
     return tuple(series)
 

@@ -13,7 +13,7 @@ from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import Arrival
 from koop_study.family import oscillator
 from koop_study.family.oscillator import RigParams, RigState
-from koop_study.family.rig import Rig
+from koop_study.family.rig import RandomRig
 from koop_study.family.settings import FAMILY
 from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
@@ -66,7 +66,7 @@ def exposed(p: RigParams) -> RigParams:
     return p._replace(noise=np.ones(n), tone=np.zeros(0), tone_amplitude=none, tone_phase=none)
 
 
-def noise_of(rig: Rig, steps: int, seed: int) -> RunNoise:
+def noise_of(rig: RandomRig, steps: int, seed: int) -> RunNoise:
     """Draw the numbers of a run of some steps; the amplitude belongs to its second half."""
     p = rig.params
     numbers = rig.noise(steps, seed)
@@ -105,18 +105,18 @@ class ClosedRun(NamedTuple):
 
 
 def close_from_end(
-    rig: Rig, controller: RigController, end: int, noise: RunNoise, seed: int
+    rig: RandomRig, controller: RigController, end: int, noise: RunNoise, seed: int
 ) -> ClosedRun:
     """Close the loop from the lower (0) or upper (1) end of theta's range."""
     return close(from_end(rig, end), controller, noise, seed)
 
 
-def from_end(rig: Rig, end: int) -> Rig:
+def from_end(rig: RandomRig, end: int) -> RandomRig:
     """Return the rig at rest at the lower (0) or upper (1) end of theta's range."""
     return replace(rig, theta_initial=rig.params.theta_max if end else rig.params.theta_min)
 
 
-def close(rig: Rig, controller: RigController, noise: RunNoise, seed: int) -> ClosedRun:
+def close(rig: RandomRig, controller: RigController, noise: RunNoise, seed: int) -> ClosedRun:
     """Close the loop on a rig that has settled at its first theta."""
     p, esc = rig.params, replace(controller.esc, theta_initial=rig.theta_initial)
     model = controller.model

@@ -28,7 +28,7 @@ QUANTITIES = (
 
 
 @dataclass(frozen=True)
-class Rig:
+class RandomRig:
     """A rig and its true values.
 
     Attributes
@@ -58,7 +58,7 @@ class Rig:
 
     @property
     def objective(self) -> str:
-        """What the rig's owner wants of the oscillation: ``minimise`` or ``maximise``."""
+        """Aim of the rig's owner for the oscillation: ``minimise`` or ``maximise``."""
         return "minimise" if self.params.sense > 0.0 else "maximise"
 
     @property
@@ -113,7 +113,7 @@ class Rig:
         i = int(np.argmin(p.sense * squares))
         return oscillator.theta_at(p, GRID[i]), math.sqrt(squares[i])
 
-    def later(self, t: float) -> Rig:
+    def later(self, t: float) -> RandomRig:
         """Return the rig as it is after ``t`` [s]: its optimum is where it has moved to by then."""
         p = self.params
         if p.drift == 0.0:
@@ -198,7 +198,7 @@ class _Draws:
         return 1.0 if self[name].random() < 0.5 else -1.0
 
 
-def draw(config: FamilyConfig, seed: int) -> Rig:
+def draw(config: FamilyConfig, seed: int) -> RandomRig:
     """Draw one rig; the same family and seed give the same rig.
 
     A quantity's range does not touch what is drawn of the others: with another ``interference``
@@ -251,7 +251,7 @@ def draw(config: FamilyConfig, seed: int) -> Rig:
     settled = oscillator.levels(params, GRID, 0.0)
     params = _sensors(d, params._replace(middle=math.sqrt(settled.min() * settled.max())), chosen)
     start = float(d["start"].choice(GRID[np.abs(GRID - best) >= FAMILY.far]))
-    rig = Rig(seed, chosen, frequency, oscillator.theta_at(params, start), params)
+    rig = RandomRig(seed, chosen, frequency, oscillator.theta_at(params, start), params)
     drift = d.of("drift") / max(HOUR, FAMILY.slow * rig.slowest) * d.sign("drift")
     return replace(rig, params=params._replace(drift=drift))
 

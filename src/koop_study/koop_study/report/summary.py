@@ -1,4 +1,4 @@
-"""What a control engineer would tell a colleague about the study: sentences from its tables.
+"""The study in sentences from its tables, as a control engineer would tell a colleague.
 
 A sentence whose table or row is not there, as of a study of some experiments only, is left out;
 verdicts follow the figures.

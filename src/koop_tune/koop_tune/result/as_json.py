@@ -26,8 +26,8 @@ EVERY = 4  # points of a curve that are kept, one of so many
 
 def of_refusal(no: NoOptimum) -> dict[str, Any]:
     """Return the findings, and why nothing was chosen."""
-    seen = of_seen(no.findings) if no.findings else {}
-    return {"verdict": no.kind, "why": str(no), **seen}
+    findings = of_seen(no.findings) if no.findings else {}
+    return {"verdict": no.kind, "why": str(no), **findings}
 
 
 def of_tuning(tuning: Tuning, rig: RigFile, model: Path | None) -> dict[str, Any]:

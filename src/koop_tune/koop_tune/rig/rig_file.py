@@ -78,7 +78,7 @@ class RigFile(RigLimits):
 
     @property
     def guard(self) -> GuardConfig:
-        """What the guard of this rig keeps."""
+        """Limits that the guard of this rig keeps."""
         return GuardConfig(**{item.name: getattr(self, item.name) for item in fields(RigLimits)})
 
     @property

@@ -18,13 +18,13 @@ class Scale:
     low: float
     high: float
     apart: float = parameter(
-        20.0, "ratio of the limits from which on positions are those of log theta", low=1.0,
+        20.0, "ratio of the limits from which on positions are on a scale of log theta", low=1.0,
         origin="judgement",
     )  # fmt: skip
 
     @property
     def logarithmic(self) -> bool:
-        """Whether positions are those of log theta."""
+        """Whether positions are on a scale of log theta."""
         return self.low > 0.0 and self.high / self.low >= self.apart
 
     @property

@@ -81,7 +81,7 @@ class Surrogate(NamedTuple):
     low, high : float
         Range of theta.
     logarithmic : bool
-        Whether positions are those of log theta.
+        Whether positions are on a scale of log theta.
     coarse : bool
         Whether ``y`` is the root mean square of y_hp over dt.
     """

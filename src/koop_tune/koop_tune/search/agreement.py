@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Aim:
-    """What a tuning expects of a rig.
+    """Results that a tuning expects of a rig.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class Measured:
     amplitude_before, amplitude : float
         Before the loop was closed, and over the second half.
     error, doubt : float
-        Standard error of the logarithm of their ratio, and of that of ``amplitude``.
+        Standard errors of the logarithms of their ratio and of ``amplitude``.
     excess : float
         Amplitude over the best one (its inverse where it is to be large).
     reduction : float

@@ -1,4 +1,4 @@
-"""What an excitation shows: the static map of the amplitude, and that of every cost."""
+"""Findings of an excitation: the static maps of the amplitude and of every cost."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def analyse(
     settings: TuningSettings = TUNING,
     safe: SafeRange | None = None,
 ) -> Findings:
-    """Find where theta rested, the static map of the amplitude, and that of every cost.
+    """Find where theta rested, and the static maps of the amplitude and of every cost.
 
     ``amplitude`` is the one of the excitation; without it, it is chosen from the recording.
     ``safe`` are the thetas that keep the constraint.

@@ -1,4 +1,4 @@
-"""What runs in a ROS domain, as a source."""
+"""The loops of a ROS domain, as a source."""
 
 from __future__ import annotations
 
@@ -223,11 +223,11 @@ class LiveSource(ViewSource):
 
     def _take_parameters(self, served: Mapping[str, object]) -> None:
         """Ask new nodes for their parameters, and forget the parameters of ended nodes."""
-        values, own = self._collector.values, self._node.get_fully_qualified_name()
-        for node in values.keys() - served.keys() - {own}:
+        values, name = self._collector.values, self._node.get_fully_qualified_name()
+        for node in values.keys() - served.keys() - {name}:
             del values[node]
         if self._collector.look():
-            for node in values.keys() - {own}:
+            for node in values.keys() - {name}:
                 self._keep(node)
 
     def _keep(self, node: str) -> None:

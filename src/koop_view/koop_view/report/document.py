@@ -1,4 +1,4 @@
-"""What a page is made of: tables, figures, and sentences that cite the tables."""
+"""Parts of a page: tables, figures, and sentences that cite the tables."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from vdp_plant.pacing import SentStates
 
 
 class Outlets:
-    """What an active plant publishes on."""
+    """Publishers of an active plant."""
 
     def __init__(self, entities: Entities, publish_clock: bool) -> None:
         self.state = entities.writer(MeasuredState, "state", RELIABLE)
