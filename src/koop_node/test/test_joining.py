@@ -1,0 +1,92 @@
+"""A node joins its ROS domain also where a killed process has left a mailbox unfilled."""
+
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager, suppress
+
+import pytest
+
+from koop_node.process import joining
+from koop_node.process.domain import FIRST_PORT, PORTS, hold_domain
+from koop_node.process.joining import MAILBOXES, remove_unfilled
+
+JOIN = """
+import sys
+from koop_node.client.client import Client
+from koop_node.process import joining
+joining.FILLING = 0.2
+if sys.argv[2:]:  # the mailbox is left only after this process has looked
+    joining.remove_unfilled, joining.JOINING = lambda: None, 1.0
+with Client("late", int(sys.argv[1]), guest=False):
+    print("joined")
+"""
+SIZE = 52400  # [bytes] of a mailbox
+UNFILLED = {"made": b"", "sized": bytes(SIZE), "begun": bytes([1]) + bytes(SIZE - 1)}
+LONG = 60.0  # [s] for a process to start on a busy machine
+
+
+def mailbox(domain):
+    """Return the mailbox of a domain's first participant (DDSI-RTPS 9.6.1)."""
+    return MAILBOXES[0] / f"fastrtps_port{FIRST_PORT + PORTS * domain + 11}"
+
+
+@contextmanager
+def left(content):
+    """A mailbox that was left with a content, in a domain that nobody takes part in."""
+    with hold_domain() as domain:
+        path = mailbox(domain)
+        path.write_bytes(content)
+        try:
+            yield domain, path
+        finally:
+            with suppress(FileNotFoundError):
+                path.unlink()
+
+
+def join(*words):
+    command = [sys.executable, "-c", JOIN, *map(str, words)]
+    return subprocess.run(command, stdout=subprocess.PIPE, timeout=LONG)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("content", UNFILLED.values(), ids=UNFILLED)
+def test_what_a_killed_process_left_unfilled_does_not_stop_others(content):
+    with left(content) as (domain, path):
+        assert join(domain).stdout == b"joined\n"
+        assert path not in joining._unfilled()
+
+
+@pytest.mark.ros
+def test_who_hangs_on_a_mailbox_ends_although_python_is_locked():
+    with left(bytes(SIZE)) as (domain, _):
+        done = join(domain, "blind")
+        assert (done.returncode, done.stdout) == (-signal.SIGALRM, b"")
+
+
+def test_a_mailbox_that_is_filled_meanwhile_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr(joining, "MAILBOXES", (tmp_path, MAILBOXES[1]))
+    monkeypatch.setattr(joining, "FILLING", 1.0)
+    slow, dead, lock = (tmp_path / f"fastrtps_port{end}" for end in ("7411", "7413", "7411_el"))
+    for path in (slow, dead, lock):
+        path.write_bytes(b"")
+    looked = threading.Event()
+
+    def fill():
+        looked.wait()
+        slow.write_bytes(b"\2\0\0\0")
+
+    look = joining._unfilled
+
+    def unfilled():
+        found = look()
+        looked.set()
+        return found
+
+    monkeypatch.setattr(joining, "_unfilled", unfilled)
+    thread = threading.Thread(target=fill)
+    thread.start()
+    remove_unfilled()
+    thread.join()
+    assert sorted(tmp_path.iterdir()) == sorted([slow, lock])
