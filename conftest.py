@@ -68,7 +68,7 @@ def domain_of_the_marked(request: pytest.FixtureRequest) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what asks for a domain; the long files come first, so that all workers end together."""
+    """Mark what asks for a domain; the long files come first."""
     items.sort(key=lambda item: not item.nodeid.startswith(LONG))
     for item in items:
         if {"own_domain", "module_domain"} & set(getattr(item, "fixturenames", ())):

@@ -92,6 +92,22 @@ def home(rig, process=None):
     assert walked(rig)
 
 
+def alarm(facts, *end):
+    """Return an alarm's program that appends its facts to a file."""
+    script = "; ".join([f"env | grep KOOP_ALARM_ >> {facts}", f"echo NEXT >> {facts}", *end])
+    return shlex.join(["sh", "-c", script])
+
+
+def check_alarm(facts, reason, rig):
+    """Return the first alarm's facts, once they are there."""
+    wait(lambda: facts.exists() and "NEXT" in facts.read_text(), "the alarm")
+    known = dict(re.findall(r"KOOP_ALARM_(\w+)=(.*)", facts.read_text().partition("NEXT")[0]))
+    assert reason in known["REASON"]
+    assert (float(known["THETA_SAFE"]), known["COMMAND"]) == (SAFE, "/fast/knob:data")
+    assert any(abs(theta - float(known["THETA"])) < 1e-3 for _, theta in rig.moved)
+    return known
+
+
 FAULTS = {
     "spike": lambda rig: setattr(rig, "spike", True),
     "not finite": lambda rig: setattr(rig, "not_finite", True),
@@ -106,63 +122,79 @@ REASONS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_rig_that_fails_trips_the_guard_until_it_is_rearmed(up, fast_rig, probe, tmp_path, fault):
-    process, _ = up()
-    states = []
-    probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
-    FAULTS[fault](fast_rig)
-    home(fast_rig, process)
-    probe.spin_until(lambda: states and states[-1].theta == SAFE, "the state")
-    cause, reason = REASONS[fault]
-    assert (states[-1].status, states[-1].cause) == (GuardState.TRIPPED, cause)
-    assert reason in states[-1].reason
-    assert states[-1].tripped_theta < SAFE
-    refused = probe.call(Trigger, "/koop_guard/rearm", Trigger.Request())
-    assert (refused.success, "refused: " in refused.message) == (False, True)
-    fast_rig.spike = fast_rig.silent = fast_rig.not_finite = False
-    fast_rig.dead = None
+def rearm(probe, states, rig):
+    """Rearm once the cause has gone, and wait until the controller commands again."""
     probe.spin_until(lambda: not states[-1].rearm_refused, "the cause to be gone")
-    assert fast_rig.theta == SAFE
+    assert rig.theta == SAFE
     assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
-    probe.spin_until(lambda: fast_rig.theta < 0.7, "the controller to command again")
+    probe.spin_until(lambda: rig.theta < 0.7, "the controller to command again")
+
+
+def test_a_rig_that_fails_trips_the_guard_until_it_is_rearmed(up, fast_rig, probe, tmp_path):
+    facts, states = tmp_path / "facts", []
+    process, _ = up(on_alarm=alarm(facts, "echo no mail >&2; exit 3"))
+    probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
+    for fault, (cause, reason) in REASONS.items():
+        FAULTS[fault](fast_rig)
+        home(fast_rig, process)
+        tripped = lambda: states and (states[-1].theta, states[-1].cause) == (SAFE, cause)  # noqa: B023, E731
+        probe.spin_until(tripped, f"a trip by a {cause}")
+        assert states[-1].status == GuardState.TRIPPED
+        assert reason in states[-1].reason
+        assert states[-1].tripped_theta < SAFE
+        refused = probe.call(Trigger, "/koop_guard/rearm", Trigger.Request())
+        assert (refused.success, "refused: " in refused.message) == (False, True)
+        fast_rig.spike = fast_rig.silent = fast_rig.not_finite = False
+        fast_rig.dead = None
+        rearm(probe, states, fast_rig)
     assert probe.call(Trigger, "/koop_guard/trip", Trigger.Request()).success
     home(fast_rig, process)
+    log = tmp_path / "run" / "logs" / "koop_guard.log"
+    wait(lambda: "failed: exit code 3" in log.read_text(), "the alarm's end", process)
+    assert "no mail" in log.read_text().partition("failed: exit code 3")[2]
+    known = check_alarm(facts, "beyond its limit 8", fast_rig)
+    assert (known["CAUSE"], known["X"].split()[0]) == ("channel beyond its limit", "99")
+    assert facts.read_text().count("NEXT") == len(FAULTS) + 1  # once for each trip
     process.send_signal(signal.SIGINT)
     assert process.wait(LONG) == 0
     with BagReader(tmp_path / "run" / "bag") as bag:
         counts = {topic.name: topic.count for topic in bag.topics}
-    assert counts["/koop_guard/state"] >= 4
+    assert counts["/koop_guard/state"] >= 4 * len(FAULTS)
     assert counts["/fast/knob"] > 0
     # the figures are of what the rig was told; the controller itself asks for 0.9 at most
     theta = read(tmp_path / "run").signals.theta  # not known long after the guard has ended
     assert theta[np.isfinite(theta)][-1] == SAFE
 
 
-@pytest.mark.parametrize(
-    ("fault", "cause"),
-    [
-        ("inactive", "controller inactive"),
-        ("/theta", "controller doubled"),
-        ("/fast/knob", "another commander"),
-        ("/fast", "rig doubled"),
-    ],
-)
-def test_who_publishes_what_is_watched(up, fast_rig, probe, fault, cause):
+def test_who_publishes_what_is_watched(up, fast_rig, probe):
     process, _ = up()
-    states = []
-    probe.node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
-    if fault == "inactive":
-        off = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
-        assert probe.call(ChangeState, "/relay_esc/change_state", off).success
-    else:
-        kinds = {"/theta": ControlInput, "/fast/knob": Float64, "/fast": Float64MultiArray}
-        probe.node.create_publisher(kinds[fault], fault, 10)
-    probe.spin_until(lambda: states and states[-1].status == GuardState.TRIPPED, "a trip")
-    home(fast_rig, process)
+    states, node = [], probe.node
+    node.create_subscription(GuardState, "/koop_guard/state", states.append, KEPT)
+
+    def change(transition):
+        request = ChangeState.Request(transition=Transition(id=transition))
+        assert probe.call(ChangeState, "/relay_esc/change_state", request).success
+
+    def check_trip(*causes):
+        probe.spin_until(lambda: states and states[-1].status == GuardState.TRIPPED, "a trip")
+        home(fast_rig, process)
+        assert states[-1].cause in causes
+        assert not probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
+
+    for topic, kind, cause in (
+        ("/theta", ControlInput, "controller doubled"),
+        ("/fast/knob", Float64, "another commander"),
+        ("/fast", Float64MultiArray, "rig doubled"),
+    ):
+        second = node.create_publisher(kind, topic, 10)
+        check_trip(cause)
+        node.destroy_publisher(second)
+        rearm(probe, states, fast_rig)
+    change(Transition.TRANSITION_DEACTIVATE)
     # on a busy machine the silence of a second is noticed before the look at the graph
-    assert states[-1].cause in (cause, "controller silent" if fault == "inactive" else cause)
-    assert not probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
+    check_trip("controller inactive", "controller silent")
+    change(Transition.TRANSITION_ACTIVATE)
+    rearm(probe, states, fast_rig)
 
 
 def test_old_answers_trip_and_the_guard_rearms_itself_after_a_pause(start, probe):
@@ -260,25 +292,26 @@ def test_a_step_that_the_guard_answered_is_not_answered_again_by_a_controller_be
     assert all(a.step < b.step for a, b in pairwise(said))
 
 
-def kill(name):
-    return lambda process, nodes: os.kill(nodes[name], signal.SIGKILL)
+def send(number, name):
+    return lambda process, nodes: os.kill(nodes[name], number)
 
 
-ENDS = {
-    "controller killed": (kill("esc"), 2),
-    "lifter killed": (kill("lifter"), 2),
-    "guard killed": (kill("guard"), 2),
-    "guard stopped": (lambda process, nodes: os.kill(nodes["guard"], signal.SIGSTOP), 2),
-    "koop up killed": (lambda process, nodes: process.kill(), -9),
-    "Ctrl-C": (lambda process, nodes: process.send_signal(signal.SIGINT), 0),
-    "SIGTERM": (lambda process, nodes: process.send_signal(signal.SIGTERM), 0),
+ENDS = {  # what ends the loop, its exit code, the reason that the alarm is given
+    "controller killed": (send(signal.SIGKILL, "esc"), 2, "the loop ends"),
+    "lifter killed": (send(signal.SIGKILL, "lifter"), 2, "the loop ends"),
+    "guard killed": (send(signal.SIGKILL, "guard"), 2, "the guard was killed"),
+    "guard stopped": (send(signal.SIGSTOP, "guard"), 2, "the guard was killed"),
+    "koop up killed": (lambda process, nodes: process.kill(), -9, "loop"),
+    "Ctrl-C": (lambda process, nodes: process.send_signal(signal.SIGINT), 0, ""),
+    "SIGTERM": (lambda process, nodes: process.send_signal(signal.SIGTERM), 0, ""),
 }
 
 
 @pytest.mark.parametrize("end", ENDS)
 def test_theta_is_at_theta_safe_whatever_ends_the_loop(up, fast_rig, end, tmp_path):
-    process, nodes = up()
-    action, code = ENDS[end]
+    facts = tmp_path / "facts"
+    process, nodes = up(on_alarm=alarm(facts))
+    action, code, reason = ENDS[end]
     action(process, nodes)
     home(fast_rig)
     assert process.wait(LONG) == code
@@ -289,6 +322,9 @@ def test_theta_is_at_theta_safe_whatever_ends_the_loop(up, fast_rig, end, tmp_pa
             *_, last = bag.messages(["/fast/knob"])
         assert struct.unpack("<d", last.data[4:]) == (SAFE,)
     wait(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in nodes.values()), "the nodes")
+    if reason:
+        check_alarm(facts, reason, fast_rig)
+    assert (facts.exists() and facts.read_text().count("NEXT")) == bool(reason)
 
 
 @pytest.mark.parametrize("end", ["Ctrl-C", "guard killed"])
@@ -297,7 +333,7 @@ def test_a_loop_that_tripped_is_still_tripped_after_a_restart(koop, up, fast_rig
     fast_rig.spike = True
     home(fast_rig, process)
     fast_rig.spike = False
-    action, code = ENDS[end]
+    action, code, _ = ENDS[end]
     action(process, nodes)
     assert process.wait(LONG) == code
     process, states = koop("up", "loop.yaml", "--out", "again"), []
@@ -413,43 +449,6 @@ def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(
     finally:
         rig.stdin.close()
         rig.wait(LONG)
-
-
-ALARMS = {
-    "spike": (lambda rig, process, nodes: setattr(rig, "spike", True), "beyond its limit 8"),
-    "guard killed": (lambda rig, *loop: kill("guard")(*loop), "the guard was killed"),
-    "lifter killed": (lambda rig, *loop: kill("lifter")(*loop), "the loop ends"),
-    "Ctrl-C": (lambda rig, process, nodes: process.send_signal(signal.SIGINT), ""),
-}
-
-
-@pytest.mark.parametrize("cause", ALARMS)
-def test_an_alarm_runs_the_user_s_program_once_with_the_facts(up, fast_rig, tmp_path, cause):
-    facts = tmp_path / "facts"
-    script = f"env | grep KOOP_ALARM_ >> {facts}; echo NEXT >> {facts}; echo no mail >&2; exit 3"
-    process, nodes = up(on_alarm=shlex.join(["sh", "-c", script]))
-    action, reason = ALARMS[cause]
-    action(fast_rig, process, nodes)
-    home(fast_rig)
-    log = tmp_path / "run" / "logs" / "koop_guard.log"
-    if cause == "spike":
-        wait(lambda: "failed: exit code 3" in log.read_text(), "the log line", process)
-        assert "no mail" in log.read_text().partition("failed: exit code 3")[2]
-        fast_rig.spike = False
-        process.send_signal(signal.SIGINT)
-    process.wait(LONG)
-    if not reason:
-        assert not facts.exists()
-        return
-    wait(lambda: facts.exists() and "NEXT" in facts.read_text(), "the alarm")
-    text = facts.read_text()
-    assert text.count("NEXT") == 1
-    known = dict(re.findall(r"KOOP_ALARM_(\w+)=(.*)", text))
-    assert reason in known["REASON"]
-    assert (float(known["THETA_SAFE"]), known["COMMAND"]) == (SAFE, "/fast/knob:data")
-    assert any(abs(theta - float(known["THETA"])) < 1e-3 for _, theta in fast_rig.moved)
-    if cause == "spike":
-        assert (known["CAUSE"], known["X"].split()[0]) == ("channel beyond its limit", "99")
 
 
 def test_any_terminal_is_told_how_the_loop_is_and_may_end_it(up, fast_rig, koop, probe, tmp_path):
