@@ -46,9 +46,11 @@ def test_only_controller_and_guard_may_command():
 def test_the_policy_covers_all_that_the_nodes_say_hear_serve_and_ask(start, probe, tmp_path):
     start("recorder", output=tmp_path / "run")
     start("vdp_plant", publish_clock="true")
-    start("koopman_lifter", use_sim_time="true")
+    constraint = "rms(state:x[0], 1 s) < 10"
+    start("koopman_lifter", use_sim_time="true", constraint=constraint)
     start("relay_esc", "-r", "theta:=theta_asked", use_sim_time="true")
-    start("koop_guard", measured="state:x[0]", command="theta:theta", dt=0.005)
+    rig = {"measured": "state:x[0]", "command": "theta:theta", "constraint": constraint}
+    start("koop_guard", dt=0.005, **rig)
     costs = probe.collect(Cost, "cost")
     probe.spin_until(lambda: costs, "the loop")
     nodes = NODES | {TWIN}
