@@ -15,11 +15,13 @@ from std_msgs.msg import Header
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
 from koop_lab.cli.main import main
+from koop_lab.history.seconds import TABLES, Rows, with_guard
 
 BEGIN = 1_795_000_020  # [s since the epoch]: a full minute
 EVERY = 20  # [s] from second to second that is written
 DAY = 86400
-TRIP, REARMED = 30_000, 30_900  # [s] after BEGIN
+TRIP, BACK, REARMED = 30_000, 30_100, 30_900  # [s] after BEGIN
+SAFE = -2.0
 ILL = 50_000
 GUARD = "koop_msgs/msg/GuardState"
 
@@ -46,9 +48,11 @@ def write_days(folder, begin=0, end=DAY, closed=True):
         for t in range(begin, end, EVERY):
             if t == TRIP:
                 trip = {"cause": "told to", "reason": "told to by a test", "tripped_theta": 1.25}
-                write(guard, t, GuardState(status=2, **trip))
+                write(guard, t, GuardState(status=2, theta=1.25, **trip))
+            if t == BACK:
+                write(guard, t, GuardState(status=2, theta=SAFE, **trip))
             if t == REARMED:
-                write(guard, t, GuardState(status=1, **trip))
+                write(guard, t, GuardState(status=1, theta=SAFE, **trip))
             for name, at, lasts in (("/relay_esc", ILL, 60), ("/koop_guard", TRIP, 900)):
                 for when, level in ((at, b"\2"), (at + lasts, b"\0")):
                     if t == when - when % EVERY:
@@ -62,6 +66,7 @@ def write_days(folder, begin=0, end=DAY, closed=True):
                 header=header, count=200, model_id="old" if t < DAY / 2 else "new",
                 x_min=[-amplitude, 2.0], x_max=[amplitude, 2.0], x_mean=[0.0, 2.0],
                 x_std=[amplitude / np.sqrt(2.0), 0.0], r_min=0.5, r_max=2.0, r_mean=1.0,
+                margin_min=-0.1, margin_max=0.3, margin_mean=0.2,
                 theta_min=t / DAY - 0.5, theta_max=t / DAY + 0.5, theta_mean=t / DAY,
             ))  # fmt: skip
     with BagWriter(folder / "bag") as bag:
@@ -100,13 +105,36 @@ def test_the_figures_show_what_was_written_and_nothing_where_nothing_was(week, c
     # a curve's point is of some minutes, in which the amplitude falls by a few percent
     np.testing.assert_allclose(shown[away], amplitude_at(t[away] - BEGIN), rtol=0.03)
     assert max(v for v in band["upper"] if v) == pytest.approx(amplitude_at(TRIP), rel=0.01)
-    theta = panels["Theta of the controller"]["series"]
-    low, high = (np.array(theta[0][key], float) for key in ("y", "upper"))
-    assert np.nanmin(low) == pytest.approx(-0.5, abs=1e-3)
+    band, mean = panels["Theta"]["series"]
+    low, high = (np.array(band[key], float) for key in ("y", "upper"))
+    assert low[0] == pytest.approx(-0.5, abs=1e-2)
     assert np.nanmax(high) == pytest.approx(1.5, abs=1e-2)
-    (mark,) = panels["Theta of the controller"]["marks"]
+    t, theta = np.array(mean["x"]) - BEGIN, np.array(mean["y"], float)
+    back = (t > BACK) & (t < REARMED - 120)  # the guard's, whatever the controller asks for
+    assert back.any()
+    assert set(theta[back]) == {SAFE}
+    after = (t > REARMED + 120) & np.isfinite(theta)
+    assert theta[after] == pytest.approx(t[after] / DAY, abs=2e-3)
+    low, high, shown = (np.array(line, float) for line in (
+        *(panels["Margin of the constraint"]["series"][0][key] for key in ("y", "upper")),
+        panels["Margin of the constraint"]["series"][1]["y"],
+    ))  # fmt: skip
+    for values, expected in ((low, -0.1), (high, 0.3), (shown, 0.2)):
+        assert values[np.isfinite(values)] == pytest.approx(expected, abs=1e-6)
+    (mark,) = panels["Theta"]["marks"]
     assert (mark["low"], mark["high"]) == (BEGIN + TRIP, BEGIN + REARMED)
     assert {max(s["y"]) for s in panels["Health"]["series"]} == {2}
+
+
+def test_theta_is_the_guards_while_it_has_tripped_and_moves_in_between():
+    time, of_controller = np.arange(10.0), np.full((10, 3, 1), 5.0)
+    rows = Rows(time, np.ones(10), np.zeros((10, 1)), *(of_controller for _ in TABLES))
+    said = np.array([0.0, 2.5, 6.5, 8.2]), np.array([5.0, 1.0, -1.0, -1.0])
+    theta = with_guard(rows, *said, np.array([False, True, True, False])).theta[:, :, 0]
+    assert (theta[[0, 1, 2, 9]] == 5.0).all()
+    np.testing.assert_allclose(theta[3], [0.25, 0.75, 0.5])  # falls by 0.5 a second
+    np.testing.assert_allclose(theta[6, :2], [-1.0, -0.75])
+    np.testing.assert_allclose(theta[[7, 8]], -1.0)
 
 
 def test_each_thing_that_happened_has_a_sentence(week, capsys):
@@ -149,8 +177,10 @@ def test_a_recording_that_keeps_all_is_reported_from_its_messages(tmp_path, caps
         for k in range(t.size):
             time = BEGIN * 10**9 + round(t[k] * 1e9)
             for topic, values in (
-                ("/state", {"x": [x[k]]}), ("/cost", {"r": 1.0}), ("/theta", {"theta": 3.0})
-            ):  # fmt: skip
+                ("/state", {"x": [x[k]]}),
+                ("/cost", {"r": 1.0, "margin": np.nan}),
+                ("/theta", {"theta": 3.0}),
+            ):
                 message = types[topic](step=k, **values)
                 writer.write(channels[topic], time, time, serialize_message(message))
     assert main(["report", str(tmp_path)]) == 0
@@ -158,6 +188,7 @@ def test_a_recording_that_keeps_all_is_reported_from_its_messages(tmp_path, caps
     _, curve = panels["Amplitude"]["series"]
     assert curve["y"] == pytest.approx([0.7] * len(curve["y"]), rel=0.01)
     assert len(curve["y"]) == 6
+    assert "Margin of the constraint" not in panels
 
 
 def test_runs_of_several_loops_and_folders_without_a_run_are_refused(week, tmp_path, capsys):
@@ -180,7 +211,7 @@ def test_the_page_is_drawn_by_a_browser(week, width, dark, tmp_path):
     assert errors == []
     assert result["content"] <= result["width"]
     assert (result["empty"], result["wide"], result["small"]) == ([], 0, 0)
-    assert result["plots"] == len(result["drawn"]) == 4
+    assert result["plots"] == len(result["drawn"]) == 5
     assert all(plot["whole"] for plot in result["drawn"])
     assert 0.3 < result["zoomed"] < 0.7
     assert "UTC" in result["read"][0]

@@ -38,7 +38,8 @@ def publish_seconds(talker, seconds, begin=0):
         x = [np.sin(0.1 * k), 3.0 + np.cos(0.37 * k)]
         state.publish(state.msg_type(step=k, x=x))
         r = float("nan") if k % 7 == 0 else 1e-3 * k
-        cost.publish(cost.msg_type(step=k, r=r, model_id="first" if k < 150 else "second"))
+        model = "first" if k < 150 else "second"
+        cost.publish(cost.msg_type(step=k, r=r, margin=0.5 - 0.002 * k, model_id=model))
         theta.publish(theta.msg_type(step=k, theta=2.0 - 0.001 * k))
         time.sleep(0.01)  # the pace of a rig, on which nothing here depends
 
@@ -48,6 +49,7 @@ def assert_equal_to_numpy(seconds, full):
     columns = {
         "x": [(t, m.x) for t, m in full["/state"]],
         "r": [(t, [m.r]) for t, m in full["/cost"]],
+        "margin": [(t, [m.margin]) for t, m in full["/cost"]],
         "theta": [(t, [m.theta]) for t, m in full["/theta"]],
     }
     for received, second in seconds:

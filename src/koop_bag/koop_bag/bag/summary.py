@@ -17,13 +17,13 @@ from koop_bag.cdr.layout import LayoutFinder
 from koop_bag.errors import BagError
 
 SECOND = 1_000_000_000  # [ns]
-FIELDS = {
-    "koop_msgs/msg/MeasuredState": "x",
-    "koop_msgs/msg/Cost": "r",
-    "koop_msgs/msg/ControlInput": "theta",
+MODEL = "model_id"
+FIELDS: dict[str, tuple[str, ...]] = {
+    "koop_msgs/msg/MeasuredState": ("x",),
+    "koop_msgs/msg/Cost": ("r", "margin", MODEL),
+    "koop_msgs/msg/ControlInput": ("theta",),
 }
 """Fields of a message type that are summarised."""
-MODEL = "model_id"  # of a cost
 
 
 class Statistics(NamedTuple):
@@ -53,7 +53,7 @@ class LoopSecond:
     model_id : str
         Model of its last cost; empty where there is none.
     statistics : dict of str to Statistics
-        By name: ``x``, ``r``, ``theta``, as far as there were any.
+        By name: ``x``, ``r``, ``margin``, ``theta``, as far as there were any.
     """
 
     loop: str
@@ -67,17 +67,16 @@ class Seconds:
     """Gathers messages and makes seconds of them, of any number of loops."""
 
     def __init__(self) -> None:
-        self._sources: dict[int, tuple[str, str, LayoutFinder]] = {}
+        self._sources: dict[int, tuple[str, bool, LayoutFinder]] = {}
         self._open: dict[int, dict[int, list[bytes]]] = {}
         self._channels: dict[str, int] = {}  # measured, by loop
         self._next = 0
 
     def watch(self, channel: int, topic: str, type_name: str, definition: str) -> None:
         """Summarise a topic, if its type is in FIELDS; its messages come with this channel."""
-        if name := FIELDS.get(type_name):
-            fields = (name, MODEL) if name == "r" else (name,)
+        if fields := FIELDS.get(type_name):
             finder = LayoutFinder(parse_definition(type_name, definition), fields)
-            self._sources[channel] = topic.rpartition("/")[0], name, finder
+            self._sources[channel] = topic.rpartition("/")[0], "x" in fields, finder
 
     def add(self, channel: int, time: int, message: bytes) -> None:
         """Take a message that was received at a time [ns since the epoch].
@@ -99,15 +98,15 @@ class Seconds:
     def _summarise(self, second: int, messages: dict[int, list[bytes]]) -> Iterator[LoopSecond]:
         loops: dict[str, LoopSecond] = {}
         for channel, items in messages.items():
-            loop, name, finder = self._sources[channel]
+            loop, is_state, finder = self._sources[channel]
             entry = loops.setdefault(loop, LoopSecond(loop, second * SECOND))
-            if name == "x":
-                entry.count = len(items)
+            entry.count += is_state * len(items)
             with suppress(BagError):  # of other lengths within the second: nothing can be said
                 columns = _decode(items, finder)
-                entry.statistics[name] = compute_statistics(columns[name])
                 if MODEL in columns:
-                    entry.model_id = columns[MODEL][-1]
+                    entry.model_id = columns.pop(MODEL)[-1]
+                for name, values in columns.items():
+                    entry.statistics[name] = compute_statistics(values)
         for loop, entry in loops.items():
             if "x" in entry.statistics:
                 self._channels[loop] = entry.statistics["x"].min.size

@@ -85,7 +85,7 @@ def make_message(second: LoopSecond) -> LoopSummary:
     stamp = Time(sec=second.begin // SECOND, nanosec=second.begin % SECOND)
     nan = float("nan")
     message = LoopSummary(header=Header(stamp=stamp), count=second.count, model_id=second.model_id)
-    for name in ("r", "theta"):
+    for name in ("r", "margin", "theta"):
         for kind in ("min", "max", "mean"):
             setattr(message, f"{name}_{kind}", nan)
     for name, statistics in second.statistics.items():

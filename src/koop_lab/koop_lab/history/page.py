@@ -114,14 +114,20 @@ def _panels(history: History, events: Sequence[Event]) -> Iterator[Panel]:
         for curve in _curve(channel, time, width, thin.amplitude[:, i], *ranges[i], i)
     ]
     yield Panel(TIME, "amplitude", tuple(series), "Amplitude", time=True)
-    low, high, mean = thin.theta[:, :, 0].T
-    curves = tuple(_curve("theta", time, width, mean, low, high))
-    yield Panel(TIME, "theta", curves, "Theta of the controller, and trips", marks=marks, time=True)
-    low, high, mean = thin.r[:, :, 0].T
+
+    def curve(name: str, values: Floats) -> tuple[Series, ...]:
+        low, high, mean = values[:, :, 0].T
+        return tuple(_curve(name, time, width, mean, low, high))
+
+    title = "Theta, and trips, in which it is the guard's"
+    yield Panel(TIME, "theta", curve("theta", thin.theta), title, marks=marks, time=True)
+    low, high = thin.r[:, 0], thin.r[:, 1]
     positive = bool(np.nanmin(low, initial=np.inf) > 0.0)
     wide = positive and np.nanmax(high, initial=1.0) > 50.0 * np.nanmin(low, initial=1.0)
-    curves = tuple(_curve("r", time, width, mean, low, high))
-    yield Panel(TIME, "cost r", curves, "Cost", log_y=bool(wide), time=True)
+    yield Panel(TIME, "cost r", curve("r", thin.r), "Cost", log_y=bool(wide), time=True)
+    if np.isfinite(thin.margin).any():
+        title = "Margin of the constraint, below 0: broken"
+        yield Panel(TIME, "margin", curve("margin", thin.margin), title, time=True)
     yield Panel(
         TIME, "level", (_levels(history, troubles(history)),),
         "Health: the worst node; 0 OK, 1 WARN, 2 ERROR, 3 STALE", time=True,

@@ -18,10 +18,19 @@ from koop_bag.errors import BagError
 from koop_core.config.fields import parse_source
 from koop_core.errors import InputError, KoopError
 from koop_identify.recording.recorded_parameters import recorded_values
-from koop_lab.history.seconds import COLUMNS, Rows, from_columns, from_seconds, gather, join
+from koop_lab.history.seconds import (
+    COLUMNS,
+    Rows,
+    from_columns,
+    from_seconds,
+    gather,
+    join,
+    with_guard,
+)
 
 BAG, SUMMARY = "bag", "summary"
 GUARD_STATE = "koop_msgs/msg/GuardState"
+TRIPPED, FOLLOWING = 2, 1  # its status
 GUARD = ("log_time", "status", "theta", "cause", "reason", "tripped_theta")
 HEALTH = ("log_time", "status[0].name", "status[0].level", "status[0].message")
 LABEL = re.compile(r"\d{8}T\d{6}Z-(.+)")  # of a run's folder
@@ -101,11 +110,18 @@ class _Parts:
         models = models[len(models) - rows.time.size :]
         if not rows.time.size:
             return
+        if guard := self.guard_of(loop):
+            said = np.array([(m.time, m.theta, m.status == TRIPPED) for m in guard]).T
+            rows = with_guard(rows, said[0], said[1], said[2] > 0.0)
         self.rows.setdefault(loop, []).append(gather(rows, self.width))
         changes = self.models.setdefault(loop, [])
         for time, model in zip(rows.time.tolist(), models, strict=True):
             if model and (not changes or changes[-1][1] != model):
                 changes.append((time, model))
+
+    def guard_of(self, loop: str) -> list[GuardMessage]:
+        """Return what the guard of a loop said, in order."""
+        return sorted(m for (topic, _), m in self.guard.items() if topic.rsplit("/", 2)[0] == loop)
 
 
 def read_history(paths: Sequence[Path], since: float | None = None) -> list[History]:
@@ -243,8 +259,7 @@ def _make_history(loop: str, parts: _Parts, runs: list[RunSpan]) -> History:
     channels = parts.channels.get(loop, ())
     if len(channels) != rows.power.shape[1]:
         channels = tuple(f"x[{i}]" for i in range(rows.power.shape[1]))
-    guard = [message for (topic, _), message in parts.guard.items()
-             if topic.rsplit("/", 2)[0] == loop]  # fmt: skip
     health = [message for (node, _), message in parts.health.items()
               if node.rpartition("/")[0] == loop]  # fmt: skip
-    return History(loop, channels, rows, runs, sorted(guard), sorted(health), parts.models[loop])
+    guard, models = parts.guard_of(loop), parts.models[loop]
+    return History(loop, channels, rows, runs, guard, sorted(health), models)

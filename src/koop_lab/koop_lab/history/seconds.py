@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,11 @@ from koop_bag.bag.summary import LoopSecond
 Floats = NDArray[np.float64]
 COLUMNS = (
     "header.stamp", "count", "x_min", "x_max", "x_mean", "x_std",
-    "r_min", "r_max", "r_mean", "theta_min", "theta_max", "theta_mean", "model_id",
+    "r_min", "r_max", "r_mean", "margin_min", "margin_max", "margin_mean",
+    "theta_min", "theta_max", "theta_mean", "model_id",
 )  # fmt: skip
 """Fields of a LoopSummary that are read."""
+TABLES = ("x", "r", "margin", "theta")
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Rows:
         Seconds that it has.
     power : ndarray, shape (m, n)
         Variance of each channel within it.
-    x, r, theta : ndarray, shape (m, 3, n or 1)
+    x, r, margin, theta : ndarray, shape (m, 3, n or 1)
         Least, largest and mean value.
     """
 
@@ -40,6 +42,7 @@ class Rows:
     power: Floats
     x: Floats
     r: Floats
+    margin: Floats
     theta: Floats
 
     def since(self, time: float) -> Rows:
@@ -63,7 +66,7 @@ def from_columns(columns: Columns) -> Rows:
 
     time = columns["header.stamp"] * 1e-9
     power = columns["x_std"].astype(np.float64) ** 2
-    return Rows(time, np.ones(time.size), power, table("x"), table("r"), table("theta"))
+    return Rows(time, np.ones(time.size), power, *map(table, TABLES))
 
 
 def from_seconds(seconds: Sequence[LoopSecond]) -> Rows:
@@ -78,7 +81,23 @@ def from_seconds(seconds: Sequence[LoopSecond]) -> Rows:
 
     time = np.array([s.begin * 1e-9 for s in seconds])
     power = np.array([s.statistics["x"].std ** 2 for s in seconds])
-    return Rows(time, np.ones(time.size), power, table("x"), table("r"), table("theta"))
+    return Rows(time, np.ones(time.size), power, *map(table, TABLES))
+
+
+def with_guard(rows: Rows, time: Floats, theta: Floats, tripped: NDArray[np.bool_]) -> Rows:
+    """Return rows whose theta is the guard's where it had tripped.
+
+    Parameters
+    ----------
+    time, theta, tripped : ndarray, shape (k,)
+        What the guard said [s since the epoch], at least once; theta moves evenly in between.
+    """
+    last = np.searchsorted(time, rows.time, "right") - 1
+    held = (last >= 0) & tripped[last]
+    ends = np.interp([rows.time[held], rows.time[held] + rows.weight[held]], time, theta)
+    of_guard = rows.theta.copy()
+    of_guard[held, :, 0] = np.stack([ends.min(0), ends.max(0), ends.mean(0)], axis=1)
+    return replace(rows, theta=of_guard)
 
 
 def join(parts: Iterable[Rows]) -> Rows:
@@ -111,9 +130,7 @@ def gather(rows: Rows, width: float, slow: bool = True) -> Rows:
         keys[starts] * width,
         np.add.reduceat(rows.weight, starts),
         np.maximum(power, 0.0),
-        table(rows.x),
-        table(rows.r),
-        table(rows.theta),
+        *(table(getattr(rows, name)) for name in TABLES),
     )
 
 
