@@ -2,6 +2,7 @@
 
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -10,8 +11,13 @@ from pathlib import Path
 import pytest
 
 from koop_bag.bag.reader import BagReader
+from koop_core.config import parameter_file
+from koop_tune.rig.rig_file import as_values
 
 pytest.importorskip("launch_ros", reason="launch is not on PyPI")
+sys.path.insert(0, str(Path(__file__).parents[1] / "commission"))
+
+from commission_rig import DT, RIG, FastRig
 
 FILE = Path(__file__).parents[2] / "src" / "koop_bringup" / "launch" / "closed_loop.launch.py"
 TIMEOUT = 60.0  # [s] to start four processes on a busy machine
@@ -136,6 +142,32 @@ def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, launch):
     assert process.returncode == 1
     assert "recorder was killed by signal 9: the loop goes on without it" in printed
     assert printed.count("process has finished cleanly") == 2
+
+
+def test_a_recording_holds_how_theta_returned_when_the_guard_was_killed(nodes_of, launch, tmp_path):
+    values = {
+        "koopman_lifter": {"cost": "raw", "dt": DT, "measured": RIG.measured},
+        "relay_esc": {"theta_min": 0.4, "theta_max": 0.9, "theta_initial": 0.5, "rate_limit": 4.0},
+        "koop_guard": {
+            name: as_values(RIG)[name]
+            for name in ("measured", "command", "dt", "theta_max", "theta_start")
+        } | {"theta_min": 0.4, "theta_rate": 0.2, "theta_safe": RIG.theta_safe},
+    }  # fmt: skip
+    parameter_file.write(values, tmp_path / "loop.yaml")
+    rig = FastRig()
+    try:
+        out = f"output:={tmp_path / 'run'}"
+        process = launch(f"params:={tmp_path / 'loop.yaml'}", "record:=true", out)
+        wait_for(lambda: rig.theta < 0.6, process)
+        os.kill(nodes_of(process)["guard"], signal.SIGKILL)
+        printed, _ = process.communicate(timeout=TIMEOUT)
+    finally:
+        rig.close()
+    assert (process.returncode, rig.theta) == (1, RIG.theta_safe), printed
+    assert "koop_guard was killed by signal 9" in printed
+    with BagReader(tmp_path / "run" / "bag") as bag:
+        *_, last = bag.messages(["/fast/knob"])
+    assert struct.unpack("<d", last.data[4:]) == (RIG.theta_safe,)
 
 
 TWO = """

@@ -24,6 +24,7 @@ from launch.actions import (
     LogInfo,
     OpaqueFunction,
     RegisterEventHandler,
+    TimerAction,
     UnsetLaunchConfiguration,
 )
 from launch.event_handlers import OnShutdown
@@ -34,6 +35,7 @@ from launch_ros.actions import Node
 
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments, return_time
 from koop_core.config.parameter_file import write
+from koop_guard.config import SAFETY
 from koop_loop.ending import Ending, describe_end, ending
 from koop_node.client.alone import TOPICS, alone
 from koop_node.process.lifeline import TIED
@@ -75,7 +77,8 @@ def _start(context: LaunchContext) -> list:
     write(planned.parameters, file)
     by_others = planned.rig and not planned.program
     published = [topic for topic in TOPICS if topic != "state" or not by_others]
-    loop = _Loop(planned.rig, alone(planned.namespace, published))
+    returning = return_time(planned.parameters)
+    loop = _Loop(planned.rig, alone(planned.namespace, published), returning)
     prefix = [
         DEFERRED if sys.platform == "linux" else "",
         LaunchConfiguration("launch-prefix", default=""),
@@ -83,7 +86,7 @@ def _start(context: LaunchContext) -> list:
     shared = {
         "additional_env": TIED,  # launch holds a pipe to their stdin
         "output": "screen",
-        "sigterm_timeout": str(STOP_TIMEOUT + return_time(planned.parameters)),
+        "sigterm_timeout": str(STOP_TIMEOUT + returning),
         "prefix": prefix,
     }
     files = [item for item in of_group if not isinstance(item, tuple)]
@@ -123,12 +126,15 @@ class _Loop:
         Whether a rig is the plant.
     place : context manager
         The loop's place in its ROS domain, held until the last process has ended.
+    returning : float
+        How long theta may take to return [s].
     """
 
-    def __init__(self, rig: bool, place):
+    def __init__(self, rig: bool, place, returning: float):
         self.processes = []
         self.guard = None
         self._rig = rig
+        self._returning = returning + SAFETY.matched + SAFETY.held
         self._ended = 0
         self._ending = False
         self._failure = ""  # why the launch is to end with exit code 1
@@ -178,7 +184,10 @@ class _Loop:
             return ShutdownProcess(**matcher)
 
         others = [process for process in self.processes if process is not event.action]
-        return [EmitEvent(event=end(process)) for process in others]
+        ends = [EmitEvent(event=end(process)) for process in others]
+        if event.action is self.guard and event.returncode < 0:  # its twin returns theta
+            return [TimerAction(period=self._returning, actions=ends)]
+        return ends
 
     def _raise(self) -> None:
         """Raise what went wrong: an error is how a launch gets exit code 1."""
