@@ -23,6 +23,8 @@ from commission_rig import DT, RIG
 from koop_msgs.msg import ControlInput, GuardState, MeasuredState, PlantTruth
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.parameter import Parameter
 from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 from test_excite import wait
@@ -355,9 +357,13 @@ def test_a_loop_that_tripped_is_still_tripped_after_a_restart(koop, up, fast_rig
 def test_a_loop_goes_on_where_its_controller_was_killed(koop, up, fast_rig, probe, tmp_path):
     process, nodes = up()
     file, initial = tmp_path / ".loop.yaml.controller", LOOP["relay_esc"]["theta_initial"]
+    dwell = Parameter("dwell", value=LOOP["relay_esc"]["dwell"] + 0.01).to_parameter_msg()
+    request = SetParameters.Request(parameters=[dwell])
+    assert probe.call(SetParameters, "/relay_esc/set_parameters", request).results[0].successful
 
     def has_moved():
-        return file.exists() and read_json(file)["begin"][0] != initial
+        noted = read_json(file)
+        return noted and noted["begin"][0] != initial and noted["changed"]["relay_esc"]
 
     wait(has_moved, "what the controller goes on from", process)
     os.kill(nodes["esc"], signal.SIGKILL)
@@ -374,6 +380,9 @@ def test_a_loop_goes_on_where_its_controller_was_killed(koop, up, fast_rig, prob
 
     wait(seeks, "the controller to seek", process, LONG)
     assert (answers[0].theta, answers[0].epsilon) == (theta, epsilon)
+    request = GetParameters.Request(names=["dwell"])
+    (value,) = probe.call(GetParameters, "/relay_esc/get_parameters", request).values
+    assert value == dwell.value
     process.send_signal(signal.SIGINT)
     assert process.wait(LONG) == 0
     assert walked(fast_rig)

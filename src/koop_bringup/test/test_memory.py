@@ -27,22 +27,40 @@ def memory(tmp_path):
     return make
 
 
-def progress(begin, status="following"):
+def progress(begin, status="following", **changed):
     values = {"relay_esc": {"begin": json.dumps(begin)}, "koop_guard": {"status": status}}
-    return Progress(values=values)
+    return Progress(values=values, changed=changed)
 
 
 def test_what_is_kept_is_recalled_to_the_bit_where_the_rig_followed(memory, tmp_path):
-    assert memory().recall() == ([], "")
+    assert memory().recall() == ({}, "")
     memory().keep(progress(BEGIN, "tripped"))
-    assert memory().recall() == ([], "")
+    assert memory().recall() == ({}, "")
     kept = memory()
     kept.keep(progress(BEGIN))
     kept.keep(progress([0.0] * 12))  # within the same second
-    assert memory().recall() == (BEGIN, "")
+    values, remark = memory().recall()
+    assert values == {"koopman_lifter": {}, "relay_esc": {"begin": BEGIN}}
+    assert remark == "the controller goes on where it was when the loop ended"
     assert [path.name for path in tmp_path.iterdir() if path.name != "rig.yaml"] == [
         ".rig.yaml.controller"
     ]
+
+
+def test_what_was_set_while_the_loop_ran_outlives_two_restarts(memory):
+    first = {"relay_esc": {"dwell": 0.5, "theta_max": 2.0, "listeners": "x"}, "other": {"a": 1}}
+    memory().keep(progress(BEGIN, **first))
+    second = memory()
+    values, remark = second.recall()
+    assert values["relay_esc"] == {"dwell": 0.5, "theta_max": 2.0, "begin": BEGIN}
+    assert "set while it ran: relay_esc.dwell = 0.5, relay_esc.theta_max = 2.0" in remark
+    second.keep(progress(BEGIN, koopman_lifter={"omega_l": 2.0}, relay_esc={"dwell": 1.5}))
+    values, _ = memory().recall()
+    assert values["koopman_lifter"] == {"omega_l": 2.0}
+    assert values["relay_esc"] == {"dwell": 1.5, "theta_max": 2.0, "begin": BEGIN}
+    values, remark = memory(GUARDED.replace("dwell: 2.0", "dwell: 2.5")).recall()
+    assert values == {}  # what the user gave wins
+    assert "is of another relay_esc.dwell" in remark
 
 
 @pytest.mark.parametrize(
@@ -56,23 +74,34 @@ def test_what_is_kept_is_recalled_to_the_bit_where_the_rig_followed(memory, tmp_
 )
 def test_a_file_of_another_loop_is_not_recalled(memory, old, new, said):
     memory().keep(progress(BEGIN))
-    begin, remark = memory(GUARDED.replace(old, new)).recall()
-    assert begin == []
+    values, remark = memory(GUARDED.replace(old, new)).recall()
+    assert values == {}
     assert f".rig.yaml.controller is of another {said}: the controller begins at" in remark
 
 
-@pytest.mark.parametrize("torn", ["", "{", "[1]", '{"of": 1}', '{"begin": [1.0]}'])
-def test_a_damaged_file_is_not_recalled(memory, tmp_path, torn):
-    (tmp_path / ".rig.yaml.controller").write_text(torn)
-    begin, remark = memory().recall()
-    assert begin == []
+@pytest.mark.parametrize(
+    ("part", "torn"),
+    [
+        (None, ""), (None, "{"), (None, "[1]"), ("of", 1), ("begin", [1.0]), ("changed", 1),
+        ("changed", {"relay_esc": {"theta_max": -9.0}}), ("changed", {"relay_esc": 1}),
+    ],
+)  # fmt: skip
+def test_a_damaged_file_is_not_recalled(memory, tmp_path, part, torn):
+    memory().keep(progress(BEGIN))
+    file = tmp_path / ".rig.yaml.controller"
+    if part is None:
+        file.write_text(torn)
+    else:
+        file.write_text(json.dumps(json.loads(file.read_text()) | {part: torn}))
+    values, remark = memory().recall()
+    assert values == {}
     assert remark.endswith("the controller begins at theta_initial")
 
 
 def test_a_loop_without_a_guard_has_no_memory(memory, tmp_path):
     bare = memory("relay_esc: {ros__parameters: {dwell: 2.0}}")
     bare.keep(progress(BEGIN))
-    assert bare.recall() == ([], "")
+    assert bare.recall() == ({}, "")
     assert [path.name for path in tmp_path.iterdir()] == ["rig.yaml"]
 
 

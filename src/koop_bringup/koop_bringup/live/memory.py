@@ -1,7 +1,8 @@
-"""State of a guarded rig's controller, kept for the next start of the loop.
+"""State of a guarded rig's loop, kept for its next start.
 
-The controller says it on /diagnostics once a second. So the file is written where no message waits
-for the disk: in the process that watches the nodes.
+It is the controller's state, which is on /diagnostics once a second, and the parameters of lifter
+and controller that were set while they ran. The file is written where no message waits for the
+disk: in the process that watches the nodes.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from koop_loop.parameters import names_of
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
 
+Parameters = dict[str, dict[str, Any]]
 PERIOD = 1.0  # [s] between two times that it is written
+CONFIGS: dict[str, type] = {"koopman_lifter": LifterConfig, "relay_esc": EscConfig}
 OF = {
     "koop_guard": {"measured", "command"},
-    "koopman_lifter": names_of([LifterConfig]),
-    "relay_esc": names_of([EscConfig]) - {"begin"},
+    **{node: names_of([config]) - {"begin"} for node, config in CONFIGS.items()},
 }
 """Parameters with which it is worth something."""
 
@@ -44,38 +46,58 @@ class Memory:
         note = planned.parameters.get("koop_guard", {}).get("note")
         self._path = Path(note).with_suffix(".controller") if note else None
         self._of = _describe(planned.parameters) if note else {}
-        self._written, self._time = "", 0.0
+        self._parameters = {node: dict(items) for node, items in planned.parameters.items()}
+        self._changed: Parameters = {}
+        self._written: dict[str, Any] = {}
+        self._time = 0.0
 
-    def recall(self) -> tuple[list[float], str]:
-        """Return the controller's parameter ``begin``, and a remark where it is not as noted."""
-        if self._path is None:
-            return [], ""
+    def recall(self) -> tuple[Parameters, str]:
+        """Return parameters that take the place of the file's, and a remark."""
+        if self._path is None or not self._path.exists():
+            return {}, ""
         try:
             values = read_json(self._path)
-            of = dict(values.get("of", self._of))
+            of = dict(values["of"])
             names = of.keys() | self._of.keys()
             if others := sorted(name for name in names if of.get(name) != self._of.get(name)):
                 raise ConfigError(f"{self._path} is of another {', '.join(others)}")
-            return list(EscConfig(begin=tuple(values.get("begin", ()))).begin), ""
-        except (ConfigError, TypeError, ValueError) as error:
-            return [], f"{error}: the controller begins at theta_initial"
+            changed = {node: dict(dict(values["changed"]).get(node, {})) for node in CONFIGS}
+            begin = {"relay_esc": {"begin": values["begin"]}}
+            for node, config in CONFIGS.items():
+                used = self._parameters[node] | changed[node] | begin.get(node, {})
+                config(**{name: used[name] for name in names_of([config]) & used.keys()})
+        except (ConfigError, KeyError, TypeError, ValueError) as error:
+            return {}, f"{error}: the controller begins at theta_initial"
+        self._changed = changed
+        texts = [f"{node}.{k} = {v}" for node, items in changed.items() for k, v in items.items()]
+        remark = "the controller goes on where it was when the loop ended"
+        remark += f", with what was set while it ran: {', '.join(texts)}" if texts else ""
+        return {node: changed[node] | begin.get(node, {}) for node in CONFIGS}, remark
 
     def keep(self, progress: Progress) -> None:
         """Write what the controller said last, if it is time and the rig follows it."""
-        text = progress.values.get("relay_esc", {}).get("begin", "")
+        begin = progress.values.get("relay_esc", {}).get("begin", "")
         follows = progress.values.get("koop_guard", {}).get("status") == "following"
         due = time.monotonic() > self._time + PERIOD
-        if self._path is None or not follows or not due or text in ("", self._written):
+        if self._path is None or not (follows and due and begin):
             return
-        self._written, self._time = text, time.monotonic()
+        changed = {
+            node: self._changed.get(node, {})
+            | {k: v for k, v in progress.changed.get(node, {}).items() if k in OF[node]}
+            for node in CONFIGS
+        }
+        content = {"of": self._of, "changed": changed, "begin": json.loads(begin)}
+        if content == self._written:
+            return
+        self._written, self._time = content, time.monotonic()
         try:
-            write_json(self._path, {"of": self._of, "begin": json.loads(text)})
+            write_json(self._path, content)
         except LiveError as error:
             print(f"\nnote: {error}: a restart begins at theta_initial", file=sys.stderr)
             self._path = None
 
 
-def _describe(parameters: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def _describe(parameters: Parameters) -> dict[str, Any]:
     """Return the parameters that a file is of, as a file holds them, and the model's hash."""
     of = {
         f"{node}.{name}": value

@@ -14,7 +14,7 @@ LEVELS = ("OK", "WARN", "ERROR", "STALE")
 
 @dataclass
 class Progress:
-    """The last report about the loop on /diagnostics.
+    """The last report about the loop on /diagnostics, and changed parameters.
 
     Attributes
     ----------
@@ -28,6 +28,8 @@ class Progress:
         By node, its level and message if it is not OK.
     heard : dict
         By node, steady time of its last report [s].
+    changed : dict
+        By node, parameters that were set while it ran, by name.
     """
 
     step: int = 0
@@ -38,10 +40,11 @@ class Progress:
     levels: dict[str, int] = field(default_factory=dict)
     findings: dict[str, str] = field(default_factory=dict)
     heard: dict[str, float] = field(default_factory=dict)
+    changed: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 class Monitor(Client):
-    """Listens to /diagnostics only: watching must not cost the loop any speed.
+    """Listens to what is said rarely: watching must not cost the loop any speed.
 
     Parameters
     ----------
@@ -51,16 +54,29 @@ class Monitor(Client):
 
     def __init__(self, namespace: str | None = None) -> None:
         from diagnostic_msgs.msg import DiagnosticArray
+        from rcl_interfaces.msg import ParameterEvent
+        from rclpy.qos import qos_profile_parameter_events
 
         super().__init__("_koop_monitor")
         self.progress = Progress()
         self._namespace = namespace
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_message, 20)
+        self.node.create_subscription(
+            ParameterEvent, "/parameter_events", self._on_change, qos_profile_parameter_events
+        )
 
     @property
     def theta(self) -> float:
         """Last theta of the controller."""
         return float(self.progress.values.get("relay_esc", {}).get("theta", math.nan))
+
+    def _on_change(self, event: Any) -> None:
+        from rclpy.parameter import parameter_value_to_python
+
+        namespace, _, node = event.node.rpartition("/")
+        if self._namespace in (None, namespace):
+            values = {p.name: parameter_value_to_python(p.value) for p in event.changed_parameters}
+            self.progress.changed.setdefault(node, {}).update(values)
 
     def _on_message(self, message: Any) -> None:
         for status in message.status:

@@ -67,10 +67,9 @@ def main(args: argparse.Namespace) -> int:
     if args.install:
         return install(args, planned)
     memory = Memory(planned)
-    begin, remark = memory.recall()
-    if begin:
-        planned.parameters["relay_esc"]["begin"] = begin
-        remark = "the controller goes on where it was when the loop ended"
+    recalled, remark = memory.recall()
+    for node, values in recalled.items():
+        planned.parameters[node] |= values
     for note in [*planned.notes, *([remark] if remark else [])]:
         print(f"note: {note}")
     started = ", ".join([node.name for node in planned.nodes] + ["rig"] * bool(planned.program))
