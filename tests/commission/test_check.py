@@ -76,8 +76,8 @@ def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, t
         assert 12.0 < silent < 16.0
         assert re.search(r"as at theta = \S+: no time-out, or a longer one", text)
     else:
-        found = float(re.search(r"within (\S+) s without a command the rig oscillates", text)[1])
-        assert 2.0 < found < 6.0  # at once, but on a busy machine
+        seconds = float(re.search(r"within (\S+) s without a command the rig oscillates", text)[1])
+        assert 2.0 < seconds < 6.0  # at once, but on a busy machine
         assert silent < 10.0  # the test ends once it is seen
 
 

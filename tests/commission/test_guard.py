@@ -533,8 +533,8 @@ def test_the_service_manager_is_told_that_the_loop_goes_on_and_is_not_if_it_does
 def test_the_page_says_what_tripped_the_guard_and_rearms_it(up, fast_rig, tmp_path):
     process, _ = up(options=["--serve", "0"])
     log = tmp_path / "run" / "logs" / "view.log"
-    found = wait(lambda: re.search(r"http://\S+token=\S+", log.read_text()), "the page", process)
-    with Chromium(tmp_path, found[0]) as page:
+    address = wait(lambda: re.search(r"http://\S+token=\S+", log.read_text()), "the page", process)
+    with Chromium(tmp_path, address[0]) as page:
         text = "document.querySelector('#guard-text')?.textContent ?? ''"
         ready = "document.querySelector('#ID').disabled === false"
         page.wait(f"{text} === 'Guard: following'")

@@ -59,11 +59,11 @@ def verification(folder, rig, file):
                      "theta": best, "low": best, "high": best, "error": 0.01, "doubt": 0.01,
                      "closed": {"seconds": 100.0, "steps": [rest, way.size - 1]}})  # fmt: skip
     tuned = json.loads((folder / "tuned/tune.json").read_text())
-    found = {"rounds": [{"number": 1, "runs": runs, "prediction": tuned["predicted"],
+    verified = {"rounds": [{"number": 1, "runs": runs, "prediction": tuned["predicted"],
                          "agrees": True, "damped": True, "summary": "damped as predicted"}],
              "damped": True, "feature": "x[0]",
              "verdict": "From 2 starts. It converged. The rig is damped."}  # fmt: skip
-    (folder / "verify.json").write_text(json.dumps(found))
+    (folder / "verify.json").write_text(json.dumps(verified))
 
 
 @pytest.fixture(scope="module")
@@ -91,8 +91,8 @@ def verdict_of(page):
 
 def one(drawn, figure, panel, name):
     """Return what Chromium drew of a curve."""
-    (found,) = (d for d in drawn if (d["figure"], d["panel"]) == (figure, panel))
-    return next(s for s in found["series"] if s["name"] == name)
+    (panel_data,) = (d for d in drawn if (d["figure"], d["panel"]) == (figure, panel))
+    return next(s for s in panel_data["series"] if s["name"] == name)
 
 
 @pytest.mark.parametrize(("width", "dark"), [(PHONE, True), (DESK, False)])

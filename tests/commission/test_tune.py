@@ -42,14 +42,14 @@ def recorded(rig, **excitation):
 )
 def test_the_tuned_loop_damps_the_rig_as_predicted(seed, family, cost):
     rig = rig_of(seed, **QUICK, **family, noise_driven=0.0, maps={"symmetric": 1.0})
-    found = tune(*recorded(rig), settings=TuningSettings(effort=0.1))
-    assert found.chosen.name.startswith(cost)
-    best = found.findings.scale.theta_at(found.findings.static_map.best())
+    tuning = tune(*recorded(rig), settings=TuningSettings(effort=0.1))
+    assert tuning.chosen.name.startswith(cost)
+    best = tuning.findings.scale.theta_at(tuning.findings.static_map.best())
     assert abs(best - rig.best()[0]) < 0.1 * (rig.params.theta_max - rig.params.theta_min)
-    predicted = found.prediction.excess
+    predicted = tuning.prediction.excess
     assert 0.9 < predicted.low <= predicted.middle <= predicted.high < 1.5
     for end in (0, 1):
-        got = damped(rig, found, seed=100 + end, end=end)
+        got = damped(rig, tuning, seed=100 + end, end=end)
         assert got < 1.5
         # the amplitude of the recording holds noise, and its map has nine points
         assert predicted.low - 0.1 < got < predicted.high + 0.1
@@ -71,9 +71,9 @@ def test_a_rig_without_an_optimum_is_refused(name, kind):
 def test_the_time_constant_is_that_of_the_rig():
     rig = rig_of(4, **{**QUICK, "amplitude_time": (20.0, 20.0)}, clean=1.0, noise_driven=0.0)
     loaded, file, training = recorded(rig, stay=5.0)
-    seen = analyse(loaded, file, training)
-    times = fit_times(loaded, seen.dwells, seen.static_map, seen.scale, file.dt)
-    tau = [times.tau(float(a), up) for a in seen.static_map.mean for up in (True, False)]
+    findings = analyse(loaded, file, training)
+    times = fit_times(loaded, findings.dwells, findings.static_map, findings.scale, file.dt)
+    tau = [times.tau(float(a), up) for a in findings.static_map.mean for up in (True, False)]
     # d a^2/dt = a^2 (1 - a^2 / L^2) / tau: near L the amplitude's own time is tau
     assert 0.4 * rig.slowest < np.median(tau) < 2.0 * rig.slowest
 
@@ -84,9 +84,9 @@ def test_an_optimum_in_doubt_is_tuned_for_and_said():
                  maps={"one-sided": 1.0}, quiet=0.0)  # fmt: skip
     loaded, file, training = recorded(rig)
     noisy = loaded.x + np.random.default_rng(0).normal(0.0, 2.0 * loaded.x.std(), loaded.x.shape)
-    found = analyse(replace(loaded, x=noisy), file, training)
-    assert "towards theta_min is not certain" in found.doubt
-    assert any(judged.usable for judged in found.costs)
+    findings = analyse(replace(loaded, x=noisy), file, training)
+    assert "towards theta_min is not certain" in findings.doubt
+    assert any(judged.usable for judged in findings.costs)
 
 
 @pytest.fixture(scope="module")

@@ -115,9 +115,9 @@ def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
     assert "The rig is damped as predicted: ./koop up" in out
     assert fast_rig.theta == ONE.theta_safe
     assert_walked(fast_rig.moved, ONE)
-    found = json.loads((tuned / "verify.json").read_text())
-    assert found["rounds"][0]["prediction"] == TUNED["predicted"]
-    last = found["rounds"][-1]  # a busy machine may need another round
+    verified = json.loads((tuned / "verify.json").read_text())
+    assert verified["rounds"][0]["prediction"] == TUNED["predicted"]
+    last = verified["rounds"][-1]  # a busy machine may need another round
     assert last["agrees"] is True
     assert [run["start"] for run in last["runs"]] == [-1.0, 2.0]
     for run in last["runs"]:
@@ -140,7 +140,7 @@ def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
         # what it says, the rig gets; but for answers that a busy machine had no time for
         assert np.mean([given[int(s)] == asked[int(s)] for s in both]) > 0.3
     assert main(words) == 0  # all is done
-    assert found["verdict"] in capfd.readouterr().out
+    assert verified["verdict"] in capfd.readouterr().out
 
 
 def test_a_sensor_that_dies_or_a_full_disk_ends_the_closed_loop(fast_rig, tuned, koop):
@@ -179,15 +179,15 @@ def full_disk():
 
 
 def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, monkeypatch):
-    file, found = tmp_path / "rig.yaml", tuned / "commission.json"
+    file, report = tmp_path / "rig.yaml", tuned / "commission.json"
     with full_disk():
         with pytest.raises(LiveError, match=r"commission.json: .*: make room"):
-            whole_file.write_json(found, {"fit": False})
+            whole_file.write_json(report, {"fit": False})
         with pytest.raises(LiveError, match=r"controller.yaml: .*: make room"):
             whole_file.write_text(tmp_path / "controller.yaml", "dwell: 1.0\n")
         with pytest.raises(LiveError, match=r"rig.yaml: .*: make room"):
             Commissioning(ONE, file, tmp_path / "new")
-    assert whole_file.read_json(found) == {"fit": True}
+    assert whole_file.read_json(report) == {"fit": True}
     assert not (tmp_path / "controller.yaml").exists()  # which tune would take for its own
     whole = Commissioning(ONE, file, tmp_path / "new")
     assert rig_file.read(tmp_path / "new/rig.yaml") == ONE

@@ -82,10 +82,10 @@ def test_theta_must_be_safe_while_the_sensors_say_what_cannot_be(tmp_path):
 def test_processes_that_stay_memory_that_grows_and_a_loop_that_does_not_return(tmp_path):
     faults = [("kill lifter", t, t + 1.0) for t in range(5, 50, 5)]
     write(tmp_path, healthy(), faults, ["koop_guard"], False, grows=10)
-    found = " ".join(judge(tmp_path).failures)
-    assert "left behind: koop_guard" in found
-    assert "guard takes 270 kB at last, 150 kB at first" in found
-    assert "did not run again" in found
+    failures = " ".join(judge(tmp_path).failures)
+    assert "left behind: koop_guard" in failures
+    assert "guard takes 270 kB at last, 150 kB at first" in failures
+    assert "did not run again" in failures
 
 
 @pytest.mark.parametrize(

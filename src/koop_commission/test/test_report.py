@@ -11,7 +11,6 @@ import pytest
 from koop_commission.report.contents import Contents, read_contents
 from koop_commission.report.loop import make_loop
 from koop_commission.report.recordings import describe_bag
-from koop_commission.report.runs import POINTS, thin
 from koop_commission.report.sections import (
     make_constants,
     make_costs,
@@ -262,17 +261,6 @@ def test_a_long_spectrum_is_thinned_by_ratio_and_a_short_one_is_not():
     assert starts.size < 500
     ratios = frequency[starts[FINE + 1 :]] / frequency[starts[FINE:-1]]
     assert ratios.max() <= COARSER + 1.0 / FINE
-
-
-def test_a_thinned_signal_keeps_its_extremes():
-    t = np.arange(100_000.0)
-    values = np.sin(t / 1000.0)
-    values[54_321] = 7.0
-    x, y = thin(t, values)
-    assert x.size == y.size <= 2 * POINTS
-    assert (y.max(), y.min()) == (7.0, pytest.approx(-1.0, abs=1e-4))
-    assert (np.diff(x) > 0.0).all()
-    assert thin(t[:10], values[:10])[1].tolist() == values[:10].tolist()
 
 
 def test_a_recording_that_cannot_be_read_is_a_row_that_says_so(tmp_path):

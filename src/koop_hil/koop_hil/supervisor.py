@@ -11,9 +11,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from koop_bringup.live.monitor import LEVELS, Monitor
+from koop_bringup.live.monitor import Monitor
 from koop_bringup.live.process import START_TIMEOUT
 from koop_core.errors import LiveError
+from koop_core.stream.report import LEVELS
 from koop_hil.actions import ACTIONS, TICK, Loop
 from koop_hil.hosts import other_host
 from koop_hil.processes import Processes

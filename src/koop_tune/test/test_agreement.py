@@ -97,13 +97,13 @@ def test_a_run_is_measured_as_its_truth_is(aim, good):
 def test_an_amplitude_that_is_to_be_large_is_judged_the_other_way_round():
     figures = FIGURES | {"best": FIGURES["best"] | {"log": math.log(4.0)}}
     aim = make_aim(figures, UPSIDE)
-    found = run(aim, upside=True)
-    assert found.excess == pytest.approx(1.0, abs=0.12)
-    assert found.reduction == pytest.approx(4.0, rel=0.12)
-    assert found.time_to_converge is not None
-    assert find_faults(aim, [found]) == []
-    assert "rises by a factor of" in describe_run(aim, found, 3.0)
-    weak = replace(found, amplitude=2.0, excess=2.0, reduction=2.0)
+    actual = run(aim, upside=True)
+    assert actual.excess == pytest.approx(1.0, abs=0.12)
+    assert actual.reduction == pytest.approx(4.0, rel=0.12)
+    assert actual.time_to_converge is not None
+    assert find_faults(aim, [actual]) == []
+    assert "rises by a factor of" in describe_run(aim, actual, 3.0)
+    weak = replace(actual, amplitude=2.0, excess=2.0, reduction=2.0)
     assert "times the best of the final map" in find_faults(aim, [weak])[0]
 
 
@@ -179,8 +179,8 @@ def test_an_error_that_is_not_known_damps_nothing(aim):
 def test_only_what_is_worse_than_the_band_disagrees(aim, good, change, message):
     good = replace(good, error=0.01, excess=1.0, reduction=4.0)
     worse = replace(good, **change)
-    found = find_disagreements(aim, worse)
-    assert found == [] if message is None else (len(found) == 1 and message in found[0])
+    actual = find_disagreements(aim, worse)
+    assert actual == [] if message is None else (len(actual) == 1 and message in actual[0])
     said = verdict(aim, [good, worse], [-1.0, 3.0], 1, "there")
     ending = "damped as predicted" if message is None else "damped, but not as predicted"
     assert f"The rig is {ending}" in said

@@ -90,19 +90,19 @@ def oscillating(theta, frequency, amplitude, seed=0):
 def test_a_rest_that_lost_messages_cut_short_is_left_out_of_the_spectra():
     theta = np.repeat([0.0, 1.0, 2.0, 3.0, 4.0, 1.5], [1600] * 5 + [64])
     x = oscillating(theta, 1.0, lambda theta: 1.0 + (theta - 2.0) ** 2)
-    found = spectra_by_theta(recording(theta, x[:, None]), Scale(0.0, 4.0), DT)
-    assert found.u == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0])
+    actual = spectra_by_theta(recording(theta, x[:, None]), Scale(0.0, 4.0), DT)
+    assert actual.u == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0])
 
 
 def test_spectra_hold_the_power_of_the_oscillation():
     theta = staircase(np.linspace(0.0, 1.0, 9), 1600)
     x = oscillating(theta, 1.0, lambda theta: 1.0 + theta)
-    found = spectra_by_theta(recording(theta, x[:, None]), UNIT, DT)
-    step = float(found.frequency[1] - found.frequency[0])
-    power = found.density[:, 0].sum(axis=-1) * step  # Parseval, but for the two lowest bins
-    assert power == pytest.approx(0.5 * (1.0 + found.u) ** 2 + 0.09, rel=0.05)
-    assert found.frequency[int(np.argmax(found.power[8, 0]))] == pytest.approx(1.0, abs=step)
-    assert found.sure[0, int(np.argmax(found.power[8, 0]))]
+    actual = spectra_by_theta(recording(theta, x[:, None]), UNIT, DT)
+    step = float(actual.frequency[1] - actual.frequency[0])
+    power = actual.density[:, 0].sum(axis=-1) * step  # Parseval, but for the two lowest bins
+    assert power == pytest.approx(0.5 * (1.0 + actual.u) ** 2 + 0.09, rel=0.05)
+    assert actual.frequency[int(np.argmax(actual.power[8, 0]))] == pytest.approx(1.0, abs=step)
+    assert actual.sure[0, int(np.argmax(actual.power[8, 0]))]
 
 
 def test_the_map_of_a_recording_is_that_of_what_reacts():
@@ -120,12 +120,12 @@ def test_the_map_of_a_recording_is_that_of_what_reacts():
     assert holds[3].x.tolist() == x[4800:6400].tolist()
     amplitude = choose_amplitude(windows, [hold.powers(windows) for hold in holds])
     assert not amplitude.weight[0].any()
-    found = find_dwells(loaded, UNIT, amplitude)
-    static_map = found.static_map(found.logs, 1.0)
+    actual = find_dwells(loaded, UNIT, amplitude)
+    static_map = actual.static_map(actual.logs, 1.0)
     truth = np.log((0.5 + 4.0 * (static_map.u - 0.5) ** 2) / 1.5)
     assert np.abs(static_map.mean - truth).max() < 0.1
     assert static_map.best() == 0.5
-    whole = found.window_levels(x[:, 0])
+    whole = actual.window_levels(x[:, 0])
     assert np.exp(np.concatenate(whole)) == pytest.approx(
         np.full(8 * 18, np.sqrt(4.5 + 0.09)), rel=0.1
     )

@@ -28,14 +28,14 @@ def slight(u):
 
 
 def judge(level, *costs, error=0.05, settings=TUNING):
-    seen = make_findings(level, costs, error)
-    return decide(seen, RIG, settings)
+    observed = make_findings(level, costs, error)
+    return decide(observed, RIG, settings)
 
 
 def test_a_clear_optimum_that_a_cost_shows_is_taken_without_doubt():
-    found = judge(valley, make_cost("raw", valley), make_cost("lifted", None))
-    assert found.doubt == ""
-    raw, lifted = found.costs
+    actual = judge(valley, make_cost("raw", valley), make_cost("lifted", None))
+    assert actual.doubt == ""
+    raw, lifted = actual.costs
     assert list(raw.usable) == [4.0]
     assert raw.evidence == pytest.approx(make_map(valley).evidence)
     assert not lifted.usable
@@ -61,10 +61,10 @@ def test_where_there_is_nothing_to_seek_it_says_what_to_record(level, error, kin
 
 
 def test_an_optimum_in_doubt_is_taken_and_said():
-    found = judge(slight, make_cost("raw", slight))
-    assert "towards theta_min is not certain (errors of 5 %)" in found.doubt
-    assert found.costs[0].usable  # it leads to where the amplitude does
-    assert not replace(found.costs[0], near=1e-3, reference=make_map(valley)).usable
+    actual = judge(slight, make_cost("raw", slight))
+    assert "towards theta_min is not certain (errors of 5 %)" in actual.doubt
+    assert actual.costs[0].usable  # it leads to where the amplitude does
+    assert not replace(actual.costs[0], near=1e-3, reference=make_map(valley)).usable
 
 
 def test_a_cost_in_doubt_must_lead_to_where_the_amplitude_does():
@@ -73,9 +73,9 @@ def test_a_cost_in_doubt_must_lead_to_where_the_amplitude_does():
 
     unsure = make_cost("raw", one_sided, error=0.08, reference=valley)
     assert not unsure.usable
-    found = judge(valley, unsure)
-    assert found.doubt.startswith("no cost shows the optimum")
-    assert found.costs[0].usable
+    actual = judge(valley, unsure)
+    assert actual.doubt.startswith("no cost shows the optimum")
+    assert actual.costs[0].usable
     wrong = make_cost("raw", lambda u: one_sided(u + 0.35), error=0.08, reference=sharp)
     with pytest.raises(NoOptimum, match="no cost shows it"):
         judge(sharp, wrong)

@@ -93,11 +93,11 @@ def rising(u):
 @pytest.mark.parametrize("side", [1, -1])
 def test_theta_is_kept_away_from_a_cliff_but_not_from_the_best(side):
     u = BEYOND if side > 0 else 1.0 - BEYOND
-    found = make_map(lambda v: rising(v if side > 0 else 1.0 - v), 0.01, u=u)
-    assert found.cliff(side) is not None
+    actual = make_map(lambda v: rising(v if side > 0 else 1.0 - v), 0.01, u=u)
+    assert actual.cliff(side) is not None
 
     def inside(margin):
-        limits = limit_theta(found, EVEN, TuningSettings(margin=margin))
+        limits = limit_theta(actual, EVEN, TuningSettings(margin=margin))
         limit, why = (limits.high, limits.why_high) if side > 0 else (limits.low, limits.why_low)
         assert "all at once" in why
         assert ("theta_max" if side > 0 else "theta_min") in why
@@ -105,7 +105,7 @@ def test_theta_is_kept_away_from_a_cliff_but_not_from_the_best(side):
         return u if side > 0 else 1.0 - u
 
     assert inside(0.03) == pytest.approx(0.59 - 0.03, abs=1e-3)
-    best = found.best() if side > 0 else 1.0 - found.best()
+    best = actual.best() if side > 0 else 1.0 - actual.best()
     # never nearer to the best than half way to the cliff
     assert inside(0.5) == pytest.approx(best + 0.5 * (0.61 - best), abs=1e-3)
 
@@ -119,12 +119,12 @@ def test_theta_is_kept_in_the_valley(sense):
         rig = replace(rig, objective="minimise" if sense > 0.0 else "maximise")
         return limit_theta(level, rig)
 
-    found = limits(5.0)
-    for limit, side in ((found.low, -1), (found.high, 1)):
+    actual = limits(5.0)
+    for limit, side in ((actual.low, -1), (actual.high, 1)):
         expected = 0.4 + side * math.log(TUNING.limits) / 5.0  # that many times the best
         assert float(EVEN.scale.u(np.array(limit))) == pytest.approx(expected, abs=0.01)
-    assert "instead of 5" in found.why_high
-    assert f"{TUNING.limits:g} times the best or worse" in found.why_low
+    assert "instead of 5" in actual.why_high
+    assert f"{TUNING.limits:g} times the best or worse" in actual.why_low
     assert limits(0.4) == (-5.0, 5.0, "", "")  # good everywhere
     far = limits(5.0, WIDE)  # positions are those of log theta
     assert float(WIDE.scale.u(np.array(far.high))) == pytest.approx(expected, abs=0.01)

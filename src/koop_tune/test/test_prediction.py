@@ -59,14 +59,14 @@ def test_the_error_of_the_best_amplitude_widens_the_bands():
 
     def excess(error, wander):
         """Return the width of the band, and the deviation of the map at its best."""
-        seen = make_findings(level, error=error, wander=wander)
-        prediction, runs = predict(task, Trial(best.constants, [], 0.0, 90.0), seen, 1, 16)
+        observed = make_findings(level, error=error, wander=wander)
+        prediction, runs = predict(task, Trial(best.constants, [], 0.0, 90.0), observed, 1, 16)
         assert (len(runs), prediction.runs) == (16, 16)
         assert prediction.duration == task.steps * task.dt
         assert prediction.converges.high == max(run.converged for run in runs)
         width = math.log(prediction.excess.high / prediction.excess.low)
-        at = round(seen.static_map.best() * (GRID - 1))
-        return width, float(seen.static_map.deviation[at])
+        at = round(observed.static_map.best() * (GRID - 1))
+        return width, float(observed.static_map.deviation[at])
 
     width, deviation = excess(0.5, 1e-6)
     assert deviation > 0.1

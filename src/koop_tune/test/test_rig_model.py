@@ -43,32 +43,32 @@ def test_the_time_constant_of_what_noise_drives_is_that_of_its_process(tau):
         power = (z**2).sum(axis=0).reshape(-1, per).mean(axis=1) * (1.0 + 0.2 * level)
         amplitude.append(0.5 * np.log(power + 0.05 * rng.chisquare(2, power.size)))
         rests.append(Rest(level, 0, steps, 0))
-    found = fit_fluctuation(make_dwells(rests, amplitude, per, window / per))
-    assert 0.6 * tau < found.time < 1.4 * tau
-    assert found.share > 0.3
+    actual = fit_fluctuation(make_dwells(rests, amplitude, per, window / per))
+    assert 0.6 * tau < actual.time < 1.4 * tau
+    assert actual.share > 0.3
 
 
 def test_the_autocovariance_of_pieces_is_the_mean_of_their_products():
     parts = [np.random.default_rng(i).normal(size=n) for i, n in enumerate((40, 7, 3))]
-    found, pairs = estimate_autocovariance(parts, 10)
+    actual, pairs = estimate_autocovariance(parts, 10)
     for lag in range(10):
         products = [part[i] * part[i + lag] for part in parts for i in range(part.size - lag)]
         assert pairs[lag] == len(products)
-        assert found[lag] == pytest.approx(np.mean(products))
+        assert actual[lag] == pytest.approx(np.mean(products))
 
 
 def test_the_high_pass_filter_is_that_of_the_nodes_detector():
     omega_h, t = 4.0, np.arange(4000) * DT
     y = 3.0 + np.random.default_rng(0).normal(size=t.size)
     loaded = Loaded(y[None], np.isin(np.arange(t.size), (0, 2000)), None, t)
-    found = high_pass(y, loaded, omega_h, DT)
+    actual = high_pass(y, loaded, omega_h, DT)
     # the low-pass filter of such a detector has no memory: its cost is the square of y_hp
     detector = cost.detector_params(omega_h, 1e4, DT)
     state = cost.initial()
     for k, value in enumerate(y[:2000]):
         r, state = cost.follow(detector, state, Arrival.RESTART if k == 0 else Arrival.NEXT, value)
-        assert r == pytest.approx(found[k] ** 2, rel=1e-9, abs=1e-15)
-    assert found[2000] == 0.0  # it begins anew behind a gap
+        assert r == pytest.approx(actual[k] ** 2, rel=1e-9, abs=1e-15)
+    assert actual[2000] == 0.0  # it begins anew behind a gap
 
 
 def test_unusable_samples_do_not_spread_through_the_high_pass_filter():
@@ -83,8 +83,8 @@ def test_the_amplitude_follows_its_target_as_the_equation_says(times):
     target = np.repeat([0.0, 2.0, -1.0], 2000)
     begins = np.zeros(target.size, bool)
     begins[0] = True
-    found = np.empty(target.size)
-    _follow(target, begins, DT, times, found)
+    actual = np.empty(target.size)
+    _follow(target, begins, DT, times, actual)
 
     def rate(t, a):
         aim = target[min(int(t / DT), target.size - 1)]
@@ -92,7 +92,7 @@ def test_the_amplitude_follows_its_target_as_the_equation_says(times):
 
     at = np.arange(1, target.size) * DT
     exact = solve_ivp(rate, (0.0, at[-1]), [0.0], t_eval=at, max_step=DT, rtol=1e-6).y[0]
-    assert found[:-1] == pytest.approx(exact, abs=0.02)
+    assert actual[:-1] == pytest.approx(exact, abs=0.02)
 
 
 def test_the_time_constant_is_found_in_how_the_windows_follow_theta():
@@ -111,8 +111,8 @@ def test_the_time_constant_is_found_in_how_the_windows_follow_theta():
     begins = np.arange(theta.size) == 0
     loaded = Loaded(a[None], begins, theta, np.arange(theta.size) * DT)
     y = 2.0 * (values - 0.4) ** 2
-    found = StaticMap(values, y, np.full(9, 0.01), 1.0)
-    times = fit_times(loaded, dwells, found, scale, DT)
+    actual = StaticMap(values, y, np.full(9, 0.01), 1.0)
+    times = fit_times(loaded, dwells, actual, scale, DT)
     for up in (True, False):
         assert times.tau(float(np.mean(y)), up) == pytest.approx(tau, rel=0.25)
 

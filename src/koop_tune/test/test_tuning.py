@@ -101,10 +101,10 @@ def tuning():
     omega_h = trials[0].constants.omega_h
     maps.maps[omega_h] = make_map(valley)
     chosen = SearchedCost(maps, trials, task)
-    seen = make_findings(valley, [maps, make_cost("lifted", None)])
-    prediction = predict(task, trials[0], seen, 1, 16)
+    observed = make_findings(valley, [maps, make_cost("lifted", None)])
+    prediction = predict(task, trials[0], observed, 1, 16)
     times = Times(math.log(2.0), 0.0, 0.0, 0.0)
-    return Tuning(seen, [chosen], chosen, trials[0], times, 123.456, *prediction, "it is good")
+    return Tuning(observed, [chosen], chosen, trials[0], times, 123.456, *prediction, "it is good")
 
 
 def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tuning, tmp_path):

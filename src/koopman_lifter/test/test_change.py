@@ -45,13 +45,13 @@ def seeking(size):
 
 def changes(watch, x, first=1):
     """Return the changes that a watch sees, and their samples."""
-    seen = []
+    observed = []
     for k in range(x.shape[0]):
         change = watch.take(first + k, x[k])
         watch.look()
         if change is not None:
-            seen.append((k, change))
-    return seen
+            observed.append((k, change))
+    return observed
 
 
 def samples(periods):

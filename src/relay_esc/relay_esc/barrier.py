@@ -17,15 +17,29 @@ of the margin (arXiv 2309.15401, 2404.08842); here the relay takes the place of 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
+from koop_core.config.parameter import Settings, constants, parameter
 from koop_core.kernels import njit
 from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 from relay_esc.swing import gain
 
-MEAN, DEVIATION = 0.5, 8.0  # [dwell times] over which they are taken
-DEVIATIONS = 3.0  # z
+judged = partial(parameter, low=0.1, origin="random rigs with a constraint, commit 17fad32")
+
+
+@dataclass(frozen=True)
+class BarrierSettings(Settings):
+    """How the margin that the barrier keeps is taken from the margins that are told."""
+
+    mean: float = judged(0.5, "time constant of the margin's mean", unit="dwell")
+    deviation: float = judged(8.0, "time constant of its mean absolute deviation", unit="dwell")
+    deviations: float = judged(3.0, "z, deviations below the mean that are kept inside")
+
+
+BARRIER = constants(BarrierSettings())
 
 
 class BarrierParams(NamedTuple):
@@ -69,7 +83,9 @@ UNKNOWN = BarrierState(0.0, 0.0, False)
 def barrier_params(slope: float, dwell_samples: int) -> BarrierParams:
     """Return the scalars for a slope [1/u] and a dwell time in samples."""
     n = max(dwell_samples, 1)
-    return BarrierParams(slope, n, math.exp(-1.0 / (MEAN * n)), math.exp(-1.0 / (DEVIATION * n)))
+    return BarrierParams(
+        slope, n, *(math.exp(-1.0 / (a * n)) for a in (BARRIER.mean, BARRIER.deviation))
+    )
 
 
 @njit(inline="always")
@@ -114,7 +130,7 @@ def answer(
     barrier = follow(q, barrier, margin)
     if holding:
         return state, barrier, holding, saturated
-    low = barrier.mean - DEVIATIONS * barrier.deviation
+    low = barrier.mean - BARRIER.deviations * barrier.deviation
     most = max(low / (q.dwell_samples * abs(q.slope)), -p.step_size)  # towards the bound
     out = -1.0 if q.slope > 0.0 else 1.0
     stays = before.epsilon == -out and most < p.step_size * gain(

@@ -7,9 +7,8 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
+from koop_core.stream.report import LEVELS
 from koop_node.client.client import Client
-
-LEVELS = ("OK", "WARN", "ERROR", "STALE")
 
 
 @dataclass

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import pieces
 from koop_identify.recording.signals import loop_signals
-from koop_loop.thinning import extremes
+from koop_loop.thinning import thin
 from koop_tune.excitation.amplitude import Amplitude
 
 POINTS = 400  # of a curve; theta has twice as many
@@ -70,19 +70,7 @@ def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RunCurves
                 amplitudes.append(float(np.exp(amplitude.logs(x)[0])))
     every = max(-(-len(middles) // POINTS), 1)
     return RunCurves(
-        *thin(t[controlled], signals.theta[controlled]),
+        *thin(t[controlled], signals.theta[controlled], POINTS),
         np.array(middles[::every]),
         np.array(amplitudes[::every]),
     )
-
-
-def thin(
-    t: NDArray[np.float64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a signal as least and largest value of each block, one after the other."""
-    block = -(-t.size // POINTS)
-    if block == 1:
-        return t, values
-    low, high = extremes(values, block)
-    times = [t[start::block][: low.size] for start in (0, block // 2)]
-    return np.stack(times, axis=1).ravel(), np.stack([low, high], axis=1).ravel()

@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-OK, WARN, ERROR, STALE = 0, 1, 2, 3  # as in diagnostic_msgs/DiagnosticStatus
+LEVELS = ("OK", "WARN", "ERROR", "STALE")  # in the order of diagnostic_msgs/DiagnosticStatus
+OK, WARN, ERROR, STALE = range(len(LEVELS))
 _URGENCY = (OK, WARN, STALE, ERROR)  # a broken input asks for more than a silent one
 
 SETTLED = 5.0  # [s] that a lower level must last before it is news

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
+from koop_core.stream.report import LEVELS
 from koop_lab.history.read import FOLLOWING, TRIPPED, GuardMessage, HealthMessage, History
 
-LEVELS = ("OK", "WARN", "ERROR", "STALE")
 BRIEF = 5.0  # [s] below which a warning is not told, as the log of a node does not
 NEAR = 600.0  # [s] between troubles of a node that are told together
 MOST = 500  # sentences

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from koop_core.stream.report import LEVELS
 from koop_lab.history.events import (
-    LEVELS,
     MOST,
     Event,
     Trouble,

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from koop_core.errors import InputError
 from koop_loop.metrics import LOGGING_START
-from koop_loop.thinning import extremes
+from koop_loop.thinning import thin
 from koop_loop.training import STATE_NAMES
 
 POINTS = 4000  # columns of the drawing; more cannot be seen
@@ -134,10 +134,6 @@ def envelope(
     color: str | None = None,
 ) -> None:
     """Plot a signal; a long one as the band between its extremes, so that no peak is lost."""
-    block = -(-t.size // POINTS)
-    if block == 1:
-        axis.plot(t, y, linewidth=0.8, label=label, color=color)
-        return
-    edges = np.stack(extremes(y, block), axis=1)
-    twice = np.repeat(t[::block][: len(edges)], 2)
-    axis.plot(twice, edges.ravel(), linewidth=0.6, label=label, color=color)
+    x, edges = thin(t, y, POINTS)
+    width = 0.8 if x is t else 0.6
+    axis.plot(x, edges, linewidth=width, label=label, color=color)
