@@ -1,4 +1,4 @@
-"""Files that are whole at any time: written anew beside the old one, which they then replace."""
+"""Files that are whole at any time: written beside the old one, which they then replace."""
 
 from __future__ import annotations
 

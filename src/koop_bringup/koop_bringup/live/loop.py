@@ -74,7 +74,7 @@ class LiveNodes:
         by_others = self._rig and not self._program
         with ExitStack() as stack:
             topics = [t for t in TOPICS if t != "state" or not by_others]
-            only_guard = set(self._values) == {"koop_guard"}  # which is no loop
+            only_guard = set(self._values) == {"koop_guard"}  # which is not a loop
             self._place = stack.enter_context(alone(self._namespace, [] if only_guard else topics))
             stack.callback(self._close_desk)
             logs = self.folder / "logs"

@@ -37,7 +37,7 @@ class StreamMonitor:
     may_end : bool
         Whether silence is not a fault where the source has left in order.
     newest_counts : bool
-        Whether lost and overtaken messages are no finding, as commands in real time.
+        Whether lost and overtaken messages are not a finding, as commands in real time.
     """
 
     def __init__(

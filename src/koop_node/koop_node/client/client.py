@@ -1,6 +1,6 @@
 """A guest in a ROS domain: looks at the graph, publishes, listens and calls, on its own context.
 
-For programs that are no node themselves: they leave the domain when they are done with it. rclpy
+For programs that are not nodes themselves: they leave the domain when they are done with it. rclpy
 is imported only when one is made, so that what can do without ROS does.
 """
 
