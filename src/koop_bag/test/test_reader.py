@@ -28,10 +28,9 @@ def test_messages_come_back_as_they_were_written(write_loop, messages):
         assert message.publish_time == message.log_time - 500
 
 
-def test_topics_and_times_can_be_chosen(write_loop):
+def test_topics_and_a_start_can_be_chosen(write_loop):
     with BagReader(write_loop(n=200)) as reader:
-        begin, end = START + 10 * PERIOD, START + 20 * PERIOD
-        actual = list(reader.messages(["/cost", "/ground_truth"], begin, end))
+        actual = list(reader.messages(["/cost", "/ground_truth"], START + 190 * PERIOD))
         assert len(actual) == 20
         assert {m.topic for m in actual} == {"/cost", "/ground_truth"}
         with pytest.raises(BagError, match=r"no topic /stat; it has /state, /cost"):

@@ -98,12 +98,7 @@ def unit_folder(system: bool) -> Path:
 
 
 def describe_unit(
-    name: str,
-    file: Path,
-    options: Sequence[str],
-    planned: Plan,
-    system: bool,
-    environment: Mapping[str, str] = os.environ,
+    name: str, file: Path, options: Sequence[str], planned: Plan, system: bool
 ) -> str:
     """Return the text of a unit.
 
@@ -119,18 +114,16 @@ def describe_unit(
         What is started.
     system : bool
         Whether it is the machine's, run as the owner of the file, or its user's.
-    environment : mapping
-        Environment of the command that writes it.
 
     Raises
     ------
     koop_core.config.parameter.ConfigError
         If it was not started by ``./koop``.
     """
-    if not (root := environment.get("KOOP_ROOT")):
+    if not (root := os.environ.get("KOOP_ROOT")):
         raise ConfigError("--install: call it as './koop up', which the service will do, too")
     back = return_time(planned.parameters)
-    kept = {name: environment[name] for name in KEPT if environment.get(name)}
+    kept = {name: os.environ[name] for name in KEPT if os.environ.get(name)}
     kept["ROS_LOG_DIR"] = "/tmp/ros"
     folders = [Path("recordings"), Path(root, "src"), Path(root, "ros2_ws/install")]
     if note := planned.parameters.get("koop_guard", {}).get("note"):

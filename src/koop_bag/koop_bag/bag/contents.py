@@ -81,15 +81,15 @@ def _note(contents: FileContents, opcode: int, data: bytes, where: int) -> None:
         contents.notes[metadata.name] = metadata.metadata
 
 
-def message_records(file: McapFile, start: int, end: int) -> Iterator[bytes]:
+def message_records(file: McapFile, start: int) -> Iterator[bytes]:
     """Records that hold messages: the inside of each chunk, or a message outside of any."""
     for place in file.places():
         if place.opcode == Opcode.MESSAGE:
             yield RECORD_HEAD.pack(place.opcode, place.length) + file.content(place)
         elif place.opcode == Opcode.CHUNK:
             head = file.content(place._replace(length=min(place.length, _CHUNK_TIMES.size)))
-            first, last = file.unpack(_CHUNK_TIMES, head, place.start)
-            if first < end and last >= start:
+            _, last = file.unpack(_CHUNK_TIMES, head, place.start)
+            if last >= start:
                 yield file.chunk_records(place)
         elif place.opcode == Opcode.DATA_END:
             return

@@ -131,10 +131,7 @@ class BagReader:
         return self._topics[name]
 
     def messages(
-        self,
-        topics: Collection[str] | None = None,
-        start: int | None = None,
-        end: int | None = None,
+        self, topics: Collection[str] | None = None, start: int = 0
     ) -> Iterator[RawMessage]:
         """Messages in the order in which they were recorded.
 
@@ -142,21 +139,20 @@ class BagReader:
         ----------
         topics : collection of str, optional
             Only these.
-        start, end : int, optional
-            Only log times start <= t < end [ns since the epoch].
+        start : int
+            Only log times from here on [ns since the epoch].
         """
         for name in topics or ():
             self.topic(name)
-        begin, stop = start or 0, 2**64 if end is None else end
         unpack, fixed = MESSAGE_HEAD.unpack_from, MESSAGE_HEAD.size
-        for records, names in self.blocks(topics, begin, stop):
+        for records, names in self.blocks(topics, start):
             for opcode, at, length in inner_places(records):
                 if opcode != Opcode.MESSAGE:
                     continue
                 if length < fixed:
                     raise BagError(f"{self.path} is damaged: a message record is cut short")
                 channel, sequence, log_time, publish_time = unpack(records, at)
-                if channel in names and begin <= log_time < stop:
+                if channel in names and log_time >= start:
                     yield RawMessage(
                         names[channel],
                         log_time,
@@ -166,11 +162,11 @@ class BagReader:
                     )
 
     def blocks(
-        self, topics: Collection[str] | None = None, start: int = 0, end: int = 2**64
+        self, topics: Collection[str] | None = None, start: int = 0
     ) -> Iterator[tuple[bytes, dict[int, str]]]:
         """MCAP records chunk by chunk, each with the wanted channels' topics.
 
-        Chunks without a message at start <= log time < end are passed over, unread.
+        Chunks without a message from `start` on are passed over, unread.
         """
         for item in self._contents:
             wanted = {
@@ -180,7 +176,7 @@ class BagReader:
             }
             if not any(item.counts.get(number) for number in wanted):
                 continue
-            for records in message_records(item.file, start, end):
+            for records in message_records(item.file, start):
                 yield records, wanted
 
     def close(self) -> None:

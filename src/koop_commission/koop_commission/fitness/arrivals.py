@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_bag.bag.losses import count_losses
 from koop_commission.fitness.samples import Samples
 from koop_commission.fitness.settings import DEFAULTS, CheckSettings
 from koop_core.errors import InputError
@@ -85,13 +86,13 @@ def measure_rhythm(
         raise InputError(f"{arrival.size} messages arrived, {settings.fewest} are needed")
     gaps = np.diff(arrival) * pace
     if samples.has_steps:
-        source, lost = "steps", _count_missing(samples.step)
+        source, lost = "steps", count_losses(np.unique(samples.step)).lost
         clock = np.diff(samples.stamp) if samples.has_stamps else gaps
         interval = float(np.median(clock / np.maximum(np.diff(samples.step), 1)))
     elif samples.has_stamps:
         counter = StepCounter(dt)
         steps = np.array([counter.next(float(value)) for value in samples.stamp], np.int64)
-        source, lost = "stamps", _count_missing(steps)
+        source, lost = "stamps", count_losses(np.unique(steps)).lost
         interval = float(np.median(np.diff(samples.stamp)))
     else:
         source = "arrival"
@@ -123,8 +124,3 @@ def count_lost_by_arrival(
     jumps = int(np.round(rises[rises > rise]).sum())
     by_count = round(float(arrival[-1] - arrival[0]) / dt) - (arrival.size - 1)
     return max(min(jumps, by_count), 0)
-
-
-def _count_missing(step: NDArray[np.int64]) -> int:
-    ahead = np.diff(np.unique(step))
-    return int((ahead[ahead < 1_000_000] - 1).sum())  # further is another sender, or another clock

@@ -33,11 +33,9 @@ class Topic(NamedTuple):
     subscribers: tuple[str, ...]
 
 
-def find_topics(
-    client: Client, until: Callable[[], object] = lambda: False, patience: float = DISCOVERY
-) -> list[Topic]:
-    """Return the topics of other nodes, after a time [s] of discovery or once ``until`` is true."""
-    client.spin_until(until, patience)
+def find_topics(client: Client, until: Callable[[], object] = lambda: False) -> list[Topic]:
+    """Return the topics of other nodes, after the time of discovery or once ``until`` is true."""
+    client.spin_until(until, DISCOVERY)
     topics = []
     for name, kinds in client.node.get_topic_names_and_types():
         if name in HIDDEN or "/_" in name or name.endswith("/transition_event"):

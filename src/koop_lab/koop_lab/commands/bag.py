@@ -1,13 +1,14 @@
-"""``koop bag metrics`` and ``koop bag plot``: options only, so that ``koop bag`` stays quick."""
+"""``koop bag metrics`` and ``koop bag plot``: slow modules are imported where they are used."""
 
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any
 
 from koop_bag.cli import bag_commands
-from koop_lab.cli.source_options import add_reading_options
+from koop_lab.cli.source_options import add_reading_options, reading_of
 
 
 def register(commands: Any) -> None:
@@ -45,12 +46,23 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _metrics(args: argparse.Namespace) -> int:
-    from koop_lab.recorded.report import metrics_main
+    from koop_lab.recorded.report import describe, figures, read
 
-    return metrics_main(args)
+    run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
+    print(
+        json.dumps(figures(run, args.start), indent=1) if args.json else describe(run, args.start)
+    )
+    return 0
 
 
 def _plot(args: argparse.Namespace) -> int:
-    from koop_lab.recorded.report import plot_main
+    from koop_lab.plots.report import plot_report  # matplotlib takes half a second to import
+    from koop_lab.recorded.report import costs_of, describe_coverage, read
 
-    return plot_main(args)
+    run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
+    out = args.out or (args.run if args.run.is_dir() else args.run.parent) / "report.png"
+    costs = costs_of(run, args.model)
+    plot_report(out, run.signals, costs, run.model, run.theta_star, f"{args.run}")
+    print(f"written to {out}")
+    print(describe_coverage(run))
+    return 0

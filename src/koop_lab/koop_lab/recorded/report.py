@@ -1,9 +1,7 @@
-"""``koop bag metrics`` and ``koop bag plot``: what a recorded run says."""
+"""A recorded run: its figures, in words and in JSON terms, and its costs."""
 
 from __future__ import annotations
 
-import argparse
-import json
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +18,6 @@ from koop_identify.recording.loop import LoopRecord
 from koop_identify.recording.recorded_parameters import Models, known_parameters, recorded_values
 from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.signals import Signals, loop_signals, read_signals
-from koop_lab.cli.source_options import reading_of
 from koop_lab.cli.tables import cost_name, metrics_table, rig_table
 from koop_lab.replay.offline import OfflineLoop
 from koop_loop.metrics import Metrics, evaluate
@@ -220,30 +217,6 @@ def describe_coverage(run: RecordedRun) -> str:
 
 def _is_whole(signals: Signals) -> bool:
     return bool(signals.covered >= WHOLE * signals.recorded - signals.dt)
-
-
-def metrics_main(args: argparse.Namespace) -> int:
-    """Entry point of ``koop bag metrics``; returns the exit code."""
-    run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
-    print(
-        json.dumps(figures(run, args.start), indent=1) if args.json else describe(run, args.start)
-    )
-    return 0
-
-
-def plot_main(args: argparse.Namespace) -> int:
-    """Entry point of ``koop bag plot``; returns the exit code."""
-    # matplotlib takes half a second to import
-    from koop_lab.plots.report import plot_report
-
-    run = read(args.run, reading_of(args), args.namespace, args.model, args.dt)
-    folder = args.run if args.run.is_dir() else args.run.parent
-    out = args.out or folder / "report.png"
-    costs = costs_of(run, args.model)
-    plot_report(out, run.signals, costs, run.model, run.theta_star, f"{args.run}")
-    print(f"written to {out}")
-    print(describe_coverage(run))
-    return 0
 
 
 def costs_of(run: RecordedRun, model: Path | None = None) -> dict[str, NDArray[np.float64]]:

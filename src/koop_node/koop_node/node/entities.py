@@ -162,12 +162,7 @@ class Entities:
         self._input(kind, topic, take, qos, True)
 
     def subscription(
-        self,
-        kind: Any,
-        topic: str,
-        callback: Callable[[Any], None],
-        qos: QoSProfile,
-        raw: bool = False,
+        self, kind: Any, topic: str, callback: Callable[[Any], None], qos: QoSProfile
     ) -> Subscription:
         """Create a subscription."""
         look = self._look
@@ -177,7 +172,7 @@ class Entities:
                 callback(message)
                 look()
 
-        made = self._node.create_subscription(kind, topic, deliver, qos, raw=raw)
+        made = self._node.create_subscription(kind, topic, deliver, qos)
         self._stack.callback(self._node.destroy_subscription, made)
         return made
 

@@ -11,7 +11,6 @@ need to grow,
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.config.parameter import ConfigError
+from koop_core.whole_file import read_json
 from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.excitation.holds import mean_level
 from koop_tune.rig.rig_file import RigFile
@@ -123,11 +123,11 @@ def read_aim(path: Path, rig: RigFile) -> Aim:
     koop_core.config.parameter.ConfigError
         If there is none, or it holds no controller.
     """
+    if not (figures := read_json(path)):
+        raise ConfigError(f"{path} is not there: koop tune first")
     try:
-        return make_aim(json.loads(path.read_text(encoding="utf-8")), rig)
-    except FileNotFoundError:
-        raise ConfigError(f"{path} is not there: koop tune first") from None
-    except (OSError, ValueError, KeyError, TypeError):
+        return make_aim(figures, rig)
+    except (KeyError, TypeError):
         raise ConfigError(f"{path}: holds no controller: koop tune first") from None
 
 

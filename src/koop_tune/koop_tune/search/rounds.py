@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_core.config.parameter import ConfigError
-from koop_core.whole_file import write_json
+from koop_core.whole_file import read_json, write_json
 from koop_tune.search.agreement import Measured
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
@@ -196,13 +195,11 @@ def load_verification(folder: Path) -> Verification:
     koop_core.config.parameter.ConfigError
         If it cannot be used.
     """
-    path = folder / VERIFIED
+    values = read_json(folder / VERIFIED)
     try:
-        return Verification.from_json(json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError:
-        return Verification()
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error}): move it away") from None
+        return Verification.from_json(values) if values else Verification()
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigError(f"{folder / VERIFIED}: cannot be read ({error}): move it away") from None
 
 
 def save_verification(verification: Verification, folder: Path) -> None:
