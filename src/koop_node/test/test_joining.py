@@ -1,16 +1,22 @@
 """A node joins its ROS domain also where a killed process has left a mailbox unfilled."""
 
+import itertools
+import os
+import re
 import signal
 import subprocess
 import sys
 import threading
+import time
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import pytest
 
+from koop_node.client.client import Client
 from koop_node.process import joining
 from koop_node.process.domain import FIRST_PORT, PORTS, hold_domain
-from koop_node.process.joining import MAILBOXES, remove_unfilled
+from koop_node.process.joining import FOLDER, LOCKED, remove_dead, remove_unfilled
 
 JOIN = """
 import sys
@@ -22,6 +28,16 @@ if sys.argv[2:]:  # the mailbox is left only after this process has looked
 with Client("late", int(sys.argv[1]), guest=False):
     print("joined")
 """
+LIVE = [
+    sys.executable,
+    "-c",
+    """
+from koop_node.client.client import Client
+client = Client("other", guest=False)
+print("joined", flush=True)
+client.spin_until(lambda: False, 60.0)
+""",
+]
 SIZE = 52400  # [bytes] of a mailbox
 UNFILLED = {"made": b"", "sized": bytes(SIZE), "begun": bytes([1]) + bytes(SIZE - 1)}
 LONG = 60.0  # [s] for a process to start on a busy machine
@@ -29,7 +45,14 @@ LONG = 60.0  # [s] for a process to start on a busy machine
 
 def mailbox(domain):
     """Return the mailbox of a domain's first participant (DDSI-RTPS 9.6.1)."""
-    return MAILBOXES[0] / f"fastrtps_port{FIRST_PORT + PORTS * domain + 11}"
+    return FOLDER / f"fastrtps_port{FIRST_PORT + PORTS * domain + 11}"
+
+
+def sent_by(pid):
+    """Return the files that hold what a process has sent."""
+    links = {os.readlink(item) for item in Path(f"/proc/{pid}/fd").iterdir() if item.is_symlink()}
+    found = [re.fullmatch(r"(/dev/shm/fastrtps_[0-9a-f]{16})_el", link) for link in links]
+    return [Path(match[1]) for match in found if match]
 
 
 @contextmanager
@@ -65,8 +88,24 @@ def test_who_hangs_on_a_mailbox_ends_although_python_is_locked():
         assert (done.returncode, done.stdout) == (-signal.SIGALRM, b"")
 
 
+@pytest.mark.ros
+def test_what_a_killed_process_had_sent_is_removed_and_what_a_living_one_has_is_not(own_domain):
+    with Client("living", guest=False), subprocess.Popen(LIVE, stdout=subprocess.PIPE) as killed:
+        assert killed.stdout.readline() == b"joined\n"
+        segments = {pid: sent_by(pid) for pid in (os.getpid(), killed.pid)}
+        killed.kill()
+        killed.wait()
+        for segment in itertools.chain(*segments.values()):
+            past = time.time() - LOCKED - 1.0
+            os.utime(f"{segment}_el", (past, past))
+        remove_dead()
+        there = [[s for s in found if s.exists()] for found in segments.values()]
+        assert there == [segments[os.getpid()], []]
+        assert all(segments.values())
+
+
 def test_a_mailbox_that_is_filled_meanwhile_stays(tmp_path, monkeypatch):
-    monkeypatch.setattr(joining, "MAILBOXES", (tmp_path, MAILBOXES[1]))
+    monkeypatch.setattr(joining, "FOLDER", tmp_path)
     monkeypatch.setattr(joining, "FILLING", 1.0)
     slow, dead, lock = (tmp_path / f"fastrtps_port{end}" for end in ("7411", "7413", "7411_el"))
     for path in (slow, dead, lock):

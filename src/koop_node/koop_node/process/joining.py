@@ -2,11 +2,14 @@
 
 A participant has a mailbox in shared memory, a file that is made first and filled then. Who opens
 one waits until it is filled: for ever, if its maker was killed in between, and in rclpy with
-Python's lock, so that no thread and no handler of a signal runs.
+Python's lock, so that no thread and no handler of a signal runs. What a participant sends is in a
+file of half a megabyte; one that is killed leaves it behind, with a lock that is free then.
 """
 
 from __future__ import annotations
 
+import fcntl
+import os
 import signal
 import sys
 import time
@@ -14,7 +17,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-MAILBOXES = Path("/dev/shm"), "fastrtps_port*[0-9]"
+FOLDER = Path("/dev/shm")
+MAILBOXES, LOCKS = "fastrtps_port*[0-9]", "fastrtps_" + 16 * "[0-9a-f]" + "_el"
+LOCKED = 60.0  # [s] after which a new lock is taken by its maker
 FILLING = 5.0  # [s] in which a mailbox is filled; on a busy machine threads waited for up to 4 s
 JOINING = 30.0  # [s] in which a domain is joined; a mailbox whose lock is kept delays by 3 s
 _WORD = 4  # bytes at its begin
@@ -30,6 +35,7 @@ def joining() -> Iterator[None]:
     signal that the system handles.
     """
     remove_unfilled()
+    remove_dead()
     signal.setitimer(signal.ITIMER_REAL, JOINING)
     try:
         yield
@@ -49,11 +55,20 @@ def remove_unfilled() -> None:
             path.unlink()
 
 
+def remove_dead() -> None:
+    """Remove what killed processes had sent."""
+    for path in FOLDER.glob(LOCKS):
+        with suppress(OSError), open(path) as lock:  # it lives; another process was quicker
+            if time.time() - os.fstat(lock.fileno()).st_mtime > LOCKED:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.with_name(path.name.removesuffix("_el")).unlink(missing_ok=True)
+                path.unlink()
+
+
 def _unfilled() -> set[Path]:
     """Return the mailboxes that are ours to fill and are not filled."""
-    folder, pattern = MAILBOXES
     paths = set()
-    for path in folder.glob(pattern):
+    for path in FOLDER.glob(MAILBOXES):
         with suppress(OSError), open(path, "r+b") as file:  # gone; another user's
             if file.read(_WORD) in _UNFILLED:
                 paths.add(path)
