@@ -1,10 +1,10 @@
 """The guard's twin: a process that takes over when the guard is killed.
 
-``python -m koop_guard.node.twin``. The guard writes theta into memory that both share, and holds
-the other end of the twin's stdin. When that closes before the guard has said that it is done, the
-twin returns theta to theta_safe from the last theta commanded, within the rate, and ends. It has
-joined the ROS domain long before, but publishes only then: nothing shows a second commander.
-A guard that gives no sign of life, as one that was stopped, is killed first.
+The guard writes theta into memory that both share, and holds the other end of the twin's stdin.
+When that closes before the guard has said that it is done, the twin returns theta to theta_safe
+from the last theta commanded, within the rate, and ends. It has joined the ROS domain long before,
+but publishes only then: nothing shows a second commander. A guard that gives no sign of life, as
+one that was stopped, is killed first.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from koop_guard.guard import Cause, Guard
 from koop_guard.note import Note, leave, read
 from koop_node.process.lifeline import OWN_GROUP, VARIABLE
 
+PROGRAM = "import sys; from koop_guard.node.twin import main; sys.exit(main(int(sys.argv[1])))"
 LOOK = 0.25  # [s] between two looks for a sign of life
 _WRITTEN = struct.Struct("<ddqqd")  # theta, sign of life [s], whether commanded, step, its time [s]
 _SIZE = _WRITTEN.size + 1  # and whether the twin is ready
@@ -67,7 +68,7 @@ class Twin:
             file.truncate(_SIZE)
             self.shared = SharedTheta(file.fileno())
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "koop_guard.node.twin", str(file.fileno())],
+                [sys.executable, "-c", PROGRAM, str(file.fileno())],
                 stdin=subprocess.PIPE,
                 pass_fds=[file.fileno()],
                 env={name: value for name, value in os.environ.items() if name != VARIABLE},
@@ -160,7 +161,3 @@ def _take_over(client: Any, order: dict[str, Any], theta: float, last: tuple[int
     note = read(config.note) or Note(guard.theta, config.command)  # with the trip that it may hold
     leave(config.note, replace(note, theta=guard.theta, publishers=tuple(order["publishers"])))
     print(f"the guard was killed; {describe_theta(guard, config)}", flush=True)
-
-
-if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1])))
