@@ -1,9 +1,11 @@
 """The recorder as a process, real DDS, real signals; bags judged by readers of others."""
 
 import hashlib
+import os
 import random
 import shutil
 import signal
+import subprocess
 import sys
 import time
 
@@ -28,6 +30,7 @@ from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
 from koop_bag.bag.recover import recover
 from koop_bag.errors import BagError
+from koop_bag.recorder.run_folder import git_revision
 from koop_node.node.managed import message_type
 
 pytestmark = pytest.mark.ros
@@ -396,3 +399,23 @@ def test_a_wrong_parameter_is_refused_with_one_line(tmp_path):
         assert recorder.output().startswith("error: ")
         assert len(recorder.output().splitlines()) == 1
     assert not (tmp_path / "run").exists()
+
+
+def test_the_revision_of_a_work_tree_is_told_and_its_index_is_left_alone(tmp_path):
+    def git(*words):
+        who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        words = ["git", "-C", str(tmp_path), *who, *words]
+        return subprocess.run(words, check=True, capture_output=True, text=True).stdout.strip()
+
+    assert git_revision(tmp_path) == ""
+    file, index = tmp_path / "file", tmp_path / ".git" / "index"
+    file.write_text("a")
+    git("init")
+    git("add", "file")
+    git("commit", "-m", "first")
+    os.utime(file, (1.0, 1.0))  # git would look at it, and note that it is the same
+    before = index.stat().st_mtime_ns, index.read_bytes()
+    assert git_revision(tmp_path) == git("rev-parse", "HEAD")
+    file.write_text("b")
+    assert git_revision(tmp_path) == git("rev-parse", "HEAD") + "-dirty"
+    assert (index.stat().st_mtime_ns, index.read_bytes()) == before

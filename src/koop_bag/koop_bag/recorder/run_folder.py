@@ -81,12 +81,17 @@ def write_versions(folder: Path) -> dict[str, str]:
 
 def git_revision(where: Path) -> str:
     """Return the commit of the work tree that holds `where`, `-dirty` if changed, or ''."""
-    command = ["git", "-C", str(where), "describe", "--always", "--dirty", "--abbrev=40"]
+    git = ["git", "--no-optional-locks", "-C", str(where)]  # a kill would leave a lock behind
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
+        revision, changes = (
+            subprocess.run(
+                [*git, *words], capture_output=True, text=True, timeout=5.0, check=False
+            ).stdout.strip()
+            for words in (["describe", "--always", "--abbrev=40"], ["status", "--short", "-uno"])
+        )
     except (OSError, subprocess.TimeoutExpired):
         return ""
-    return done.stdout.strip()
+    return f"{revision}-dirty" if changes else revision
 
 
 def keep_model(folder: Path, nodes: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
