@@ -384,6 +384,8 @@ def run(folder: Path, seed: int, count: int) -> None:
                 continue
             _, _, kind, lasts = heapq.heappop(todo)
             if lasts > 0.0 and kind in TARGETS and not it.pids(TARGETS[kind]):
+                if not todo:  # a loop that has lost its recorder goes on without it
+                    it.signal(UP, signal.SIGTERM)
                 heapq.heappush(todo, (now + 1.0, next(order), kind, lasts))  # it is not there now
                 continue
             it.note("fault", kind=kind, on=lasts > 0.0, memory=it.memory())
