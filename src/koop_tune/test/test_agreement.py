@@ -141,6 +141,24 @@ def test_a_reduction_that_its_error_explains_is_none(aim, good):
     assert find_faults(aim, [replace(still, error=0.01)]) == []
 
 
+def test_the_loop_and_the_best_are_each_taken_at_their_worse_end(aim, good):
+    near = replace(good, theta=BEST, error=0.001, amplitude=1.3, doubt=0.05)  # 1.3 exp(0.15) = 1.51
+    assert find_faults(replace(aim, error=0.09), [near, near]) == []
+    assert "may be 1.51 times" in find_faults(replace(aim, error=0.1), [near, near])[0]
+
+
+def test_a_background_that_is_too_large_by_what_is_not_known_of_it_may_hide_the_best(aim, good):
+    far = replace(good, theta=BEST, error=0.001, amplitude=1.3)
+    hidden = replace(aim, amplitude=make_amplitude(200, DT, floor=0.8))
+    assert find_faults(aim, [far, far]) == []
+    # 1.3^2 - 0.64 over 1 - 0.64, to first order
+    (fault, _) = find_faults(hidden, [far, far])
+    excess = 1.3 * math.exp(0.32 * (1.0 - 1.3**-2) + far.doubt + aim.error)
+    assert f"may be {excess:.3g} times" in fault
+    alike = replace(far, amplitude=1.01)  # both have the same background
+    assert find_faults(hidden, [alike, alike]) == []
+
+
 def test_the_final_map_has_what_the_loops_found(aim, good):
     """A loop that finds a better theta than the map's makes the other one worse."""
     better = replace(good, amplitude=0.4, excess=0.4, reduction=10.0, error=0.01)

@@ -119,6 +119,19 @@ def test_the_best_is_a_hold_not_what_the_curve_makes_of_the_space_between():
     assert found.valley().low <= 0.5 <= found.valley().high
 
 
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_between_two_holds_a_better_one_may_be_hidden(sense):
+    def valley(u):  # its floor, 0, lies between two of nine holds
+        return sense * np.minimum(np.abs(u - 0.4375) * 20.0, 2.0)
+
+    found = make_map(valley, 0.01, sense)
+    assert found.least == pytest.approx(1.25, abs=0.1)
+    at_best = found.deviation[round(found.best() * (GRID - 1))]
+    assert found.doubt > 10.0 * at_best
+    close = make_map(valley, 0.01, sense, np.r_[np.linspace(0.0, 1.0, 9), 0.425, 0.4375, 0.45])
+    assert close.doubt < 0.5 * found.doubt
+
+
 @pytest.mark.parametrize("slope", [3.0, -3.0])
 def test_a_monotone_map_has_its_best_at_an_end_and_no_optimum_inside(slope):
     found = make_map(lambda u: slope * u, 0.03)

@@ -276,9 +276,13 @@ class Excitation:
     def _report_hold(self, move: Move) -> None:
         """Say what a hold showed, and what reacts once that is known or changes."""
         design, rig = self._design, self._rig
+        at = f"{self._elapsed:6.0f} s  theta {rig.scale.theta_at(move.u):<9.4g} held "
+        if not any(hold.u == move.u for hold in design.holds):
+            seconds = design.windows.seconds
+            print(f"{at}too short for windows of {seconds:.3g} s: again later", flush=True)
+            return
         hold, amplitude = design.holds[-1], design.amplitude
-        theta, seconds = rig.scale.theta_at(hold.u), hold.x.shape[0] * rig.dt
-        said = f"{self._elapsed:6.0f} s  theta {theta:<9.4g} held {seconds:4.0f} s  amplitude "
+        said = f"{at}{hold.size * rig.dt:4.0f} s  amplitude "
         if amplitude is None:
             print(f"{said}unknown: nothing reacts yet  ({move.why})", flush=True)
             return

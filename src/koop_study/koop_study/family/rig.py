@@ -316,10 +316,12 @@ def _sensors(d: _Draws, p: RigParams, name: str) -> RigParams:
     low, high = d.config.channels
     n = int(d["channels"].integers(round(low), round(high), endpoint=True))
     mix = np.empty((n, 5))
-    for i, name_of in ((0, "mix"), (3, "second_mix")):
-        angle = d[name_of].uniform(0.0, 2.0 * math.pi, n)
-        gain = np.exp(d[name_of].uniform(math.log(0.5), math.log(2.0), n))
-        mix[:, i], mix[:, i + 1] = gain * np.cos(angle), gain * np.sin(angle)
+    angle = d["mix"].uniform(0.0, 2.0 * math.pi, n)
+    gain = np.exp(d["mix"].uniform(math.log(0.5), math.log(2.0), n))
+    mix[:, 0], mix[:, 1] = gain * np.cos(angle), gain * np.sin(angle)
+    # all channels together show two modes alike: what is least in them is least in truth
+    angle, gain = d["second_mix"].uniform(0.0, 2.0 * math.pi, n), gain[::-1]
+    mix[:, 3], mix[:, 4] = gain * np.cos(angle), gain * np.sin(angle)
     mix[:, 2] = [d.of("harmonic") for _ in range(n)]
     rms = p.middle * math.sqrt(0.5)  # of Re z at the middle level
     noise = 0.0 if d.happens("quiet") else d.of("noise")

@@ -159,6 +159,10 @@ class Amplitude:
         """Return log A, not below the floor's."""
         return np.asarray(0.5 * np.log(np.maximum(squares, self.floor**2)))
 
+    def doubt(self, log: float) -> float:
+        """Return the error of a log A that the background leaves, the same way for all A."""
+        return 0.5 * math.exp(2.0 * (math.log(self.floor) - log))
+
     def logs(self, x: Array) -> Array:
         """Return log A of each whole window of samples, shape (M, n)."""
         return self.log(self.squares(self.windows.powers(x)))

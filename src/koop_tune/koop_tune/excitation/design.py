@@ -41,6 +41,7 @@ from koop_tune.rig.rig_file import RigFile
 
 Array = NDArray[np.float64]
 KNOWN, FLAT, TIME = "known", "flat", "time"
+GAP = "a gap in which a narrow valley would hide"
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,9 @@ class DesignSettings(Settings):
     """When enough was heard, how long theta is held, and when the map is known."""
 
     window: float = studied(8.0, "window, in periods of the lowest frequency that reacts", low=4.0)
-    before: float = studied(4.0, "the same of the slowest line, before that is known", low=1.0)
+    before: float = studied(8.0, "the same of the slowest line, before that is known", low=1.0)
     clear: float = studied(1.5, "factor of the amplitude between two holds that tells", low=1.0)
-    fast: float = studied(12.0, "the same of the fastest line, if less", low=4.0)
+    fast: float = studied(24.0, "the same of the fastest line, if less", low=4.0)
     listen: float = studied(40.0, "periods before theta moves", low=1.0)
     shortest: float = parameter(3.0, "time of that at least", unit="s", low=0.1)
     longest: float = parameter(120.0, "time of that at most", unit="s", low=1.0)
@@ -153,13 +154,8 @@ class Design:
         self._expected = -math.inf
         self._least = self._most = self._next = settings.fewest
         up = rig.u_start <= 0.5
-        held = np.array([hold.u for hold in self.holds])
-        self._queue = [
-            u
-            for u in first_positions(settings.first, up)
-            if not (np.abs(held - u) < settings.passed).any()
-        ]
-        self._rounds, self._patience, self._elapsed = 1, 1.0, 0.0
+        self._queue = self._missing(up)
+        self._rounds, self._longest, self._patience, self._elapsed = 1, 0, 1.0, 0.0
         self._check_lag = len(self._queue) == 2 * settings.first - 1
         self._choose()
 
@@ -226,14 +222,19 @@ class Design:
         if self._queue:
             return Move(self._queue[0], why="over the range")
         static_map = None if self.amplitude is None else self.static_map()
-        if static_map is None or static_map.flat:
+        if static_map is None:
             if self._rounds >= s.rounds:
                 self.ended = FLAT
                 return None
             self._rounds += 1
             self._patience *= 2.0  # noise hides less in longer holds
-            self._begin_again(s.longer * self.windows.length)
-            return Move(self._queue[0], why="again, with longer windows: nothing reacted")
+            return self._look_again(s.longer * self.windows.length, "nothing reacted")
+        gap = self._gap(static_map)
+        if static_map.flat:
+            if gap is not None:
+                return Move(gap, why=GAP)
+            self._queue = first_positions(s.first, self.holds[-1].u < 0.5)
+            return Move(self._queue[0], why="again: errors hide the map")
         grid = static_map.grid[::4]
         held = (np.abs(static_map.u[:, None] - grid) < s.finest).sum(axis=0)
         gain = static_map.expected_improvement(grid, self._floor)
@@ -242,11 +243,11 @@ class Design:
             return Move(float(grid[int(np.argmax(gain))]), why="a better value may be there")
         if (between := self._bracket(static_map)) is not None:
             return Move(between, why="between the best and a neighbour that is far worse")
-        if (gap := self._gap(static_map)) is not None:
+        if gap is not None:
             self._brief = True
             y, deviation = static_map.predict(np.array([gap]))
             self._expected = float(y[0] - 2.0 * deviation[0])
-            return Move(gap, why="a gap in which a narrow valley would hide")
+            return Move(gap, why=GAP)
         if (beside := self._beside_rival(static_map)) is not None:
             return Move(beside, why="beside a second valley, which may be deeper than was seen")
         if (end := self._doubtful_end(static_map)) is not None:
@@ -254,9 +255,15 @@ class Design:
         if (edge := self._unknown_edge(static_map)) is not None:
             return Move(edge, why="where the valley ends")
         if (move := self._confirm(static_map)) is None and (length := self._slower()) is not None:
-            self._begin_again(length)
-            return Move(self._queue[0], why="again, with longer windows: what is slower reacts too")
+            return self._look_again(length, "what is slower reacts too")
         return move
+
+    def _look_again(self, length: int, why: str) -> Move | None:
+        """Return where theta goes for longer windows; holds that are long enough for them stay."""
+        least = round(self._patience * self._settings.fewest) * length
+        self._begin_again(length, [hold for hold in self.holds if hold.size >= least])
+        move = self._choose_move()
+        return move and move._replace(why=f"again, with longer windows: {why}")
 
     def _lags(self) -> bool:
         """Return whether the rig was still on its way at the first positions: it is slow.
@@ -269,7 +276,7 @@ class Design:
         order = np.argsort([hold.u for hold in self.holds[-len(levels) :]])
         y = np.array(levels)[order]
         slope, beyond = y[2::2] - y[:-2:2], y[1::2] - 0.5 * (y[2::2] + y[:-2:2])
-        way = 1.0 if self.holds[-1].side < 0 else -1.0
+        way = 1.0 if self.holds[-len(levels) :][order[1]].side < 0 else -1.0
         squares = max(float(slope @ slope), 1e-12)
         share = float(slope @ beyond) / squares
         rest = beyond - share * slope
@@ -277,17 +284,27 @@ class Design:
         lags = way * share - 2.0 * error > self._settings.lag
         return lags and self._patience < self._settings.patience
 
-    def _begin_again(self, length: int) -> None:
-        """Go to the first positions again, with windows of so many samples."""
-        self._queue = first_positions(self._settings.first, self.holds[-1].u < 0.5)
-        self.windows = self.windows._replace(length=length)
-        self.since, self.holds = self._elapsed + self._hold.size * self.rig.dt, []
+    def _begin_again(self, length: int, kept: Sequence[Hold] = ()) -> None:
+        """Go to the first positions again, with windows of so many samples; some holds count."""
+        up, self.holds = self.holds[-1].u < 0.5, list(kept)
+        self._queue = self._missing(up)
+        self.windows, self._longest = self.windows._replace(length=length), length
+        if not kept:
+            self.since = self._elapsed + self._hold.size * self.rig.dt
+        self._choose()
+
+    def _missing(self, up: bool) -> list[float]:
+        """Return the first positions at which there is no hold."""
+        held, s = np.array([hold.u for hold in self.holds]), self._settings
+        return [u for u in first_positions(s.first, up) if not (np.abs(held - u) < s.passed).any()]
 
     def _slower(self) -> int | None:
         """Return the samples of windows in which something slower reacts than these resolve."""
         s, lowest = self._settings, self.windows.frequency[AMPLITUDE.lowest]
         for longer in (s.longer, s.longer**2):
             windows = self.windows._replace(length=longer * self.windows.length)
+            if windows.length <= self._longest:
+                continue  # looked at before
             holds = [h for h in self.holds if h.size >= s.fewest * windows.length]
             powers = [windows.powers(h.x[h.size // 2 :]) for h in holds]
             amplitude = choose_amplitude(windows, powers, self.rig.weights) if powers else None
@@ -436,7 +453,8 @@ class Design:
         self._best = min(levels, default=math.inf)
         self._elapsed = elapsed
         left = max(self.rig.time - elapsed, 0.0)
-        share = 2.0 * left / max(len(self._queue) + 4, 1)
+        # about half of it is for what follows the first positions
+        share = left / (len(self._queue) + 2 * s.first if self._queue else 2)
         fair = min(s.most_share * self.rig.time, share)
         self._most = max(s.fewest, int(fair / self.windows.seconds))
         self._least = min(self._needed_windows(), self._most)
@@ -448,7 +466,8 @@ class Design:
         if not self.holds or self._brief:
             return least
         levels = self.levels()
-        settling = float(np.quantile([level.skip for level in levels], s.usual)) * s.reserve
+        skips = [level.skip if abs(level.rise) > self._target else 0 for level in levels]
+        settling = float(np.quantile(skips, s.usual)) * s.reserve  # a slight change is none
         if self._growth:
             grown = [level.skip for level in levels if level.rise > s.grown]
             settling = max([settling, *(s.growth * skip for skip in grown)])
@@ -502,11 +521,19 @@ class Design:
             if max(squares) < s.clear**2 * max(min(squares), 0.0):
                 return  # of what reacts a little the frequency is not known
             length = window_length(self.period, s.window, self.rig.dt)
-            longest = min(hold.x.shape[0] for hold in holds) // 4
-            length = min(length, max(longest, 64, self.windows.length))
+            if not self._queue:
+                longest = min(hold.size for hold in holds) // s.brief
+                length = min(length, max(longest, 64, self.windows.length))
             if 0.7 < length / self.windows.length < 1.5:
                 return
             self.windows = self.windows._replace(length=length)
+            least = s.brief * length  # at the first positions theta goes again where it was shorter
+            self._queue += [hold.u for hold in self.holds if hold.size < least]
+            self.holds = [hold for hold in self.holds if hold.size >= least]
+            holds = [hold for hold in holds if hold.size >= least]
+            if len(holds) < 2:
+                self.amplitude = None
+                return
 
     @property
     def held(self) -> int:

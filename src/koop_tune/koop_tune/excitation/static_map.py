@@ -188,6 +188,11 @@ class StaticMap:
         return self._best[1]
 
     @property
+    def doubt(self) -> float:
+        """By how much the least y of the map, holds or not, may be below :attr:`least`: 1 sigma."""
+        return self.least - float((self._curve[0] - self.deviation).min())
+
+    @property
     def chi_squared(self) -> float:
         """Chi-squared of the holds about a constant."""
         w = 1.0 / np.maximum(self.error, self.settings.least_error) ** 2

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from koop_core.config.describe import parameters_of
 from koop_core.config.parameter import spec_of
-from koop_tune.excitation.static_map import GRID, StaticMap
+from koop_tune.excitation.static_map import StaticMap
 from koop_tune.result.as_text import list_parameters
 from koop_tune.result.parameter_text import KNOWN
 from koop_tune.rig.rig_file import RigFile
@@ -52,7 +52,8 @@ def of_seen(findings: Findings, tuning: Tuning | None = None) -> dict[str, Any]:
     """Return the findings."""
     maps, scale = findings.static_map, findings.scale
     grid, valley = maps.grid[::EVERY], maps.valley()
-    limits, dwells, at = findings.limits, findings.dwells, round(maps.best() * (GRID - 1))
+    limits, dwells = findings.limits, findings.dwells
+    floor = math.log(dwells.amplitude.floor) if maps.sense > 0.0 else -math.inf
     return {
         "feature": findings.name,
         "amplitude": dwells.amplitude.as_json(),
@@ -62,7 +63,7 @@ def of_seen(findings: Findings, tuning: Tuning | None = None) -> dict[str, Any]:
         "theta_best": scale.theta_at(maps.best()),
         "best": {
             "log": maps.sense * maps.least,
-            "error": float(maps.deviation[at]),
+            "error": min(maps.doubt, max(maps.least - floor, 0.0)),
             "valley": [
                 min(scale.theta_at(valley.low), limits.low),
                 max(scale.theta_at(valley.high), limits.high),

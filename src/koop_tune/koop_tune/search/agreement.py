@@ -52,7 +52,8 @@ class Aim:
     valley : tuple of float
         Thetas between which the map is within 1.5 of the best.
     best, error, bound : float
-        Logarithm of the best amplitude, its error, and that at which a loop counts as converged.
+        Logarithm of the best amplitude, by how much a better one may be, and that at which a loop
+        counts as converged.
     time, growth : float
         The rig's own time, and the longest that its oscillation was seen to grow [s].
     predicted : Prediction
@@ -253,8 +254,10 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     )
     slack = 0.02 * (aim.valley[1] - aim.valley[0])
     for run in runs:
-        doubt = aim.settings.sure * math.hypot(run.doubt, aim.error)
-        excess = math.exp(aim.sense * math.log(run.amplitude) - final + doubt)
+        level = math.log(run.amplitude)
+        hidden = abs(aim.amplitude.doubt(level) - aim.amplitude.doubt(aim.sense * final))
+        doubt = aim.settings.sure * (run.doubt + aim.error) + hidden  # both at their worse end
+        excess = math.exp(aim.sense * level - final + doubt)
         if excess > good:
             faults.append(
                 f"near theta = {run.theta:.4g} the amplitude may be {excess:.3g} times the best of "
