@@ -44,6 +44,8 @@ class FastRig:
         Whether the first channel is not a number.
     worn : float
         By how much more theta the same effort needs.
+    louder : float
+        Factor of the first channel.
     time_out : float or None
         Time without a command [s] after which it returns theta by itself.
     """
@@ -59,7 +61,7 @@ class FastRig:
         self.applied, self.silent, self.spike = True, False, False
         self.dead: int | None = None
         self.not_finite = False
-        self.worn = 0.0
+        self.worn, self.louder = 0.0, 1.0
         self.time_out: float | None = None
         self._context = rclpy.Context()
         self._context.init(args=[])
@@ -103,7 +105,7 @@ class FastRig:
             size += DT / 0.03 * (aim - size)
             x = size * math.sin(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
             y = size * math.cos(OMEGA * k * DT) + rng.gauss(0.0, 0.05)
-            said = [99.0 if self.spike else x, y]
+            said = [99.0 if self.spike else self.louder * x, y]
             if self.dead is not None:
                 said[self.dead] = 0.5
             if self.not_finite:

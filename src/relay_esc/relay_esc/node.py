@@ -25,6 +25,7 @@ from koop_node.node.qos import NEWEST, RELIABLE
 from koop_node.node.wire import codec
 from relay_esc import barrier, relay
 from relay_esc.config import EscConfig
+from relay_esc.level import CostLevel
 
 
 class EscRun(Run):
@@ -38,6 +39,7 @@ class EscRun(Run):
         self._answer.theta = self._state.output
         self._input = StreamMonitor("cost", timeout_of(LONGEST_DT), LONGEST_DT, may_end=True)
         self._params = config.params(LONGEST_DT)  # until a cost says which dt it has
+        self._begin_level()
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
         self._hold_asked = False
@@ -94,6 +96,10 @@ class EscRun(Run):
     def _take_parameters(self) -> None:
         config, dt = self._node.parameters[EscConfig], self._input.dt
         self._params, self._bound = config.params(dt), config.barrier(dt)
+        self._begin_level()
+
+    def _begin_level(self) -> None:
+        self._level = CostLevel(self._params.dwell_samples, self._params.sense > 0.0)
 
     def samples(self) -> int:
         return self._input.count
@@ -120,7 +126,10 @@ class EscRun(Run):
         if self._state.since_flip < 0:
             wait = -self._state.since_flip * self._input.dt
             return WARN, f"joined a run: holding theta, seeking in {wait:.1f} s", values
-        return (WARN, "holding theta", values) if answer.holding else (OK, "seeking", values)
+        if answer.holding:
+            return WARN, "holding theta", values
+        finding = self._level.finding()
+        return (WARN, finding, values) if finding else (OK, "seeking", values)
 
     def _on_cost(self, cost: Any, written: float) -> None:
         if cost.dt != self._input.dt:
@@ -151,6 +160,8 @@ class EscRun(Run):
     def _process(self, cost: Any, arrival: Arrival) -> None:
         origin = (cost.source, cost.model_id)
         switched, self._origin = origin != self._origin, origin
+        if switched or arrival in (Arrival.RESTART, Arrival.JOIN):
+            self._begin_level()
         answer = self._answer
         self._state, self._barrier, answer.holding, answer.saturated = self._respond(
             self._params, self._bound, self._state, self._barrier, int(arrival), switched,
@@ -158,6 +169,8 @@ class EscRun(Run):
         )  # fmt: skip
         if not (math.isfinite(cost.r) or cost.settling):
             self._input.reject(f"step {cost.step}: r = {cost.r}, dt = {cost.dt} s")
+        if not answer.holding:
+            self._level.take(cost.r)
         state = self._state
         answer.header = cost.header
         answer.step = cost.step

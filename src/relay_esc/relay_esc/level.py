@@ -1,0 +1,79 @@
+"""Whether the cost has risen for good: the optimum has moved, and theta did not follow.
+
+The mean of r over windows of so many dwell times that neither the controller's own swing nor noise
+shows is compared with the best window of the run.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+
+from koop_core.config.parameter import Settings, parameter
+
+simulated = partial(
+    parameter,
+    origin="simulated, 12 h: at most 1.2 times the least on rigs that stay as they are, 5 to 800 "
+    "times where the optimum leaves by 0.3 ranges",
+)
+
+
+@dataclass(frozen=True)
+class LevelSettings(Settings):
+    """What is a rise of the cost."""
+
+    window: float = simulated(200.0, "length of a window", unit="dwell", low=20.0)
+    least: int = simulated(2000, "samples of a window, at least", low=20)
+    risen: float = simulated(4.0, "rise over the best window: raw, twice the amplitude", low=1.5)
+
+
+LEVEL = LevelSettings()
+
+
+class CostLevel:
+    """The level of the cost in the windows of a run.
+
+    Parameters
+    ----------
+    dwell : int
+        Dwell time [samples].
+    minimise : bool
+        Whether the cost is to be small.
+
+    Attributes
+    ----------
+    rise : float
+        Mean of r over the last window over that of the best one (its inverse where r is to be
+        large); NaN before there was a window.
+    """
+
+    def __init__(self, dwell: int, minimise: bool) -> None:
+        self.rise = math.nan
+        self._window, self._minimise = max(round(LEVEL.window * dwell), LEVEL.least), minimise
+        self._sum, self._count, self._best = 0.0, 0, math.nan
+
+    def take(self, r: float) -> None:
+        """Take a usable cost."""
+        self._sum += r
+        self._count += 1
+        if self._count < self._window:
+            return
+        level = self._sum / self._count
+        self._sum, self._count = 0.0, 0
+        if math.isnan(self._best) or (level < self._best) == self._minimise:
+            self._best = level
+        low, high = sorted((level, self._best))
+        self.rise = high / low if low > 0.0 else math.nan
+
+    def finding(self) -> str:
+        """Return in words that the cost has risen; empty where it has not."""
+        if not self.rise >= LEVEL.risen:
+            return ""
+        words = "the cost is {:.3g} times the least of this run"
+        if not self._minimise:
+            words = "the largest cost of this run was {:.3g} times what it is now"
+        return (
+            f"{words.format(self.rise)}: the optimum may have moved, and theta did not follow: run "
+            "'koop commission' again"
+        )
