@@ -1,4 +1,4 @@
-"""Settings of what is learned besides the modes: contrast and delays, and of a run under way."""
+"""Settings of what is learned besides the modes: contrast and delays, and of the watch."""
 
 from __future__ import annotations
 
@@ -27,19 +27,6 @@ class LearningSettings(Settings):
 
 
 @dataclass(frozen=True)
-class RunningSettings(Settings):
-    """How the sums of a run under way forget."""
-
-    alertness: float = judged(
-        0.01, "least gain of a direction over its loss: to follow a weaker oscillation", low=1e-6
-    )
-    quiet: float = judged(
-        1e-4, "gain of a block about its mean, over its share, that says nothing", low=0.0
-    )
-    ridge: float = judged(1e-12, "regularisation, over the variance", low=0.0)
-
-
-@dataclass(frozen=True)
 class WatchSettings(Settings):
     """When the oscillation's frequency has changed, and how its usual range is learned."""
 
@@ -58,5 +45,4 @@ class WatchSettings(Settings):
 
 
 LEARNING = LearningSettings()
-RUNNING = RunningSettings()
 WATCH = constants(WatchSettings())
