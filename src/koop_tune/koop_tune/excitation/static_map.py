@@ -34,7 +34,7 @@ class MapSettings(Settings):
         origin="random maps: half the holds of 0.5, and not blind to a narrow valley as 2.5",
     )  # fmt: skip
     shortest: float = parameter(0.02, "shortest length scale, in ranges", low=1e-3)
-    scatter: float = studied(0.2, "largest deviation of holds at one theta", low=0.0)
+    scatter: float = studied(0.5, "largest deviation of holds at one theta", low=0.0)
     good: float = studied(1.5, "level over the best of the valley", low=1.0)
     ends: float = studied(2.0, "standard errors by which an end is worse", low=0.0)
     slight: float = studied(0.03, "the same as a log level, at least", low=0.0)
