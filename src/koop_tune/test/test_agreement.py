@@ -216,6 +216,13 @@ def test_a_figure_outside_the_band_that_errors_allow_is_named(aim, good):
     assert "outside" not in verdict(aim, [inside, inside], [-1.0, 3.0], 1, "there")
 
 
+def test_a_rig_that_theta_changes_little_is_not_praised(aim, good):
+    little = replace(good, error=0.001, excess=1.0, reduction=1.06)
+    said = verdict(aim, [little, replace(little, reduction=0.998)], [-1.0, 3.0], 1, "there")
+    assert said.endswith("theta changes the amplitude little here: by a factor of 1.06 at most.")
+    assert "amplitude little" not in verdict(aim, [little, good], [-1.0, 3.0], 1, "there")
+
+
 def factor(text):
     """Return the factor by which a description says that the amplitude falls or rises."""
     return float(re.search(r"(?:falls|rises) by a factor of (\S+)", text)[1])

@@ -317,6 +317,9 @@ def verdict(
         last = f"The rig is damped as predicted: ./koop up {where} runs it"
         if outside := {text: None for run in runs for text in find_disagreements(aim, run, 0.0)}:
             last += f"; outside the band, within what errors allow: {'; '.join(outside)}"
+    most = max(run.reduction for run in runs)
+    if not faults and most < CONVERGENCE.good:
+        last += f"; theta changes the amplitude little here: by a factor of {most:.3g} at most"
     return " ".join([*lines, last + "."])
 
 
