@@ -14,8 +14,8 @@ from koop_core.config.parameter import Settings, parameter
 
 simulated = partial(
     parameter,
-    origin="simulated, 12 h: at most 1.2 times the least on rigs that stay as they are, 5 to 800 "
-    "times where the optimum leaves by 0.3 ranges",
+    origin="ten simulated rigs, 12 h and more: at most 1.25 times the least where they stay as "
+    "they are, more than 2 times on six of them where the optimum leaves by 0.3 ranges",
 )
 
 
@@ -25,7 +25,7 @@ class LevelSettings(Settings):
 
     window: float = simulated(200.0, "length of a window", unit="dwell", low=20.0)
     least: int = simulated(2000, "samples of a window, at least", low=20)
-    risen: float = simulated(4.0, "rise over the best window: raw, twice the amplitude", low=1.5)
+    risen: float = simulated(2.0, "rise over the best window", low=1.3)
 
 
 LEVEL = LevelSettings()
