@@ -132,7 +132,9 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     first.send_signal(signal.SIGINT)
     out, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130, error
-    assert "theta goes between -1 and 2, there and back, then to where it tells most: at most" in out
+    assert (
+        "theta goes between -1 and 2, there and back, then to where it tells most: at most" in out
+    )
     assert out.count("(over the range)") == holds()
     assert (
         f"theta is back at 1, or was not moved; to resume: ./koop excite {rig_yaml} --out run"
