@@ -242,8 +242,9 @@ class Excitation:
             )
         back = max(map(rig.guard.return_time, (rig.theta_min, rig.theta_max)))
         print(
-            f"theta goes between {rig.theta_min:g} and {rig.theta_max:g}, there and back, then to where "
-            f"it tells most: at most {spell_time(left, rig.pace)}, less if only what is fast reacts; "
+            f"theta goes between {rig.theta_min:g} and {rig.theta_max:g}, there and back, then to "
+            f"where it tells most: at most {spell_time(left, rig.pace)}, less if only what is "
+            "fast reacts; "
             f"Ctrl-C ends it, theta returns to {rig.theta_safe:g} within {back:.2g} s here\n"
             "[s] of the rig's time; amplitude 1 is the strongest motion seen so far",
             flush=True,
