@@ -84,7 +84,7 @@ def test_a_time_out_of_the_rig_is_looked_for_where_the_user_says_yes(fast_rig, t
 def test_nobody_is_asked_without_a_terminal_and_no_is_no(fast_rig):
     rows, bad = rows_of(RIG)
     assert bad == []
-    assert rows["time-out"].text.startswith("was not tested")
+    assert rows["time-out"].text.startswith("of the rig was not tested")
     assert silences_of(fast_rig) == {}
 
 

@@ -98,6 +98,7 @@ def describe_doubt(telling: Telling, settings: CheckSettings = DEFAULTS) -> str:
     if telling.clear >= settings.apart:
         return ""
     return (
-        f"was not tested: the oscillation at theta_safe differs by {telling.clear:.2g} standard "
-        f"deviations only from the one beside it, {settings.apart:g} are needed"
+        "of the rig was not tested: the oscillation at theta_safe differs by "
+        f"{telling.clear:.2g} standard deviations only from the one beside it, "
+        f"{settings.apart:g} are needed"
     )

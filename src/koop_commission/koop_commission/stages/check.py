@@ -161,7 +161,9 @@ def check_rig(
                             yield _test_time_out(rig, session, settle, blocks, settings)
                         elif finding.level != BAD:
                             yield Finding(
-                                NOTE, TIME_OUT, "was not tested; in a terminal, 'koop check' asks"
+                                NOTE,
+                                TIME_OUT,
+                                "of the rig was not tested; in a terminal, koop check asks",
                             )
         except LiveError as error:
             yield Finding(BAD, "theta", f"{error}: theta returns to {rig.theta_safe:g}")

@@ -138,6 +138,7 @@ def _has_ended(guard_id: int, shared: SharedTheta) -> bool:
         return not os.read(0, 1024)
     _, alive, commanded, _ = shared.read()
     if commanded and time.monotonic() - alive > SAFETY.stopped:
+        print(f"the guard stood still for {SAFETY.stopped:g} s: its twin ends it", flush=True)
         with suppress(ProcessLookupError):
             os.kill(guard_id, signal.SIGKILL)
     return False

@@ -120,7 +120,7 @@ def ask(name: str, question: str, patience: float | None = PATIENCE) -> dict[str
             loop.send(question.encode())
             data = loop.recv(LONGEST)
         except ConnectionRefusedError:
-            raise LiveError("does not answer: it starts, or koop up did not start it") from None
+            raise LiveError("does not answer: it starts, or is not a loop of koop up") from None
         except TimeoutError:
             raise LiveError(f"process {process}: hangs: no answer in {patience:g} s") from None
         except OSError as error:

@@ -314,9 +314,10 @@ def verdict(
     elif worse:
         last = f"The rig is damped, but not as predicted ({worse[0]}): ./koop up {where} runs it"
     else:
-        last = f"The rig is damped as predicted: ./koop up {where} runs it"
-        if outside := {text: None for run in runs for text in find_disagreements(aim, run, 0.0)}:
-            last += f"; outside the band, within what errors allow: {'; '.join(outside)}"
+        outside = {text: None for run in runs for text in find_disagreements(aim, run, 0.0)}
+        band = f", the band missed by errors at most ({'; '.join(outside)})" if outside else ""
+        how = "about as predicted" if outside else "as predicted"
+        last = f"The rig is damped {how}{band}: ./koop up {where} runs it"
     most = max(run.reduction for run in runs)
     if not faults and most < CONVERGENCE.good:
         last += f"; theta changes the amplitude little here: by a factor of {most:.3g} at most"
