@@ -42,6 +42,7 @@ BLACKMAN = (0.04, -0.25, 0.42, -0.25, 0.04)  # of the bins 6 to 10 of a window: 
 FIRST_BIN = 6
 QUARTERS = (1.0 + 0.0j, -1.0j, -1.0 + 0.0j, 1.0j)  # exp(-i phase) after quarters of a turn
 DAY = 86400.0  # [s]
+BLOCK = 16  # states that are looked at together: the call costs more than that
 LOOKED = 20  # windows that dominant_period makes of what is listened to
 FITS = 4  # periods in one of them, at least
 
@@ -257,6 +258,24 @@ def listen(ear: Listening, step: int, x: NDArray[np.float64]) -> None:
         cursor[2] = 0
 
 
+@njit()
+def listen_all(ear: Listening, steps: NDArray[np.int64], states: NDArray[np.float64]) -> None:
+    """Take measured states, shape (M, n), of so many steps."""
+    for i in range(steps.shape[0]):
+        listen(ear, steps[i], states[i])
+
+
+@njit()
+def follow_all(
+    threshold: float, spectrum: Spectrum, tally: Tally, steps: NDArray[np.int64],
+    states: NDArray[np.float64],
+) -> Tally:  # fmt: skip
+    """Take measured states, shape (M, n), of so many steps; return the tally after them."""
+    for i in range(steps.shape[0]):
+        tally = follow(threshold, spectrum, tally, steps[i], states[i])
+    return tally
+
+
 @dataclass(frozen=True)
 class Change:
     """A mode that has moved: from and to [Hz]."""
@@ -282,10 +301,11 @@ class Watch:
 
     def __init__(self, channels: int, dt: float) -> None:
         self.channels, self._dt = channels, dt
-        self._x = np.zeros(channels)
-        ear = Listening(np.zeros((1, channels)), self._x, np.zeros(4, np.int64))
-        self._listen = direct(listen, ear, 0, self._x)
-        self._follow = direct(follow, 1.0, spectrum(9, channels), Tally(), 0, self._x)
+        self._steps, self._states = np.zeros(BLOCK, np.int64), np.zeros((BLOCK, channels))
+        block = self._steps, self._states
+        ear = Listening(np.zeros((1, channels)), np.zeros(channels), np.zeros(4, np.int64))
+        self._listen = direct(listen_all, ear, *block)
+        self._follow = direct(follow_all, 1.0, spectrum(9, channels), Tally(), *block)
         self.begin()
 
     def begin(self) -> None:
@@ -295,7 +315,7 @@ class Watch:
             np.zeros((WATCH.listened, n)), np.zeros(n), np.array([0, 1, 0, 0])
         )
         self._spectrum: Spectrum | None = None
-        self._tally, self._threshold = Tally(), 0.0
+        self._tally, self._threshold, self._count = Tally(), 0.0, 0
 
     @property
     def frequency(self) -> float | None:
@@ -308,12 +328,17 @@ class Watch:
         return self._tally.windows >= WATCH.known
 
     def take(self, step: int, x: NDArray[np.float64]) -> Change | None:
-        """Take a measured state, shape (n,)."""
-        self._x[:] = x
-        if self._spectrum is None:
-            self._listen(self._listening, step, self._x)
+        """Take a measured state, shape (n,); a block of them is looked at at once."""
+        i = self._count
+        self._steps[i], self._states[i] = step, x
+        self._count = (i + 1) % BLOCK
+        if self._count:
             return None
-        self._tally = t = self._follow(self._threshold, self._spectrum, self._tally, step, self._x)
+        block = self._steps, self._states
+        if self._spectrum is None:
+            self._listen(self._listening, *block)
+            return None
+        self._tally = t = self._follow(self._threshold, self._spectrum, self._tally, *block)
         return self._judge() if max(t.above.s, t.below.s) > self._threshold else None
 
     def look(self) -> None:
