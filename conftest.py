@@ -29,8 +29,8 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 @pytest.hookimpl(optionalhook=True)  # there may be no xdist
 def pytest_xdist_auto_num_workers() -> int:
-    """Two workers a processor: tests wait for nodes more than half of the time."""
-    return 2 * len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+    """Three workers on two processors: tests wait for nodes, but a rig must not for a processor."""
+    return max(3 * len(os.sched_getaffinity(0)) // 2, 2)
 
 
 @pytest.fixture(scope="session")
