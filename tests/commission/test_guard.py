@@ -347,8 +347,7 @@ def test_a_loop_that_tripped_is_still_tripped_after_a_restart(koop, up, fast_rig
         assert (states[-1].status, states[-1].reason) == (GuardState.TRIPPED, reason)
         assert states[-1].tripped_at < time.time() - 1.0
         home(fast_rig, process)
-    assert probe.call(Trigger, "/koop_guard/rearm", Trigger.Request()).success
-    probe.spin_until(lambda: fast_rig.theta < 0.7, "the controller to command again")
+    rearm(probe, states, fast_rig)
     process.send_signal(signal.SIGINT)
     assert process.wait(LONG) == 0
     up("third")
@@ -414,7 +413,7 @@ def test_a_rigs_program_hears_theta_return_before_it_is_ended(
 ):
     heard, end = tmp_path / "heard", tmp_path / "end"
     words = [sys.executable, Path(__file__).with_name("rig_program.py"), heard, end]
-    guard = {**LOOP["koop_guard"], "rearms": 5}  # on a busy machine this rig may be silent at first
+    guard = {**LOOP["koop_guard"], "rearms": 5}  # it may be silent at first
     values = {**LOOP, "koop_guard": guard, "rig": {"command": shlex.join(map(str, words))}}
     file = tmp_path / "loop.yaml"
     parameter_file.write(values, file)
