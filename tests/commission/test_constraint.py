@@ -65,7 +65,13 @@ def test_a_signal_that_is_not_there_is_named_before_theta_moves(
 def test_the_loop_keeps_a_bound_that_moves_and_the_guard_one_that_it_cannot(
     fast_rig, koop, tmp_path
 ):
-    esc = {**LOOP["relay_esc"], "dwell": 0.4, "theta_max": 2.0, "theta_initial": 1.5, "margin_slope": 2.0}
+    esc = {
+        **LOOP["relay_esc"],
+        "dwell": 0.4,
+        "theta_max": 2.0,
+        "theta_initial": 1.5,
+        "margin_slope": 2.0,
+    }
     guard = {**LOOP["koop_guard"], "theta_safe": 1.5, "theta_start": 1.5}
     values = {
         "koopman_lifter": {**LOOP["koopman_lifter"], "constraint": CONSTRAINT},
