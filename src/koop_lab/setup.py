@@ -15,6 +15,7 @@ setup(
         "koop_bag",
         "koop_bringup",
         "koop_core",
+        "koop_guard",
         "koop_identify",
         "koop_loop",
         "koop_node",

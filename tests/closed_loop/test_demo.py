@@ -49,7 +49,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
     process = demo(folder, "--params-file", str(file), "--cost", "raw", "--seed", "2")
     printed, _ = process.communicate(timeout=120)
     assert process.returncode == 0, printed
-    for text in ("raw cost", "IAE_theta [s]", "5125.7", "lost: none", str(folder)):
+    for text in ("raw cost", "IAE_theta [s]", "lost: none", str(folder)):
         assert text in printed
     metrics = json.loads((folder / "metrics.json").read_text())
     for name in ("iae_theta", "ise_theta", "t_theta", "e_r_ss", "rate_hz", "real_time_factor"):

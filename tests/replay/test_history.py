@@ -44,7 +44,11 @@ def write_days(folder, begin=0, end=DAY, closed=True):
             time = (BEGIN + t) * 10**9
             writer.write(channel, time, time, serialize_message(message))
 
-        write(guard, begin + 5, GuardState(status=1, theta=0.0))
+        write(guard, begin, GuardState(status=1, theta=0.0))
+        for t in range(0 if begin else 10):  # a node says each second what lasts
+            status = DiagnosticStatus(name="/recorder", message=f"{t} lost")
+            status.level = b"\1" if t < 9 else b"\0"
+            write(health, begin + t, DiagnosticArray(status=[status]))
         for t in range(begin, end, EVERY):
             if t == TRIP:
                 trip = {"cause": "told to", "reason": "told to by a test", "tripped_theta": 1.25}
@@ -69,6 +73,8 @@ def write_days(folder, begin=0, end=DAY, closed=True):
                 margin_min=-0.1, margin_max=0.3, margin_mean=0.2,
                 theta_min=t / DAY - 0.5, theta_max=t / DAY + 0.5, theta_mean=t / DAY,
             ))  # fmt: skip
+        ended = GuardState(status=2, theta=SAFE, cause="ended", reason="the loop ends")
+        write(guard, end - EVERY + 1, ended)  # theta returns, which is not a trip
     with BagWriter(folder / "bag") as bag:
         if not closed:
             bag._file.abandon()
@@ -88,7 +94,7 @@ def read_page(path):
 def week(tmp_path_factory):
     folder = tmp_path_factory.mktemp("loop")
     write_days(folder / "20260101T000000Z-mine", 0, DAY // 2, closed=False)
-    write_days(folder / "20260101T120000Z-mine", DAY // 2 + 3600, DAY)
+    write_days(folder / "verify-1" / "20260101T120000Z-mine", DAY // 2 + 3600, DAY)
     return folder
 
 
@@ -146,6 +152,7 @@ def test_each_thing_that_happened_has_a_sentence(week, capsys):
         "tripped at theta = 1.25: told to by a test",
         "rearmed after 15 min",
         "relay_esc said ERROR for 1 min: the cost is unusable",
+        "recorder said WARN for 9 s: 0 lost",
         "The cost came from model new in place of old",
         "This recording was not closed",
         "1.01 h without one",

@@ -103,7 +103,9 @@ def ready(clone: Clone) -> Clone:
 
 
 def test_first_call_makes_the_environment_and_builds_every_package(clone: Clone) -> None:
-    assert clone.koop("setup")[0] == 0
+    code, _, err = clone.koop("setup")
+    assert code == 0
+    assert "koop: the first call sets up " in err
     venv, pip, colcon = clone.calls()
     assert venv.startswith("-m venv")
     assert "--no-deps" in pip
@@ -154,7 +156,9 @@ def test_failed_step_shows_its_last_lines_and_the_next_call_goes_on_there(
 def test_changed_pins_are_installed_without_a_new_environment_or_build(ready: Clone) -> None:
     with (ready.root / "requirements/python.txt").open("a") as file:
         file.write("# changed\n")
-    assert ready.koop("setup")[0] == 0
+    code, _, err = ready.koop("setup")
+    assert code == 0
+    assert "the first call" not in err
     (pip,) = ready.calls()
     assert pip.startswith("-m pip install")
 

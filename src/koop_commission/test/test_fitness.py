@@ -178,7 +178,7 @@ def test_a_reaction_is_told_by_its_feature():
     x = np.sin(10.0 * T)[:, None]
     blocks = Blocks.choose(x, Windows(300, DT))
     names = blocks.names(["x"])
-    assert names[0].startswith("x from 0.333 to ")  # Hz
+    assert names[0].startswith("amplitude of x between 0.333 and ")  # Hz
     assert names[-1] == "mean x"
     assert len(names) == blocks.features(x[:300]).size
     level = judge_reaction(Reaction(0.01, len(names) - 1, 0.25), names, "theta from 0 to 1")

@@ -31,6 +31,12 @@ def test_simulate_writes_signals_metrics_and_a_plot(tmp_path, capsys):
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize("duration", [200, 2500])
+def test_the_papers_figures_stand_beside_those_of_a_run_of_its_length_only(duration, capsys):
+    assert main(["simulate", "--duration", f"{duration}"]) == 0
+    assert ("1445.3" in capsys.readouterr().out) == (duration == 2500)
+
+
 def test_train_prints_the_mode_table_and_inspect_reads_the_file(tmp_path, capsys):
     path = tmp_path / "model.npz"
     options = ["--modes", "6", "--out", str(path)]

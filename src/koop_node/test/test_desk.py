@@ -87,7 +87,7 @@ def test_another_user_may_look_but_not_stop(name, loop):
 
 def test_a_loop_that_hangs_or_ends_without_a_word_is_told(name):
     with _claimed(name) as (_, place):
-        with pytest.raises(LiveError, match="does not answer: it starts"):
+        with pytest.raises(LiveError, match="does not answer: it is starting"):
             ask(name, STATUS)
         place.listen()
         with pytest.raises(LiveError, match=f"process {os.getpid()}: hangs"):

@@ -180,8 +180,12 @@ class Blocks(NamedTuple):
     def names(self, channels: Sequence[str]) -> list[str]:
         """Return the name of each feature."""
         edges = np.array(self.windows.edges) / self.windows.seconds
-        spans = [f"{edges[a]:.3g} to {edges[b]:.3g} Hz" for a, b in itertools.pairwise(self.starts)]
-        bands = [f"{name} from {span}" for name in channels for span in spans]
+        spans = [(f"{edges[a]:.3g}", f"{edges[b]:.3g}") for a, b in itertools.pairwise(self.starts)]
+        bands = [
+            f"amplitude of {name} between {low} and {high} Hz"
+            for name in channels
+            for low, high in spans
+        ]
         return [*bands, *(f"mean {name}" for name in channels)]
 
 

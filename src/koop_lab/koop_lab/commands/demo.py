@@ -86,8 +86,6 @@ def main(args: argparse.Namespace) -> int:
         theta_star,
     )
     print(describe(run))
-    if parameters.pace.duration != PAPER_DURATION:
-        print(f"(the paper's figures hold for {PAPER_DURATION:g} s)")
     if run.metrics is not None:
         print(
             f"\n{'converged' if run.metrics.converged else 'not converged'}: "

@@ -60,7 +60,7 @@ def main(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(metrics.as_dict(), indent=1))
         return 0
-    print(metrics_table(metrics, cost))
+    print(metrics_table(metrics, cost, parameters.pace.duration))
     print(f"{result.theta.size} steps in {elapsed:.2f} s, r* included")
     for file in filter(None, (args.out, args.plot)):
         print(f"written to {file}")

@@ -7,7 +7,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from koop_core.stream.report import LEVELS
-from koop_lab.history.read import FOLLOWING, TRIPPED, GuardMessage, HealthMessage, History
+from koop_guard.guard import Cause, Status
+from koop_lab.history.read import GuardMessage, HealthMessage, History
 
 BRIEF = 5.0  # [s] below which a warning is not told, as the log of a node does not
 NEAR = 600.0  # [s] between troubles of a node that are told together
@@ -52,18 +53,22 @@ def format_span(seconds: float) -> str:
 
 
 def trips(history: History) -> list[Event]:
-    """Return the guard's trips, each until the controller commanded again."""
+    """Return the guard's trips, each until the controller commanded again.
+
+    That theta returned when the loop ended is not one.
+    """
     events = []
     trip: GuardMessage | None = None
     for message in history.guard:
-        if message.status == TRIPPED and trip is None:
+        tripped = message.status == Status.TRIPPED and message.cause != Cause.ENDED
+        if tripped and trip is None:
             trip = message
-        elif message.status == FOLLOWING and trip is not None:
+        elif message.status == Status.FOLLOWING and trip is not None:
             events.append(_trip(trip, message.time, "; rearmed after "))
             trip = None
         elif trip is not None and (end := _end_between(history, trip.time, message.time)):
             events.append(_trip(trip, end, "; the recording ended after "))
-            trip = message if message.status == TRIPPED else None
+            trip = message if tripped else None
     if trip is not None:
         end = max(run.end for run in history.runs)
         events.append(_trip(trip, end, "; not rearmed until the end, for "))
@@ -72,7 +77,7 @@ def trips(history: History) -> list[Event]:
 
 def troubles(history: History) -> list[Trouble]:
     """Return when nodes were not well; the guard's trips are told by the guard."""
-    troubles = []
+    troubles: list[Trouble] = []
     nodes: dict[str, list[HealthMessage]] = {}
     for message in history.health:
         if not message.node.endswith("/koop_guard"):
@@ -81,7 +86,9 @@ def troubles(history: History) -> list[Trouble]:
         last = HealthMessage(max(run.end for run in history.runs), node, 0, "")
         for message, after in pairwise([*messages, last]):
             end = _end_between(history, message.time, after.time) or after.time
-            if message.level:
+            if troubles and troubles[-1][1:4] == (message.time, node, message.level):  # it lasts
+                troubles[-1] = troubles[-1]._replace(end=end)
+            elif message.level:
                 troubles.append(Trouble(message.time, end, node, message.level, message.text))
     return sorted(troubles)
 

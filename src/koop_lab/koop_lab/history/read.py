@@ -17,6 +17,7 @@ from koop_bag.bag.summary import FIELDS, SECOND, LoopSecond, Seconds
 from koop_bag.errors import BagError
 from koop_core.config.fields import parse_source
 from koop_core.errors import InputError, KoopError
+from koop_guard.guard import Status
 from koop_identify.recording.recorded_parameters import recorded_values
 from koop_lab.history.seconds import (
     COLUMNS,
@@ -30,7 +31,6 @@ from koop_lab.history.seconds import (
 
 BAG, SUMMARY = "bag", "summary"
 GUARD_STATE = "koop_msgs/msg/GuardState"
-TRIPPED, FOLLOWING = 2, 1  # its status
 GUARD = ("log_time", "status", "theta", "cause", "reason", "tripped_theta")
 HEALTH = ("log_time", "status[0].name", "status[0].level", "status[0].message")
 LABEL = re.compile(r"\d{8}T\d{6}Z-(.+)")  # of a run's folder
@@ -111,7 +111,7 @@ class _Parts:
         if not rows.time.size:
             return
         if guard := self.guard_of(loop):
-            said = np.array([(m.time, m.theta, m.status == TRIPPED) for m in guard]).T
+            said = np.array([(m.time, m.theta, m.status == Status.TRIPPED) for m in guard]).T
             rows = with_guard(rows, said[0], said[1], said[2] > 0.0)
         self.rows.setdefault(loop, []).append(gather(rows, self.width))
         changes = self.models.setdefault(loop, [])
@@ -130,7 +130,7 @@ def read_history(paths: Sequence[Path], since: float | None = None) -> list[Hist
     Parameters
     ----------
     paths : sequence of Path
-        Folders of runs, or folders of such folders.
+        Folders of runs, or folders that hold such folders, at any depth.
     since : float, optional
         Only so many seconds before the end of the last one.
 
@@ -163,7 +163,7 @@ def find_runs(paths: Sequence[Path]) -> list[Path]:
         if not path.is_dir():
             raise InputError(f"{path}: is not a folder: name the folder of a run, or of runs")
         single = [path] if (path / BAG).is_dir() else []
-        runs = single or sorted(bag.parent for bag in path.glob(f"*/{BAG}"))
+        runs = single or sorted(bag.parent for bag in path.rglob(BAG) if bag.is_dir())
         if not runs:
             raise InputError(f"{path}: holds no run, a folder with a {BAG} in it")
         folders += runs

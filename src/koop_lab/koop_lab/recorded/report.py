@@ -182,7 +182,8 @@ def describe(run: RecordedRun, start: float | None = None) -> str:
     """Return in words and tables what a run achieved."""
     signals, loop, metrics = run.signals, run.loop, run.metrics
     rig, names = rig_metrics_of(signals, start)
-    lines = [metrics_table(metrics, run.cost), ""] if metrics is not None else []
+    duration = float(signals.t[-1] - signals.t[0]) + signals.dt
+    lines = [metrics_table(metrics, run.cost, duration), ""] if metrics is not None else []
     lines += [rig_table(rig, names), ""]
     if loop is not None:
         lost = ", ".join(f"{count} on {topic}" for topic, count in loop.lost.items() if count)

@@ -26,8 +26,8 @@ def as_table(findings: Findings, tuning: Tuning | None = None) -> str:
     """Return the static map and what each cost shows of it."""
     maps = findings.static_map
     rows = [
-        [f"{theta:.4g}", f"{math.exp(mean):.4g}", f"{100 * error:.2g} %" if error < 1.0 else "?"]
-        for theta, mean, error in sorted(
+        [f"{theta:.4g}", f"{math.exp(log):.4g}", f"{100 * error:.2g} %" if error < 1 else "> 100 %"]
+        for theta, log, error in sorted(
             zip(findings.scale.theta(maps.u), maps.mean, maps.error, strict=True)
         )
     ]
