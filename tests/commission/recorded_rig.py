@@ -7,7 +7,7 @@ from koop_bag.cdr.schema import load_schema
 from koop_identify.recording.loaded import Loaded
 from koop_study.commissioning import excitation
 from koop_study.family.config import FamilyConfig
-from koop_study.family.loop import RigController, close_from_end, noise_of
+from koop_study.family.loop import RigController, close, from_end, noise_of
 from koop_study.family.rig import draw
 from koop_tune.rig.scale import Scale
 from koop_tune.search.run import make_esc, make_lifter
@@ -104,4 +104,4 @@ def damped(rig, found, seed, end):
     esc = make_esc(task, constants, rig.theta_initial)
     controller = RigController(make_lifter(task, constants), esc, found.chosen.maps.cost.model)
     noise = noise_of(rig, task.steps, seed)
-    return close_from_end(rig, controller, end, noise, seed).ratio
+    return close(from_end(rig, end), controller, noise, seed).ratio

@@ -67,9 +67,17 @@ def test_words_and_truths_are_counted() -> None:
     assert [texts[0] for texts in mistakes.texts()] == ["2", "3", "4", "5", "7", "8"]
 
 
+def test_an_optimum_moves_on_from_loop_to_loop() -> None:
+    rig = draw(FamilyConfig(drift=(0.1, 0.1)), 7)
+    speed, dt = rig.params.drift, rig.params.dt
+    places = [each.params.best for each in Loops(rig, 7, 400).later(1, 2.0, 1000).rigs]
+    way = np.diff([rig.params.best, *places])
+    assert way == pytest.approx([1000 * speed * dt, 800 * speed * dt])
+
+
 def test_no_round_of_a_verification_repeats_the_noise_of_another() -> None:
     first = Loops(draw(FamilyConfig(), 7), 7, 400)
-    rounds = [first, first.later(1, 1.0), first.later(2, 2.0)]
+    rounds = [first, first.later(1, 1.0, 800), first.later(2, 2.0, 1600)]
     drawn = [noise.numbers for loops in rounds for noise in loops.noises]
     assert [len(numbers) for numbers in drawn] == [400, 400, 400, 400, 800, 800]
     alike = np.corrcoef([numbers[:400, 0] for numbers in drawn]) - np.eye(6)

@@ -12,7 +12,7 @@ from koop_core.config.parameter import ConfigError
 from koop_study.experiments.spec import parse
 from koop_study.family import oscillator
 from koop_study.family.config import MAPS, WITH_OPTIMUM, FamilyConfig
-from koop_study.family.loop import RigController, close, close_from_end, noise_of
+from koop_study.family.loop import RigController, close, from_end, noise_of
 from koop_study.family.rig import GRID, RandomRig, draw
 from koopman_lifter.config import LifterConfig
 from relay_esc.config import EscConfig
@@ -372,7 +372,7 @@ def test_the_loop_runs_on_every_rig_with_the_truth_of_its_best_theta(
     rig = of(name, 4, play=(play, play), log_scaled=0.0, **settings)
     noise = noise_of(rig, round(60.0 * rig.time / rig.params.dt), 1)
     assert noise.best == pytest.approx(rig.best()[1], rel=1e-6)
-    done = close_from_end(rig, controller_of(rig, 0.1), 0, noise, 1)
+    done = close(from_end(rig, 0), controller_of(rig, 0.1), noise, 1)
     amplitude = rig.record(done.theta, 1)[1]
     half = amplitude.size // 2
     again = math.sqrt(float((amplitude[half:] ** 2).mean())) / noise.best

@@ -9,6 +9,7 @@ import pytest
 from koop_core.errors import InputError
 from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, TIME, Design, Move, first_positions
 from koop_tune.excitation.holds import Hold
+from koop_tune.excitation.static_map import MapSettings
 from koop_tune.rig.rig_file import RigFile
 
 DT, PERIOD = 0.02, 0.5
@@ -117,6 +118,16 @@ def test_the_map_is_that_of_the_rig_and_both_sides_of_the_best_are_visited():
     assert sides == {1, -1}
 
 
+def test_an_optimum_that_moves_is_found_where_it_is_at_the_end():
+    rig = Simulated(wide)
+    rig.level = lambda u: 6.0 * (u - 0.3 - rig.seconds / 4000.0) ** 2
+    design, _ = excite(rig)
+    way = design.static_map().motion
+    assert design.ended == KNOWN
+    assert way == pytest.approx(rig.seconds / 4000.0, abs=0.05)
+    assert design.static_map().best() == pytest.approx(0.3 + rig.seconds / 4000.0, abs=0.06)
+
+
 @pytest.mark.parametrize("slope", [1.5, -1.5])
 def test_a_monotone_map_ends_with_its_best_at_the_limit(slope):
     design, moves = excite(Simulated(lambda u: slope * (u - 0.5)))
@@ -185,10 +196,17 @@ def test_a_strong_slow_interference_neither_sets_the_windows_nor_hides_the_map()
     assert not any(low <= 0.4 <= high for low, high in ranges)
 
 
-@pytest.mark.parametrize(("level", "ended"), [(wide, KNOWN), (lambda u: -0.5 * u, TIME)])
-def test_once_more_holds_would_not_help_a_map_with_an_optimum_inside_is_known(level, ended):
-    settings = replace(DESIGN, most=COUNT + 1)
-    assert excite(Simulated(level), settings=settings)[0].ended == ended
+@pytest.mark.parametrize(("flat", "ended"), [(25.0, KNOWN), (1e9, TIME)])
+def test_once_more_holds_would_not_help_a_map_that_shows_anything_is_known(flat, ended):
+    settings = replace(DESIGN, most=COUNT + 1, map=MapSettings(flat=flat))
+    assert excite(Simulated(lambda u: -0.5 * u), settings=settings)[0].ended == ended
+
+
+def test_a_narrow_valley_that_is_seen_on_the_way_back_is_no_lag():
+    design, moves = excite(Simulated(absorber(0.1, 15.0, 0.1)))
+    assert design.since == 0.0
+    assert [move.u for move in moves[:COUNT]] == first_positions(DESIGN.first, True)
+    assert moves[COUNT].u not in (0.0, 1.0)
 
 
 def test_hysteresis_is_visited_from_both_sides_and_told_as_doubt():

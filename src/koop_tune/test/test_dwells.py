@@ -1,5 +1,6 @@
 """Where theta was held in a recording, and the amplitudes and spectra there."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -129,6 +130,22 @@ def test_the_map_of_a_recording_is_that_of_what_reacts():
     assert np.exp(np.concatenate(whole)) == pytest.approx(
         np.full(8 * 18, np.sqrt(4.5 + 0.09)), rel=0.1
     )
+
+
+def test_rests_of_a_map_that_moves_are_where_they_would_be_now():
+    way, values = 0.3, np.r_[np.linspace(0.0, 1.0, 9), np.linspace(0.9, 0.1, 8)]
+    logs = [  # the optimum is at 0.3 first and at 0.6 at last
+        np.log(0.5 + 4.0 * (u - 0.3 - way * k / 16.0) ** 2) + 0.02 * np.resize([1.0, -1.0], 20)
+        for k, u in enumerate(values)
+    ]
+    u, level = np.unique(values, return_inverse=True)
+    rests = [Rest(int(i), 2000 * k, 2000 * (k + 1)) for k, i in enumerate(level)]
+    still = replace(make_dwells(rests, logs, 100), u=u)
+    static_map, moved = still.now(still.static_map(logs, 1.0))
+    assert static_map.best() == pytest.approx(0.6, abs=0.06)
+    at = np.array([moved.u[rest.level] for rest in moved.rests])
+    assert at - values == pytest.approx(way * np.linspace(1.0, 0.0, 17), abs=0.03)
+    assert moved.static_map(logs, 1.0).best() == static_map.best()
 
 
 @pytest.mark.parametrize(("level", "growth"), [(0.0, 0.0), (2.0, 6.0)])

@@ -128,3 +128,12 @@ def test_theta_is_kept_in_the_valley(sense):
     assert limits(0.4) == (-5.0, 5.0, "", "")  # good everywhere
     far = limits(5.0, WIDE)  # positions are those of log theta
     assert float(WIDE.scale.u(np.array(far.high))) == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_an_optimum_that_moves_has_room_ahead(side):
+    actual = make_map(lambda v: 5.0 * np.abs(v - 0.5), 0.01, u=np.linspace(0.0, 1.0, 31))
+    still, moving = limit_theta(actual, EVEN), limit_theta(actual, EVEN, motion=0.2 * side)
+    behind, ahead = (0, 1) if side > 0 else (1, 0)
+    assert moving[behind] == still[behind]
+    assert moving[ahead] == pytest.approx(still[ahead] + 2.0 * side, abs=1e-3)

@@ -149,6 +149,15 @@ def test_runs_begin_at_both_ends_and_the_optimum_moves_in_half_of_them():
     assert try_out(still, c, 2, 0).u.tolist() != runs[2].u.tolist()
 
 
+@pytest.mark.parametrize("fine", [True, False])
+def test_a_motion_that_was_seen_goes_on_in_every_run(fine):
+    task = make_task(valley, settings=SearchSettings(length=40.0))
+    still = replace(list_anchors(task)[0], speed=1e-9)
+    moving = replace(task, speed=0.2 / (task.steps * task.dt))
+    run = try_out(moving, still, 1, 0, fine)  # from the upper end
+    assert run.u == pytest.approx(np.linspace(1.0, 0.8, run.u.size), abs=0.01)
+
+
 def test_a_coarse_run_comes_to_what_a_fine_one_does():
     task = make_task(valley, noise=0.05)
     best = search(task, 0.125, 0)[0]

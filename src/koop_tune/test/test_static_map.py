@@ -244,3 +244,26 @@ def test_a_hold_of_which_little_is_known_is_survived():
     for side in (-1, 1):
         cliff = found.cliff(side)
         assert cliff is None or side * (cliff.outer - cliff.inner) > 0.0
+
+
+@pytest.mark.parametrize("way", [0.3, -0.2, 0.0])
+def test_a_map_that_moves_is_the_one_of_now_and_one_that_rests_stays(way):
+    rng = np.random.default_rng(7)
+    u = np.r_[np.linspace(0.0, 1.0, 6), np.linspace(0.9, 0.1, 5), rng.uniform(0.2, 0.8, 14)]
+    time = np.linspace(3.0, 8.0, u.size)
+
+    def level(u, share):
+        return 3.0 * np.hypot(0.2, u - 0.5 - way * share)
+
+    noisy = level(u, np.linspace(0.0, 1.0, u.size)) + rng.normal(0.0, 0.05, u.size)
+    still = StaticMap(u, noisy, np.full(u.size, 0.05), 1.0)
+    found = still.now(time)
+    assert found.motion == pytest.approx(way, abs=0.03)
+    if not way:
+        assert found is still
+        return
+    inner = np.abs(found.grid - 0.5) < 0.3
+    exact = level(found.grid, 1.0)
+    off, before = (np.abs(each.curve - exact)[inner].max() for each in (found, still))
+    assert off < 0.2 < before
+    assert found.draw(np.zeros((1, GRID)))[0] == pytest.approx(found.curve, abs=0.05)

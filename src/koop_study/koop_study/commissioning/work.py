@@ -24,7 +24,7 @@ from koop_study.family.loop import (
     ClosedRun,
     RigController,
     RunNoise,
-    close_from_end,
+    close,
     from_end,
     noise_of,
 )
@@ -102,7 +102,7 @@ def commission_plant(
     except ValueError as error:
         row |= {"verdict": "error", "why": str(error)}
     if rig.has_optimum:
-        row["runs"] = row.get("runs", {}) | {"defaults": with_defaults(after, rate, loops.noises)}
+        row["runs"] = row.get("runs", {}) | {"defaults": with_defaults(loops, rate)}
     return row
 
 
@@ -125,10 +125,11 @@ def commissioned(
         tuning = tune(loaded, file, training_of(rig), amplitude, settings)
         if not rig.has_optimum:
             return tuning
-        loops = first.later(len(rounds), find_longer(rounds)) if rounds else first
-        closed = loops.close(tuning)
+        passed = loaded.x.shape[1] - recorded.loaded.x.shape[1]
+        loops = first.later(len(rounds), find_longer(rounds), passed) if rounds else first
+        closed = loops.close(tuned_controller(tuning))
         aim = make_aim(as_json.of_tuning(tuning, file, None), file)
-        before = [loops.rest(start, aim, 3 * OTHER + end) for end, start in enumerate(starts)]
+        before = [loops.rest(end, start, aim, 3 * OTHER) for end, start in enumerate(starts)]
         runs = tuple(
             LoopRun(start, measure(aim, rest, loop.x, loop.theta))
             for start, rest, loop in zip(starts, before, closed, strict=True)
@@ -141,7 +142,7 @@ def commissioned(
         tried.append((tuning, result))
         for end, (rest, loop, run) in enumerate(zip(before, closed, runs, strict=True)):
             theta = run.measured.theta
-            after = loops.rest(theta, aim, 5 * OTHER + end)
+            after = loops.rest(end + 1, theta, aim, 5 * OTHER)
             path = np.r_[np.full(len(rest), run.start), loop.theta, np.full(len(after), theta)]
             recording = as_loaded(path, np.concatenate([rest, loop.x, after]), file.dt)
             loaded = Loaded.joined([loaded, recording])
@@ -153,40 +154,49 @@ def commissioned(
 
 
 class Loops:
-    """The loop of a rig closed from both ends, with the same noise for every controller."""
+    """The loop of a rig closed from both ends in turn, with the same noise for every controller."""
 
     def __init__(self, rig: RandomRig, seed: int, steps: int) -> None:
         self._rig, self._seed, self._steps = rig, seed, steps
 
-    def later(self, number: int, longer: float) -> Loops:
-        """Return the loops of a later round: with noise of its own, so many times as long."""
-        return Loops(self._rig, self._seed + number * NEXT, round(longer * self._steps))
+    def later(self, number: int, longer: float, passed: int) -> Loops:
+        """Return the loops of a later round, so many samples on: with noise of its own, longer."""
+        rig = self._rig.later(passed * self._rig.params.dt)
+        return Loops(rig, self._seed + number * NEXT, round(longer * self._steps))
+
+    def _after(self, count: int) -> RandomRig:
+        """Return the rig as so many loops leave it: its optimum moves on."""
+        return self._rig.later(count * self._steps * self._rig.params.dt)
+
+    @functools.cached_property
+    def rigs(self) -> list[RandomRig]:
+        """At rest at each end, when the loop is closed from there."""
+        return [from_end(self._after(end), end) for end in ENDS]
 
     @functools.cached_property
     def noises(self) -> list[RunNoise]:
         """From each end."""
-        return [noise_of(from_end(self._rig, end), self._steps, self._seed + end * OTHER)
-                for end in ENDS]  # fmt: skip
+        return [noise_of(rig, self._steps, self._seed + end * OTHER)
+                for end, rig in enumerate(self.rigs)]  # fmt: skip
 
-    def rest(self, theta: float, aim: Aim, other: int) -> NDArray[np.float64]:
-        """Return what is measured once the rig has settled at a theta; ``other``: of its seed."""
+    def rest(self, count: int, theta: float, aim: Aim, other: int) -> NDArray[np.float64]:
+        """Return what is measured, after so many loops, once the rig has settled at a theta."""
         windows = aim.amplitude.windows
         steps = aim.settings.before * max(windows.length, round(aim.time / windows.dt))
-        rig = replace(self._rig, theta_initial=theta)
-        return rig.record(np.full(steps, theta), self._seed + other)[0]
+        rig = replace(self._after(count), theta_initial=theta)
+        return rig.record(np.full(steps, theta), self._seed + other + count)[0]
 
-    def close(self, tuning: Tuning) -> list[ClosedRun]:
-        """Close it with the tuned controller."""
-        task, constants, rig = tuning.task, tuning.best.constants, self._rig
-        tuned = RigController(
-            make_lifter(task, constants),
-            make_esc(task, constants, rig.theta_initial),
-            tuning.chosen.maps.cost.model,
-        )
-        return [
-            close_from_end(rig, tuned, end, self.noises[end], self._seed + end * OTHER)
-            for end in ENDS
-        ]
+    def close(self, controller: RigController) -> list[ClosedRun]:
+        """Close it with a controller."""
+        return [close(rig, controller, self.noises[end], self._seed + end * OTHER)
+                for end, rig in enumerate(self.rigs)]  # fmt: skip
+
+
+def tuned_controller(tuning: Tuning) -> RigController:
+    """Return the tuned controller."""
+    task, constants = tuning.task, tuning.best.constants
+    esc = make_esc(task, constants, task.low)
+    return RigController(make_lifter(task, constants), esc, tuning.chosen.maps.cost.model)
 
 
 def _described(rig: RandomRig) -> Row:
@@ -207,15 +217,14 @@ def _described(rig: RandomRig) -> Row:
     }
 
 
-def with_defaults(rig: RandomRig, rate: float, noises: list[RunNoise]) -> Row:
+def with_defaults(loops: Loops, rate: float) -> Row:
     """Return how the nodes' defaults do, which know the rig's limits and dt, with the raw cost."""
+    rig = loops.rigs[0]
     p = rig.params
     limit = rate * (p.theta_max - p.theta_min) / rig.time
     esc = EscConfig(
         theta_min=p.theta_min, theta_max=p.theta_max, theta_initial=rig.theta_initial,
         rate_limit=limit, objective=rig.objective,
     )  # fmt: skip
-    controller = RigController(LifterConfig(dt=p.dt), esc)
-    runs = [close_from_end(rig, controller, end, noises[end], rig.seed + end * OTHER)
-            for end in ENDS]  # fmt: skip
+    runs = loops.close(RigController(LifterConfig(dt=p.dt), esc))
     return {"ratio": [run.ratio for run in runs], "converged": [run.converged for run in runs]}

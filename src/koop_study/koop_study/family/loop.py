@@ -104,13 +104,6 @@ class ClosedRun(NamedTuple):
     theta: NDArray[np.float64]
 
 
-def close_from_end(
-    rig: RandomRig, controller: RigController, end: int, noise: RunNoise, seed: int
-) -> ClosedRun:
-    """Close the loop from the lower (0) or upper (1) end of theta's range."""
-    return close(from_end(rig, end), controller, noise, seed)
-
-
 def from_end(rig: RandomRig, end: int) -> RandomRig:
     """Return the rig at rest at the lower (0) or upper (1) end of theta's range."""
     return replace(rig, theta_initial=rig.params.theta_max if end else rig.params.theta_min)

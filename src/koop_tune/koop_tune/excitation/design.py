@@ -207,7 +207,7 @@ class Design:
             self.ended = self.ended or KNOWN
             return None
         if len(self.holds) >= self._settings.most:  # nothing more is learned
-            known = self.amplitude is not None and self.static_map().interior
+            known = self.amplitude is not None and not self.static_map().flat
             self.ended = KNOWN if known else TIME
             return None
         return move
@@ -269,7 +269,7 @@ class Design:
         """Return whether the rig was still on its way at the first positions: it is slow.
 
         On the way back the levels are then those of positions further on: they differ from the
-        means of their neighbours on the way there by a share of the slope.
+        means of their neighbours on the way there by a share of the slope: a valley by more.
         """
         self._check_lag = False
         levels = [level.mean for level in self.levels()[-(2 * self._settings.first - 1) :]]
@@ -281,7 +281,7 @@ class Design:
         share = float(slope @ beyond) / squares
         rest = beyond - share * slope
         error = math.sqrt(float(rest @ rest) / (rest.size - 1) / squares)
-        lags = way * share - 2.0 * error > self._settings.lag
+        lags = way * share - 2.0 * error > self._settings.lag and way * share < 1.0
         return lags and self._patience < self._settings.patience
 
     def _begin_again(self, length: int, kept: Sequence[Hold] = ()) -> None:
@@ -332,7 +332,7 @@ class Design:
                 continue
             i = int(np.argmin(np.where(beyond > 0.0, beyond, np.inf)))
             if y[i] > math.log(s.steep) and beyond[i] > s.finest:
-                return 0.5 * (best + float(static_map.u[i]))
+                return 0.5 * (best + float(np.clip(static_map.u[i], 0.0, 1.0)))
         return None
 
     def _gap(self, static_map: StaticMap) -> float | None:
@@ -343,7 +343,7 @@ class Design:
 
     def _beside_rival(self, static_map: StaticMap) -> float | None:
         """Return a position beside the floor of a second valley, a ridge away from the best."""
-        s, best, u = self._settings, static_map.best(), np.unique(static_map.u)
+        s, best, u = self._settings, static_map.best(), np.unique(np.clip(static_map.u, 0.0, 1.0))
         y, deviation = static_map.predict(u)
         for i in np.argsort(y):
             if y[i] > static_map.least + math.log(s.rival):
@@ -410,16 +410,17 @@ class Design:
         return Move(u)
 
     def static_map(self) -> StaticMap:
-        """Return the map of the finished holds."""
+        """Return the map of the finished holds, as it is now."""
         assert self.amplitude is not None, "nothing reacts"
-        levels = self.levels()
-        return StaticMap(
+        levels, sizes = self.levels(), np.array([hold.size for hold in self.holds])
+        static_map = StaticMap(
             np.array([hold.u for hold in self.holds]),
             np.array([level.mean for level in levels]),
             np.array([level.error for level in levels]),
             self.rig.sense,
             self._settings.map,
         )
+        return static_map.now(np.cumsum(sizes) - 0.5 * sizes)
 
     def levels(self) -> list[Level]:
         """Return the level of each finished hold."""

@@ -2,20 +2,23 @@
 
 Holds of theta gave levels with errors; a Gaussian process (Rasmussen and Williams, Gaussian
 Processes for Machine Learning, 2006) with a Matern kernel is conditioned on them. Its white part is
-what holds at one theta differ by beyond their errors: drift, memory of where theta came from.
+what holds at one theta differ by beyond their errors: memory of where theta came from.
+
+An optimum may move while theta is held here and there. A hold at u, of an age t, then tells about
+u + v t as it is now; the v with the largest likelihood counts if it is beyond doubt.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import multivariate_normal, norm
 
 from koop_core.config.parameter import Settings, parameter
 from koop_tune.origin import studied
@@ -39,6 +42,8 @@ class MapSettings(Settings):
     ends: float = studied(2.0, "standard errors by which an end is worse", low=0.0)
     slight: float = studied(0.03, "the same as a log level, at least", low=0.0)
     flat: float = studied(25.0, "chi-squared about a constant of 9 holds of nothing", low=0.0)
+    fastest: float = studied(1.0, "motion of the optimum from first to last hold, in ranges")
+    moves: float = studied(4.0, "log likelihood that a motion must gain", low=0.0)
     jump: float = parameter(8.0, "factor of a cliff", low=1.0)
     cliff: float = parameter(0.5, "width of a cliff over the one of the valley beside", low=0.0)
 
@@ -73,13 +78,15 @@ class StaticMap:
     Attributes
     ----------
     u : ndarray, shape (N,)
-        Position of theta at each hold, 0 to 1.
+        Position of theta at each hold, 0 to 1; of a map that moves, where the hold would be now.
     mean, error : ndarray, shape (N,)
         Logarithm of the level, and its standard error.
     sense : float
         +1 if little is wanted, else -1.
     settings : MapSettings
         How it is judged.
+    motion : float
+        Way of the map from the first hold to the last, in ranges.
     """
 
     u: Array
@@ -87,6 +94,35 @@ class StaticMap:
     error: Array
     sense: float = 1.0
     settings: MapSettings = MAP
+    motion: float = 0.0
+
+    def now(self, time: Array) -> StaticMap:
+        """Return the map as it is at the last of the holds' times, shape (N,).
+
+        A motion that is not beyond doubt is none.
+        """
+        s, found = self.settings, self
+        age = (time.max() - time) / max(float(np.ptp(time)), 1e-12)
+        for reach in (s.fastest, 0.1 * s.fastest):
+            kernel = found._fit[0].kernel_
+            ways = found.motion + reach * np.linspace(-1.0, 1.0, 41)
+            moved = [replace(self, u=self.u + way * age, motion=float(way)) for way in ways]
+            likely = max(moved, key=lambda each: each._log_likelihood(kernel))
+            if likely.motion == found.motion:
+                break
+            found = likely
+        ends = [each._log_likelihood(each._fit[0].kernel_) for each in (self, found)]
+        return found if ends[1] > ends[0] + s.moves else self
+
+    def _log_likelihood(self, kernel: Any) -> float:
+        """Return the logarithm of the marginal likelihood of the holds."""
+        covariance = kernel(self.u[:, None]) + np.diag(self._alpha)
+        return float(multivariate_normal.logpdf(self.y - self.y.mean(), cov=covariance))
+
+    @property
+    def _alpha(self) -> Array:
+        """Variances of the holds."""
+        return np.asarray(np.clip(self.error, self.settings.least_error, 3.0) ** 2)
 
     @cached_property
     def _fit(self) -> tuple[Any, float]:
@@ -101,9 +137,8 @@ class StaticMap:
             0.3, (s.shortest, 3.0), nu=s.smoothness
         ) + WhiteKernel(1e-4, (1e-6, s.scatter**2))
         middle = float(self.y.mean())
-        error = np.maximum(np.minimum(self.error, 3.0), s.least_error)
         process = GaussianProcessRegressor(
-            kernel, alpha=error**2, n_restarts_optimizer=1, random_state=0
+            kernel, alpha=self._alpha, n_restarts_optimizer=1, random_state=0
         )
         # threads only wait for each other over matrices as small as these: five times the time
         with threadpool_limits(1, "blas"), warnings.catch_warnings():
@@ -162,7 +197,7 @@ class StaticMap:
         """
         process, middle = self._fit
         coarse = np.linspace(0.0, 1.0, 129)
-        places = np.unique(np.r_[coarse, self.u])
+        places = np.unique(np.r_[coarse, np.clip(self.u, 0.0, 1.0)])
         y, covariance = process.predict(places[:, None], return_cov=True)
         covariance -= self._white * np.eye(places.size)
         values, vectors = np.linalg.eigh(covariance)
@@ -174,9 +209,10 @@ class StaticMap:
     @cached_property
     def _best(self) -> tuple[float, float]:
         """Position of the best hold, and y there."""
-        y = self.predict(self.u)[0]
+        u = np.clip(self.u, 0.0, 1.0)
+        y = self.predict(u)[0]
         i = int(np.argmin(y))
-        return float(self.u[i]), float(y[i])
+        return float(u[i]), float(y[i])
 
     def best(self) -> float:
         """Return the position of the optimum among the holds: nothing else was seen."""

@@ -40,6 +40,11 @@ def as_table(findings: Findings, tuning: Tuning | None = None) -> str:
         f"best at {findings.scale.theta_at(maps.best()):.4g}; within {maps.settings.good:g} times "
         f"that from {valley[0]:.4g} to {valley[1]:.4g}",
     ]
+    if maps.motion:
+        lines.append(
+            f"the optimum moved by {100.0 * maps.motion:.2g} % of the range while this was "
+            "recorded: thetas above are those at which the rig would now be as it was"
+        )
     if len(findings.modes) > 1:
         shares = "; ".join(mode.describe(findings.channels) for mode in findings.modes[:6])
         lines.append(f"share in the amplitude's square over theta: {shares}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -102,6 +102,18 @@ class Dwells:
         wander = usual_wander((error**2 * size).tolist())
         error = np.maximum(np.where(np.isfinite(error), error, 1.0), np.sqrt(wander / size))
         return StaticMap(self.u[[rest.level for rest in self.rests]], mean, error, sense)
+
+    @property
+    def middles(self) -> NDArray[np.float64]:
+        """Sample in the middle of each rest."""
+        return np.array([0.5 * (rest.begin + rest.end) for rest in self.rests])
+
+    def now(self, static_map: StaticMap) -> tuple[StaticMap, Dwells]:
+        """Return the map of the rests as it is now, and the rests where they would be now."""
+        found = static_map.now(self.middles)
+        u, level = np.unique(found.u, return_inverse=True)
+        rests = [rest._replace(level=int(i)) for rest, i in zip(self.rests, level, strict=True)]
+        return found, replace(self, u=u, rests=rests)
 
     def longest_growth(self, least: float) -> float:
         """Return the longest time [s] in which a log amplitude rose by ``least`` or more."""

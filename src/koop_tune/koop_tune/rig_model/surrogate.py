@@ -127,7 +127,9 @@ def fit_times(
     assert loaded.theta is not None
     every = max(1, dwells.length // 4)
     curve = static_map.curve
-    position = np.nan_to_num(scale.u(loaded.theta), nan=0.5)
+    age = dwells.middles.max() - np.arange(loaded.theta.size)
+    age /= max(float(np.ptp(dwells.middles)), 1.0)
+    position = np.nan_to_num(scale.u(loaded.theta), nan=0.5) + static_map.motion * age
     target = np.interp(position[::every], np.linspace(0.0, 1.0, GRID), curve)
     jumps = loaded.begins[: target.size * every]
     begins = np.zeros(target.size, np.bool_)

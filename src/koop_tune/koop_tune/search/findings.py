@@ -108,6 +108,8 @@ class Findings:
         What is not sure about the optimum, in words; empty if it is.
     safe : SafeRange or None
         Thetas that keep the constraint.
+    speed : float
+        Of the optimum's motion [ranges/s].
     """
 
     scale: Scale
@@ -122,6 +124,7 @@ class Findings:
     growth: float = 0.0
     doubt: str = ""
     safe: SafeRange | None = None
+    speed: float = 0.0
 
 
 def analyse(
@@ -151,7 +154,7 @@ def analyse(
     if amplitude is None:
         raise NoOptimum("flat", f"no frequency of any channel reacts to theta: {TO_DO}")
     dwells = find_dwells(loaded, scale, amplitude)
-    static_map = dwells.static_map(dwells.logs, rig.sense)
+    static_map, dwells = dwells.now(dwells.static_map(dwells.logs, rig.sense))
     powers = [
         amplitude.windows.powers(loaded.x[:, a:b].T)[skip:].mean(axis=0)
         for _, a, b, skip in dwells.rests
@@ -170,6 +173,7 @@ def analyse(
         scale, dwells, static_map, period, amplitude.name(rig.names), rig.names, candidates,
         limit_theta(static_map, rig, settings, safe), amplitude.modes(powers),
         dwells.longest_growth(DESIGN.grown), safe=safe,
+        speed=static_map.motion / max(float(np.ptp(dwells.middles)) * dt, dt),
     )  # fmt: skip
     return decide(findings, rig, settings)
 

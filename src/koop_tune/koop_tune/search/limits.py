@@ -40,6 +40,7 @@ def limit_theta(
     rig: RigFile,
     settings: TuningSettings = TUNING,
     safe: SafeRange | None = None,
+    motion: float = 0.0,
 ) -> ThetaLimits:
     """Return limits of the controller's theta: they contain the best value seen, with room.
 
@@ -49,6 +50,8 @@ def limit_theta(
     A cliff wants more care. A loop goes a little beyond the optimum again and again; beyond a cliff
     the cost is so large that the filters forget it only slowly, and while they do theta moves on,
     whatever it does. So there theta stays a margin inside the last good value.
+
+    An optimum that moves has as much more room as its ``motion`` [ranges] in a loop.
 
     Away from a constraint that ends the range on the other side theta keeps all of its way: there
     it must go if the bound moves.
@@ -73,6 +76,7 @@ def limit_theta(
                 f"{settings.limits:g} times the best or worse"
             )
         u = max(u, best + least) if end else min(u, best - least)
+        u += side * max(side * motion, 0.0)
         if not 0.0 < u < 1.0:
             continue
         name, limit = ("theta_max", rig.theta_max) if end else ("theta_min", rig.theta_min)

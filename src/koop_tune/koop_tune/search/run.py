@@ -66,6 +66,8 @@ class Task:
         Limits of the controller's theta, inside the range.
     settings : SearchSettings
         How constants are drawn and judged.
+    speed : float
+        Of the optimum's motion [ranges/s].
     """
 
     surrogates: dict[float, list[Surrogate]]
@@ -78,6 +80,7 @@ class Task:
     low: float
     high: float
     settings: SearchSettings = SEARCH
+    speed: float = 0.0
 
     @property
     def steps(self) -> int:
@@ -165,6 +168,7 @@ def try_out(task: Task, c: Constants, number: int, seed: int, fine: bool = True)
     steps = task.steps // every
     limit = task.settings.drift
     drift = 0.0 if number % 4 < 2 else float(rng.uniform(-limit, limit)) / steps
+    drift += task.speed * s.dt
     esc = make_esc(task, c, theta)
     detector = make_lifter(task, c).detector_params()
     if s.coarse:

@@ -50,8 +50,9 @@ def make_task(
         ]
     low, high = findings.limits[:2]
     return Task(
-        fine, coarse, rig.scale, rig.sense, time, rig.dt, rig.theta_rate, low, high, settings.search
-    )
+        fine, coarse, rig.scale, rig.sense, time, rig.dt, rig.theta_rate, low, high,
+        settings.search, findings.speed,
+    )  # fmt: skip
 
 
 def cut_pieces(

@@ -6,7 +6,7 @@ import functools
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.surrogate import Times, fit_times
 from koop_tune.search.findings import CostMaps, Findings, NoOptimum, analyse
+from koop_tune.search.limits import limit_theta
 from koop_tune.search.prediction import Prediction, predict
 from koop_tune.search.run import Outcome, Task
 from koop_tune.search.search import Trial, confirm, search
@@ -144,6 +145,9 @@ def tune(
     slowdown = limit_slowdown(slowest, rig.time, settings)
     times = times._replace(usual=times.usual + math.log(slowdown))
     time = slowdown * slowest + 2.0 * findings.period
+    motion = findings.speed * settings.search.length * time
+    limits = limit_theta(findings.static_map, rig, settings, safe, motion)
+    findings = replace(findings, limits=limits)
     usable = sorted((j for j in findings.costs if j.usable), key=lambda j: -j.evidence)
     candidates = usable[: settings.candidates]
     candidates += [j for j in usable[settings.candidates :] if j.cost.name == "raw"]
