@@ -27,7 +27,7 @@ def test_theta_goes_towards_the_bound_step_by_step_and_not_beyond_it(fast_rig, k
     rig = replace(RIG, constraint=CONSTRAINT, theta_safe=1.5)
     rig_file.write(rig, tmp_path / "rig.yaml")
     process, done = koop("excite", "rig.yaml", "--out", "run"), tmp_path / "run" / "excite.json"
-    holds = lambda: done.exists() and json.loads(done.read_text())["holds"]  # noqa: E731
+    holds = lambda: done.exists() and json.loads(done.read_text())["progress"]["holds"]  # noqa: E731
     wait(holds, "a hold", process, 2.0 * LONG)
     process.send_signal(signal.SIGINT)
     out, error = process.communicate(timeout=LONG)

@@ -125,7 +125,7 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     done = tmp_path / "run" / "excite.json"
 
     def holds():
-        return len(json.loads(done.read_text())["holds"]) if done.exists() else 0
+        return len(json.loads(done.read_text())["progress"]["holds"]) if done.exists() else 0
 
     first = koop("excite", rig_yaml, "--out", "run")
     wait(lambda: holds() >= 2, "two holds", first)
@@ -145,7 +145,7 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     assert {"/fast", "/fast/knob", "/state", "/cost", "/theta"} <= topics
     assert (np.diff(theta["step"].astype(int)) >= 0).all()  # said again while the nodes end
     assert theta["theta"][-1] == RIG.theta_safe  # the way home is on record
-    before = json.loads(done.read_text())["holds"]
+    before = json.loads(done.read_text())["progress"]["holds"]
     second = koop("excite", rig_yaml, "--out", "run")
     wait(lambda: holds() > len(before), "another hold", second)
     wait(lambda: fast_rig.theta != RIG.theta_safe, "theta to be elsewhere", second)
@@ -161,7 +161,7 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     # the third would know all that the two had recorded
     state = progress.load(RIG, tmp_path / "run")
     theta = [hold.theta for hold in state.holds]
-    assert theta[: len(before)] == [hold[0] for hold in before]
+    assert theta[: len(before)] == [hold["theta"] for hold in before]
     kept = read_holds(RIG, tmp_path / "run", state)
     assert RIG.scale.theta(np.array([hold.u for hold in kept])) == pytest.approx(theta, abs=0.01)
 

@@ -15,8 +15,11 @@ from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Windows
 from koop_tune.excitation.design import KNOWN, Design
 from koop_tune.excitation.progress import HoldSummary
+from koop_tune.result import tune_result
 from koop_tune.rig import rig_file
 from koop_tune.rig_model.dwells import find_holds
+from koop_tune.search.agreement import Measured
+from koop_tune.search.rounds import LoopRun, Round, Verification, save_verification
 
 QUICK = {"amplitude_time": (2.0, 3.0), "depth": (6.0, 8.0), "noise": (0.01, 0.05),
          "optimum": (0.3, 0.7), "channels": (2, 2), "noise_driven": 0.0}  # fmt: skip
@@ -53,17 +56,12 @@ def verification(folder, rig, file):
                               np.full(round(40.0 / dt), best)])  # fmt: skip
         bag = f"verify-1/start-{number}/bag"
         write_bag(folder / bag, rig, way, rig.record(way, number)[0], loop=True)
-        runs.append({"start": start, "bag": bag, "time_to_converge": 60.0, "distance": 0.01,
-                     "broken": 0.0, "amplitude_before": 3.0, "amplitude": 0.5, "excess": 1.0,
-                     "reduction": 6.0,
-                     "theta": best, "low": best, "high": best, "error": 0.01, "doubt": 0.01,
-                     "closed": {"seconds": 100.0, "steps": [rest, way.size - 1]}})  # fmt: skip
-    tuned = json.loads((folder / "tuned/tune.json").read_text())
-    verified = {"rounds": [{"number": 1, "runs": runs, "prediction": tuned["predicted"],
-                         "agrees": True, "damped": True, "summary": "damped as predicted"}],
-             "damped": True, "feature": "x[0]",
-             "verdict": "From 2 starts. It converged. The rig is damped."}  # fmt: skip
-    (folder / "verify.json").write_text(json.dumps(verified))
+        measured = Measured(60.0, 0.01, 3.0, 0.5, 0.01, 0.01, 1.0, 6.0, best, best, best)
+        runs.append(LoopRun(start, measured, bag, 100.0, (rest, way.size - 1)))
+    predicted = tune_result.read(folder / "tuned").controller.predicted
+    only = Round(1, predicted, tuple(runs), True, True, "damped as predicted")
+    verdict = "From 2 starts. It converged. The rig is damped."
+    save_verification(Verification((only,), True, "x[0]", verdict), folder)
 
 
 @pytest.fixture(scope="module")
@@ -111,21 +109,21 @@ def test_the_page_draws_what_was_recorded(commissioned, width, dark, tmp_path):
         theta = one(drawn, f"run-1-{k}", 0, "measured")
         assert theta["least"] == pytest.approx(min(start, best), rel=1e-3)
         assert theta["largest"] == pytest.approx(max(start, best), rel=1e-3)
-    tuned = json.loads((folder / "tuned/tune.json").read_text())
+    tuned = tune_result.read(folder / "tuned")
     # one amplitude a window; it falls as that of the rig itself does
     amplitude = one(drawn, "run-1-0", 1, "measured")
     closed = round(60.0 / rig.params.dt) + round(40.0 / rig.params.dt)
-    assert amplitude["count"] == closed // tuned["amplitude"]["length"]
+    assert amplitude["count"] == closed // tuned.found.amplitude.windows.length
     fall = amplitude["largest"] / amplitude["least"]
     assert fall == pytest.approx(rig.amplitude(file.theta_min) / rig.amplitude(best), rel=0.3)
     # every hold in the static map and in that of every cost
     bars = one(drawn, "map", 0, "hold, two standard errors")
-    assert bars["count"] == len(tuned["static_map"]["theta"])
-    made = [cost for cost in tuned["costs"] if cost["map"]]
+    assert bars["count"] == len(tuned.found.holds.theta)
+    made = [cost for cost in tuned.costs if cost.r]
     for k, cost in enumerate(made):
         mean = one(drawn, "costs-figure", k, "holds")
-        assert mean["least"] == pytest.approx(min(cost["map"]["r"]), rel=1e-3)
-        assert mean["largest"] == pytest.approx(max(cost["map"]["r"]), rel=1e-3)
+        assert mean["least"] == pytest.approx(min(cost.r.level), rel=1e-3)
+        assert mean["largest"] == pytest.approx(max(cost.r.level), rel=1e-3)
 
 
 def test_the_interference_is_marked_and_the_oscillation_is_not(commissioned):
@@ -190,9 +188,8 @@ def test_a_page_of_a_refusal_shows_the_map_and_what_to_record(tmp_path, capsys):
 
 def test_what_is_torn_or_gone_is_said(commissioned, tmp_path):
     folder, _, _ = commissioned
-    _, state = progress.read(folder)
-    progress.save(replace(state, parts=["part-1", "part-2"], ended=""), progress.read(folder)[0],
-                  tmp_path)  # fmt: skip
+    rig, state = progress.read(folder)
+    progress.save(replace(state, parts=["part-1", "part-2"], ended=""), rig, tmp_path)
     (tmp_path / "part-1").symlink_to(folder / "part-1")
     page = write_report(tmp_path).read_text()
     assert "koop excite" in verdict_of(page)[2]
@@ -205,7 +202,8 @@ def test_what_is_torn_or_gone_is_said(commissioned, tmp_path):
     [
         ("excite.json", "", "koop excite"),
         ("tuned/tune.json", "{", "cannot be read"),
-        ("tuned/tune.json", '{"verdict": "tuned"}', "cannot be shown"),
+        ("tuned/tune.json", '{"verdict": "tuned", "found": 1}', "cannot be read"),
+        ("tuned/tune.json", '{"verdicts": "tuned"}', "cannot be read"),
     ],
 )
 def test_a_folder_that_cannot_be_used_is_refused_in_one_line(

@@ -1,6 +1,5 @@
 """`koop tune`: what it chooses is tried on the rig itself, whose truths are known."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from koop_guard.config import GUARD
 from koop_lab.cli.main import main
 from koop_loop import parameters
 from koop_study.commissioning.excitation import training_of
+from koop_tune.result import tune_result
 from koop_tune.rig import rig_file
 from koop_tune.rig_model.surrogate import fit_times
 from koop_tune.search.findings import NoOptimum, analyse
@@ -121,8 +121,7 @@ def test_a_bag_becomes_a_controller_with_its_reasons(bagged, capsys):
     assert loop.esc.step_size <= file_of(rig).theta_rate * rig.params.dt
     text = (folder / "out/controller.yaml").read_text()
     assert text.count("# Here: ") > 15
-    figures = json.loads((folder / "out/tune.json").read_text())
-    assert figures["predicted"]["excess"]["high"] >= 1.0
+    assert tune_result.read(folder / "out").controller.predicted.excess.high >= 1.0
     assert main(words) == 2
     assert "choose another --out" in capsys.readouterr().err
 

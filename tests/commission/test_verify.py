@@ -1,6 +1,7 @@
 """``koop verify`` and ``koop commission``: the loop is closed behind the guard, whoever fails."""
 
 import json
+import math
 import re
 import resource
 import subprocess
@@ -19,13 +20,27 @@ from koop_core import whole_file
 from koop_core.config import parameter_file
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
+from koop_core.json_object import to_json
 from koop_lab.cli.main import main
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Amplitude, Windows
 from koop_tune.excitation.design import KNOWN
 from koop_tune.excitation.progress import HoldSummary
+from koop_tune.excitation.static_map import Interval
 from koop_tune.folder import find_controller
+from koop_tune.result.tune_result import (
+    AmplitudeMap,
+    ControllerResult,
+    Curves,
+    LoopPath,
+    Points,
+    TuneResult,
+)
 from koop_tune.rig import rig_file
+from koop_tune.search.agreement import Measured
+from koop_tune.search.prediction import Band, Prediction
+from koop_tune.search.rounds import LoopRun, Round, Verification, save_verification
+from koop_tune.search.run import Constants
 
 pytestmark = pytest.mark.ros
 LONG = 3.0 * TIMEOUT  # [s] for a command that starts four nodes on a busy machine
@@ -34,22 +49,18 @@ VALUES = RIG.scale.theta(np.linspace(0.0, 1.0, 9)).tolist()
 WINDOWS = Windows(50, DT)  # four periods
 GROUPS = (np.abs(WINDOWS.frequency - 20.0) < 11.0).astype(float)
 AMPLITUDE = Amplitude(WINDOWS, 2.0 * GROUPS[None], 0.0, 1e-3)  # a power is half a square
-TUNED = {
-    "verdict": "tuned", "feature": "data[0]", "theta_best": BEST, "time": 0.2, "growth": 0.0,
-    "amplitude": AMPLITUDE.as_json(),
-    "best": {"log": np.log(0.31), "error": 0.01, "valley": [0.25, 1.35], "floor": 1e-3},
-    "static_map": {"theta": VALUES, "amplitude": [0.31 + (v - BEST) ** 2 for v in VALUES],
-                   "error": [0.01] * 9,
-                   "curve": {"theta": VALUES, "amplitude": [1.0] * 9, "error": [0.01] * 9}},
-    "predicted": {
-        "duration": 4.0, "runs": 64,
-        "converges": {"low": 0.5, "middle": 1.0, "high": 2.0},
-        "distance": {"low": 0.01, "middle": 0.05, "high": 0.1},
-        "excess": {"low": 1.0, "middle": 1.1, "high": 1.4},
-        "reduction": {"low": 2.5, "middle": 5.0, "high": 12.0},
-    },
-}  # fmt: skip
-BAND = ("low", "middle", "high")
+PREDICTION = Prediction(
+    Band(0.5, 1.0, 2.0), Band(0.01, 0.05, 0.1), Band(1.0, 1.1, 1.4), Band(2.5, 5.0, 12.0), 4.0, 64
+)
+MAP = Points(VALUES, [0.31 + (v - BEST) ** 2 for v in VALUES], [0.01] * 9)
+FOUND = AmplitudeMap(
+    "data[0]", AMPLITUDE, [], BEST, math.log(0.31), 0.01, Interval(0.25, 1.35), 0.0, MAP, MAP
+)
+SEARCHED = Constants("adaptive", 100.0, 20.0, 0.267, 0.2, 0.2, 0.1)
+FLAT = Curves([1.0, 1.0], [1.0, 1.0], [1.0, 1.0])
+PATHS = [LoopPath(end, [0.0, 4.0], FLAT, FLAT) for end in (-1.0, 2.0)]
+CONTROLLER = ControllerResult("raw", "", SEARCHED, 0.2, PREDICTION, PATHS, [])
+TUNED = TuneResult("tuned", "the best", FOUND, [], CONTROLLER)
 CONSTANTS = {
     "koopman_lifter": {
         "cost": "raw", "dt": DT, "omega_h": 100.0, "omega_l": 20.0, "measured": ONE.measured,
@@ -116,20 +127,21 @@ def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
     assert fast_rig.theta == ONE.theta_safe
     assert_walked(fast_rig.moved, ONE)
     verified = json.loads((tuned / "verify.json").read_text())
-    assert verified["rounds"][0]["prediction"] == TUNED["predicted"]
+    assert verified["rounds"][0]["prediction"] == to_json(PREDICTION)
     last = verified["rounds"][-1]  # a busy machine may need another round
     assert last["agrees"] is True
     assert [run["start"] for run in last["runs"]] == [-1.0, 2.0]
     for run in last["runs"]:
-        assert abs(run["theta"] - BEST) < 0.3
+        measured = run["measured"]
+        assert abs(measured["theta"] - BEST) < 0.3
         # truth: the amplitude is 0.3 + (theta - 0.8)^2
         truth = 0.3 + (run["start"] - BEST) ** 2
-        assert run["amplitude_before"] == pytest.approx(truth, rel=0.1)
+        assert measured["amplitude_before"] == pytest.approx(truth, rel=0.1)
         theta, topics = whole(tuned / run["bag"])
         assert {"/fast", "/fast/knob", "/state", "/cost", "/theta", "/theta_asked"} <= topics
         with BagReader(tuned / run["bag"]) as reader:
             said = read_columns(reader, "/theta_asked", ["step", "theta"])
-        begin, end = run["closed"]["steps"]
+        begin, end = run["steps"]
         both = np.intersect1d(theta["step"], said["step"])
         both = both[(both > begin) & (both < end)]
         assert both.size > 100  # of 900, of which a busy machine has no time for many
@@ -144,8 +156,9 @@ def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
 
 
 def test_a_sensor_that_dies_or_a_full_disk_ends_the_closed_loop(fast_rig, tuned, koop):
-    slow = {**TUNED["predicted"], "duration": 300.0, "converges": dict.fromkeys(BAND, 300.0)}
-    whole_file.write_json(tuned / "tuned/tune.json", {**TUNED, "predicted": slow})
+    slow = replace(PREDICTION, duration=300.0, converges=Band(300.0, 300.0, 300.0))
+    result = replace(TUNED, controller=replace(CONTROLLER, predicted=slow))
+    whole_file.write_json(tuned / "tuned/tune.json", result)
     for number, (fault, reason) in enumerate(FAULTS.items(), 1):
         process = koop("verify", "rig.yaml", tuned)
         wait(lambda: fast_rig.theta == -1.0, "theta at its start", process, LONG)
@@ -205,18 +218,15 @@ def test_a_full_disk_leaves_nothing_that_is_taken_for_whole(tuned, tmp_path, mon
 
 
 def test_the_best_round_is_kept_where_none_damped(tuned, tmp_path, capsys):
-    run = {"time_to_converge": 1.0, "distance": 0.1, "amplitude_before": 1.0, "amplitude": 0.3,
-           "error": 0.0, "doubt": 0.0, "reduction": 3.0, "theta": BEST, "low": BEST, "high": BEST,
-           "start": 0.0,
-           "bag": "", "closed": {"seconds": 1.0, "steps": [0, 9]}}  # fmt: skip
-    rounds = [
-        {"number": i + 1, "agrees": i == 2, "damped": False, "summary": "worse",
-         "prediction": TUNED["predicted"],
-         "runs": [{**run, "broken": 0.0, "excess": e, "amplitude": 0.31 * e} for e in (1.1, worst)]}
-        for i, worst in enumerate((3.0, 1.8, 2.0))
-    ]  # fmt: skip
-    verified = {"rounds": rounds, "damped": False, "verdict": ""}
-    whole_file.write_json(tuned / "verify.json", verified)
+    def run_of(excess):
+        measured = Measured(1.0, 0.1, 1.0, 0.31 * excess, 0.0, 0.0, excess, 3.0, BEST, BEST, BEST)
+        return LoopRun(0.0, measured, "", 1.0, (0, 9))
+
+    rounds = tuple(
+        Round(i, PREDICTION, (run_of(1.1), run_of(worst)), i == 3, False, "worse")
+        for i, worst in enumerate((3.0, 1.8, 2.0), 1)
+    )
+    save_verification(Verification(rounds), tuned)
     for old in ("tuned-1", "tuned-2"):
         (tuned / old).mkdir()
         for name in ("tune.json", "controller.yaml"):

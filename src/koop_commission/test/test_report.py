@@ -1,6 +1,5 @@
 """The report's sentences, stages, tables and figures, of folders whose content is known."""
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -22,50 +21,58 @@ from koop_commission.report.spectra import COARSER, FINE, find_peaks, group
 from koop_commission.report.verdict import DONE, MISSING, NO, list_stages, write_sentences
 from koop_commission.report.write import try_report, write_report
 from koop_core.config.parameter import ConfigError
+from koop_core.whole_file import write_json
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Amplitude, Windows
 from koop_tune.excitation.design import FLAT, KNOWN, TIME
 from koop_tune.excitation.progress import ExcitationProgress, HoldSummary
+from koop_tune.excitation.static_map import Interval
+from koop_tune.result.tune_result import (
+    AmplitudeMap,
+    ControllerResult,
+    CostResult,
+    Curves,
+    LoopPath,
+    ParameterResult,
+    Points,
+    TuneResult,
+)
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.spectra import Spectra
 from koop_tune.search.agreement import Measured
-from koop_tune.search.prediction import Prediction
+from koop_tune.search.prediction import Band, Prediction
 from koop_tune.search.rounds import LoopRun, Round, Verification
+from koop_tune.search.run import Constants
 
 DT = 0.01
 RIG = RigFile(
     "/a:x", "/b:z", DT, -1.0, 3.0, 0.5, 2.0, 0.5
 )  # fmt: skip
 THETA = [-1.0, 1.0, 3.0]
-BAND = {
-    "duration": 400.0, "runs": 64,
-    "converges": {"low": 30.0, "middle": 40.0, "high": 60.0},
-    "distance": {"low": 0.01, "middle": 0.02, "high": 0.03},
-    "excess": {"low": 1.0, "middle": 1.02, "high": 1.05},
-    "reduction": {"low": 3.5, "middle": 3.8, "high": 4.0},
-}  # fmt: skip
-CURVE = {"theta": THETA, "amplitude": [4.0, 1.0, 3.0], "error": [0.1, 0.2, 0.1]}
+PREDICTION = Prediction(
+    Band(30.0, 40.0, 60.0), Band(0.01, 0.02, 0.03), Band(1.0, 1.02, 1.05), Band(3.5, 3.8, 4.0),
+    400.0, 64,
+)  # fmt: skip
 WINDOWS = Windows(200, DT)
 AMPLITUDE = Amplitude(WINDOWS, np.eye(1, len(WINDOWS.edges) - 1, 3), 0.0, 0.01)  # of x at 2 Hz
-PATH = {"start": -1.0, "time": [1.0, 2.0],
-        "theta": {"low": [-1.0, 0.8], "middle": [-0.9, 0.9], "high": [-0.8, 1.0]},
-        "amplitude": {"low": [3.0, 1.0], "middle": [3.5, 1.1], "high": [4.0, 1.2]}}  # fmt: skip
-COST = {"name": "raw", "evidence": 1234.0, "score": 1.2, "problem": "",
-        "map": {"theta_best": 0.9, "theta": THETA, "r": [8.0, 0.5, 5.0],
-                "error": [0.1] * 3}}  # fmt: skip
-BLIND = {**COST, "name": "lifted", "problem": "no model", "map": None, "score": None}
-TUNED = {
-    "verdict": "tuned", "feature": "x", "theta_best": 0.9,
-    "best": {"log": math.log(0.95), "error": 0.1, "valley": [0.8, 1.1], "floor": 0.01},
-    "amplitude": AMPLITUDE.as_json(), "modes": [],
-    "static_map": {"theta": THETA, "amplitude": [4.0, 1.0, 3.0], "error": [0.1] * 3,
-                   "curve": CURVE},
-    "cost": "raw", "constants": {"law": "adaptive"}, "doubt": "", "why": "as good as any",
-    "costs": [COST, BLIND], "predicted": BAND, "paths": [PATH, {**PATH, "start": 3.0}],
-    "parameters": [{"name": "dwell", "value": 0.25, "unit": "s", "reason": "search",
-                    "node": "relay_esc"}],
-}  # fmt: skip
-REFUSED = {**TUNED, "verdict": "flat", "why": "the amplitude varies by 3 % with errors of 4 %"}
+PATH = LoopPath(
+    -1.0, [1.0, 2.0],
+    Curves([-1.0, 0.8], [-0.9, 0.9], [-0.8, 1.0]), Curves([3.0, 1.0], [3.5, 1.1], [4.0, 1.2]),
+)  # fmt: skip
+COST = CostResult("raw", 1234.0, 1.2, "", 0.9, Points(THETA, [8.0, 0.5, 5.0], [0.1] * 3))
+BLIND = CostResult("lifted", 1234.0, None, "no model", None, None)
+FOUND = AmplitudeMap(
+    "x", AMPLITUDE, [], 0.9, math.log(0.95), 0.1, Interval(0.8, 1.1), 0.0,
+    Points(THETA, [4.0, 1.0, 3.0], [0.1] * 3), Points(THETA, [4.0, 1.0, 3.0], [0.1, 0.2, 0.1]),
+)  # fmt: skip
+CONTROLLER = ControllerResult(
+    "raw", "", Constants("adaptive", 10.0, 1.0, 0.1, 0.25, 1.0, 0.1), 1.0, PREDICTION,
+    [PATH, PATH._replace(start=3.0)],
+    [ParameterResult("dwell", 0.25, "s", "search", "relay_esc")],
+)  # fmt: skip
+TUNED = TuneResult("tuned", "as good as any", FOUND, [COST, BLIND], CONTROLLER)
+REFUSED = replace(TUNED, verdict="flat", controller=None,
+                  why="the amplitude varies by 3 % with errors of 4 %")  # fmt: skip
 MEASURED = Measured(50.0, 0.02, 4.0, 1.1, 0.01, 0.01, 1.1, 3.6, 0.9, 0.8, 1.0)
 
 
@@ -78,18 +85,16 @@ def holds():
             for theta, a in zip(THETA, (4.0, 1.0, 3.0), strict=True)]  # fmt: skip
 
 
-def contents(tuned=None, rounds=(), verdict="", **changes):
+def contents(tuned=TuneResult(), rounds=(), verdict="", **changes):  # noqa: B008
     """Return the contents of a folder that holds no file."""
     state = changes.pop("excitation", excitation(holds()))
     verification = Verification(tuple(rounds), False, "x", verdict)
-    return Contents(Path("run"), replace(RIG, **changes), state, tuned or {}, verification)
+    return Contents(Path("run"), replace(RIG, **changes), state, tuned, verification)
 
 
 def round_of(number=1, agrees=True, excess=1.1):
     runs = (LoopRun(-1.0, replace(MEASURED, excess=excess), "verify-1/start-1/bag", 90.0, (0, 9)),)
-    return Round(
-        number, Prediction.from_json(BAND), runs, agrees, bool(agrees), "damped as predicted"
-    )
+    return Round(number, PREDICTION, runs, agrees, bool(agrees), "damped as predicted")
 
 
 def states(c):
@@ -131,7 +136,8 @@ def test_three_sentences_say_what_is_known_and_what_comes_next():
     rig, _, following = write_sentences(contents())
     assert rig.endswith("the amplitude of x at 2 Hz is between 1 at 1 and 4 at -1.")
     assert following == "Next: ./koop tune RIG.YAML run."
-    rig, controller, following = write_sentences(contents({**TUNED, "doubt": "a limit"}))
+    doubtful = replace(TUNED, controller=replace(CONTROLLER, doubt="a limit"))
+    rig, controller, following = write_sentences(contents(doubtful))
     assert rig.endswith("; its valley is from 0.8 to 1.1.")
     assert "converge in 40 (30 to 60) s and to stay within a factor of 1.02" in controller
     assert controller.endswith("In doubt: a limit.")
@@ -145,7 +151,7 @@ def test_the_largest_amplitude_is_the_best_where_it_is_maximised():
 
 def test_a_refusal_gives_its_reason_which_says_what_to_do():
     _, *others = write_sentences(contents(REFUSED))
-    assert others == [f"No controller (flat): {REFUSED['why']}."]
+    assert others == [f"No controller (flat): {REFUSED.why}."]
 
 
 def test_the_verdict_of_a_verification_is_split_into_its_sentences():
@@ -184,12 +190,13 @@ def test_the_static_map_has_holds_fit_errors_and_the_best_theta_with_its_valley(
     assert bars.upper == pytest.approx(np.array([4.0, 1.0, 3.0]) * math.exp(0.2))
     (mark,) = panel.marks
     assert (mark.x, mark.low, mark.high) == (0.9, 0.8, 1.1)
-    static = {**TUNED["static_map"], "error": [math.inf, 0.1, 0.1]}  # the first was cut short
-    short = make_static_map(contents({**TUNED, "static_map": static}))
+    holds_found = FOUND.holds._replace(error=[math.inf, 0.1, 0.1])  # the first was cut short
+    short = make_static_map(contents(replace(TUNED, found=replace(FOUND, holds=holds_found))))
     bars = short.figures[0].panels[0].series[-1]
     assert (bars.y[0], bars.upper[0], bars.upper[1] > bars.y[1]) == (4.0, 4.0, True)
     assert [row[2] for row in short.tables[0].rows] == [None, 10.0, 10.0]
-    monotone = make_static_map(contents({**REFUSED, "verdict": "monotone", "theta_best": 2.9}))
+    falling = replace(REFUSED, verdict="monotone", found=replace(FOUND, theta_best=2.9))
+    monotone = make_static_map(contents(falling))
     assert monotone.figures[0].panels[0].marks[0].x == 3.0  # the limit
     assert "Refused (monotone)" in monotone.intro
     own = make_static_map(contents())  # of the excitation, before it is tuned
@@ -207,7 +214,7 @@ def test_costs_are_compared_and_the_chosen_one_is_named():
     assert table.cell("lifted", "problem") == "no model"
     assert [panel.title for panel in figure.panels] == ["raw (chosen)"]  # the other has no map
     assert section.intro.endswith("Chosen: raw. As good as any.")
-    assert "None was tried" in make_costs(contents({**REFUSED, "costs": []})).intro
+    assert "None was tried" in make_costs(contents(replace(REFUSED, costs=[]))).intro
 
 
 def test_constants_are_listed_with_their_reasons():
@@ -275,9 +282,9 @@ def test_a_folder_is_read_and_written_as_a_page(tmp_path):
     assert try_report(tmp_path).startswith("no report: ")
     progress.save(excitation(holds()), RIG, tmp_path)
     (tmp_path / "tuned").mkdir()
-    (tmp_path / "tuned/tune.json").write_text(json.dumps(TUNED))
+    write_json(tmp_path / "tuned/tune.json", TUNED)
     read = read_contents(tmp_path)
-    assert (read.rig, read.tuned["cost"], read.verification.rounds) == (RIG, "raw", ())
+    assert (read.rig, read.tuned.controller, read.verification.rounds) == (RIG, CONTROLLER, ())
     page = write_report(tmp_path).read_text()
     assert page.count("<section>") == 7
     assert "no recording yet" in page

@@ -7,17 +7,19 @@ import json
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
+from koop_core.json_object import from_json, to_json
 
+T = TypeVar("T")
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def write_json(path: Path, values: Any) -> None:
-    """Write a JSON file; as :func:`write_text`."""
-    write_text(path, json.dumps(values, indent=1) + "\n")
+    """Write a JSON file, also of a dataclass; as :func:`write_text`."""
+    write_text(path, json.dumps(to_json(values), indent=1) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:
@@ -62,3 +64,18 @@ def read_json(path: Path) -> dict[str, Any]:
         return {}
     except (OSError, ValueError, TypeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}: delete or replace it") from None
+
+
+def read_object(path: Path, kind: type[T]) -> T | None:
+    """Return the object that a JSON file describes; None if there is none.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it cannot be read.
+    """
+    values = read_json(path)
+    try:
+        return from_json(kind, values) if values else None
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error!r}): move it away") from None

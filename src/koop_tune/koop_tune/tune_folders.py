@@ -18,7 +18,8 @@ from koop_identify.recording.segmentation import BagReading
 from koop_tune.excitation import progress
 from koop_tune.excitation.progress import ExcitationProgress
 from koop_tune.folder import CONTROLLER, FIGURES, MODEL
-from koop_tune.result import as_json, as_text
+from koop_tune.result import as_text
+from koop_tune.result.summary import summarise, summarise_refusal
 from koop_tune.rig.rig_file import STATE, THETA, RigFile
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.settings import TUNING, TuningSettings
@@ -79,7 +80,7 @@ def tune_folders(
             )  # fmt: skip
         except NoOptimum as refusal:
             bar.close()
-            whole_file.write_json(out / FIGURES, as_json.of_refusal(refusal))
+            whole_file.write_json(out / FIGURES, summarise_refusal(refusal))
             if refusal.findings:
                 print(as_text.as_table(refusal.findings))
             print(f"\nno controller ({refusal.kind}): {refusal}")
@@ -88,7 +89,7 @@ def tune_folders(
     if tuning.chosen.maps.cost.training is not None:
         model = out / MODEL
         train_from_bags(bags, tuning.chosen.maps.cost.training).save(model)
-    whole_file.write_json(out / FIGURES, as_json.of_tuning(tuning, rig, model))
+    whole_file.write_json(out / FIGURES, summarise(tuning, rig, model))
     whole_file.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model, note))
     print(as_text.as_table(tuning.findings, tuning))
     print("\n" + as_text.as_words(tuning))

@@ -1,25 +1,26 @@
 """A closed loop measured: against an oscillation whose amplitude and theta are known exactly."""
 
-import json
 import math
 import re
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from surrogate_rigs import make_amplitude
 
 from koop_core.config.parameter import ConfigError
+from koop_tune.excitation.static_map import Interval
+from koop_tune.result import tune_result
+from koop_tune.result.tune_result import AmplitudeMap, ControllerResult, Points, TuneResult
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.agreement import (
     describe_run,
     find_disagreements,
     find_faults,
-    make_aim,
     measure,
-    read_aim,
     verdict,
 )
+from koop_tune.search.prediction import Band, Prediction
 from koop_tune.search.rounds import (
     LoopRun,
     Round,
@@ -30,31 +31,32 @@ from koop_tune.search.rounds import (
     load_verification,
     save_verification,
 )
+from koop_tune.search.run import Constants
 from koop_tune.search.settings import VerificationSettings
 
 DT, PERIOD, TAU, BEST = 0.01, 0.5, 20.0, 0.7
 RIG = RigFile(
     "/a:x", "/b:z", DT, -1.0, 3.0, 0.5, 2.0, 0.5
 )  # fmt: skip
-BANDS = {
-    "duration": 400.0, "runs": 64,
-    "converges": {"low": 30.0, "middle": 40.0, "high": 60.0},
-    "distance": {"low": 0.01, "middle": 0.02, "high": 0.03},
-    "excess": {"low": 1.0, "middle": 1.02, "high": 1.05},
-    "reduction": {"low": 3.5, "middle": 3.8, "high": 4.0},
-}  # fmt: skip
-FIGURES = {
-    "amplitude": make_amplitude(200, DT, floor=0.01).as_json(),
-    "feature": "x at 2 Hz", "theta_best": BEST, "time": 20.0, "growth": 30.0, "predicted": BANDS,
-    "best": {"log": 0.0, "error": 0.01, "valley": [0.4, 1.0], "floor": 0.01},
-    "static_map": {"theta": [-1.0, BEST, 3.0], "amplitude": [4.0, 1.0, 3.0], "error": [0.1] * 3},
-}  # fmt: skip
+PREDICTION = Prediction(
+    Band(30.0, 40.0, 60.0), Band(0.01, 0.02, 0.03), Band(1.0, 1.02, 1.05), Band(3.5, 3.8, 4.0),
+    400.0, 64,
+)  # fmt: skip
+HOLDS = Points([-1.0, BEST, 3.0], [4.0, 1.0, 3.0], [0.1] * 3)
+FOUND = AmplitudeMap(
+    "x at 2 Hz", make_amplitude(200, DT, floor=0.01), [], BEST, 0.0, 0.01, Interval(0.4, 1.0),
+    30.0, HOLDS, HOLDS,
+)  # fmt: skip
+CONTROLLER = ControllerResult(
+    "raw", "", Constants("relay", 1.0, 1.0, 1.0, 1.0, 1.0, 0.1), 20.0, PREDICTION, [], []
+)
+RESULT = TuneResult("tuned", "the best", FOUND, [], CONTROLLER)
 UPSIDE = replace(RIG, objective="maximise")
 
 
 @pytest.fixture(scope="module")
 def aim():
-    return make_aim(FIGURES, RIG)
+    return RESULT.make_aim(RIG)
 
 
 @pytest.fixture(scope="module")
@@ -95,8 +97,7 @@ def test_a_run_is_measured_as_its_truth_is(aim, good):
 
 
 def test_an_amplitude_that_is_to_be_large_is_judged_the_other_way_round():
-    figures = FIGURES | {"best": FIGURES["best"] | {"log": math.log(4.0)}}
-    aim = make_aim(figures, UPSIDE)
+    aim = replace(RESULT, found=replace(FOUND, best=math.log(4.0))).make_aim(UPSIDE)
     actual = run(aim, upside=True)
     assert actual.excess == pytest.approx(1.0, abs=0.12)
     assert actual.reduction == pytest.approx(4.0, rel=0.12)
@@ -231,7 +232,7 @@ def factor(text):
 @pytest.mark.parametrize("rig", [RIG, UPSIDE])
 @pytest.mark.parametrize("reduction", [0.2, 0.86, 0.97, 1.0, 1.03, 1.08, 4.0])
 def test_words_and_figures_of_a_run_agree(good, rig, reduction):
-    aim = make_aim(FIGURES, rig)
+    aim = RESULT.make_aim(rig)
     level = aim.sense * math.log(reduction)  # of before over after
     after = replace(
         good, theta=BEST, amplitude_before=math.exp(level), amplitude=1.0, reduction=reduction,
@@ -282,7 +283,7 @@ def test_a_verdict_says_not_damped_exactly_where_there_are_faults(aim, good):
 
 def rounds_of(*rounds, excess=1.0):
     """Return rounds of which each is told by whether it agrees and the times of its runs."""
-    aim = make_aim(FIGURES, RIG)
+    aim = RESULT.make_aim(RIG)
     measured = run(aim)
     return [
         Round(number, aim.predicted,
@@ -318,41 +319,31 @@ def test_the_last_round_is_kept_if_it_damped_else_the_best_one():
     assert weak.worst_excess == 1.83
 
 
-def test_a_verification_is_read_as_it_was_written():
-    rounds = rounds_of((False, None, 50.0), (None,))
-    written = Verification(tuple(rounds), True, "x", "Three sentences.")
-    values = json.loads(json.dumps(written.as_json()))
-    assert values["rounds"][0]["runs"][0]["time_to_converge"] is None
-    read = Verification.from_json(values)
-    assert read.as_json() == values
-    assert read.rounds[0].prediction == rounds[0].prediction
-    assert read.finished == read.rounds[:1]
-    del values["rounds"][0]["prediction"]
-    with pytest.raises(KeyError, match="prediction"):
-        Verification.from_json(values)
-
-
 def test_a_folder_without_a_controller_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="koop tune first"):
-        read_aim(tmp_path / "tune.json", RIG)
-    (tmp_path / "tune.json").write_text('{"verdict": "flat"}')
-    with pytest.raises(ConfigError, match="holds no controller"):
-        read_aim(tmp_path / "tune.json", RIG)
-    assert set(asdict(run(make_aim(FIGURES, RIG)))) >= {"time_to_converge", "distance", "reduction"}
+    assert tune_result.read(tmp_path) == TuneResult()
+    for result in (TuneResult(), TuneResult("flat", "nothing reacts", FOUND)):
+        with pytest.raises(ConfigError, match="run 'koop tune' first"):
+            result.make_aim(RIG)
 
 
 def test_a_verification_is_kept_in_its_folder(tmp_path):
     assert load_verification(tmp_path) == Verification()
-    kept = Verification(tuple(rounds_of((True, 40.0, 50.0))), True, "x", "It is damped.")
+    rounds = rounds_of((False, None, 50.0), (None,))
+    never = replace(PREDICTION, converges=Band(30.0, 40.0, math.inf))
+    rounds[0] = replace(rounds[0], prediction=never)
+    kept = Verification(tuple(rounds), True, "x", "It is damped.")
     save_verification(kept, tmp_path)
-    assert load_verification(tmp_path).as_json() == kept.as_json()
+    assert "Infinity" not in (tmp_path / "verify.json").read_text()  # which is no JSON
+    read = load_verification(tmp_path)
+    assert read == kept
+    assert read.finished == read.rounds[:1]
     (tmp_path / "verify.json").write_text('{"rounds": [{"round": 1}]}')
     with pytest.raises(ConfigError, match=r"verify\.json: cannot be read .*: move it away"):
         load_verification(tmp_path)
 
 
 def test_how_strictly_a_loop_is_compared_is_a_setting():
-    aim = make_aim(FIGURES, RIG)
+    aim = RESULT.make_aim(RIG)
     late = replace(run(aim), time_to_converge=90.0, error=0.01, excess=1.0, reduction=4.0)
     assert find_disagreements(aim, late)
     patient = replace(aim, settings=VerificationSettings(later=2.0))

@@ -9,7 +9,7 @@ from surrogate_rigs import make_dwells, make_findings, make_task
 
 from koop_tune.excitation.static_map import GRID
 from koop_tune.rig_model.dwells import Rest
-from koop_tune.search.prediction import Band, Prediction, find_wander, predict
+from koop_tune.search.prediction import Band, find_wander, predict
 from koop_tune.search.search import Trial, search
 
 
@@ -19,13 +19,6 @@ def test_a_band_holds_nine_of_ten_values_and_never_is_infinite():
     assert (band.low, band.middle, band.high) == pytest.approx((6.0, 50.0, 95.0), abs=1.0)
     assert Band.of([1.0] * 16 + [math.inf] * 4).high == math.inf
     assert Band.of([1.0, 2.0, math.inf]).as_text() == "2 (1 to never)"
-
-
-def test_a_prediction_is_read_as_it_was_written():
-    band = Band(1.0, 2.0, math.inf)
-    written = Prediction(band, band, band, band, 300.0, 32)
-    assert written.as_json()["converges"] == {"low": 1.0, "middle": 2.0, "high": None}
-    assert Prediction.from_json(written.as_json()) == written
 
 
 def noise_driven(tau, rest, count, rng, length=50, dt=0.02):

@@ -1,6 +1,5 @@
 """Which cost is chosen, how long its runs are, and what is written of it."""
 
-import json
 import math
 from dataclasses import replace
 
@@ -9,11 +8,16 @@ import pytest
 from surrogate_rigs import FREQUENCY, make_cost, make_findings, make_map, make_task
 
 from koop_core.config.parameter import ConfigError
+from koop_core.json_object import to_json
+from koop_core.whole_file import write_json
 from koop_guard.config import GUARD, GuardConfig
 from koop_loop import parameters
-from koop_tune.result import as_json, as_text
+from koop_tune.result import as_text, tune_result
+from koop_tune.result.summary import summarise, summarise_refusal
+from koop_tune.result.tune_result import TuneResult
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.surrogate import Times
+from koop_tune.search.findings import NoOptimum
 from koop_tune.search.limits import ThetaLimits
 from koop_tune.search.prediction import predict
 from koop_tune.search.run import Outcome
@@ -155,22 +159,25 @@ def test_table_and_words_hold_every_cost_and_the_prediction(tuning):
     assert tuning.prediction.converges.as_text() in words
 
 
-def test_figures_are_json_and_hold_the_map_and_the_paths(tuning):
-    values = json.loads(json.dumps(as_json.of_tuning(tuning, RIG, None)))
-    assert values["verdict"] == "tuned"
-    assert values["static_map"]["amplitude"] == pytest.approx(
-        np.exp(valley(tuning.findings.dwells.u))
-    )
-    raw, lifted = values["costs"]
-    assert raw["map"]["r"] == pytest.approx(np.exp(2.0 * valley(tuning.findings.dwells.u)))
-    assert (lifted["map"], lifted["problem"]) == (None, "too few windows")
-    for path, start in zip(values["paths"], (0.0, 1.0), strict=True):
-        assert path["start"] == start
-        assert abs(path["theta"]["middle"][0] - start) < 0.2
-        assert path["theta"]["middle"][-1] == pytest.approx(0.6, abs=0.1)
-        assert all(a <= b for a, b in zip(path["theta"]["low"], path["theta"]["high"], strict=True))
-    maps = tuning.findings.static_map
-    assert values["theta_best"] == maps.best()
-    low, high = values["best"]["valley"]
-    assert low < values["theta_best"] < high
-    assert values["best"]["log"] == pytest.approx(maps.least)
+def test_the_result_holds_the_map_and_the_paths_and_is_read_as_it_was_written(tuning, tmp_path):
+    result = summarise(tuning, RIG, None)
+    u, maps, found = tuning.findings.dwells.u, tuning.findings.static_map, result.found
+    assert found.holds.level == pytest.approx(np.exp(valley(u)))
+    assert (found.theta_best, found.best) == (maps.best(), pytest.approx(maps.least))
+    assert found.valley.low < found.theta_best < found.valley.high
+    raw, lifted = result.costs
+    assert raw.r.level == pytest.approx(np.exp(2.0 * valley(u)))
+    assert (lifted.r, lifted.problem) == (None, "too few windows")
+    for path, start in zip(result.controller.paths, (0.0, 1.0), strict=True):
+        assert path.start == start
+        assert abs(path.theta.middle[0] - start) < 0.2
+        assert path.theta.middle[-1] == pytest.approx(0.6, abs=0.1)
+        assert all(a <= b for a, b in zip(path.theta.low, path.theta.high, strict=True))
+    write_json(tmp_path / "tune.json", result)
+    read = tune_result.read(tmp_path)
+    assert to_json(read) == to_json(result)
+    assert read.controller.paths == result.controller.paths
+    assert read.make_aim(RIG).bound == result.make_aim(RIG).bound
+    refused = summarise_refusal(NoOptimum("flat", "nothing reacts"))
+    write_json(tmp_path / "tune.json", refused)
+    assert tune_result.read(tmp_path) == refused == TuneResult("flat", "nothing reacts")

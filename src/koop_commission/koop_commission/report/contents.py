@@ -5,33 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from koop_bag.errors import BagError
-from koop_core import whole_file
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import InputError
 from koop_identify.model.from_bags import load_bags
 from koop_identify.recording.loaded import Loaded
 from koop_tune.excitation import progress
 from koop_tune.excitation.progress import ExcitationProgress
-from koop_tune.folder import FIGURES, TUNED
+from koop_tune.folder import TUNED
+from koop_tune.result import tune_result
+from koop_tune.result.tune_result import Points, TuneResult
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.rounds import Round, Verification, load_verification
 from koop_tune.tune_folders import list_bags, reading_of
 
 RIG = "rig.yaml"
-
-
-class MapPoints(NamedTuple):
-    """A static map: what its amplitude is of, theta, amplitude, error of its logarithm."""
-
-    feature: str
-    theta: list[float]
-    amplitude: list[float]
-    error: list[float]
 
 
 @dataclass(frozen=True)
@@ -46,7 +37,7 @@ class Contents:
         As it was when the excitation began.
     excitation : ExcitationProgress
         How far the excitation has come.
-    tuned : dict
+    tuned : TuneResult
         Content of ``tune.json``; empty without it.
     verification : Verification
         Content of ``verify.json``.
@@ -55,7 +46,7 @@ class Contents:
     folder: Path
     rig: RigFile
     excitation: ExcitationProgress
-    tuned: dict[str, Any]
+    tuned: TuneResult
     verification: Verification
 
     @property
@@ -75,9 +66,10 @@ class Contents:
         except (BagError, InputError) as error:
             return str(error)
 
-    def tuned_for(self, item: Round) -> dict[str, Any]:
+    def tuned_for(self, item: Round) -> TuneResult:
         """Return the ``tune.json`` of a round; a later round sets it aside."""
-        return whole_file.read_json(self.folder / f"{TUNED}-{item.number}" / FIGURES) or self.tuned
+        result = tune_result.read(self.folder / f"{TUNED}-{item.number}")
+        return result if result.verdict else self.tuned
 
     @property
     def rig_file(self) -> str:
@@ -91,28 +83,23 @@ class Contents:
         return bool(self.excitation.ended)
 
     @property
-    def has_controller(self) -> bool:
-        """Whether a controller was tuned."""
-        return self.tuned.get("verdict") == "tuned"
+    def feature(self) -> str:
+        """The amplitude in words; empty before anything reacts."""
+        amplitude = self.excitation.amplitude
+        if self.tuned.found:
+            return self.tuned.found.feature
+        return amplitude.name(self.rig.names) if amplitude else ""
 
     @property
-    def is_refused(self) -> bool:
-        """Whether tuning found no optimum."""
-        return bool(self.tuned) and not self.has_controller
-
-    @property
-    def static_map(self) -> MapPoints | None:
-        """The static map of the tuning, else of the excitation; None without a dwell point."""
-        if "static_map" in self.tuned:
-            figures = self.tuned["static_map"]
-            rows = zip(*(figures[name] for name in ("theta", "amplitude", "error")), strict=True)
-            return MapPoints(self.tuned["feature"], *map(list, zip(*sorted(rows), strict=True)))
-        state = self.excitation
-        if not state.holds or state.amplitude is None:
+    def static_map(self) -> Points | None:
+        """Holds of the tuning, else of the excitation; None without one."""
+        if self.tuned.found:
+            return self.tuned.found.holds
+        holds = sorted(self.excitation.holds)
+        if not holds or self.excitation.amplitude is None:
             return None
-        theta, levels, errors, *_ = map(list, zip(*sorted(state.holds), strict=True))
-        amplitudes = np.exp(levels).tolist()
-        return MapPoints(state.amplitude.name(self.rig.names), theta, amplitudes, errors)
+        theta, levels, errors, *_ = map(list, zip(*holds, strict=True))
+        return Points(theta, np.exp(levels).tolist(), errors)
 
 
 def read_contents(folder: Path) -> Contents:
@@ -123,8 +110,7 @@ def read_contents(folder: Path) -> Contents:
     koop_core.config.parameter.ConfigError
         If it is not a folder of ``koop excite``, or a file in it cannot be read.
     """
-    if not (folder / progress.NAME).exists():
+    if (recorded := progress.read(folder)) is None:
         raise ConfigError(f"{folder}: has no {progress.NAME}: name a folder of 'koop excite'")
-    rig, state = progress.read(folder)
-    tuned = whole_file.read_json(folder / TUNED / FIGURES)
-    return Contents(folder, rig, state, tuned, load_verification(folder))
+    tuned = tune_result.read(folder / TUNED)
+    return Contents(folder, *recorded, tuned, load_verification(folder))

@@ -12,8 +12,7 @@ from koop_commission.report.colors import BEST, MEASURED
 from koop_commission.report.contents import Contents
 from koop_commission.report.runs import RunCurves, read_run
 from koop_core.errors import InputError
-from koop_tune.excitation.amplitude import Amplitude
-from koop_tune.search.prediction import Prediction
+from koop_tune.result.tune_result import AmplitudeMap, Curves, LoopPath
 from koop_tune.search.rounds import Round
 from koop_view.report.document import Cell, Column, Figure, Panel, Section, Series, Table
 
@@ -36,33 +35,28 @@ def make_loop(c: Contents) -> Section:
     """Return the closed loop: predicted, and measured where it was."""
     figures = []
     if not c.verification.rounds:
-        for i, path in enumerate(c.tuned["paths"]):
-            caption = f"From theta = {path['start']:.4g}"
-            figures.append(_draw(c, f"predicted-{i}", caption, c.tuned, path))
+        found, controller = c.tuned.require_controller()
+        for i, path in enumerate(controller.paths):
+            caption = f"From theta = {path.start:.4g}"
+            figures.append(_draw(c, f"predicted-{i}", caption, found, path))
         intro = (
             "Predicted, from both ends of the range: median and 5 to 95 % of the runs. Not "
             f"measured yet: ./koop verify {c.rig_file} {c.folder}"
         )
-        return Section(
-            "loop",
-            TITLE,
-            intro,
-            [_compare([Round(1, Prediction.from_json(c.tuned["predicted"]))])],
-            figures,
-        )
+        table = _compare([Round(1, controller.predicted)])
+        return Section("loop", TITLE, intro, [table], figures)
     for item in c.verification.rounds:
-        tuned = c.tuned_for(item)
+        found, controller = c.tuned_for(item).require_controller()
         for i, run in enumerate(item.runs):
             caption, recorded = f"Round {item.number}, from theta = {run.start:.4g}", None
             try:
-                amplitude = Amplitude.from_json(tuned["amplitude"])
-                recorded = read_run(c.folder / run.bag, amplitude, run.steps)
+                recorded = read_run(c.folder / run.bag, found.amplitude, run.steps)
             except (BagError, InputError) as error:
                 caption = f"{caption}: not drawn: {error}"
-            paths = tuned["paths"]
-            u = c.rig.scale.u(np.array([run.start, *(path["start"] for path in paths)]))
+            paths = controller.paths
+            u = c.rig.scale.u(np.array([run.start, *(path.start for path in paths)]))
             nearest = paths[int(np.argmin(np.abs(u[1:] - u[0])))]
-            figures.append(_draw(c, f"run-{item.number}-{i}", caption, tuned, nearest, recorded))
+            figures.append(_draw(c, f"run-{item.number}-{i}", caption, found, nearest, recorded))
     intro = (
         "Predicted (median and 5 to 95 % of the runs from the nearer end of the range) and "
         "measured on the rig, each run from its own start."
@@ -71,20 +65,19 @@ def make_loop(c: Contents) -> Section:
 
 
 def _draw(
-    c: Contents, name: str, caption: str, tuned: dict[str, Any], path: dict[str, Any],
+    c: Contents, name: str, caption: str, found: AmplitudeMap, path: LoopPath,
     run: RunCurves | None = None,
 ) -> Figure:  # fmt: skip
-    time = path["time"]
+    time = path.time
     ends = [0.0, max(time[-1], float(run.time[-1]))] if run else [time[0], time[-1]]
-    curve = tuned["static_map"]["curve"]["amplitude"]
-    best = min(curve) if c.rig.objective == "minimise" else max(curve)
+    best = (min if c.rig.objective == "minimise" else max)(found.curve.level)
 
     def make_series(
-        band: dict[str, Any], what: str, level: float, measured: tuple[Any, Any] | None
+        band: Curves, what: str, level: float, measured: tuple[Any, Any] | None
     ) -> tuple[Series, ...]:
         series = [
-            Series("predicted", time, band["low"], "band", band["high"], BEST),
-            Series("predicted", time, band["middle"], color=BEST),
+            Series("predicted", time, band.low, "band", band.high, BEST),
+            Series("predicted", time, band.middle, color=BEST),
         ]
         if measured is not None:
             x, y = measured
@@ -94,10 +87,10 @@ def _draw(
     theta = (run.time, run.theta) if run else None
     amplitude = (run.middle, run.amplitude) if run else None
     panels = (
-        Panel("time [s]", "theta", make_series(path["theta"], "theta", tuned["theta_best"], theta),
+        Panel("time [s]", "theta", make_series(path.theta, "theta", found.theta_best, theta),
               log_y=c.rig.scale.logarithmic),
         Panel("time [s]", "amplitude",
-              make_series(path["amplitude"], "amplitude", best, amplitude)),
+              make_series(path.amplitude, "amplitude", best, amplitude)),
     )  # fmt: skip
     return Figure(name, caption, panels, columns=2)
 

@@ -16,6 +16,7 @@ from koop_commission.report.recordings import make_recordings
 from koop_commission.report.spectra import make_spectra
 from koop_core.config.parameter import spec_of
 from koop_core.errors import InputError
+from koop_tune.result.tune_result import Points
 from koop_tune.rig.rig_file import RigFile, as_values
 from koop_view.report.document import Cell, Column, Figure, Mark, Panel, Section, Series, Table
 
@@ -29,9 +30,9 @@ def make_sections(c: Contents) -> Iterator[Section]:
     yield make_rig(c)
     yield make_static_map(c)
     yield make_spectra(c)
-    if c.tuned:
+    if c.tuned.verdict:
         yield make_costs(c)
-    if c.has_controller or c.verification.rounds:
+    if c.tuned.controller or c.verification.rounds:
         yield make_loop(c)
         yield make_constants(c)
     yield make_recordings(c)
@@ -70,32 +71,29 @@ def make_static_map(c: Contents) -> Section:
         "where they are known; 1 is the strongest motion seen. Curve and band: the map that fits, "
         "within two standard errors; where the band is wide nobody has looked."
     )
-    if "static_map" in c.tuned:
-        curve, best = c.tuned["static_map"]["curve"], c.tuned["theta_best"]
+    if found := c.tuned.found:
+        curve, best = found.curve, found.theta_best
         low, high = (
-            [y * math.exp(side * ERRORS * e) for y, e in
-             zip(curve["amplitude"], curve["error"], strict=True)]
+            [y * math.exp(side * ERRORS * e) for y, e in zip(curve.level, curve.error, strict=True)]
             for side in (-1.0, 1.0)
-        )  # fmt: skip
-        series.append(Series("map", curve["theta"], low, "band", high, FAINT))
-        series.append(Series("map", curve["theta"], curve["amplitude"], color=MEASURED))
-        if c.has_controller:
-            low_end, high_end = c.tuned["best"]["valley"]
-            marks = (Mark(best, f"best {best:.4g}", low_end, high_end, BEST),)
+        )
+        series.append(Series("map", curve.theta, low, "band", high, FAINT))
+        series.append(Series("map", curve.theta, curve.level, color=MEASURED))
+        if c.tuned.controller:
+            marks = (Mark(best, f"best {best:.4g}", *found.valley, BEST),)
             intro += (
                 " Shaded: the valley, where the amplitude is at most 1.5 times the best, which is "
-                f"{math.exp(c.tuned['best']['log']):.3g}; below {c.tuned['best']['floor']:.2g} "
-                "nothing can be told."
+                f"{math.exp(found.best):.3g}; below {found.amplitude.floor:.2g} nothing can be "
+                "told."
             )
-            if len(modes := c.tuned["modes"]) > 1:
+            if len(modes := found.modes) > 1:
                 intro += f" Shares in the amplitude's square over theta: {'; '.join(modes[:6])}."
-        elif c.tuned["verdict"] == "monotone":
+        elif c.tuned.verdict == "monotone":
             limit = min((c.rig.theta_min, c.rig.theta_max), key=lambda limit: abs(limit - best))
             marks = (Mark(limit, f"limit {limit:.3g}: best here", color=INTERFERENCE),)
-        if c.is_refused:
-            intro += f" Refused ({c.tuned['verdict']}): {c.tuned['why']}."
-    series.append(_bars(_step_apart(static.theta), static.amplitude, static.error, MEASURED))
-    caption = f"amplitude of {static.feature}"
+        if c.tuned.is_refused:
+            intro += f" Refused ({c.tuned.verdict}): {c.tuned.why}."
+    series.append(_bars(static, MEASURED))
     panel = Panel(
         "theta", "amplitude", tuple(series), log_x=c.rig.scale.logarithmic, log_y=True, marks=marks
     )
@@ -105,11 +103,11 @@ def make_static_map(c: Contents) -> Section:
         Column("error", "standard error [%]", ".2g"),
     )
     errors = [100.0 * error if error < LARGEST else None for error in static.error]
-    rows: Rows = list(zip(static.theta, static.amplitude, errors, strict=True))
+    rows: Rows = list(zip(static.theta, static.level, errors, strict=True))
     tables = [Table("map", "The same in numbers", columns, rows, detail=True)]
     if c.excitation.holds:
         tables.append(_list_holds(c))
-    figure = Figure("map", f"Static map of the {caption}", (panel,))
+    figure = Figure("map", f"Static map of the amplitude of {c.feature}", (panel,))
     return Section("map-section", title, intro, tables, [figure])
 
 
@@ -133,33 +131,30 @@ def _list_holds(c: Contents) -> Table:
 
 def make_costs(c: Contents) -> Section:
     """Return r against theta for every candidate, and how they compare."""
-    candidates = c.tuned["costs"]
-    if not candidates:
+    chosen = c.tuned.controller.cost if c.tuned.controller else ""
+    if not c.tuned.costs:
         intro = "None was tried: the amplitude itself shows no optimum to seek."
         return Section("costs", "Costs", intro)
     panels: list[Panel] = []
     rows: Rows = []
-    for cost in candidates:
-        figures, chosen = cost["map"], cost["name"] == c.tuned.get("cost")
-        best = figures["theta_best"] if figures else None
-        rows.append((cost["name"], best, cost["evidence"], cost["score"], cost["problem"] or ""))
-        if not figures:
+    for cost in c.tuned.costs:
+        best = cost.theta_best
+        rows.append((cost.name, best, cost.evidence, cost.score, cost.problem))
+        if cost.r is None:
             continue
-        points = sorted(zip(*(figures[key] for key in ("theta", "r", "error")), strict=True))
-        at, r, error = zip(*points, strict=True)
-        theta = _step_apart(at)
-        color = MEASURED if chosen else OTHER
+        is_chosen = cost.name == chosen
+        color = MEASURED if is_chosen else OTHER
         series = (
-            Series("holds", theta, r, "points", color=color),
-            _bars(theta, r, error, color),
+            Series("holds", _step_apart(cost.r.theta), cost.r.level, "points", color=color),
+            _bars(cost.r, color),
         )
         marks = () if best is None else (Mark(best, f"least {best:.3g}", color=BEST),)
-        title = cost["name"] + " (chosen)" * chosen
+        title = cost.name + " (chosen)" * is_chosen
         panels.append(
             Panel("theta", "r", series, title, c.rig.scale.logarithmic, log_y=True, marks=marks)
         )
-    why = f"{c.tuned['why'][0].upper()}{c.tuned['why'][1:]}."
-    chosen_words = f" Chosen: {c.tuned['cost']}." if c.has_controller else ""
+    why = f"{c.tuned.why[0].upper()}{c.tuned.why[1:]}."
+    chosen_words = chosen and f" Chosen: {chosen}."
     intro = f"The cost r to which the rig settled at each value of theta.{chosen_words} {why}"
     columns = (
         Column("cost", "cost"),
@@ -179,10 +174,8 @@ def make_costs(c: Contents) -> Section:
 
 def make_constants(c: Contents) -> Section:
     """Return every constant with its reason."""
-    keys = ("name", "value", "unit", "reason", "node")
-    rows: Rows = [
-        tuple(_format(item[key]) for key in keys) for item in c.tuned.get("parameters", [])
-    ]
+    parameters = c.tuned.controller.parameters if c.tuned.controller else []
+    rows: Rows = [tuple(map(_format, item)) for item in parameters]
     numbers = (Column("parameter", "parameter"), Column("value", "value"))
     columns = (*numbers, *_words("unit", "reason", "node"))
     table = Table("constants", "controller.yaml, without defaults", columns, rows)
@@ -208,11 +201,10 @@ def _step_apart(theta: Sequence[float]) -> list[float]:
     return result
 
 
-def _bars(
-    theta: Sequence[float], level: Sequence[float], error: Sequence[float], color: int
-) -> Series:
-    """Return error bars; ``error`` is the standard error of the logarithm, if it is known."""
-    factors = [math.exp(ERRORS * e) if e < LARGEST else 1.0 for e in error]
-    low = [y / factor for y, factor in zip(level, factors, strict=True)]
-    high = [y * factor for y, factor in zip(level, factors, strict=True)]
+def _bars(points: Points, color: int) -> Series:
+    """Return error bars where the errors are known."""
+    factors = [math.exp(ERRORS * e) if e < LARGEST else 1.0 for e in points.error]
+    low = [y / factor for y, factor in zip(points.level, factors, strict=True)]
+    high = [y * factor for y, factor in zip(points.level, factors, strict=True)]
+    theta = _step_apart(points.theta)
     return Series("hold, two standard errors", theta, low, "bars", high, color)

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from koop_commission.report.contents import Contents
 from koop_tune.excitation.design import FLAT, KNOWN
-from koop_tune.search.prediction import Prediction
 from koop_tune.search.rounds import kept_index
 
 DONE, MISSING, NO = "done", "missing", "no"
@@ -36,15 +35,15 @@ def list_stages(c: Contents) -> Iterator[Stage]:
             late = "the map is not known, and more holds would not help"
         over = {KNOWN: "the map is known", FLAT: "nothing reacts"}.get(state.ended, late)
         yield Stage("Excite", DONE if state.ended == KNOWN else NO, f"{text}: {over}")
-    if c.has_controller:
-        yield Stage("Tune", DONE, f"cost {c.tuned['cost']}, law {c.tuned['constants']['law']}")
-    elif c.is_refused:
-        yield Stage("Tune", NO, f"refused: {c.tuned['verdict']}")
+    if controller := c.tuned.controller:
+        yield Stage("Tune", DONE, f"cost {controller.cost}, law {controller.constants.law}")
+    elif c.tuned.is_refused:
+        yield Stage("Tune", NO, f"refused: {c.tuned.verdict}")
     else:
         yield Stage("Tune", MISSING, f"./koop tune {rig} {folder}")
     rounds, finished = c.verification.rounds, c.verification.finished
     if not rounds:
-        command = f"./koop verify {rig} {folder}" if c.has_controller else "needs a controller"
+        command = f"./koop verify {rig} {folder}" if controller else "needs a controller"
         yield Stage("Verify", MISSING, command)
     elif len(finished) < len(rounds):
         yield Stage("Verify", MISSING, f"round {rounds[-1].number}: not finished")
@@ -57,7 +56,7 @@ def write_sentences(c: Contents) -> list[str]:
     """Return the verdict: of the verification, once there is one, else of what is known."""
     if verdict := c.verification.verdict.strip():
         return re.split(r"(?<=\.) (?=[A-Z])", verdict)
-    following = [] if c.is_refused else [_describe_next(c)]  # a refusal says what to do
+    following = [] if c.tuned.is_refused else [_describe_next(c)]  # a refusal says what to do
     return [_describe_rig(c), _describe_controller(c), *following]
 
 
@@ -67,36 +66,33 @@ def _describe_rig(c: Contents) -> str:
     if static is None:
         return f"The oscillation over {span} is not known yet."
     sense = 1.0 if rig.objective == "minimise" else -1.0
-    order = sorted(zip(static.amplitude, static.theta, strict=True), key=lambda p: sense * p[0])
+    order = sorted(zip(static.level, static.theta, strict=True), key=lambda p: sense * p[0])
     (best, at), (worst, far) = order[0], order[-1]
-    if c.has_controller:  # of the map: the least hold is that by chance
-        best, at = math.exp(c.tuned["best"]["log"]), c.tuned["theta_best"]
-    text = (
-        f"Over {span} the amplitude of {static.feature} is between {best:.3g} at {at:.4g} and "
-        f"{worst:.3g} at {far:.4g}"
+    valley = ""
+    if c.tuned.controller and (found := c.tuned.found):  # the least hold is that by chance
+        best, at = math.exp(found.best), found.theta_best
+        valley = f"; its valley is from {found.valley.low:.4g} to {found.valley.high:.4g}"
+    return (
+        f"Over {span} the amplitude of {c.feature} is between {best:.3g} at {at:.4g} and "
+        f"{worst:.3g} at {far:.4g}{valley}."
     )
-    if c.has_controller:
-        low, high = c.tuned["best"]["valley"]
-        text += f"; its valley is from {low:.4g} to {high:.4g}"
-    return text + "."
 
 
 def _describe_controller(c: Contents) -> str:
-    if c.is_refused:
-        return f"No controller ({c.tuned['verdict']}): {c.tuned['why'].rstrip('.')}."
-    if not c.has_controller:
+    if c.tuned.is_refused:
+        return f"No controller ({c.tuned.verdict}): {c.tuned.why.rstrip('.')}."
+    if (controller := c.tuned.controller) is None:
         return "Cost and constants are not chosen yet."
-    prediction = Prediction.from_json(c.tuned["predicted"])
-    doubt = f" In doubt: {c.tuned['doubt']}." if c.tuned["doubt"] else ""
+    predicted, doubt = controller.predicted, controller.doubt and f" In doubt: {controller.doubt}."
     return (
-        f"The cost {c.tuned['cost']} with the law {c.tuned['constants']['law']} is predicted to "
-        f"converge in {prediction.converges.as_text()} s and to stay within a factor of "
-        f"{prediction.excess.as_text()} of the best amplitude.{doubt}"
+        f"The cost {controller.cost} with the law {controller.constants.law} is predicted to "
+        f"converge in {predicted.converges.as_text()} s and to stay within a factor of "
+        f"{predicted.excess.as_text()} of the best amplitude.{doubt}"
     )
 
 
 def _describe_next(c: Contents) -> str:
-    if c.has_controller:
+    if c.tuned.controller:
         return f"It is not verified on the rig yet: ./koop verify {c.rig_file} {c.folder}."
     if not c.is_excited:
         command = f"./koop excite {c.rig_file} --out {c.folder}"

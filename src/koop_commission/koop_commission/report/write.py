@@ -31,11 +31,7 @@ def write_report(folder: Path) -> Path:
         If it is not a folder of ``koop excite``, a file in it cannot be read, or the page cannot
         be written.
     """
-    try:
-        page = _make_page(read_contents(folder))
-    except (KeyError, IndexError, TypeError) as error:  # files of another version, or edited ones
-        raise ConfigError(f"{folder}: cannot be shown: {error!r} in one of its files") from None
-    path = folder / NAME
+    page, path = _make_page(read_contents(folder)), folder / NAME
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:

@@ -15,7 +15,6 @@ from koop_commission.rig.guarded_theta import GUARD, guard_remaps, guard_section
 from koop_commission.rig.listener import Listener
 from koop_commission.stages.session import Session, open_session, spell_time
 from koop_core.config.fields import parse_field
-from koop_tune.excitation import progress
 from koop_tune.excitation.holds import mean_level
 from koop_tune.folder import CONTROLLER, TUNED
 from koop_tune.rig.rig_file import THETA, THETA_TYPE, RigFile
@@ -40,6 +39,8 @@ class ClosedLoop:
         Folder of the excitation.
     number : int
         The round; the first is 1.
+    settling : float
+        Time that the rig needs to settle [s].
     note : Path or None
         File that notes where theta was left.
     """
@@ -48,19 +49,8 @@ class ClosedLoop:
     aim: Aim
     folder: Path
     number: int
+    settling: float
     note: Path | None
-
-    @property
-    def settling(self) -> float:
-        """Time that the rig needs to settle [s]: as its excitation showed, else its own time."""
-        state = progress.load(self.rig, self.folder)
-        return max(
-            [
-                self.aim.time,
-                self.aim.growth,
-                *(hold.settled for hold in (state.holds if state else ())),
-            ]
-        )
 
     def record(self, start: float) -> LoopRun:
         """Drive theta to a start, close the loop, and return its figures."""

@@ -12,15 +12,12 @@ from koop_commission.stages.session import refuse_small_disk, resumable, spell_t
 from koop_core.text_table import table
 from koop_guard.note import note_of
 from koop_tune.excitation import progress
-from koop_tune.folder import FIGURES, TUNED
+from koop_tune.excitation.progress import ExcitationProgress
+from koop_tune.folder import TUNED
+from koop_tune.result import tune_result
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.agreement import (
-    find_disagreements,
-    find_faults,
-    read_aim,
-    verdict,
-)
+from koop_tune.search.agreement import Aim, find_disagreements, find_faults, verdict
 from koop_tune.search.prediction import Band
 from koop_tune.search.rounds import (
     Round,
@@ -78,8 +75,8 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     koop_core.config.parameter.ConfigError
         If the folder holds no controller for this rig.
     """
-    rig = narrowed(rig, folder)
-    aim = read_aim(folder / TUNED / FIGURES, rig)
+    rig, settled = _read_excitation(rig, folder)
+    aim = tune_result.read(folder / TUNED).make_aim(rig)
     rounds = list(load_verification(folder).rounds)
     if not rounds or rounds[-1].finished or rounds[-1].prediction != aim.predicted:
         rounds.append(Round(len(rounds) + 1, aim.predicted))
@@ -87,9 +84,10 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     aim = replace(aim, longer=find_longer(rounds))
     done = [run.start for run in current.runs]
     left = [theta for theta in (rig.theta_min, rig.theta_max) if theta not in done]
-    loop = ClosedLoop(rig, aim, folder, current.number, note)
+    settling = max(aim.time, aim.growth, *settled)
+    loop = ClosedLoop(rig, aim, folder, current.number, settling, note)
     rest = 2 * aim.settings.before * aim.window
-    besides = loop.settling + rest + 1.5 * rig.span / rig.theta_rate
+    besides = settling + rest + 1.5 * rig.span / rig.theta_rate
     refuse_small_disk(rig, folder, len(left) * (besides + aim.longest))
     least, most = (
         spell_time(len(left) * (besides + closed), rig.pace)
@@ -108,14 +106,13 @@ def verify(rig: RigFile, folder: Path, note: Path | None = None) -> Verification
     faults = find_faults(aim, [run.measured for run in current.runs])
     summary = "; ".join(faults or worse) or "damped as predicted"
     current = replace(current, agrees=not worse, damped=not faults, summary=summary)
-    save_verification(Verification((*rounds, current)), folder)
-    return judge(rig, folder, len(rounds))
+    return _conclude((*rounds, current), len(rounds), aim, folder)
 
 
-def narrowed(rig: RigFile, folder: Path) -> RigFile:
-    """Return the rig file with the limits of theta that kept the constraint in the excitation."""
-    excitation = progress.load(rig, folder)
-    return rig if excitation is None else excitation.narrow(rig)
+def _read_excitation(rig: RigFile, folder: Path) -> tuple[RigFile, list[float]]:
+    """Return the rig with the limits that kept its constraint, and how long holds settled [s]."""
+    state = progress.load(rig, folder) or ExcitationProgress()
+    return state.narrow(rig), [hold.settled for hold in state.holds]
 
 
 def judge(rig: RigFile, folder: Path, index: int) -> Verification:
@@ -130,16 +127,15 @@ def judge(rig: RigFile, folder: Path, index: int) -> Verification:
     index : int
         Round in which that controller was verified; the first is 0.
     """
-    verification = load_verification(folder)
-    aim = read_aim(folder / TUNED / FIGURES, narrowed(rig, folder))
-    chosen = verification.rounds[index].runs
-    runs, starts = [run.measured for run in chosen], [run.start for run in chosen]
-    verification = replace(
-        verification,
-        damped=not find_faults(aim, runs),
-        feature=aim.name,
-        verdict=verdict(aim, runs, starts, len(verification.rounds), str(folder)),
-    )
+    aim = tune_result.read(folder / TUNED).make_aim(_read_excitation(rig, folder)[0])
+    return _conclude(load_verification(folder).rounds, index, aim, folder)
+
+
+def _conclude(rounds: tuple[Round, ...], index: int, aim: Aim, folder: Path) -> Verification:
+    runs = [run.measured for run in rounds[index].runs]
+    starts = [run.start for run in rounds[index].runs]
+    text = verdict(aim, runs, starts, len(rounds), str(folder))
+    verification = Verification(rounds, not find_faults(aim, runs), aim.name, text)
     save_verification(verification, folder)
     return verification
 

@@ -30,15 +30,9 @@ from koop_study.family.loop import (
 )
 from koop_study.family.rig import RandomRig, draw
 from koop_tune.excitation.design import FLAT, KNOWN
-from koop_tune.result import as_json
+from koop_tune.result.summary import summarise
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.agreement import (
-    Aim,
-    find_disagreements,
-    find_faults,
-    make_aim,
-    measure,
-)
+from koop_tune.search.agreement import Aim, find_disagreements, find_faults, measure
 from koop_tune.search.findings import NoOptimum
 from koop_tune.search.rounds import LoopRun, Round, find_longer, find_slowdown, kept_index
 from koop_tune.search.run import make_esc, make_lifter
@@ -128,7 +122,7 @@ def commissioned(
         passed = loaded.x.shape[1] - recorded.loaded.x.shape[1]
         loops = first.later(len(rounds), find_longer(rounds), passed) if rounds else first
         closed = loops.close(tuned_controller(tuning))
-        aim = make_aim(as_json.of_tuning(tuning, file, None), file)
+        aim = summarise(tuning, file, None).make_aim(file)
         before = [loops.rest(end, start, aim, 3 * OTHER) for end, start in enumerate(starts)]
         runs = tuple(
             LoopRun(start, measure(aim, rest, loop.x, loop.theta))

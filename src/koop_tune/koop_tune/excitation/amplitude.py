@@ -18,7 +18,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,24 +212,6 @@ class Amplitude:
             more = [f"{len(texts) - 3} more bands"] if len(texts) > 3 else []
             named.setdefault(", ".join([*texts[:3], *more]), []).append(channel_name)
         return " and ".join(f"{' and '.join(names)} at {text}" for text, names in named.items())
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it as JSON."""
-        return {
-            "length": self.windows.length,
-            "dt": self.windows.dt,
-            "weight": self.weight.tolist(),
-            "background": self.background,
-            "floor": self.floor,
-        }
-
-    @classmethod
-    def from_json(cls, values: dict[str, Any]) -> Amplitude:
-        """Return the amplitude in a JSON object."""
-        return cls(
-            Windows(values["length"], values["dt"]), np.array(values["weight"]),
-            values["background"], values["floor"],
-        )  # fmt: skip
 
 
 def choose_amplitude(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 from koop_core.config.parameter import ConfigError
-from koop_core.whole_file import write_json
+from koop_core.whole_file import read_object, write_json
 from koop_tune.excitation.amplitude import Amplitude, Windows
 from koop_tune.excitation.safe_range import SafeRange
 from koop_tune.rig.rig_file import RigFile, as_values
@@ -65,15 +64,21 @@ class ExcitationProgress:
         return rig if self.safe is None else self.safe.narrow(rig)
 
 
+class Excitation(NamedTuple):
+    """Content of the file: the rig, and what was done with it."""
+
+    rig: RigFile
+    progress: ExcitationProgress
+
+
 def save(progress: ExcitationProgress, rig: RigFile, folder: Path) -> None:
     """Write the file; as :func:`koop_core.whole_file.write_json`."""
-    amplitude = progress.amplitude
-    values = {
-        name: getattr(progress, name)
-        for name in ("windows", "holds", "elapsed", "parts", "since", "ended", "safe")
-    }
-    amplitudes = None if amplitude is None else amplitude.as_json()
-    write_json(folder / NAME, {"rig": as_values(rig), **values, "amplitude": amplitudes})
+    write_json(folder / NAME, Excitation(rig, progress))
+
+
+def read(folder: Path) -> Excitation | None:
+    """Return the rig, and what was done with it; as :func:`koop_core.whole_file.read_object`."""
+    return read_object(folder / NAME, Excitation)
 
 
 def load(rig: RigFile, folder: Path) -> ExcitationProgress | None:
@@ -84,37 +89,10 @@ def load(rig: RigFile, folder: Path) -> ExcitationProgress | None:
     koop_core.config.parameter.ConfigError
         If the file cannot be used, or is of another rig.
     """
-    path = folder / NAME
-    if not path.exists():
+    if (recorded := read(folder)) is None:
         return None
-    recorded_rig, state = read(folder)
-    refuse_other_rig(path, recorded_rig, state.narrow(rig))
-    return state
-
-
-def read(folder: Path) -> tuple[RigFile, ExcitationProgress]:
-    """Return the rig, and what was done with it.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If the file cannot be used.
-    """
-    path = folder / NAME
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        recorded_rig = RigFile(**values.pop("rig"))
-        amplitude, windows, safe = (values.pop(name) for name in ("amplitude", "windows", "safe"))
-        state = ExcitationProgress(
-            Windows(*windows) if windows else None,
-            Amplitude.from_json(amplitude) if amplitude else None,
-            [HoldSummary(*hold) for hold in values.pop("holds")],
-            safe=SafeRange(tuple(safe[0]), tuple(safe[1]), *safe[2:]) if safe else None,
-            **values,
-        )
-    except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}: choose another --out") from None
-    return recorded_rig, state
+    refuse_other_rig(folder / NAME, recorded.rig, recorded.progress.narrow(rig))
+    return recorded.progress
 
 
 def refuse_other_rig(path: Path, recorded_rig: RigFile, rig: RigFile) -> None:

@@ -14,17 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import ConfigError
-from koop_core.whole_file import read_json
 from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.excitation.holds import mean_level
-from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.surrogate import BLOCKS
 from koop_tune.search.prediction import Prediction
@@ -95,41 +90,6 @@ class Aim:
         whole, late = self.longest, self.predicted.converges.high
         least = max(self.settings.least * self.predicted.duration, 2.0 * self.growth)
         return min(self.longer * max(self.settings.twice * late, least), whole)
-
-
-def make_aim(figures: dict[str, Any], rig: RigFile) -> Aim:
-    """Return the aim in the content of a tune.json.
-
-    Raises
-    ------
-    KeyError
-        If it does not describe a controller.
-    """
-    sense, best = rig.sense, figures["best"]
-    levels = sense * np.log(figures["static_map"]["amplitude"])
-    bound = sense * best["log"] + CONVERGENCE.bound(float(levels.max()) - sense * best["log"])
-    return Aim(
-        Amplitude.from_json(figures["amplitude"]), figures["feature"], rig.scale, sense,
-        figures["theta_best"], (best["valley"][0], best["valley"][1]), best["log"], best["error"],
-        sense * bound, figures["time"], figures["growth"],
-        Prediction.from_json(figures["predicted"]),
-    )  # fmt: skip
-
-
-def read_aim(path: Path, rig: RigFile) -> Aim:
-    """Read a tune.json.
-
-    Raises
-    ------
-    koop_core.config.parameter.ConfigError
-        If there is none, or it holds no controller.
-    """
-    if not (figures := read_json(path)):
-        raise ConfigError(f"{path} is not there: koop tune first")
-    try:
-        return make_aim(figures, rig)
-    except (KeyError, TypeError):
-        raise ConfigError(f"{path}: holds no controller: koop tune first") from None
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,20 +31,6 @@ class Band:
         """Return the band of values."""
         low, middle, high = np.percentile(values, PERCENTILES, method="nearest")
         return cls(float(low), float(middle), float(high))
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, float | None]) -> Band:
-        """Return the band in a JSON object; null is infinite.
-
-        >>> Band.from_json({"low": 1.0, "middle": 2.0, "high": None}).as_json()
-        {'low': 1.0, 'middle': 2.0, 'high': None}
-        """
-        low, middle, high = (values[name] for name in ("low", "middle", "high"))
-        return cls(*(math.inf if value is None else float(value) for value in (low, middle, high)))
-
-    def as_json(self) -> dict[str, float | None]:
-        """Return it as JSON."""
-        return {name: v if math.isfinite(v) else None for name, v in asdict(self).items()}
 
     def as_text(self, unit: float = 1.0) -> str:
         """Return it in words, in units of ``1 / unit``.
@@ -86,20 +71,6 @@ class Prediction:
     reduction: Band
     duration: float
     runs: int
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Prediction:
-        """Return the prediction in a JSON object."""
-        bands = {name: Band.from_json(values[name]) for name in BANDS}
-        return cls(**bands, duration=float(values["duration"]), runs=int(values["runs"]))
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it as JSON."""
-        bands = {name: getattr(self, name).as_json() for name in BANDS}
-        return {"duration": self.duration, "runs": self.runs, **bands}
-
-
-BANDS = ("converges", "distance", "excess", "reduction")
 
 
 def predict(

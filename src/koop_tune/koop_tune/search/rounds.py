@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from koop_core.config.parameter import ConfigError
-from koop_core.whole_file import read_json, write_json
+from koop_core.whole_file import read_object, write_json
 from koop_tune.search.agreement import Measured
 from koop_tune.search.prediction import Prediction
 from koop_tune.search.settings import CONVERGENCE, VERIFICATION, VerificationSettings
@@ -41,19 +39,6 @@ class LoopRun:
     seconds: float = 0.0
     steps: tuple[int, int] = (0, 0)
 
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> LoopRun:
-        """Return the run in a JSON object."""
-        measured = Measured(**{name: values[name] for name in Measured.__dataclass_fields__})
-        first, last = values["closed"]["steps"]
-        seconds = float(values["closed"]["seconds"])
-        return cls(float(values["start"]), measured, values["bag"], seconds, (first, last))
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it as JSON."""
-        closed = {"seconds": self.seconds, "steps": list(self.steps)}
-        return {"start": self.start, "bag": self.bag, **asdict(self.measured), "closed": closed}
-
 
 @dataclass(frozen=True)
 class Round:
@@ -81,18 +66,6 @@ class Round:
     agrees: bool | None = None
     damped: bool = False
     summary: str = ""
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Round:
-        """Return the round in a JSON object."""
-        runs = tuple(map(LoopRun.from_json, values["runs"]))
-        prediction = Prediction.from_json(values["prediction"])
-        return cls(**{**values, "prediction": prediction, "runs": runs})
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it as JSON."""
-        prediction, runs = self.prediction.as_json(), [run.as_json() for run in self.runs]
-        return {**asdict(self), "prediction": prediction, "runs": runs}
 
     @property
     def finished(self) -> bool:
@@ -125,21 +98,6 @@ class Verification:
     damped: bool = False
     feature: str = ""
     verdict: str = ""
-
-    @classmethod
-    def from_json(cls, values: Mapping[str, Any]) -> Verification:
-        """Return the verification in a JSON object.
-
-        Raises
-        ------
-        KeyError, TypeError, ValueError
-            If it is not one.
-        """
-        return cls(**{**values, "rounds": tuple(map(Round.from_json, values["rounds"]))})
-
-    def as_json(self) -> dict[str, Any]:
-        """Return it as JSON."""
-        return {**asdict(self), "rounds": [item.as_json() for item in self.rounds]}
 
     @property
     def finished(self) -> tuple[Round, ...]:
@@ -195,11 +153,7 @@ def load_verification(folder: Path) -> Verification:
     koop_core.config.parameter.ConfigError
         If it cannot be used.
     """
-    values = read_json(folder / VERIFIED)
-    try:
-        return Verification.from_json(values) if values else Verification()
-    except (ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{folder / VERIFIED}: cannot be read ({error}): move it away") from None
+    return read_object(folder / VERIFIED, Verification) or Verification()
 
 
 def save_verification(verification: Verification, folder: Path) -> None:
@@ -210,4 +164,4 @@ def save_verification(verification: Verification, folder: Path) -> None:
     koop_core.errors.LiveError
         If the disk is full.
     """
-    write_json(folder / VERIFIED, verification.as_json())
+    write_json(folder / VERIFIED, verification)

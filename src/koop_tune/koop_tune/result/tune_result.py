@@ -1,0 +1,199 @@
+"""Content of ``tune.json``: the static maps, and the controller with its prediction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from koop_core.config.parameter import ConfigError
+from koop_core.whole_file import read_object
+from koop_tune.excitation.amplitude import Amplitude
+from koop_tune.excitation.static_map import Interval
+from koop_tune.folder import FIGURES
+from koop_tune.rig.rig_file import RigFile
+from koop_tune.search.agreement import Aim
+from koop_tune.search.prediction import Prediction
+from koop_tune.search.run import Constants
+from koop_tune.search.settings import CONVERGENCE
+
+
+class Points(NamedTuple):
+    """Levels over rising theta, and the standard errors of their logarithms."""
+
+    theta: list[float]
+    level: list[float]
+    error: list[float]
+
+
+class Curves(NamedTuple):
+    """A band over time: 5 %, median and 95 % of the runs."""
+
+    low: list[float]
+    middle: list[float]
+    high: list[float]
+
+
+class LoopPath(NamedTuple):
+    """Predicted runs from one end of theta's range, over time [s]."""
+
+    start: float
+    time: list[float]
+    theta: Curves
+    amplitude: Curves
+
+
+class CostResult(NamedTuple):
+    """A cost: evidence and score, if it was searched; the best theta and r of its clearest map."""
+
+    name: str
+    evidence: float
+    score: float | None
+    problem: str
+    theta_best: float | None
+    r: Points | None
+
+
+class ParameterResult(NamedTuple):
+    """A parameter that is not a default, and the reason for its value."""
+
+    name: str
+    value: Any
+    unit: str
+    reason: str
+    node: str
+
+
+@dataclass(frozen=True)
+class AmplitudeMap:
+    """The static map of the amplitude.
+
+    Attributes
+    ----------
+    feature : str
+        The amplitude in words.
+    amplitude : Amplitude
+        What is summed.
+    modes : list of str
+        Its parts, with their shares over theta, in words.
+    theta_best : float
+        The best theta.
+    best, error : float
+        Logarithm of the amplitude there, and by how much a better one may be.
+    valley : Interval
+        Thetas between which the map is within 1.5 times the best.
+    growth : float
+        Longest time that the oscillation was seen to grow [s].
+    holds, curve : Points
+        Amplitude at the holds, and the map that fits.
+    """
+
+    feature: str
+    amplitude: Amplitude
+    modes: list[str]
+    theta_best: float
+    best: float
+    error: float
+    valley: Interval
+    growth: float
+    holds: Points
+    curve: Points
+
+
+@dataclass(frozen=True)
+class ControllerResult:
+    """The controller that was chosen.
+
+    Attributes
+    ----------
+    cost, doubt : str
+        Its cost; what is not sure about the optimum, in words, empty if it is.
+    constants : Constants
+        Result of the search.
+    time : float
+        The rig's own time [s].
+    predicted : Prediction
+        Figures of the loop.
+    paths : list of LoopPath
+        Runs from the lower and the upper end of theta's range.
+    parameters : list of ParameterResult
+        The parameter file, without defaults.
+    """
+
+    cost: str
+    doubt: str
+    constants: Constants
+    time: float
+    predicted: Prediction
+    paths: list[LoopPath]
+    parameters: list[ParameterResult]
+
+
+@dataclass(frozen=True)
+class TuneResult:
+    """Result of a tuning.
+
+    Attributes
+    ----------
+    verdict, why : str
+        ``tuned``, or the kind of the refusal, and the reason; empty before a tuning.
+    found : AmplitudeMap or None
+        None if nothing reacts to theta.
+    costs : list of CostResult
+        Every candidate.
+    controller : ControllerResult or None
+        None if tuning was refused.
+    """
+
+    verdict: str = ""
+    why: str = ""
+    found: AmplitudeMap | None = None
+    costs: list[CostResult] = field(default_factory=list)
+    controller: ControllerResult | None = None
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether tuning found no optimum."""
+        return bool(self.verdict) and self.controller is None
+
+    def require_controller(self) -> tuple[AmplitudeMap, ControllerResult]:
+        """Return the static map and the controller.
+
+        Raises
+        ------
+        koop_core.config.parameter.ConfigError
+            If there is none.
+        """
+        if self.found is None or self.controller is None:
+            raise ConfigError("no controller was tuned: run 'koop tune' first")
+        return self.found, self.controller
+
+    def make_aim(self, rig: RigFile) -> Aim:
+        """Return the figures that a loop of the controller is compared with.
+
+        Raises
+        ------
+        koop_core.config.parameter.ConfigError
+            If there is no controller.
+        """
+        found, controller = self.require_controller()
+        best = rig.sense * found.best
+        worst = float((rig.sense * np.log(found.holds.level)).max())
+        return Aim(
+            found.amplitude, found.feature, rig.scale, rig.sense, found.theta_best, found.valley,
+            found.best, found.error, rig.sense * (best + CONVERGENCE.bound(worst - best)),
+            controller.time, found.growth, controller.predicted,
+        )  # fmt: skip
+
+
+def read(folder: Path) -> TuneResult:
+    """Return the result in a folder of ``koop tune``; an empty one if there is none.
+
+    Raises
+    ------
+    koop_core.config.parameter.ConfigError
+        If it cannot be read.
+    """
+    return read_object(folder / FIGURES, TuneResult) or TuneResult()
