@@ -13,7 +13,7 @@ import pytest
 
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
-from koop_hil import hosts, installed
+from koop_hil import installed
 from koop_hil.command import main
 from koop_hil.hosts import HostsError, entrance
 from koop_hil.run import run
@@ -98,7 +98,10 @@ def wait_until(condition, what):
 
 
 def test_where_two_hosts_cannot_be_made_the_scenario_is_skipped(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(hosts, "OWN", ("false",))  # every way in is refused
+    unshare = tmp_path / "unshare"
+    unshare.write_text("#!/bin/sh\nexit 1\n")  # every way in is refused
+    unshare.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     assert main(arguments("link-cut", "--out", str(tmp_path / "out"))) == 0
     printed = capsys.readouterr().out
     assert "link-cut                 skipped: two hosts on one machine need" in printed

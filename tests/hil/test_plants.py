@@ -111,7 +111,7 @@ def test_a_change_without_a_time_is_a_line():
 
 
 def test_a_scenario_with_an_aircraft_is_skipped_where_there_is_none(tmp_path, monkeypatch):
-    monkeypatch.setattr("koop_hil.run.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "jsbsim", None)
     verdict = run(read(find("rig-jsbsim")), tmp_path)
     assert verdict.skipped.startswith("JSBSim is not installed: pip install")
     assert not verdict.passed

@@ -5,7 +5,6 @@ from contextlib import ExitStack
 
 import pytest
 
-from koop_node.process import domain as domains
 from koop_node.process.domain import (
     DOMAINS,
     FIRST_PORT,
@@ -17,18 +16,16 @@ from koop_node.process.domain import (
 
 
 @pytest.mark.parametrize("port", [0, 10, 13])  # for all; one participant's own
-def test_a_domain_in_which_somebody_listens_is_not_free(port, monkeypatch):
-    taken, all_domains = free_domain(), list(DOMAINS)
+def test_a_domain_in_which_somebody_listens_is_not_free(port):
+    taken = free_domain()
     assert taken in DOMAINS
     assert only_observed(taken)
-    monkeypatch.setattr(domains, "DOMAINS", [taken])
-    assert free_domain() == taken
-    other = next(number for number in all_domains if number != taken and only_observed(number))
+    assert free_domain([taken]) == taken
+    other = next(number for number in DOMAINS if number != taken and only_observed(number))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind(("127.0.0.1", FIRST_PORT + PORTS * taken + port))
         assert not only_observed(taken)
-        monkeypatch.setattr(domains, "DOMAINS", [taken, other])
-        assert free_domain() == other
+        assert free_domain([taken, other]) == other
 
 
 def test_who_holds_a_domain_holds_it_alone():

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
-from koop_node.client import question
-from koop_node.client.question import Question
+from koop_node.client.question import ASK_AGAIN, Question
 
 
 class Server:
@@ -20,17 +19,16 @@ class Server:
         return SimpleNamespace(done=lambda: there, result=lambda: f"answer to {request}")
 
 
-def test_an_answer_that_is_lost_is_asked_for_again(monkeypatch):
+def test_an_answer_that_is_lost_is_asked_for_again():
     now = [0.0]
-    monkeypatch.setattr(question.time, "monotonic", lambda: now[0])
     server = Server(lost=2)
-    asked = Question(server, "this")
+    asked = Question(server, "this", lambda: now[0])
     assert asked.answer() is None
-    now[0] = 0.5 * question.ASK_AGAIN
+    now[0] = 0.5 * ASK_AGAIN
     assert asked.answer() is None
     assert server.calls == 1, "not yet"
-    now[0] = 1.1 * question.ASK_AGAIN
+    now[0] = 1.1 * ASK_AGAIN
     assert asked.answer() is None
-    now[0] = 2.2 * question.ASK_AGAIN
+    now[0] = 2.2 * ASK_AGAIN
     assert asked.answer() == "answer to this"
     assert server.calls == 3

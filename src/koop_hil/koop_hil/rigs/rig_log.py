@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +27,9 @@ class Log:
     deviation of each number of the true state.
     """
 
-    def __init__(self, path: str, dt: float) -> None:
+    def __init__(self, path: str, dt: float, clock: Callable[[], float] = time.time) -> None:
         self._file = Path(path).open("w", buffering=1)  # noqa: SIM115  open to the end, by lines
-        self._count = round(1.0 / dt)
+        self._count, self._clock = round(1.0 / dt), clock
         self._samples: list[tuple[float, ...]] = []
 
     def add(self, t: float, theta: float, truth: Sequence[float]) -> None:
@@ -40,7 +40,7 @@ class Log:
         samples = np.array(self._samples)
         moments = np.stack([samples.mean(axis=0), samples.std(axis=0)], axis=1).ravel()
         self._samples.clear()
-        self._file.write(f"{time.time():.3f},{t:.3f},{moments[0]:.6g}")
+        self._file.write(f"{self._clock():.3f},{t:.3f},{moments[0]:.6g}")
         self._file.write("".join(f",{value:.6g}" for value in moments[2:]) + "\n")
 
 
@@ -67,12 +67,12 @@ def during(lines: np.ndarray, folder: Path) -> np.ndarray:
     return rows
 
 
-def main() -> None:
+def main(words: Sequence[str] | None = None) -> None:
     """Print theta and true amplitude in the course of recordings, each in ten parts."""
     parser = argparse.ArgumentParser(prog="rig_log.py", description=main.__doc__)
     parser.add_argument("log", metavar="LOG.CSV")
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="with a bag")
-    args = parser.parse_args()
+    args = parser.parse_args(words)
     lines = np.loadtxt(args.log, delimiter=",", ndmin=2)
     for folder in args.folders:
         print(f"{folder}\n   until [s]         theta          true amplitude")
