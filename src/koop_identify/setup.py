@@ -19,7 +19,7 @@ setup(
         "mcap-ros2-support",
         "numpy",
     ],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["hypothesis", "pytest", "rosbags", "scipy"]},
     maintainer="koop maintainers",
     maintainer_email="maintainers@koop.invalid",
     description="Bags as arrays, and Koopman models of them. Needs no ROS.",
