@@ -1,6 +1,7 @@
 """Which findings become lines of the log."""
 
-from koop_core.stream.report import ERROR, OK, SETTLED, STALE, WARN, News, NodeFinding
+from koop_core.stream.report import ERROR, OK, STALE, WARN, News, NodeFinding
+from koop_core.stream.settings import STREAM
 
 
 def lines(levels):
@@ -18,8 +19,8 @@ def test_what_gets_worse_is_told_at_once_and_once():
 
 def test_what_may_be_so_at_every_start_is_told_when_it_has_lasted():
     news, actual = News(), NodeFinding(WARN, "nothing yet", at_once=False)
-    reported = [news.of(actual, float(t)) for t in range(int(SETTLED) + 2)]
-    assert [item is not None for item in reported] == [*[False] * int(SETTLED), True, False]
+    reported = [news.of(actual, float(t)) for t in range(int(STREAM.settled) + 2)]
+    assert [item is not None for item in reported] == [*[False] * int(STREAM.settled), True, False]
     short = News()
     assert not any(
         short.of(item, float(t)) for t, item in enumerate([actual, actual, NodeFinding(OK, "")])
@@ -27,7 +28,7 @@ def test_what_may_be_so_at_every_start_is_told_when_it_has_lasted():
 
 
 def test_a_recovery_is_told_when_it_has_lasted():
-    quiet = int(SETTLED)
+    quiet = int(STREAM.settled)
     assert lines([WARN, *[OK] * (quiet + 2)]) == [WARN, *[None] * quiet, OK, None]
 
 

@@ -4,9 +4,10 @@ import math
 
 import pytest
 
-from koop_core.stream.arrival import WINDOW, Arrival
+from koop_core.stream.arrival import Arrival
 from koop_core.stream.monitor import StreamMonitor
 from koop_core.stream.report import ERROR, OK, STALE, WARN, NodeFinding, summary
+from koop_core.stream.settings import STREAM
 
 NEXT, RESUME, RESTART, JOIN, REPEAT, LATE, TOO_OLD = Arrival
 
@@ -79,7 +80,7 @@ def test_only_step_0_is_where_a_run_begins(monitor):
 
 def test_a_bag_loop_shorter_than_the_window_is_noticed_after_the_window(monitor):
     kinds = feed(monitor, [30, *range(10, 30), *range(10, 30), *range(10, 30), *range(10, 30)])
-    assert kinds.index(JOIN, 1) == WINDOW + 1
+    assert kinds.index(JOIN, 1) == STREAM.window + 1
     assert kinds[-1] in (NEXT, LATE)
 
 

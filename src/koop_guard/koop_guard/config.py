@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 from koop_core.config.constraint import Constraint, parse_constraint
 from koop_core.config.fields import Source, parse_source
-from koop_core.config.parameter import ConfigError, NodeConfig, Settings, parameter
+from koop_core.config.parameter import ConfigError, NodeConfig, Settings, judged, parameter
 
 THETA, ASKED = "theta", "theta_asked"
-_JUDGED = "judgement"
 
 
 @dataclass(frozen=True)
@@ -185,14 +184,12 @@ class SafetySettings(Settings):
         2.0, "periods of the rate that a late message may move theta by", low=1.0,
         origin="one message that is late by a whole period loses no speed",
     )  # fmt: skip
-    silent_periods: float = parameter(
-        20.0, "periods without a message after which the rig is silent", low=2.0,
-        origin=_JUDGED,
-    )  # fmt: skip
-    silent: float = parameter(
-        1.0, "shortest time without a message after which the rig is silent", unit="s",
-        low=0.1, origin=_JUDGED,
-    )  # fmt: skip
+    silent_periods: float = judged(
+        20.0, "periods without a message after which the rig is silent", low=2.0
+    )
+    silent: float = judged(
+        1.0, "shortest time without a message after which the rig is silent", unit="s", low=0.1
+    )
     broken: float = parameter(
         3.0, "windows of a constraint without a margin after which it is broken", low=1.0,
         origin="a window forgets what was before theta moved; then the barrier takes it back",
@@ -201,41 +198,38 @@ class SafetySettings(Settings):
         2.5, "time for which a cause must be gone before a rearm", unit="s", low=0.0,
         origin="the graph is looked at once a second",
     )  # fmt: skip
-    rearm_pause: float = parameter(
+    rearm_pause: float = judged(
         10.0, "least time without a cause before an automatic rearm; it doubles with each",
-        unit="s", low=0.1, origin=_JUDGED,
+        unit="s", low=0.1
     )  # fmt: skip
     stuck_chance: float = parameter(
         1e-12, "chance of a run of equal values that counts as stuck", low=1e-300, high=1e-3,
         origin="less than one false alarm in a year at 1 kHz",
     )  # fmt: skip
-    stuck_memory: float = parameter(
-        1000.0, "samples over which the share of repeated values and the noise are known", low=10.0,
-        origin=_JUDGED,
-    )  # fmt: skip
-    stuck_at_first: float = parameter(
-        0.99, "share of repeated values before anything is known", low=0.0, high=1.0,
-        origin=_JUDGED,
-    )  # fmt: skip
+    stuck_memory: float = judged(
+        1000.0, "samples over which the share of repeated values and the noise are known", low=10.0
+    )
+    stuck_at_first: float = judged(
+        0.99, "share of repeated values before anything is known", low=0.0, high=1.0
+    )
     stuck_recent: float = parameter(
         25.0, "samples over which the recent motion of a channel is known", low=1.0,
         origin="simulated: an oscillation that dies away by 1/e in a period did not trip",
     )  # fmt: skip
-    stuck_steps: float = parameter(
-        3.0, "steps of its resolution by which a channel must have moved to be stuck now", low=1.0,
-        origin=_JUDGED,
-    )  # fmt: skip
+    stuck_steps: float = judged(
+        3.0, "steps of its resolution by which a channel must have moved to be stuck now", low=1.0
+    )
     stuck_noise: float = parameter(
         2.5, "mean third difference of a noisy channel that moves less, in steps", low=2.0,
         origin="simulated: at most 2.4 of any oscillation with noise below 0.5 steps",
     )  # fmt: skip
-    tick: float = parameter(
+    tick: float = judged(
         0.02, "time between two commands where no message asks for one", unit="s", low=1e-3,
-        high=0.1, origin=_JUDGED,
+        high=0.1
     )  # fmt: skip
-    hang: float = parameter(
+    hang: float = judged(
         30.0, "time without a message of the command that set a target after which that hangs",
-        unit="s", low=1.0, origin=_JUDGED,
+        unit="s", low=1.0
     )  # fmt: skip
     stopped: float = parameter(
         8.0, "time without a sign of life of the guard after which its twin kills it", unit="s",
@@ -249,14 +243,12 @@ class SafetySettings(Settings):
         2.0, "time after which a subscriber that is matched receives", unit="s", low=0.0,
         origin="1.4 s were seen on a busy machine",
     )  # fmt: skip
-    alarm: float = parameter(
-        60.0, "time after which a program of on_alarm that still runs is killed", unit="s", low=1.0,
-        origin=_JUDGED,
-    )  # fmt: skip
-    held: float = parameter(
-        0.5, "time for which theta_safe is repeated before its publisher ends", unit="s", low=0.0,
-        origin=_JUDGED,
-    )  # fmt: skip
+    alarm: float = judged(
+        60.0, "time after which a program of on_alarm that still runs is killed", unit="s", low=1.0
+    )
+    held: float = judged(
+        0.5, "time for which theta_safe is repeated before its publisher ends", unit="s", low=0.0
+    )
 
     def silence(self, period: float) -> float:
         """Return the time without a message after which a rig is silent [s].

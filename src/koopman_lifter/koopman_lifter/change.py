@@ -33,9 +33,8 @@ from numpy.typing import NDArray
 
 from koop_core.errors import InputError
 from koop_core.kernels import direct, njit
-from koopman_lifter.cost import BRIDGED
 from koopman_lifter.delays import dominant_period
-from koopman_lifter.settings import WATCH
+from koopman_lifter.settings import COST, WATCH
 
 SEGMENTS = 4  # of a window, two periods each: their phases are quarters of a turn
 BLACKMAN = (0.04, -0.25, 0.42, -0.25, 0.04)  # of the bins 6 to 10 of a window: the 8th is at f0
@@ -206,7 +205,7 @@ def follow(threshold: float, s: Spectrum, tally: Tally, step: int, x: NDArray[np
         if not math.isfinite(x[i]):
             return tally
     lost = step - s.cursor[3] - 1
-    if lost < 0 or lost > BRIDGED:
+    if lost < 0 or lost > COST.bridged:
         s.cursor[2] = lost = 0
         _begin_segment(s)
     for i in range(lost + 1):
@@ -245,7 +244,7 @@ def listen(ear: Listening, step: int, x: NDArray[np.float64]) -> None:
             return
     lost = step - cursor[3] - 1
     cursor[3] = step
-    if lost < 0 or lost > BRIDGED:
+    if lost < 0 or lost > COST.bridged:
         cursor[0] = cursor[2] = 0
     if cursor[0] == ear.rows.shape[0]:
         return

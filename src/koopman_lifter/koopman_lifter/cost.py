@@ -34,11 +34,10 @@ from numpy.typing import NDArray
 from koop_core.kernels import borrowed, njit
 from koop_core.stream.arrival import Arrival
 from koopman_lifter.observables import Monomials, lift_into
+from koopman_lifter.settings import COST
 
 RAW = 0
 LIFTED = 1
-BRIDGED = 2  # samples that may be lost and are interpolated
-SETTLED = 3.0  # time constants after which a filter has settled: to e^-3 = 5 %
 
 
 class Lifting(NamedTuple):
@@ -165,7 +164,7 @@ def detector_params(
     omega_h: float, omega_l: float, dt: float, y_max: float = sys.float_info.max
 ) -> DetectorParams:
     """Return the scalars for corner frequencies [rad/s], a sampling time [s] and a limit."""
-    settling = math.ceil(min(SETTLED * (1.0 / omega_h + 1.0 / omega_l) / dt, 1e15))
+    settling = math.ceil(min(COST.settled * (1.0 / omega_h + 1.0 / omega_l) / dt, 1e15))
     alpha_lp = math.exp(-omega_l * dt)
     settled = -math.expm1(-omega_l * dt * settling)
     return DetectorParams(math.exp(-omega_h * dt), alpha_lp, y_max, settling, settled)
@@ -223,7 +222,7 @@ def push(every: int, arrival: int, step: int, x: NDArray[np.float64], work: Work
         cursor[1] = 0
     newest, held = cursor[0], cursor[1]
     lost = step - cursor[2] - 1 if held > 0 else 0
-    if lost > BRIDGED:
+    if lost > COST.bridged:
         lost = held = 0
     last = newest
     for i in range(1, lost + 2):

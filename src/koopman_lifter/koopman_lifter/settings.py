@@ -1,13 +1,10 @@
-"""Settings of what is learned besides the modes: contrast and delays, and of the watch."""
+"""Settings of the cost, of what is learned besides the modes, and of the watch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
-from koop_core.config.parameter import Settings, constants, parameter
-
-judged = partial(parameter, origin="judgement")
+from koop_core.config.parameter import Settings, constants, judged, parameter
 
 
 @dataclass(frozen=True)
@@ -44,5 +41,15 @@ class WatchSettings(Settings):
     most: float = judged(0.6, "of the threshold, that one window may add", low=0.1, high=1.0)
 
 
+@dataclass(frozen=True)
+class CostSettings(Settings):
+    """When the cost is known."""
+
+    bridged: int = judged(2, "lost samples that are interpolated", low=0)
+    settled: float = parameter(
+        3.0, "time constants after which a filter has settled", low=1.0, origin="to e^-3 = 5 %"
+    )
+
+
 LEARNING = LearningSettings()
-WATCH = constants(WatchSettings())
+WATCH, COST = constants(WatchSettings()), constants(CostSettings())

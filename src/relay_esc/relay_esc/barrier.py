@@ -27,16 +27,16 @@ from relay_esc import relay
 from relay_esc.relay import RelayParams, RelayState
 from relay_esc.swing import gain
 
-judged = partial(parameter, low=0.1, origin="random rigs with a constraint, commit 17fad32")
+studied = partial(parameter, low=0.1, origin="random rigs with a constraint, commit 17fad32")
 
 
 @dataclass(frozen=True)
 class BarrierSettings(Settings):
     """How the margin that the barrier keeps is taken from the margins that are told."""
 
-    mean: float = judged(0.5, "time constant of the margin's mean", unit="dwell")
-    deviation: float = judged(8.0, "time constant of its mean absolute deviation", unit="dwell")
-    deviations: float = judged(3.0, "z, deviations below the mean that are kept inside")
+    mean: float = studied(0.5, "time constant of the margin's mean", unit="dwell")
+    deviation: float = studied(8.0, "time constant of its mean absolute deviation", unit="dwell")
+    deviations: float = studied(3.0, "z, deviations below the mean that are kept inside")
 
 
 BARRIER = constants(BarrierSettings())

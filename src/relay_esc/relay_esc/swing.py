@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from koop_core.config.parameter import Settings, constants, parameter
+from koop_core.config.parameter import Settings, constants, judged, parameter
 from koop_core.kernels import njit
 
 GOLDEN = 0.6180339887498949
@@ -47,8 +47,8 @@ class SwingSettings(Settings):
     dip_rate: float = studied(0.3, "share of a leg in the mean dip", low=0.0, high=1.0)
     stretch: float = studied(0.5, "largest share that a dwell time is longer", low=0.0)
     wide: float = studied(0.7, "factor of the step from which a leg is wide", low=0.0, high=1.0)
-    learned: int = parameter(3, "legs from which on the noise is a mean", low=1, origin="judgement")
-    noise_at_first: float = parameter(0.1, "noise before, of log r", low=0.0, origin="judgement")
+    learned: int = judged(3, "legs from which on the noise is a mean", low=1)
+    noise_at_first: float = judged(0.1, "noise before, of log r", low=0.0)
     noise_rate: float = studied(0.2, "share of a leg in the noise", low=0.0, high=1.0)
     noise_rate_away: float = studied(0.02, "the same, off the optimum", low=0.0, high=1.0)
     reference_rate: float = studied(0.5, "share of a leg in the reference", low=0.0, high=1.0)

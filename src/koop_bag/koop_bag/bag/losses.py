@@ -6,13 +6,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-ASIDE = 100
-"""Messages within which a sequence of steps that another publisher interrupted continues."""
+from koop_core.config.parameter import Settings, judged, parameter
 
-JUMP = 1_000_000
-"""Steps (83 minutes at 200 Hz) that no recording lacks between two messages: a larger step ahead
-comes from another publisher, or from a clock that gives the steps and that was set.
-"""
+
+@dataclass(frozen=True)
+class LossSettings(Settings):
+    """Which gaps of the steps are losses."""
+
+    aside: int = judged(
+        100, "messages in which a sequence that another publisher interrupted continues", low=1
+    )
+    jump: int = parameter(
+        1_000_000, "steps that no recording lacks; more: another publisher or a clock", low=1,
+        origin="83 minutes at 200 Hz",
+    )  # fmt: skip
+
+
+LOSSES = LossSettings()
 
 
 @dataclass(slots=True)
@@ -33,7 +43,7 @@ class StepReport:
         Messages with a smaller step than the one before: a restarted publisher, a second one, or
         messages out of order.
     jumps : int
-        Steps ahead by more than JUMP.
+        Steps ahead by more than LOSSES.jump.
     inactive : int
         Steps jumped over while the recorder or the publishing node was inactive: not lost.
     first, last : int
@@ -78,8 +88,8 @@ class LossCounter(StepReport):
             self._patience -= 1
             if before < self._aside <= step:  # the interrupted sequence continues
                 before, self._aside = self._aside, before
-                self._patience = ASIDE
-        if step > before + JUMP:
+                self._patience = LOSSES.aside
+        if step > before + LOSSES.jump:
             self.jumps += 1
         elif step > before:
             self.lost += step - before - 1
@@ -87,7 +97,7 @@ class LossCounter(StepReport):
             self.duplicates += 1
         else:
             self.backward += 1
-            self._aside, self._patience = before, ASIDE
+            self._aside, self._patience = before, LOSSES.aside
 
     def add_many(self, steps: ArrayLike) -> None:
         """Count a column of messages, shape (n,)."""
@@ -100,7 +110,7 @@ class LossCounter(StepReport):
             for step in k[1:].tolist():
                 self.add(step)
             return
-        near = ahead <= JUMP
+        near = ahead <= LOSSES.jump
         self.count += ahead.size
         self.lost += int(np.maximum(ahead - 1, 0)[near].sum())
         self.duplicates += int((ahead == 0).sum())

@@ -5,18 +5,31 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from koop_bringup.live.monitor import Progress
+from koop_core.config.parameter import Settings, parameter
 from koop_core.stream.report import WARN
 
-SILENT = 10.0  # [s] without a report of a node, which reports once a second
+
+@dataclass(frozen=True)
+class HealthSettings(Settings):
+    """When a running loop is healthy."""
+
+    silent: float = parameter(
+        10.0, "without a report of a node", unit="s", low=1.0, origin="it reports once a second"
+    )
+
+
+HEALTH = HealthSettings()
 
 
 def judge_health(
-    progress: Progress, nodes: Collection[str], lost: Collection[str], now: float
-) -> list[str]:
+    progress: Progress, nodes: Collection[str], lost: Collection[str], now: float,
+    settings: HealthSettings = HEALTH,
+) -> list[str]:  # fmt: skip
     """Return in words why a loop is not healthy; empty if it is.
 
     Parameters
@@ -27,10 +40,12 @@ def judge_health(
         Nodes that were started, and the ones among them that have ended.
     now : float
         Steady time [s].
+    settings : HealthSettings
+        When a node is silent.
     """
     faults = [f"{node} has ended" for node in lost]
     for node in nodes:
-        if node not in lost and now - progress.heard.get(node, -math.inf) > SILENT:
+        if node not in lost and now - progress.heard.get(node, -math.inf) > settings.silent:
             faults.append(f"{node} is silent")
     guard = progress.values.get("koop_guard", {})
     for node, text in progress.findings.items():

@@ -36,7 +36,6 @@ from koop_tune.rig_model.dwells import DWELLS, find_holds
 from koop_tune.tune_folders import list_bags, load_since
 
 ANY = replace(DWELLS, values=1)  # what an interrupted excitation holds
-REDEFINED = 0.1  # change of a log amplitude already said that is announced
 
 
 def register(commands: Any) -> None:
@@ -288,7 +287,7 @@ class Excitation:
             print(f"{said}unknown: nothing reacts yet  ({move.why})", flush=True)
             return
         *before, level = design.levels()
-        if before and abs(before[-1].mean - self._said) > REDEFINED + before[-1].error:
+        if before and abs(before[-1].mean - self._said) > DESIGN.redefined + before[-1].error:
             print(
                 f"amplitude is from here that of {amplitude.name(rig.names)}, in a new unit: the "
                 f"hold before has {math.exp(before[-1].mean):.3g}",

@@ -27,20 +27,29 @@ from koop_core.config.fields import (
     parse_source,
     read_field,
 )
-from koop_core.config.parameter import ConfigError, spec_of
+from koop_core.config.parameter import ConfigError, Settings, judged, spec_of
 from koop_node.client.alone import DISCOVERY, is_empty
 from koop_node.client.client import Client
 from koop_node.process.domain import current_domain
 from koop_tune.rig import rig_file
 from koop_tune.rig.rig_file import RigFile
 
-PATIENCE = 5.0  # [s] for a first message
-LISTEN = 2.0  # [s] for rate and range of the channels
-MARGIN = 3.0  # ranges seen, by which a channel may leave that range
-MOST_CHANNELS = 16  # fields that are proposed
 CONTROLLER_TOPICS = ("/cost", "/theta", "/ground_truth")
 SPECS = {item.name: spec_of(item) for item in fields(RigFile)}
 Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True)
+class ProposalSettings(Settings):
+    """How long messages are heard, and what is proposed of them."""
+
+    patience: float = judged(5.0, "wait for a first message", unit="s", low=0.1)
+    listen: float = judged(2.0, "for rate and range of the channels", unit="s", low=0.1)
+    margin: float = judged(3.0, "ranges seen, by which a channel may leave that range", low=0.0)
+    most: int = judged(16, "fields that are proposed", low=1)
+
+
+PROPOSAL = ProposalSettings()
 
 
 def ask_for_rig(path: Path) -> None:
@@ -123,14 +132,16 @@ class Interview:
         published = [t for t in self.topics if t.publishers and t.name not in CONTROLLER_TOPICS]
         head = "published topics" if published else "no topic is published: is the rig running?"
         topic, kind = _ask_topic("topic of the measured channels", published, head)
-        message = listen(self.client, topic, kind, (), PATIENCE, most=1).last if kind else None
+        message = (
+            listen(self.client, topic, kind, (), PROPOSAL.patience, most=1).last if kind else None
+        )
         numbers = changing = tuple(numbers_of(message)) if message is not None else ()
         if message is None:
             print(f"no message on {topic}: the fields cannot be shown")
         elif not numbers:
             raise ConfigError(f"{topic}: {kind} holds no numbers; nothing was written")
         else:
-            x = listen(self.client, topic, kind, numbers, LISTEN).samples().x
+            x = listen(self.client, topic, kind, numbers, PROPOSAL.listen).samples().x
             changing = tuple(path for k, path in enumerate(numbers) if np.ptp(x[:, k]) > 0.0)
         offered, rest = changing or numbers, len(numbers) - len(changing)
         shown = f"numbers in a message{' that change' * bool(changing)}: {_join(offered)}"
@@ -146,12 +157,12 @@ class Interview:
             return f"{topic}:{_join(source.fields)}"
 
         question = "fields of the measured channels, separated by commas"
-        proposal = _join(offered[:MOST_CHANNELS])
+        proposal = _join(offered[: PROPOSAL.most])
         measured = ask(question, proposal, parse, shown * bool(numbers))
         self.values["measured"] = measured
         if not numbers:
             return None
-        listener = listen(self.client, topic, kind, parse_source(measured).fields, LISTEN)
+        listener = listen(self.client, topic, kind, parse_source(measured).fields, PROPOSAL.listen)
         return listener.samples() if listener.count else None
 
     def _ask_command(self) -> None:
@@ -181,7 +192,7 @@ class Interview:
             least, most = np.nanmin(samples.x, axis=0), np.nanmax(samples.x, axis=0)
             ranges = zip(map(format_field, channels), least, most, strict=True)
             seen = "seen: " + ", ".join(f"{n} {a:.4g} to {b:.4g}" for n, a, b in ranges)
-            room = MARGIN * np.maximum(most - least, 1e-9)
+            room = PROPOSAL.margin * np.maximum(most - least, 1e-9)
             proposals = [" ".join(f"{v:.3g}" for v in x) for x in (least - room, most + room)]
         for name, word, proposal in zip(
             ("channel_min", "channel_max"), ("least", "largest"), proposals, strict=True

@@ -8,6 +8,7 @@ descriptors (``koop_node.node.parameters``) and the documentation all read it.
 from __future__ import annotations
 
 import difflib
+import functools
 import math
 from collections import namedtuple
 from collections.abc import Iterable, Mapping
@@ -60,6 +61,9 @@ class Spec:
 def parameter(default: Any, description: str, **options: Any) -> Any:
     """Declare one field of a configuration dataclass; the options are fields of :class:`Spec`."""
     return field(default=default, metadata={"spec": Spec(description, **options)})
+
+
+judged = functools.partial(parameter, origin="judgement")
 
 
 def spec_of(config_field: Field[Any]) -> Spec:

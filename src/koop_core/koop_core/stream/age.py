@@ -12,15 +12,14 @@ from __future__ import annotations
 
 import math
 
-PERIOD = 10.0  # [s]
-FALL = 0.1  # [s] from one period to the next: the link is draining what it kept
-GAP = 1.0  # [s] between two arrivals, from which on the periods start over
+from koop_core.stream.settings import STREAM, StreamSettings
 
 
 class AgeMeter:
     """Tells the age of the messages of one writer."""
 
-    def __init__(self) -> None:
+    def __init__(self, settings: StreamSettings = STREAM) -> None:
+        self._settings = settings
         self._best = self._low = self._low_before = math.inf
         self._end = -math.inf
         self._last = math.nan
@@ -31,15 +30,15 @@ class AgeMeter:
 
     def age(self, written: float, now: float) -> float:
         """Return a message's age [s]; it was written on its writer's clock, and arrives ``now``."""
-        delay = now - written
-        if now - self._last > GAP:
+        delay, s = now - written, self._settings
+        if now - self._last > s.gap:
             self._low = self._low_before = math.inf
-            self._end = now + PERIOD
+            self._end = now + s.period
         elif now >= self._end:
-            if self._low > self._low_before - FALL:
+            if self._low > self._low_before - s.fall:
                 self._best = min(self._low, self._low_before)
             self._low_before, self._low = self._low, math.inf
-            self._end = now + PERIOD
+            self._end = now + s.period
         self._last = now
         self._low = min(self._low, delay)
         self._best = min(self._best, delay)

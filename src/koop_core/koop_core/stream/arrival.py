@@ -9,6 +9,8 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
+from koop_core.stream.settings import STREAM
+
 
 class Arrival(IntEnum):
     """Class of a message: up to JOIN they are processed, up to REPEAT answered."""
@@ -29,16 +31,12 @@ class Arrival(IntEnum):
     """Was stale on arrival; it is as if it had never been heard."""
 
 
-SILENCE, SHORTEST = 20, 0.5  # samples; [s]
 SHORTEST_DT, LONGEST_DT = 1e-6, 1.0  # [s] sampling times of a loop
 
 
 def timeout_of(dt: float) -> float:
     """Return the age at which an input with a sampling time is stale [s]."""
-    return max(SILENCE * dt, SHORTEST)
-
-
-WINDOW = 64  # steps that a message may be overtaken by; further back is another run
+    return max(STREAM.silence * dt, STREAM.shortest)
 
 
 class Heard(NamedTuple):
@@ -62,7 +60,7 @@ def classify(heard: Heard, step: int, timeout: float, dt: float) -> tuple[Arriva
     last = heard.step
     if step == last:
         return Arrival.REPEAT, heard
-    if step < last and 0 < step >= last - WINDOW and heard.late < WINDOW:
+    if step < last and 0 < step >= last - STREAM.window and heard.late < STREAM.window:
         return Arrival.LATE, Heard(last, heard.late + 1)
     if last >= 0 and step > last:
         arrival = Arrival.RESUME if 0.0 < timeout < (step - last) * dt else Arrival.NEXT

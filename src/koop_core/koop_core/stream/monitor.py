@@ -19,8 +19,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from koop_core.stream.age import AgeMeter
-from koop_core.stream.arrival import NOTHING, WINDOW, Arrival, classify, timeout_of
+from koop_core.stream.arrival import NOTHING, Arrival, classify, timeout_of
 from koop_core.stream.report import ERROR, OK, STALE, WARN, NodeFinding
+from koop_core.stream.settings import STREAM
 
 
 class StreamMonitor:
@@ -85,7 +86,7 @@ class StreamMonitor:
         """
         last = self._stream.step
         if not math.isnan(written):
-            if step < last - WINDOW:
+            if step < last - STREAM.window:
                 self._meter.reset()
             if 0.0 < self.timeout < self._meter.age(written, now):
                 self.too_old += 1

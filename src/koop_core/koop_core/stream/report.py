@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from koop_core.stream.settings import STREAM, StreamSettings
+
 LEVELS = ("OK", "WARN", "ERROR", "STALE")  # in the order of diagnostic_msgs/DiagnosticStatus
 OK, WARN, ERROR, STALE = range(len(LEVELS))
 _URGENCY = (OK, WARN, STALE, ERROR)  # a broken input asks for more than a silent one
-
-SETTLED = 5.0  # [s] that a lower level must last before it is news
 
 
 class NodeFinding(NamedTuple):
@@ -43,7 +43,8 @@ class News:
     one when it has lasted: what comes and goes is one line, not two every second.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, settings: StreamSettings = STREAM) -> None:
+        self._settings = settings
         self._logged = OK
         self._since = math.nan  # when the level changed that was not logged yet [s]
 
@@ -54,7 +55,7 @@ class News:
             self._since = math.nan
         elif math.isnan(self._since):
             self._since = now
-        if (change > 0 and state.at_once) or now - self._since >= SETTLED:
+        if (change > 0 and state.at_once) or now - self._since >= self._settings.settled:
             self._logged, self._since = state.level, math.nan
             return state
         return None

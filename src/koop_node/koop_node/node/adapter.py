@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from koop_core.config.fields import Source, read_field
-from koop_core.stream.arrival import WINDOW
+from koop_core.stream.settings import STREAM
 
 
 class StepCounter:
@@ -31,7 +31,9 @@ class StepCounter:
             return self._step
         since = stamp - self._stamp
         periods = round(min(max(since / self._dt, -1e15), 1e15))
-        if since < 0.0 and periods >= -WINDOW:  # overtaken; the newest one stays the reference
+        if (
+            since < 0.0 and periods >= -STREAM.window
+        ):  # overtaken; the newest one stays the reference
             return max(1, self._step + min(periods, -1))
         elif since < 0.0:
             self._step = 1  # the source started again

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
-from koop_core.config.parameter import Settings, constants, parameter
-
-judged = partial(parameter, origin="judgement")
+from koop_core.config.parameter import Settings, constants, judged
 
 
 @dataclass(frozen=True)

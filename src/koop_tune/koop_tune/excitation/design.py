@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import Settings, parameter
+from koop_core.config.parameter import Settings, judged, parameter
 from koop_core.errors import InputError
 from koop_tune.excitation.amplitude import (
     AMPLITUDE,
@@ -80,14 +80,17 @@ class DesignSettings(Settings):
     longer: int = parameter(4, "windows if nothing, or something slower, reacts, in these", low=2)
     rounds: int = studied(3, "times at the first positions if nothing reacts", low=1)
     finest: float = parameter(0.004, "the same in ranges, if more", low=1e-4)
-    passed: float = parameter(
+    passed: float = judged(
         2e-3, "distance of a first position from a hold before, in ranges, at which it is left out",
-        low=0.0, origin="judgement",
+        low=0.0
     )  # fmt: skip
     same: float = studied(0.25, "distance of two holds at one place, over the valley", low=0.0)
     beside: float = studied(0.05, "distance of a hold from an end that is the best", low=0.0)
     ends: int = studied(5, "holds at an end that may be the best", low=1)
     most: int = parameter(48, "holds of an excitation", low=9)
+    redefined: float = judged(
+        0.1, "change of a reported log amplitude by a new unit that is announced", low=0.0
+    )
     overshoot: float = parameter(0.1, "way beyond, to come back from the other side", low=0.0)
     map: MapSettings = MAP
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import Settings, parameter
+from koop_core.config.parameter import Settings, judged
 from koop_tune.excitation.amplitude import Amplitude, Windows
 
 Array = NDArray[np.float64]
@@ -27,10 +27,8 @@ Array = NDArray[np.float64]
 class HoldSettings(Settings):
     """When the rig has settled: how far both halves of the windows that count may differ."""
 
-    errors: float = parameter(2.5, "standard errors of the level", low=0.0, origin="judgement")
-    slight: float = parameter(
-        0.01, "change of a log amplitude, if more", low=0.0, origin="judgement"
-    )
+    errors: float = judged(2.5, "standard errors of the level", low=0.0)
+    slight: float = judged(0.01, "change of a log amplitude, if more", low=0.0)
 
 
 HOLDS = HoldSettings()

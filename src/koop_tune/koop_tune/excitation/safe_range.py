@@ -13,30 +13,27 @@ al., Safe exploration for optimization with Gaussian processes, ICML 2015).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from koop_core.config.parameter import Settings, parameter
+from koop_core.config.parameter import Settings, judged, parameter
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig.scale import Scale
-
-_JUDGED = "judgement"
 
 
 @dataclass(frozen=True)
 class SafeRangeSettings(Settings):
     """How far theta goes at a time, and when the bound is near enough."""
 
-    first: float = parameter(0.05, "first step, in ranges", low=1e-3, high=1.0, origin=_JUDGED)
-    most: float = parameter(0.15, "largest step, in ranges", low=1e-3, high=1.0, origin=_JUDGED)
+    first: float = judged(0.05, "first step, in ranges", low=1e-3, high=1.0)
+    most: float = judged(0.15, "largest step, in ranges", low=1e-3, high=1.0)
     share: float = parameter(
         0.5, "step over the way to the bound, as it is predicted", low=0.05, high=0.9,
         origin="a margin that falls twice as fast as before is not used up",
     )  # fmt: skip
-    finest: float = parameter(0.005, "least step, in ranges", low=1e-4, high=0.1, origin=_JUDGED)
+    finest: float = judged(0.005, "least step, in ranges", low=1e-4, high=0.1)
     enough: float = parameter(
         0.03, "margin that is little", low=0.0, high=0.5,
         origin="the amplitude at the bound is then known within a few per cent",
@@ -44,16 +41,16 @@ class SafeRangeSettings(Settings):
     windows: int = parameter(
         3, "windows of the statistic that theta is held", low=2, origin="one forgets the way there"
     )
-    longest: int = parameter(
-        12, "windows that theta is held at most, while the margin changes", low=3, origin=_JUDGED
+    longest: int = judged(12, "windows that theta is held at most, while the margin changes", low=3)
+    settled: float = judged(
+        0.01, "change of the margin from window to window that is none", low=0.0
     )
-    settled: float = parameter(
-        0.01, "change of the margin from window to window that is none", low=0.0, origin=_JUDGED
+    slight: float = judged(
+        0.02, "statistic over its bound, below which its growth says nothing", low=1e-6, high=1.0
     )
 
 
 SAFE_RANGE = SafeRangeSettings()
-SLIGHT = 0.02  # statistic over its bound, below which how it grows says nothing
 
 
 class SafeRange(NamedTuple):
@@ -162,20 +159,11 @@ class SafeRangeSearch:
         if margin < s.enough or way < (s.finest if broken else 1e-9):
             return None
         step = min(s.most, 2.0 * abs(kept[-1] - kept[-2])) if len(kept) > 1 else s.first
-        for measure in (_linear, _logarithmic):
-            left = [measure(self._margins[v]) for v in kept]
+        margins = np.array([self._margins[v] for v in kept])
+        for left in (margins, -np.log(np.maximum(1.0 - margins, s.slight))):
             falls = (-np.diff(left) / np.abs(np.diff(kept)))[-2:]
             if (steepest := float(max([0.0, *falls]))) > 0.0:
                 step = min(step, s.share * left[-1] / steepest)
         if step < s.finest:
             return None
         return last + side * min(step, way)
-
-
-def _linear(margin: float) -> float:
-    return margin
-
-
-def _logarithmic(margin: float) -> float:
-    """Return minus the logarithm of the statistic over its bound."""
-    return -math.log(max(1.0 - margin, SLIGHT))

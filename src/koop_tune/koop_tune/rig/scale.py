@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.config.parameter import parameter
+from koop_core.config.parameter import judged
 
 
 @dataclass(frozen=True)
@@ -17,10 +17,9 @@ class Scale:
 
     low: float
     high: float
-    apart: float = parameter(
-        20.0, "ratio of the limits from which on positions are on a scale of log theta", low=1.0,
-        origin="judgement",
-    )  # fmt: skip
+    apart: float = judged(
+        20.0, "ratio of the limits from which on positions are on a scale of log theta", low=1.0
+    )
 
     @property
     def logarithmic(self) -> bool:

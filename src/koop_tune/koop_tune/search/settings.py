@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from koop_core.config.parameter import Settings, parameter
+from koop_core.config.parameter import Settings, judged, parameter
 from koop_tune.origin import jsbsim, studied
 
 
@@ -108,12 +108,8 @@ class VerificationSettings(Settings):
     least: float = studied(0.25, "time that a loop is closed, over the prediction's", low=0.0)
     twice: float = studied(2.0, "the same over the time to converge, if more", low=1.0)
     most_slower: float = studied(4.0, "slowdown that one round may show", low=1.0)
-    before: int = parameter(
-        8, "windows at rest before the loop is closed, and after it", low=1, origin="judgement"
-    )
-    longer: float = parameter(
-        2.0, "factor by which a loop that may yet agree is prolonged", low=1.1, origin="judgement"
-    )
+    before: int = judged(8, "windows at rest before the loop is closed, and after it", low=1)
+    longer: float = judged(2.0, "factor by which a loop that may yet agree is prolonged", low=1.1)
     unknown: float = parameter(
         3.0, "error of a log amplitude of which too few windows tell one", low=0.0,
         origin="a factor of 20 either way: next to nothing is known",
