@@ -34,18 +34,18 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 @pytest.fixture(scope="session")
-def guest() -> None:
+def hears_by_udp() -> None:
     """Let this process hear by UDP, whichever test is its first one: Fast DDS reads that once.
 
     A node that a test stops may hold the lock of a mailbox in shared memory; all who send to it
     then wait for seconds.
     """
-    with hold_domain() as domain, Client("guest", domain):
+    with hold_domain() as domain, Client("client", domain):
         pass
 
 
 @pytest.fixture(scope="module")
-def module_domain(guest: None) -> Iterator[str]:
+def module_domain(hears_by_udp: None) -> Iterator[str]:
     """Give the tests of a module one domain, for nodes that several of them use."""
     with hold_domain() as domain, pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(domain))
@@ -53,7 +53,7 @@ def module_domain(guest: None) -> Iterator[str]:
 
 
 @pytest.fixture
-def own_domain(guest: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def own_domain(hears_by_udp: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Give a test a domain, for nodes that only it uses."""
     with hold_domain() as domain:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))

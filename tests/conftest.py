@@ -31,7 +31,7 @@ class Probe:
         from koop_node.node.entities import WithoutEvents
         from koop_node.node.main import set_dds_profile
 
-        set_dds_profile(guest=True)  # else what is lost on the way is sent again seconds later
+        set_dds_profile(udp=True)  # else what is lost on the way is sent again seconds later
         self.context = rclpy.Context()
         self.context.init(args=[])
         self.node = WithoutEvents("probe", context=self.context)

@@ -67,8 +67,10 @@ def test_a_rig_that_fails_has_its_theta_taken_home(fast_rig, tmp_path, fault, re
     told = []
     nodes = LiveNodes(tmp_path, Plan({GUARD: guard_section(SLOW, None)}, rig=True))
     with Client("koop_test") as client, nodes:
-        client.node.create_subscription(Float64, SLOW.knob.topic, told.append, 1000)
-        listener = Listener(client, SLOW.state.topic, TYPES[0], SLOW.state.fields)
+        client.node.create_subscription(Float64, SLOW.command_source.topic, told.append, 1000)
+        listener = Listener(
+            client, SLOW.measured_source.topic, TYPES[0], SLOW.measured_source.fields
+        )
         session = Session(SLOW, client, listener, TYPES[1], nodes)
         with session.command_theta():
             session.theta.go(-1.0)
@@ -97,7 +99,7 @@ def test_theta_goes_home_if_the_guard_itself_is_killed(fast_rig, koop, nodes_of,
     )
     assert_walked(fast_rig.moved, SLOW)
     # the next command goes on from there, but not if the rig was started again
-    note, topic = note_of(tmp_path / "rig.yaml"), SLOW.state.topic
+    note, topic = note_of(tmp_path / "rig.yaml"), SLOW.measured_source.topic
     with Client("looks") as client:
         wait(lambda: client.spin(0.1) or identify_publishers(client, topic), "the rig")
         first = identify_publishers(client, topic)

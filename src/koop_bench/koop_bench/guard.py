@@ -71,7 +71,7 @@ def measure(folder: Path, duration: float, priority: int) -> list[float]:
     def on_command(command: Any) -> None:
         heard.setdefault(command.step, time.monotonic())
 
-    with Client("bench_rig", guest=False) as client:
+    with Client("bench_rig", udp=False) as client:
         node = client.node
         states = node.create_publisher(MeasuredState, "/rig/state", 1000)
         answers = node.create_publisher(ControlInput, "/theta", 10)

@@ -32,7 +32,7 @@ class RigMetrics:
         Time that counts as after, and as the end for theta [s]: the last 30 %.
     before, after : tuple of float
         Amplitude of each channel (``koop_loop.oscillation``): the root mean square over the
-        windows; where none is whole, over the longest pieces without a gap; NaN where the data
+        windows; where none is whole, over the longest segments without a gap; NaN where the data
         have none of 8 samples.
     theta_mean, theta_swing : float or None
         Mean and range of theta at the end; None without theta.
@@ -172,7 +172,7 @@ def _amplitudes(
 ) -> tuple[float, ...]:
     rows = np.flatnonzero((t > begin - 0.5 * dt) & (t < end - 0.5 * dt))
     parts = np.split(rows, np.flatnonzero(np.diff(t[rows]) > 1.5 * dt) + 1)
-    length = min(length, max(part.size for part in parts))  # where no piece is that long
+    length = min(length, max(part.size for part in parts))  # where no segment is that long
     if length < METRICS.shortest:
         return (float("nan"),) * x.shape[1]
     windows = [part[: part.size // length * length].reshape(-1, length) for part in parts]

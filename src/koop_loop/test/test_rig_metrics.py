@@ -90,7 +90,7 @@ def test_no_window_spans_a_pause_or_a_hole():
     assert metrics.after == pytest.approx((1.0, 2.0), rel=0.02)
 
 
-def test_where_no_window_is_whole_the_longest_piece_counts():
+def test_where_no_window_is_whole_the_longest_segment_counts():
     x = damped(before=1.0, after=1.0)
     kept = np.arange(T.size) % 300 < 290  # no 3 s without a gap
     metrics = rig_metrics(T[kept], x[kept], None)

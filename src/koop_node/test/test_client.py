@@ -1,4 +1,4 @@
-"""A guest in a ROS domain."""
+"""A client in a ROS domain."""
 
 import os
 import signal
@@ -28,7 +28,7 @@ def test_ctrl_c_within_a_callback_comes_after_it_and_without_a_trace(number, cap
         done.append(number)
 
     try:
-        with Client("guest") as client:
+        with Client("client") as client:
             client.node.create_timer(0.01, callback)
             with pytest.raises(KeyboardInterrupt):
                 client.wait_for(lambda: False, 10.0, "Ctrl-C")
@@ -45,7 +45,7 @@ def test_a_signal_that_was_ignored_stays_so_and_a_later_handler_is_kept():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     came = []
     try:
-        with Client("guest") as client:
+        with Client("client") as client:
             os.kill(os.getpid(), signal.SIGHUP)
             client.spin(0.0)
             signal.signal(signal.SIGHUP, lambda number, frame: came.append(number))
@@ -86,7 +86,7 @@ def spinning(kind, name):
 
 
 def test_a_transition_that_takes_long_is_asked_for_once_and_an_impossible_one_is_told(capfd):
-    with spinning(Slow, "slow"), Client("guest") as client:
+    with spinning(Slow, "slow"), Client("client") as client:
         client.change_state("/slow", "configure", 10.0)
         client.change_state("/slow", "activate")
         assert capfd.readouterr().err == ""  # where a second request would be refused

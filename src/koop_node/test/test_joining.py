@@ -25,7 +25,7 @@ from koop_node.process import joining
 joining.FILLING = 0.2
 if sys.argv[2:]:  # the mailbox is left only after this process has looked
     joining.remove_unfilled, joining.JOINING = lambda: None, 1.0
-with Client("late", int(sys.argv[1]), guest=False):
+with Client("late", int(sys.argv[1]), udp=False):
     print("joined")
 """
 LIVE = [
@@ -33,7 +33,7 @@ LIVE = [
     "-c",
     """
 from koop_node.client.client import Client
-client = Client("other", guest=False)
+client = Client("other", udp=False)
 print("joined", flush=True)
 client.spin_until(lambda: False, 60.0)
 """,
@@ -90,7 +90,7 @@ def test_who_hangs_on_a_mailbox_ends_although_python_is_locked():
 
 @pytest.mark.ros
 def test_what_a_killed_process_had_sent_is_removed_and_what_a_living_one_has_is_not(own_domain):
-    with Client("living", guest=False), subprocess.Popen(LIVE, stdout=subprocess.PIPE) as killed:
+    with Client("living", udp=False), subprocess.Popen(LIVE, stdout=subprocess.PIPE) as killed:
         assert killed.stdout.readline() == b"joined\n"
         segments = {pid: sent_by(pid) for pid in (os.getpid(), killed.pid)}
         killed.kill()

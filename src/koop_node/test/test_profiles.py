@@ -12,43 +12,43 @@ from koop_node.node.main import PROFILE, TRANSPORTS, set_dds_profile
 OWN = Path(str(files("koop_node")))
 
 
-def test_a_guests_profile_differs_from_the_nodes_in_how_it_is_sent_to_only():
-    nodes, guests = (ET.parse(OWN / name) for name in ("fastdds.xml", "fastdds_guest.xml"))
-    participant = next(item for item in guests.iter() if item.tag.endswith("}rtps"))
+def test_the_profile_by_udp_differs_from_the_nodes_in_how_it_is_sent_to_only():
+    nodes, by_udp = (ET.parse(OWN / name) for name in ("fastdds.xml", "fastdds_udp.xml"))
+    participant = next(item for item in by_udp.iter() if item.tag.endswith("}rtps"))
     (address,) = [item for item in participant if item.tag.endswith("}defaultUnicastLocatorList")]
     assert [item.tag.rpartition("}")[2] for item in address.iter()][1:] == ["locator", "udpv4"]
     participant.remove(address)
-    texts = [ET.tostring(item.getroot(), encoding="unicode") for item in (nodes, guests)]
+    texts = [ET.tostring(item.getroot(), encoding="unicode") for item in (nodes, by_udp)]
     plain = [ET.canonicalize(text, strip_text=True) for text in texts]
     assert plain[0] == plain[1]
 
 
 @pytest.mark.parametrize(
-    ("options", "guest", "expected"),
+    ("options", "udp", "expected"),
     [
         (None, False, OWN / "fastdds.xml"),
-        (None, True, OWN / "fastdds_guest.xml"),
-        (OWN / "fastdds.xml", True, OWN / "fastdds_guest.xml"),  # of the command that started it
-        (OWN / "fastdds_guest.xml", False, OWN / "fastdds.xml"),
+        (None, True, OWN / "fastdds_udp.xml"),
+        (OWN / "fastdds.xml", True, OWN / "fastdds_udp.xml"),  # of the command that started it
+        (OWN / "fastdds_udp.xml", False, OWN / "fastdds.xml"),
         ("/etc/rig/dds.xml", True, "/etc/rig/dds.xml"),
         ("", False, ""),
     ],
 )
 def test_a_profile_of_the_users_stays_and_one_of_a_parent_does_not(
-    monkeypatch, options, guest, expected
+    monkeypatch, options, udp, expected
 ):
     monkeypatch.delenv(PROFILE, raising=False)
     monkeypatch.delenv(TRANSPORTS, raising=False)
     if options is not None:
         monkeypatch.setenv(PROFILE, str(options))
-    set_dds_profile(guest)
+    set_dds_profile(udp)
     assert os.environ[PROFILE] == str(expected)
     monkeypatch.setenv(PROFILE, os.environ[PROFILE])  # to be undone
 
 
 @pytest.mark.parametrize(
     ("transports", "expected"),
-    [("UDPv4", OWN / "fastdds_guest.xml"), ("SHM", OWN / "fastdds.xml"), ("", OWN / "fastdds.xml")],
+    [("UDPv4", OWN / "fastdds_udp.xml"), ("SHM", OWN / "fastdds.xml"), ("", OWN / "fastdds.xml")],
 )
 def test_who_asks_fast_dds_for_udp_is_sent_to_by_udp(monkeypatch, transports, expected):
     monkeypatch.setenv(PROFILE, str(OWN / "fastdds.xml"))

@@ -141,7 +141,10 @@ def list_bags(folder: Path, rig: RigFile, state: ExcitationProgress) -> list[Pat
         if bag.is_dir():
             with BagReader(bag) as reader:
                 topics = {topic.name for topic in reader.topics if topic.count}
-            if topics & {STATE, rig.state.topic} and topics & {THETA, rig.knob.topic}:
+            if topics & {STATE, rig.measured_source.topic} and topics & {
+                THETA,
+                rig.command_source.topic,
+            }:
                 bags.append(bag)
     return bags
 

@@ -87,4 +87,4 @@ def test_a_number_is_one_in_any_spelling(tmp_path):
 def test_a_topic_is_the_same_with_and_without_a_slash(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text(written(RIG).replace("measured: /tower", "measured: tower"))
-    assert read(path).state == RIG.state
+    assert read(path).measured_source == RIG.measured_source

@@ -1,4 +1,4 @@
-"""Rigs that a recording may be of: pieces, blocks and draws."""
+"""Rigs that a recording may be of: segments, blocks and draws."""
 
 import math
 from dataclasses import replace
@@ -13,7 +13,7 @@ from koop_tune.rig.rig_file import RigFile
 from koop_tune.rig_model.dwells import Rest
 from koop_tune.rig_model.surrogate import Times
 from koop_tune.search.settings import TuningSettings
-from koop_tune.search.task import Recorded, block_rms, cut_pieces, draw_surrogates, make_task
+from koop_tune.search.task import Recorded, block_rms, cut_segments, draw_surrogates, make_task
 
 RIG = RigFile("/a:x", "/b:z", DT, 0.0, 1.0, 0.5, 0.5, 0.5)
 TIMES = Times(math.log(2.0), 0.0, 0.0, 0.0)
@@ -28,7 +28,7 @@ def test_pieces_are_the_settled_part_of_each_rest_by_theta_without_their_mean():
     values[250] = math.nan
     rests = [Rest(1, 0, 100, 2), Rest(0, 200, 300, 0), Rest(1, 300, 400, 1)]
     dwells = make_dwells(rests, [], 20, count=3)
-    parts, first = cut_pieces(values, dwells)
+    parts, first = cut_segments(values, dwells)
     assert [part.size for part in parts] == [99, 60, 80]  # without the one that is unusable
     assert first.tolist() == [0, 1, 3, 3]  # the last value has none
     for part, begin in zip(parts, (200, 40, 320), strict=True):

@@ -47,7 +47,7 @@ def run(config: ViewConfig) -> int:
         Exit code: 0 after a clean end, 2 if the server could not start.
     """
     end_with_parent()
-    set_dds_profile(guest=True)
+    set_dds_profile(udp=True)
     os.nice(NICE)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node, executor = ViewNode(), EventsExecutor()

@@ -98,18 +98,18 @@ def _by_theta(
     halves = [(members[::2], members[1::2]) for members in inside]
     total = np.log(_relative(covariances, covariances).sum(axis=1))
     # which bins oscillate: what comes and goes with time is alike in all of them
-    strength = np.array([total[members].mean() for members in inside])
+    energy = np.array([total[members].mean() for members in inside])
 
-    def worth(i: int, j: int, half: int) -> float:
+    def separation(i: int, j: int, half: int) -> float:
         """F of the direction that two bins of one half propose, on the other half."""
         w = _extremes(covariances[halves[i][half]], covariances[halves[j][half]])[:, -1]
         judged = [members[1 - half] for members in halves]
         return _f_ratio([_log_energy(covariances[members], w) for members in judged])
 
     pairs = [
-        (i, j) for i in range(len(inside)) for j in range(len(inside)) if strength[i] > strength[j]
+        (i, j) for i in range(len(inside)) for j in range(len(inside)) if energy[i] > energy[j]
     ]
-    i, j = max(pairs, key=lambda pair: sum(worth(pair[0], pair[1], half) for half in (0, 1)))
+    i, j = max(pairs, key=lambda pair: sum(separation(pair[0], pair[1], half) for half in (0, 1)))
     return _extremes(covariances[inside[i]], covariances[inside[j]])[:, -1], inside[j]
 
 

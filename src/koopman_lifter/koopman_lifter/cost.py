@@ -15,7 +15,7 @@ has had, with the filter's own weights: y_lp / (1 - a_lp^n).
 Where the model's state is the last samples of the measurement, a delay line holds them. It is reset
 at a start, a join, a silence; until it is full there is no cost (``settling``). One or two lost
 samples are interpolated; after more it is reset: a filter over the delays may cancel signals a
-thousand times its own output, and what is not of one piece comes out as a spike.
+thousand times its own output, and what is not of one segment comes out as a spike.
 
 Functions that take arrays are inlined before compilation: each call would count references to them,
 which costs as much as the arithmetic. So are those that every sample passes: the whole loop is 8 %

@@ -104,17 +104,17 @@ def spacing_for(period: float, count: int) -> float:
     return LEARNING.span * period / max(count - 1, 1)
 
 
-def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
+def dominant_period(segments: Sequence[NDArray[np.float64]], dt: float) -> float:
     """Return the period [s] of the oscillation whose power varies most.
 
     Where the power of the channels, in units of their variance, varies most from window to window
     (from the 10 to the 90 % quantile): an interference that is always there does not vary, however
-    strong it is. Windows are a twentieth of the data, or as long as the pieces of half of it if
+    strong it is. Windows are a twentieth of the data, or as long as the segments of half of it if
     these are shorter; a period of which not two fit into a window is not found.
 
     Parameters
     ----------
-    pieces : sequence of ndarray, each of shape (channels, M)
+    segments : sequence of ndarray, each of shape (channels, M)
         Consecutive samples.
     dt : float
         Sampling time [s].
@@ -124,10 +124,10 @@ def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
     koop_core.errors.InputError
         If there are too few samples, or no channel moves.
     """
-    sizes = np.sort([piece.shape[1] for piece in pieces])[::-1]
+    sizes = np.sort([segment.shape[1] for segment in segments])[::-1]
     half = sizes[np.searchsorted(np.cumsum(sizes), 0.5 * sizes.sum())] if sizes.size else 0
     length = int(min(half, sizes.sum() // 20))
-    deviation = np.hstack(list(pieces)).std(axis=1) if pieces else np.zeros(1)
+    deviation = np.hstack(list(segments)).std(axis=1) if segments else np.zeros(1)
     if length < 32 or not (deviation > 0.0).any():
         raise InputError(
             f"{sizes.sum():.0f} samples are too few, or do not move: no period is found to choose "
@@ -137,9 +137,9 @@ def dominant_period(pieces: Sequence[NDArray[np.float64]], dt: float) -> float:
     t = np.arange(length) - 0.5 * (length - 1)
     hann = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
     powers = []
-    for piece in pieces:
-        count = piece.shape[1] // length
-        cut = piece[moving, : count * length] / deviation[moving, None]
+    for segment in segments:
+        count = segment.shape[1] // length
+        cut = segment[moving, : count * length] / deviation[moving, None]
         windows = cut.reshape(len(cut), count, length)
         line = (windows @ t / (t @ t))[..., None] * t + windows.mean(axis=2, keepdims=True)
         powers.append((np.abs(np.fft.rfft((windows - line) * hann)) ** 2).sum(axis=0).T)

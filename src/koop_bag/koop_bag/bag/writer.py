@@ -116,7 +116,7 @@ class BagWriter:
         self._notes: dict[str, dict[str, str]] = {}
         self._files: list[FileRecord] = []
         self._opened = 0
-        self._alarm_goes_on = False
+        self._is_alarm_file = False
         self._alarms: list[FileRecord] = []
         self._dropped: list[Path] = []
         self.alarms_full = False
@@ -224,7 +224,7 @@ class BagWriter:
         """
         for record in self._files[-2:]:
             record.of_alarm = True
-        self._alarm_goes_on = True
+        self._is_alarm_file = True
 
     def make_room(self, free: int) -> None:
         """Drop the oldest files of a ring while its disk is nearly full.
@@ -286,8 +286,8 @@ class BagWriter:
     def _open_file(self) -> McapFileWriter:
         file = McapFileWriter(self.folder / f"{self.folder.name}_{self._opened}.mcap")
         self._opened += 1
-        self._files.append(FileRecord(file.path.name, of_alarm=self._alarm_goes_on))
-        self._alarm_goes_on = False
+        self._files.append(FileRecord(file.path.name, of_alarm=self._is_alarm_file))
+        self._is_alarm_file = False
         for schema, channel in self._channels:
             file.add_channel(schema, channel)
         for name, values in self._notes.items():

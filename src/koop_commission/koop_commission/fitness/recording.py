@@ -25,13 +25,15 @@ def check_recording(
     bag = bag / "bag" if (bag / "bag").is_dir() else bag
     with BagReader(bag) as reader:
         topics = {topic.name for topic in reader.topics if topic.count}
-        if rig.state.topic not in topics:
+        if rig.measured_source.topic not in topics:
             others = ", ".join(sorted(topics)) or "none"
-            text = f"holds no message of {rig.state.topic}; topics with messages: {others}"
+            text = (
+                f"holds no message of {rig.measured_source.topic}; topics with messages: {others}"
+            )
             yield Finding(BAD, "bag", text)
             return
-        stamped = set(list_fields(reader, rig.state.topic)) & {"header.stamp", "step"}
-        columns = read_columns(reader, rig.state.topic, [*rig.names, *stamped, LOG_TIME])
+        stamped = set(list_fields(reader, rig.measured_source.topic)) & {"header.stamp", "step"}
+        columns = read_columns(reader, rig.measured_source.topic, [*rig.names, *stamped, LOG_TIME])
     n = columns[LOG_TIME].size
     samples = Samples(
         columns[LOG_TIME].astype(np.float64) * 1e-9,

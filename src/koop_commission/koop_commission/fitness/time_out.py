@@ -49,9 +49,9 @@ def tell_apart(
     within = 0.5 * (far.var(axis=0, ddof=1) + safe.var(axis=0, ddof=1)) / spread**2
     change = (safe.mean(axis=0) - far.mean(axis=0)) / spread
     weights = change / (within + settings.lucky) / spread
-    beyond, home = far @ weights, safe @ weights
-    noise = np.sqrt(0.5 * (beyond.var(ddof=1) + home.var(ddof=1)))
-    mean_far, mean_safe = float(beyond.mean()), float(home.mean())
+    at_far, at_safe = far @ weights, safe @ weights
+    noise = np.sqrt(0.5 * (at_far.var(ddof=1) + at_safe.var(ddof=1)))
+    mean_far, mean_safe = float(at_far.mean()), float(at_safe.mean())
     return Telling(weights, mean_far, mean_safe, abs(mean_safe - mean_far) / max(noise, 1e-12))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.errors import InputError
-from koop_identify.recording.loaded import pieces
+from koop_identify.recording.loaded import list_segments
 from koop_identify.recording.signals import loop_signals
 from koop_loop.thinning import thin
 from koop_tune.excitation.amplitude import Amplitude
@@ -61,8 +61,8 @@ def read_run(bag: Path, amplitude: Amplitude, steps: Sequence[int]) -> RunCurves
         raise InputError(f"{bag}: holds no theta")
     t = signals.t - signals.t[controlled][0]
     (length, dt), middles, amplitudes = amplitude.windows, [], []
-    for piece in pieces(signals.begins):
-        for first in range(piece.start, piece.stop - length + 1, length):
+    for segment in list_segments(signals.begins):
+        for first in range(segment.start, segment.stop - length + 1, length):
             window = slice(first, first + length)
             x = signals.x[window]
             if closed[window].all() and np.isfinite(x).any(axis=0).all():

@@ -67,19 +67,19 @@ def identify_publishers(client: Client, topic: str) -> set[str]:
 
 def describe_other_commanders(client: Client, rig: RigFile) -> str:
     """Return in words that others command the rig; empty: none does."""
-    if names := sorted(set(find_nodes(client, rig.knob.topic)[0])):
-        return f"{rig.knob.topic} is commanded by {', '.join(names)}: stop that"
+    if names := sorted(set(find_nodes(client, rig.command_source.topic)[0])):
+        return f"{rig.command_source.topic} is commanded by {', '.join(names)}: stop that"
     return ""
 
 
 def describe_second_rig(client: Client, rig: RigFile) -> str:
     """Return in words that the measured topic has more than one publisher; empty: it has not."""
-    names = find_nodes(client, rig.state.topic)[0]
+    names = find_nodes(client, rig.measured_source.topic)[0]
     if len(names) < 2:
         return ""
     return (
-        f"{rig.state.topic} is published by {' and '.join(names)}: stop all but the rig (a killed "
-        f"program is listed for {LEASE:g} s)"
+        f"{rig.measured_source.topic} is published by {' and '.join(names)}: stop all but the rig "
+        f"(a killed program is listed for {LEASE:g} s)"
     )
 
 
@@ -97,8 +97,8 @@ def find_types(client: Client, rig: RigFile) -> tuple[str, str]:
     from koop_node.node.managed import message_type
 
     sides = [
-        ("measured", "publisher", rig.state, publishers_of),
-        ("command", "subscriber", rig.knob, subscribers_of),
+        ("measured", "publisher", rig.measured_source, publishers_of),
+        ("command", "subscriber", rig.command_source, subscribers_of),
     ]
     if rig.bounded is not None:
         sides.append(("constraint", "publisher", rig.bounded.source, publishers_of))
@@ -123,7 +123,7 @@ def find_types(client: Client, rig: RigFile) -> tuple[str, str]:
             raise type(error)(f"{key}: {error}") from None
         types.append(kind)
     measured, command, *_ = types
-    if rig.state.topic == STATE and measured != STATE_TYPE:
+    if rig.measured_source.topic == STATE and measured != STATE_TYPE:
         raise LiveError(
             f"measured: {STATE} is {measured}, for the lifter it is {STATE_TYPE}: let the rig "
             "publish on another topic"

@@ -67,7 +67,11 @@ class GuardedTheta:
         self._publisher = node.create_publisher(Float64, f"/{GUARD}/target", KEPT)
         node.create_subscription(GuardState, f"/{GUARD}/state", self._on_state, KEPT)
         node.create_subscription(
-            self._kind, rig.knob.topic, self._on_command, qos_profile_sensor_data, raw=True
+            self._kind,
+            rig.command_source.topic,
+            self._on_command,
+            qos_profile_sensor_data,
+            raw=True,
         )
 
     @property
@@ -77,7 +81,9 @@ class GuardedTheta:
 
         if not self._command:
             return self._before
-        return read_field(self._rig.knob.fields[0], deserialize_message(self._command, self._kind))
+        return read_field(
+            self._rig.command_source.fields[0], deserialize_message(self._command, self._kind)
+        )
 
     @property
     def arrived(self) -> bool:

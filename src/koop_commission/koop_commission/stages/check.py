@@ -125,7 +125,7 @@ def check_rig(
     ask : callable
         Asks whether to do what may harm, and returns the answer.
     """
-    state, command = rig.state.topic, rig.knob.topic
+    state, command = rig.measured_source.topic, rig.command_source.topic
     with Client("_koop_check") as client:
         try:
             state_type, command_type = find_types(client, rig)
@@ -133,7 +133,7 @@ def check_rig(
             yield Finding(BAD, "graph", f"{error} (ROS domain {current_domain()})")
             return
         yield Finding(OK, "graph", f"{state} has a publisher, {command} has a subscriber")
-        listener = Listener(client, state, state_type, rig.state.fields)
+        listener = Listener(client, state, state_type, rig.measured_source.fields)
         samples = _listen(listener, rig, settings)
         if text := describe_second_rig(client, rig):
             yield Finding(BAD, "arrival", text)

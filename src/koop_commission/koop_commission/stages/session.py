@@ -74,7 +74,9 @@ class Session:
         note: Path | None = None,
     ) -> None:
         self.client, self.listener = client, listener
-        theta, remark = find_theta(note, rig, identify_publishers(client, rig.state.topic))
+        theta, remark = find_theta(
+            note, rig, identify_publishers(client, rig.measured_source.topic)
+        )
         if remark:
             print(remark, flush=True)
         self.theta = GuardedTheta(client, rig, command_type, theta)
@@ -257,7 +259,7 @@ def refuse_incomplete_state(rig: RigFile) -> None:
     koop_core.config.parameter.ConfigError
         If it is such a rig.
     """
-    if rig.state.topic == STATE and not rig.speaks_state:
+    if rig.measured_source.topic == STATE and not rig.speaks_state:
         raise ConfigError(
             f"measured = {rig.measured!r}: on {STATE} the lifter takes all of {STATE_TYPE}: name "
             "x[0], x[1] and so on in order, or let the rig publish on another topic"

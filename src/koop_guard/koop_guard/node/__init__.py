@@ -38,7 +38,7 @@ class GuardRun(Run):
 
     def __init__(self, node: GuardNode, entities: Entities) -> None:
         config = self._config = node.parameters[GuardConfig]
-        self._node, self._knob = node, parse_source(config.command)
+        self._node, self._commanded = node, parse_source(config.command)
         self._adapter = StateAdapter(config.source, config.dt)
         self._counts_steps = False
         self._guard = Guard(config, config.theta_start)
@@ -77,7 +77,7 @@ class GuardRun(Run):
 
         def command(name: str) -> None:
             self._command = Command(
-                entities.publisher, name, self._knob.topic, self._knob.fields[0]
+                entities.publisher, name, self._commanded.topic, self._commanded.fields[0]
             )
             kind = name
             entities.when_typed(publishers_of, source.topic, lambda name: listen(name, kind))
@@ -97,7 +97,7 @@ class GuardRun(Run):
                 if left.trip is not None:
                     self._latched = replace(left.trip, when=left.trip.when - self._epoch)
             self._keeper = Keeper(config.note, self._note)
-            topic = self._node.resolve_topic_name(self._knob.topic)
+            topic = self._node.resolve_topic_name(self._commanded.topic)
             self._order = (asdict(config), topic, kind, self._ids)
             assert self._twin is not None
             self._twin.prepare(*self._order)
@@ -128,7 +128,7 @@ class GuardRun(Run):
             self._look()
 
         self._twin = Twin()  # its start takes the longest
-        entities.when_typed(subscribers_of, self._knob.topic, command)
+        entities.when_typed(subscribers_of, self._commanded.topic, command)
 
     def may_end(self, number: int) -> bool:
         """Return whether theta is where the end leaves it; SIGTERM says that the loop failed."""
@@ -308,11 +308,11 @@ class GuardRun(Run):
                     names = " and ".join(map(full_name, infos))
                     guard.note(cause, f"{topic} is published by {names}", now)
         mine = node.get_fully_qualified_name()
-        commanding = [full_name(info) for info in publishers_of(node, self._knob.topic)]
+        commanding = [full_name(info) for info in publishers_of(node, self._commanded.topic)]
         if mine in commanding:
             commanding.remove(mine)
             if commanding:
-                text = f"{self._knob.topic} is also commanded by {', '.join(commanding)}"
+                text = f"{self._commanded.topic} is also commanded by {', '.join(commanding)}"
                 guard.note(Cause.OTHER, text, now)
         if not (controllers or self._to_target) and guard.status is Status.FOLLOWING:
             guard.note(Cause.INACTIVE, "the controller is inactive or has ended", now)

@@ -119,7 +119,7 @@ def main(descriptor: int) -> int:
     shared = SharedTheta(descriptor)
     from koop_node.client.client import Client
 
-    with Client("_koop_guard_twin", guest=False) as client:
+    with Client("_koop_guard_twin", udp=False) as client:
         if not (line := sys.stdin.buffer.readline()):
             return 0
         order = json.loads(line)

@@ -16,7 +16,7 @@ import threading
 import time
 
 from oscillator import DT, RIGS, advance
-from stand import Actuator, Knob
+from stand import Actuation, Actuator
 from wire import Wire
 
 LOW, HIGH, SAFE, START, RATE = -3.0, 4.0, 2.0, 2.0, 4.0  # of theta; as the guard is told
@@ -61,7 +61,7 @@ class Sensors:
 def main(log: str) -> None:
     """Run until stdin ends."""
     wire, sensors = Wire("rig/state", "rig/theta", "JointState", False), Sensors(1)
-    actuator = Actuator(Knob(START, LOW, HIGH, 0.0, RATE), DT)
+    actuator = Actuator(Actuation(START, LOW, HIGH, 0.0, RATE), DT)
     ended = threading.Event()
 
     def listen() -> None:

@@ -14,7 +14,7 @@ import os
 import random
 from typing import Any
 
-from stand import Knob, parse_rig
+from stand import Actuation, parse_rig
 
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
 STEP = 1.0 / 120.0  # [s]
@@ -60,7 +60,9 @@ class Flight:
             import jsbsim
         except ImportError as error:
             raise ValueError(f"{error}: {INSTALL}") from None
-        self.knob = Knob(START if args.theta_initial is None else args.theta_initial, LOW, HIGH)
+        self.actuation = Actuation(
+            START if args.theta_initial is None else args.theta_initial, LOW, HIGH
+        )
         self._noise = args.noise
         self._fdm = fdm = jsbsim.FGFDMExec(None)
         fdm.set_debug_level(0)
@@ -79,7 +81,7 @@ class Flight:
             fdm[name] = value
         self.set("turbulence", args.turbulence)
         for _ in range(round(BEFORE / STEP)):
-            self.advance(0.0, self.knob.start)
+            self.advance(0.0, self.actuation.start)
 
     def measure(self, t: float, rng: random.Random) -> tuple[list[float], list[float]]:
         """Return rates [rad/s] and accelerations [m/s2]; the true rates and the airspeed [kt]."""

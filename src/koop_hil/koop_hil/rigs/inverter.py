@@ -14,7 +14,7 @@ import random
 import tempfile
 from typing import Any
 
-from stand import Knob, parse_rig
+from stand import Actuation, parse_rig
 
 INSTALL = "pip install --no-deps -r requirements/plants.txt"
 DT, STEPS = 1e-3, 5  # between two samples [s]; DPsim's steps within: another number, another plant
@@ -45,8 +45,10 @@ class Inverter:
             raise ValueError(f"{error}: {INSTALL}") from None
         self._dp = dpsimpy
         dpsimpy.Logger.set_log_dir(tempfile.gettempdir())  # not in the folder of the caller
-        self.knob = Knob(0.06 if args.theta_initial is None else args.theta_initial, 0.04, 0.23)
-        self._values = {"kp_power": self.knob.start, "kp_pll": 0.16, "p_ref": POWER}
+        self.actuation = Actuation(
+            0.06 if args.theta_initial is None else args.theta_initial, 0.04, 0.23
+        )
+        self._values = {"kp_power": self.actuation.start, "kp_pll": 0.16, "p_ref": POWER}
         for item in args.at:
             if item.name not in self._values:
                 names = ", ".join(self._values)

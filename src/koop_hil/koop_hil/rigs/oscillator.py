@@ -1,7 +1,7 @@
 """Oscillators as rigs; shares no code with the workspace's packages.
 
-Every one is of second order with one knob theta, whose limit cycle is smallest at a theta* that
-only the rig knows. Plain Python on purpose: nothing here is the code under test.
+Every one is of second order with one control input theta, whose limit cycle is smallest at a theta*
+that only the rig knows. Plain Python on purpose: nothing here is the code under test.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from stand import Knob, SimulatedRig, parse_rig
+from stand import Actuation, SimulatedRig, parse_rig
 
 DT = 0.005  # [s]
 START, STROKE = 2.0, 5.0  # of theta
@@ -135,7 +135,7 @@ class Oscillator(SimulatedRig):
         self._name, self._physics = args.rig, RIGS[args.rig]
         self._x = self._physics.start
         start = START if args.theta_initial is None else args.theta_initial
-        self.knob = Knob(start, -STROKE, STROKE, DELAY, RATE)
+        self.actuation = Actuation(start, -STROKE, STROKE, DELAY, RATE)
 
     def measure(self, t: float, rng: random.Random) -> tuple[list[float], State]:
         """Return what the sensors say at a time [s], and the true state."""

@@ -18,7 +18,7 @@ DRIFT = 200e-6  # of the rig's clock [s/s]
 OLDEST = 0.5  # age of the state behind a command, beyond which it is ignored [s of real time]
 
 
-class Knob(NamedTuple):
+class Actuation(NamedTuple):
     """The actuator of theta.
 
     Attributes
@@ -43,7 +43,7 @@ class SimulatedRig(Protocol):
     ----------
     dt : float
         Time between two samples [s].
-    knob : Knob
+    actuation : Actuation
         What moves theta.
     message : str
         Type of the measurements, a key of ``wire.MESSAGES``.
@@ -52,7 +52,7 @@ class SimulatedRig(Protocol):
     """
 
     dt: float
-    knob: Knob
+    actuation: Actuation
     message: str
     topics: tuple[str, str]
 
@@ -70,15 +70,15 @@ class SimulatedRig(Protocol):
 class Actuator:
     """Follows the command late, no faster than it can, within its stroke."""
 
-    def __init__(self, knob: Knob, dt: float) -> None:
-        self.theta, self.step = knob.start, -1
-        self._knob = knob
-        self._commands = deque([(knob.start, -1)] * (round(knob.delay / dt) + 1))
-        self._most = knob.rate * dt if knob.rate > 0.0 else math.inf
+    def __init__(self, actuation: Actuation, dt: float) -> None:
+        self.theta, self.step = actuation.start, -1
+        self._actuation = actuation
+        self._commands = deque([(actuation.start, -1)] * (round(actuation.delay / dt) + 1))
+        self._most = actuation.rate * dt if actuation.rate > 0.0 else math.inf
 
     def move(self, command: float, step: int) -> float:
         """Return theta for the next step, given a command and the step that it answers."""
-        self._commands.append((min(max(command, self._knob.low), self._knob.high), step))
+        self._commands.append((min(max(command, self._actuation.low), self._actuation.high), step))
         wanted, self.step = self._commands.popleft()
         change = wanted - self.theta
         self.theta += min(max(change, -self._most), self._most)
@@ -105,8 +105,12 @@ def run(rig: SimulatedRig, args: argparse.Namespace) -> None:
     begin, wall = time.monotonic(), time.time()
     period = rig.dt / args.scale * (1.0 + DRIFT)
     steps = round(args.duration / rig.dt) if args.duration else math.inf
-    rng, actuator, changes = random.Random(args.seed), Actuator(rig.knob, rig.dt), sorted(args.at)
-    command, answered, k = rig.knob.start, -1, 0
+    rng, actuator, changes = (
+        random.Random(args.seed),
+        Actuator(rig.actuation, rig.dt),
+        sorted(args.at),
+    )
+    command, answered, k = rig.actuation.start, -1, 0
     log = Log(args.log, rig.dt) if args.log else None
     while k < steps and not stop:
         t = k * rig.dt

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from koop_core.errors import InputError
 from koop_identify.model.energies import energies
 from koop_identify.model.from_bags import BagTraining, build_from, learn_contrast
-from koop_identify.recording.loaded import Loaded, pieces
+from koop_identify.recording.loaded import Loaded, list_segments
 from koop_identify.recording.samples import state_names
 from koop_identify.settings import READING
 from koopman_lifter.delays import Delays, spacing_for
@@ -94,10 +94,10 @@ def _learn(loaded: Loaded, training: BagTraining, delays: Delays, most: int | No
     gram = Gram.empty(Monomials(delays.n, training.degree_for(delays)))
     share = 1.0 if most is None else min(1.0, most / loaded.x.shape[1])
     length = BLOCK if share == 1.0 else READING.part
-    for piece in pieces(loaded.begins):
-        for begin in range(piece.start, piece.stop, round(length / share)):
+    for segment in list_segments(loaded.begins):
+        for begin in range(segment.start, segment.stop, round(length / share)):
             # embedded, it is as many times as large as there are delays
-            end = min(begin + length + delays.depth, piece.stop)
+            end = min(begin + length + delays.depth, segment.stop)
             gram.add_trajectory(delays.embed(loaded.x[:, begin:end]))
     names = training.names or state_names(training.reading.measured, delays.channels)
     return build_from(gram, training, names, {}, delays)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from koop_core.config.parameter import Settings, parameter
 from koop_core.errors import InputError
-from koop_identify.recording.loaded import Loaded, pieces
+from koop_identify.recording.loaded import Loaded, list_segments
 from koopman_lifter.delays import Delays, dominant_period
 
 JUDGED = "set by judgement; the study's contrast models were learned with it"
@@ -42,8 +42,8 @@ class WindowSettings(Settings):
         origin=JUDGED,
     )  # fmt: skip
     shorter: float = parameter(
-        0.95, "length of a window over half of the settled pieces' length", low=0.1, high=1.0,
-        origin="a piece that is slightly shorter counts, too",
+        0.95, "length of a window over half of the settled segments' length", low=0.1, high=1.0,
+        origin="a segment that is slightly shorter counts, too",
     )  # fmt: skip
     without_theta: int = parameter(20, "windows of a recording without theta", low=2)
 
@@ -57,7 +57,7 @@ def period_of(loaded: Loaded, dt: float, settings: WindowSettings = DEFAULTS) ->
     if loaded.theta is not None and np.isfinite(rest):
         cut = cut | jumps(loaded.theta, settings)
         skip = round(settings.skip_share * rest / dt)
-    return dominant_period([loaded.x[:, p.start + skip : p.stop] for p in pieces(cut)], dt)
+    return dominant_period([loaded.x[:, p.start + skip : p.stop] for p in list_segments(cut)], dt)
 
 
 def jumps(theta: NDArray[np.float64], settings: WindowSettings) -> NDArray[np.bool_]:
@@ -88,9 +88,9 @@ def settled_windows(
 ) -> tuple[NDArray[np.int64], int]:
     """Cut a recording into windows of equal length in which theta rests, or nearly so.
 
-    A piece ends where the data or theta jump; what comes within ``skip`` after it is left out. The
-    length follows from the data: at most what half of the settled samples have in one piece, and at
-    most the time in which theta, where it always moves, moves by a tenth of its range.
+    A segment ends where the data or theta jump; what comes within ``skip`` after it is left out.
+    The length follows from the data: at most what half of the settled samples have in one segment,
+    and at most the time in which theta, where it always moves, moves by a tenth of its range.
 
     Parameters
     ----------
@@ -204,8 +204,8 @@ def training_windows(
         raise InputError(
             f"the contrast compares windows of strong and weak oscillation: {starts.size} windows "
             f"of {length * dt:.3g} s were found in {begins.size} states ({int(begins.sum())} "
-            f"pieces without a gap, the oscillation's period is about {period:.3g} s), {fewest} of "
-            f"more than {max(shortest, 2 * delays.depth * dt):.3g} s are needed: record longer, "
+            f"segments without a gap, the oscillation's period is about {period:.3g} s), {fewest} "
+            f"of more than {max(shortest, 2 * delays.depth * dt):.3g} s are needed: record longer, "
             "while theta moves over its range and rests for some periods at each value"
         )
     return starts, length

@@ -73,8 +73,8 @@ class Loaded:
         )
 
 
-def pieces(begins: NDArray[np.bool_]) -> list[slice]:
-    """Return the pieces that samples fall into, of which each begins where ``begins`` is set."""
+def list_segments(begins: NDArray[np.bool_]) -> list[slice]:
+    """Return the segments that samples fall into, of which each begins where ``begins`` is set."""
     bounds = np.append(np.flatnonzero(begins), begins.size)
     return [slice(begin, end) for begin, end in pairwise(bounds.tolist())]
 

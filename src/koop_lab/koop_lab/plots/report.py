@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from koop_identify.recording.loaded import pieces
+from koop_identify.recording.loaded import list_segments
 from koop_identify.recording.signals import Signals
 from koop_lab.plots.signals import Named, draw_signals, save
 from koopman_lifter.model import KoopmanModel
@@ -69,18 +69,20 @@ def frequencies(model: KoopmanModel) -> NDArray[np.float64]:
     return np.asarray(np.abs(np.angle(model.eigenvalues)) / (2.0 * np.pi * model.dt))
 
 
-def _longest_piece(signals: Signals) -> NDArray[np.float64]:
-    """Return the states of the longest piece without a gap or a hole, shape (L, n)."""
+def _longest_segment(signals: Signals) -> NDArray[np.float64]:
+    """Return the states of the longest segment without a gap or a hole, shape (L, n)."""
     cut = signals.begins | ~np.isfinite(signals.x).all(axis=1)
     cut[:1] = True
-    longest = max(pieces(cut), key=lambda piece: piece.stop - piece.start, default=slice(0))
-    piece = signals.x[longest]
-    return np.asarray(piece[np.isfinite(piece).all(axis=1)])
+    longest = max(
+        list_segments(cut), key=lambda segment: segment.stop - segment.start, default=slice(0)
+    )
+    segment = signals.x[longest]
+    return np.asarray(segment[np.isfinite(segment).all(axis=1)])
 
 
 def _draw_spectrum(axis: Axes, signals: Signals, model: KoopmanModel | None) -> None:
     """Draw the spectral density of every channel, and where the modes of a model lie."""
-    x = _longest_piece(signals)
+    x = _longest_segment(signals)
     axis.set_title("spectrum of each channel" + (", modes marked" if model is not None else ""))
     axis.set_xlabel("frequency [Hz]")
     axis.set_ylabel("share of the variance [1/Hz]")

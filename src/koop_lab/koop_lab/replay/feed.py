@@ -88,7 +88,7 @@ class Feeder(Client):
         from koop_msgs.msg import ControlInput, Cost, MeasuredState
         from rclpy.qos import QoSProfile
 
-        super().__init__(FEEDER, domain, guest=False)  # a fifth faster
+        super().__init__(FEEDER, domain, udp=False)  # a fifth faster
         self._nodes = nodes
         qos = QoSProfile(depth=100)
         self._publisher = self.node.create_publisher(MeasuredState, "state", qos)

@@ -1,4 +1,4 @@
-"""A guest in a ROS domain: looks at the graph, publishes, listens and calls, on its own context.
+"""A client in a ROS domain: looks at the graph, publishes, listens and calls, on its own context.
 
 For programs that are not nodes themselves: they leave the domain when they are done with it. rclpy
 is imported only when one is made, so that what can do without ROS does.
@@ -32,18 +32,18 @@ class Client:
         Name of the node.
     domain : int, optional
         ROS domain; by default the one of the environment.
-    guest : bool
+    udp : bool
         See :func:`koop_node.node.main.set_dds_profile`.
     """
 
-    def __init__(self, name: str, domain: int | None = None, guest: bool = True) -> None:
+    def __init__(self, name: str, domain: int | None = None, udp: bool = True) -> None:
         import rclpy
         from rclpy.experimental.events_executor import EventsExecutor
 
         from koop_node.node.entities import WithoutEvents
         from koop_node.node.main import set_dds_profile
 
-        set_dds_profile(guest)
+        set_dds_profile(udp)
         self._context = rclpy.Context()
         self._context.init(args=[], domain_id=domain)
         self.node = WithoutEvents(name, context=self._context)

@@ -238,8 +238,8 @@ class Entities:
 
         def look() -> None:
             nonlocal waited
-            missing = {p.topic_name: who.missing(self._node, p) for p, who in needed.items()}
-            text = "; ".join(f"{who} to listen to {topic}" for topic, who in missing.items() if who)
+            missing = {p.topic_name: nodes.missing(self._node, p) for p, nodes in needed.items()}
+            text = "; ".join(f"{names} to listen to {t}" for t, names in missing.items() if names)
             self.waiting_for = text and f"waiting for {text}"
             if not text:
                 timer.cancel()

@@ -35,18 +35,18 @@ TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"
 POLL = 0.1  # [s] how long a signal may go unnoticed: the executor waits outside Python
 
 
-def set_dds_profile(guest: bool = False) -> None:
+def set_dds_profile(udp: bool = False) -> None:
     """Let Fast DDS notice a loss in 10 ms and never wait for a lost host.
 
     To be called before DDS starts in this process; what counts is the first call. A file of the
-    user's stays. What is sent to a guest, which only looks on, comes by UDP, not through shared
+    user's stays. With ``udp`` what is sent to this process comes by UDP, not through shared
     memory, which under load may be lost for good; and so where the user's environment asks for it
     (``FASTDDS_BUILTIN_TRANSPORTS=UDPv4``), which rmw_fastrtps ignores in the range LOCALHOST.
     """
-    guest = guest or os.environ.get(TRANSPORTS) == "UDPv4"
+    udp = udp or os.environ.get(TRANSPORTS) == "UDPv4"
     folder = Path(str(files("koop_node")))
     if Path(os.environ.get(PROFILE, folder / "none")).parent == folder:  # none, or a parent's
-        os.environ[PROFILE] = str(folder / ("fastdds_guest.xml" if guest else "fastdds.xml"))
+        os.environ[PROFILE] = str(folder / ("fastdds_udp.xml" if udp else "fastdds.xml"))
 
 
 def run(node_class: type[ManagedNode[Any]], args: list[str] | None = None) -> int:

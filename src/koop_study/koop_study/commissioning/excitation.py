@@ -119,7 +119,7 @@ class Running:
         self._parts.append((theta, x))
         return x
 
-    def stay(self, steps: int) -> NDArray[np.float64]:
+    def hold(self, steps: int) -> NDArray[np.float64]:
         """Run for some samples, and return them."""
         return self._run(np.full(steps, self._theta))
 
@@ -146,10 +146,10 @@ def excite(rig: RandomRig, file: RigFile, seed: int) -> SimulatedExcitation:
         If no channel moves.
     """
     design, running = Design(file), Running(rig, file.theta_rate, seed)
-    heard = running.stay(math.ceil(DESIGN.shortest / file.dt))
+    heard = running.hold(math.ceil(DESIGN.shortest / file.dt))
     while design.listens(heard):
         more = max(0.2 * DESIGN.shortest / file.dt, FAMILY.often * heard.shape[0])
-        heard = np.concatenate([heard, running.stay(math.ceil(more))])
+        heard = np.concatenate([heard, running.hold(math.ceil(more))])
     design.look(heard)
     for factor in FAMILY.longer:  # an engineer does as the command says
         design.rig = replace(file, time=factor * file.time)
@@ -166,7 +166,7 @@ def _go_on(design: Design, running: Running) -> bool:
             if u is not None:
                 running.go(scale.theta_at(u))
         design.arrive(move, running.elapsed, running.steps)
-        while not design.take(running.stay(design.windows.length)):
+        while not design.take(running.hold(design.windows.length)):
             if running.elapsed > time:
                 return False
     return True

@@ -52,12 +52,12 @@ class RigFile(RigLimits):
             raise ConfigError(f"weights = {list(self.weights)}: none is below 0, one is above 0")
 
     @property
-    def state(self) -> Source:
+    def measured_source(self) -> Source:
         """Topic, by its full name, and fields of the measured channels."""
         return _full(parse_source(self.measured))
 
     @property
-    def knob(self) -> Source:
+    def command_source(self) -> Source:
         """Topic, by its full name, and field of the command."""
         return _full(parse_source(self.command))
 
@@ -67,7 +67,7 @@ class RigFile(RigLimits):
 
         A rig with another message type on that topic is refused where the graph is known.
         """
-        return self.state == parse_source(state_source(len(self.names)))
+        return self.measured_source == parse_source(state_source(len(self.names)))
 
     @property
     def lifter_input(self) -> dict[str, str]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from koop_core.config.parameter import Settings, parameter
 from koop_core.errors import InputError
-from koop_identify.recording.loaded import Loaded, pieces
+from koop_identify.recording.loaded import Loaded, list_segments
 from koop_tune.excitation.amplitude import Amplitude
 from koop_tune.excitation.holds import Hold, find_level, mean_level, usual_wander
 from koop_tune.excitation.static_map import StaticMap
@@ -35,8 +35,8 @@ class DwellSettings(Settings):
     part_of_spectra: float = parameter(
         0.5, "the same for spectra", low=0.0, high=1.0, origin="rests that lost messages cut"
     )
-    parts: int = studied(4, "pieces of the shortest rest whose spectra are averaged", low=1)
-    longest_piece: int = parameter(4096, "samples of such a piece at most", low=16)
+    parts: int = studied(4, "segments of the shortest rest whose spectra are averaged", low=1)
+    longest_segment: int = parameter(4096, "samples of such a segment at most", low=16)
     window: int = parameter(16, "samples of a window of spectra", low=4)
     change: float = studied(0.3, "change of a log power that theta makes", low=0.0)
     doubt: float = studied(2.0, "standard errors that are subtracted from a change", low=0.0)
@@ -148,13 +148,13 @@ def find_rests(
         raise InputError("the recording holds no theta: record with 'koop excite'")
     u = scale.u(theta)  # NaN stays NaN
     rests = []
-    for piece in pieces(loaded.begins):
-        part = u[piece]
+    for segment in list_segments(loaded.begins):
+        part = u[segment]
         moved = ~(np.abs(np.diff(part)) <= settings.still / length)  # NaN moves
         for a, b in pairwise(_split(part, moved, settings.same)):
             whole = (b - a) // length
             if whole >= settings.fewest and np.isfinite(part[a]):
-                begin = piece.start + a
+                begin = segment.start + a
                 rests.append((float(np.median(part[a:b])), begin, begin + whole * length))
     values: list[list[float]] = []
     for value in sorted(value for value, _, _ in rests):

@@ -99,7 +99,7 @@ def relative_power(dwells: Dwells) -> list[NDArray[np.float64]]:
 def estimate_autocovariance(
     parts: list[NDArray[np.float64]], lags: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the autocovariance of pieces about zero at 0 .. lags - 1, and of how many pairs."""
+    """Return the autocovariance of segments about zero at 0 .. lags - 1, and of how many pairs."""
     total, count = np.zeros(lags), np.zeros(lags)
     for part in parts:
         upto = min(lags, part.size)

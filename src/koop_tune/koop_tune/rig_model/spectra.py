@@ -20,7 +20,7 @@ class Spectra(NamedTuple):
     Attributes
     ----------
     seconds, dt : float
-        Length of the pieces of Welch's method, and time between two states [s].
+        Length of the segments of Welch's method, and time between two states [s].
     u : ndarray, shape (N,)
         Positions of the values of theta, rising.
     power : ndarray, shape (N, n, F)
@@ -75,7 +75,7 @@ def spectra_by_theta(
     u, rests = find_rests(loaded, scale, length, settings)
     u, rests = leave_out_short(u, rests, settings.part_of_spectra)
     usual = min(rest.end - rest.begin for rest in rests)
-    size = min(settings.longest_piece, usual // (parts or settings.parts))
+    size = min(settings.longest_segment, usual // (parts or settings.parts))
     spectra = np.array(
         [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b, _ in rests]
     )

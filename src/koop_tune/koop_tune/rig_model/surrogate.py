@@ -7,7 +7,7 @@ or down) is fitted to the recording:
     log tau = c_0 + c_1 (A(theta) - mean A) + c_2 sign(A(theta) - a)
 
 y_out is what was recorded at the nearest value of theta once the rig had settled, times
-exp(l - L_recorded): ripple, noise, interference and how they go on are the rig's own. A piece is
+exp(l - L_recorded): ripple, noise, interference and how they go on are the rig's own. A segment is
 played from a random place on; at its end, or when another value is nearer, the next one begins
 where y_out is about the same.
 
@@ -28,7 +28,7 @@ from scipy.signal import lfilter
 
 from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
-from koop_identify.recording.loaded import Loaded, pieces
+from koop_identify.recording.loaded import Loaded, list_segments
 from koop_tune.excitation.static_map import GRID, StaticMap
 from koop_tune.rig.scale import Scale
 from koop_tune.rig_model.dwells import Dwells
@@ -69,11 +69,11 @@ class Surrogate(NamedTuple):
     recorded : ndarray, shape (N,)
         L of the recording there.
     y : ndarray, shape (S,)
-        What was recorded of y_out, piece after piece, without its mean.
+        What was recorded of y_out, segment after segment, without its mean.
     begins : ndarray, shape (P + 1,)
-        First sample of each piece.
+        First sample of each segment.
     first : ndarray, shape (N + 1,)
-        First piece of each value of theta.
+        First segment of each value of theta.
     times : Times
         Time constants.
     dt : float
@@ -107,12 +107,12 @@ def high_pass(
     """Return y_hp of the detector for every sample of a recording."""
     alpha = math.exp(-omega_h * dt)
     filtered = np.zeros(y_out.size)
-    for piece in pieces(loaded.begins):
-        part = y_out[piece]
+    for segment in list_segments(loaded.begins):
+        part = y_out[segment]
         usable = np.flatnonzero(np.isfinite(part))
         if usable.size > 1:
             part = np.where(np.isfinite(part), part, part[usable[0]])
-            filtered[piece] = lfilter([1.0 - alpha, alpha - 1.0], [1.0, -alpha], part - part[0])
+            filtered[segment] = lfilter([1.0 - alpha, alpha - 1.0], [1.0, -alpha], part - part[0])
     return filtered
 
 
@@ -210,8 +210,8 @@ def _nearest(u: NDArray[np.float64], x: float) -> int:
 def _next_place(
     s: Surrogate, level: int, value: float, draws: NDArray[np.float64], number: int
 ) -> tuple[int, int]:
-    """Return piece and sample of a value of theta where y_out is about ``value``."""
-    piece = place = -1
+    """Return segment and sample of a value of theta where y_out is about ``value``."""
+    segment = place = -1
     best = math.inf
     for i in range(PLACES):
         candidate = s.first[level] + int(draws[(number + 2 * i) % draws.size]
@@ -220,8 +220,8 @@ def _next_place(
         at = s.begins[candidate] + int(draws[(number + 2 * i + 1) % draws.size] * 0.9 * size)
         far = abs(s.y[at] - value)
         if far < best:
-            best, piece, place = far, candidate, at
-    return piece, place
+            best, segment, place = far, candidate, at
+    return segment, place
 
 
 @njit(nogil=True)
@@ -263,7 +263,7 @@ def run(
     level, a = _at(s.levels, start), _at(s.amplitudes, start)
     value = _nearest(s.u, position)
     number = 0
-    piece, place = _next_place(s, value, 0.0, draws, number)
+    segment, place = _next_place(s, value, 0.0, draws, number)
     u[:] = 0.0
     power[:] = 0.0
     block = steps / u.size
@@ -292,10 +292,10 @@ def run(
             near = _nearest(s.u, min(max(moved, 0.0), 1.0))
             if abs(s.u[near] - moved) > abs(s.u[value] - moved) - 0.01:
                 near = value
-        if near != value or place >= s.begins[piece + 1]:
+        if near != value or place >= s.begins[segment + 1]:
             number += 2 * PLACES
             wanted = y * math.exp(s.recorded[near] - level)
-            piece, place = _next_place(s, near, wanted, draws, number)
+            segment, place = _next_place(s, near, wanted, draws, number)
             value = near
     u /= block
     power /= block

@@ -34,14 +34,14 @@ def make_task(
     y_out = cost.cost.y_out
     assert y_out is not None
     every = max(1, int(time / (settings.blocks * rig.dt)))
-    parts, first = cut_pieces(y_out, findings.dwells)
+    parts, first = cut_segments(y_out, findings.dwells)
     y, begins = np.concatenate(parts), np.cumsum([0, *(part.size for part in parts)])
     recorded = Recorded(y, begins, first, rig.dt)
     fine: dict[float, list[Surrogate]] = {}
     coarse: dict[float, list[Surrogate]] = {}
     for omega_h, static_map in cost.usable.items():
         fine[omega_h] = draw_surrogates(findings, static_map, recorded, times, settings)
-        filtered, _ = cut_pieces(high_pass(y_out, loaded, omega_h, rig.dt), findings.dwells)
+        filtered, _ = cut_segments(high_pass(y_out, loaded, omega_h, rig.dt), findings.dwells)
         blocks = [block_rms(part, every) for part in filtered]
         ends = np.cumsum([0, *(block.size for block in blocks)])
         coarse[omega_h] = [
@@ -55,12 +55,12 @@ def make_task(
     )  # fmt: skip
 
 
-def cut_pieces(
+def cut_segments(
     values: NDArray[np.float64], dwells: Dwells
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
     """Return a signal during each rest after settling, without its mean, ordered by theta.
 
-    The second array has the first piece of each value of theta.
+    The second array has the first segment of each value of theta.
     """
     by_level = sorted(dwells.rests, key=lambda d: d.level)
     parts = []
