@@ -18,9 +18,9 @@ from koop_bag.bag.reader import BagReader
 from koop_commission.command import Commissioning
 from koop_core import whole_file
 from koop_core.config import parameter_file
+from koop_core.config.objects import to_json
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
-from koop_core.json_object import to_json
 from koop_lab.cli.main import main
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Amplitude, Windows
@@ -54,7 +54,18 @@ PREDICTION = Prediction(
 )
 MAP = Points(VALUES, [0.31 + (v - BEST) ** 2 for v in VALUES], [0.01] * 9)
 FOUND = AmplitudeMap(
-    "data[0]", AMPLITUDE, [], BEST, math.log(0.31), 0.01, Interval(0.25, 1.35), 0.0, MAP, MAP
+    "data[0]",
+    AMPLITUDE,
+    [],
+    BEST,
+    math.log(0.31),
+    0.01,
+    Interval(0.25, 1.35),
+    0.0,
+    0.05,
+    0.0,
+    MAP,
+    MAP,
 )
 SEARCHED = Constants("adaptive", 100.0, 20.0, 0.267, 0.2, 0.2, 0.1)
 FLAT = Curves([1.0, 1.0], [1.0, 1.0], [1.0, 1.0])

@@ -62,7 +62,7 @@ PATH = LoopPath(
 COST = CostResult("raw", 1234.0, 1.2, "", 0.9, Points(THETA, [8.0, 0.5, 5.0], [0.1] * 3))
 BLIND = CostResult("lifted", 1234.0, None, "no model", None, None)
 FOUND = AmplitudeMap(
-    "x", AMPLITUDE, [], 0.9, math.log(0.95), 0.1, Interval(0.8, 1.1), 0.0,
+    "x", AMPLITUDE, [], 0.9, math.log(0.95), 0.1, Interval(0.8, 1.1), 0.0, 0.5, 0.0,
     Points(THETA, [4.0, 1.0, 3.0], [0.1] * 3), Points(THETA, [4.0, 1.0, 3.0], [0.1, 0.2, 0.1]),
 )  # fmt: skip
 CONTROLLER = ControllerResult(

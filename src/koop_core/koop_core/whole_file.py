@@ -9,9 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from koop_core.config.objects import parse, to_json
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
-from koop_core.json_object import from_json, to_json
 
 T = TypeVar("T")
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -76,6 +76,6 @@ def read_object(path: Path, kind: type[T]) -> T | None:
     """
     values = read_json(path)
     try:
-        return from_json(kind, values) if values else None
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error!r}): move it away") from None
+        return parse(kind, values, path.name) if values else None
+    except ConfigError as error:
+        raise ConfigError(f"{path}: cannot be read ({error}): move it away") from None

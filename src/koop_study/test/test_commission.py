@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError
 from koop_study.commissioning.work import Loops
 from koop_study.experiments import commission
 from koop_study.experiments.commission import CommissionConfig, section
-from koop_study.experiments.spec import Seeds, parse
+from koop_study.experiments.seeds import Seeds
 from koop_study.family.config import FamilyConfig
 from koop_study.family.rig import draw
 

@@ -80,19 +80,18 @@ def tune_folders(
             )  # fmt: skip
         except NoOptimum as refusal:
             bar.close()
-            whole_file.write_json(out / FIGURES, summarise_refusal(refusal))
-            if refusal.findings:
-                print(as_text.as_table(refusal.findings))
-            print(f"\nno controller ({refusal.kind}): {refusal}")
+            result = summarise_refusal(refusal)
+            whole_file.write_json(out / FIGURES, result)
+            print(f"{as_text.as_table(result)}\n\nno controller ({refusal.kind}): {refusal}")
             return False
     model = None
     if tuning.chosen.maps.cost.training is not None:
         model = out / MODEL
         train_from_bags(bags, tuning.chosen.maps.cost.training).save(model)
-    whole_file.write_json(out / FIGURES, summarise(tuning, rig, model))
+    result = summarise(tuning, rig, model)
+    whole_file.write_json(out / FIGURES, result)
     whole_file.write_text(out / CONTROLLER, as_text.as_parameters(tuning, rig, model, note))
-    print(as_text.as_table(tuning.findings, tuning))
-    print("\n" + as_text.as_words(tuning))
+    print(f"{as_text.as_table(result)}\n\n{as_text.as_words(tuning)}")
     print(f"\ntuned in {time.monotonic() - began:.0f} s; written to {out}")
     return True
 

@@ -45,7 +45,7 @@ PREDICTION = Prediction(
 HOLDS = Points([-1.0, BEST, 3.0], [4.0, 1.0, 3.0], [0.1] * 3)
 FOUND = AmplitudeMap(
     "x at 2 Hz", make_amplitude(200, DT, floor=0.01), [], BEST, 0.0, 0.01, Interval(0.4, 1.0),
-    30.0, HOLDS, HOLDS,
+    0.0, 0.5, 30.0, HOLDS, HOLDS,
 )  # fmt: skip
 CONTROLLER = ControllerResult(
     "raw", "", Constants("relay", 1.0, 1.0, 1.0, 1.0, 1.0, 0.1), 20.0, PREDICTION, [], []

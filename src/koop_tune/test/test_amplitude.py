@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from koop_core.json_object import from_json, to_json
+from koop_core.config.objects import parse, to_json
 from koop_tune.excitation.amplitude import (
     AMPLITUDE,
     Amplitude,
@@ -206,7 +206,7 @@ def test_an_amplitude_is_read_as_it_was_written():
     rng = np.random.default_rng(7)
     holds = [hold(rng, [(2.0, 0.2 + u)], noise=0.5) for u in U]
     written = choose_amplitude(WINDOWS, holds)
-    read = from_json(Amplitude, json.loads(json.dumps(to_json(written))))
+    read = parse(Amplitude, json.loads(json.dumps(to_json(written))), "it")
     assert read.windows == written.windows
     assert (read.background, read.floor) == (written.background, written.floor)
     assert read.squares(holds[0]).tolist() == written.squares(holds[0]).tolist()

@@ -8,8 +8,8 @@ from surrogate_rigs import make_amplitude
 
 from koop_bag.bag.writer import BagWriter, WriterOptions
 from koop_bag.cdr.schema import load_schema
+from koop_core.config.objects import to_json
 from koop_core.config.parameter import ConfigError
-from koop_core.json_object import to_json
 from koop_tune.excitation import progress
 from koop_tune.excitation.amplitude import Windows
 from koop_tune.folder import CONTROLLER, TUNED, find_controller

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from surrogate_rigs import FREQUENCY, make_cost, make_findings, make_map, make_task
 
+from koop_core.config.objects import to_json
 from koop_core.config.parameter import ConfigError
-from koop_core.json_object import to_json
 from koop_core.whole_file import write_json
 from koop_guard.config import GUARD, GuardConfig
 from koop_loop import parameters
@@ -150,7 +150,7 @@ def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, t
 
 
 def test_table_and_words_hold_every_cost_and_the_prediction(tuning):
-    table = as_text.as_table(tuning.findings, tuning)
+    table = as_text.as_table(summarise(tuning, RIG, None))
     assert "evidence" in table
     assert "lifted: too few windows" in table
     assert f"{math.exp(tuning.chosen.score):.3g}" in table

@@ -12,7 +12,7 @@ import numpy as np
 
 from koop_core.config.parameter import ConfigError
 from koop_loop.metrics import PAPER
-from koop_study.experiments.spec import Seeds
+from koop_study.experiments.seeds import Seeds
 from koop_study.experiments.stats import (
     COLUMNS,
     column,

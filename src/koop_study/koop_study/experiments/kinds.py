@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError, mapping, nearest
 from koop_core.config.yaml_file import read_yaml
 from koop_study.experiments import cases, commission, modes, static_maps
-from koop_study.experiments.spec import parse
 from koop_study.simulation import work
 from koop_study.workers.units import Unit
 from koop_view.report.document import Section

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from koop_study.experiments.spec import Seeds
+from koop_study.experiments.seeds import Seeds
 from koop_study.workers.units import Unit
 from koop_view.report.document import Column, Figure, Panel, Section, Series, Table
 

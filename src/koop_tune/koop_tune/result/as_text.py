@@ -7,70 +7,59 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from koop_core.config.describe import parameter_file
 from koop_core.text_table import table
 from koop_guard.config import RigLimits
 from koop_tune.excitation.safe_range import SafeRange
+from koop_tune.excitation.static_map import MAP
 from koop_tune.result.parameter_text import HEAD, KNOWN
+from koop_tune.result.tune_result import TuneResult
 from koop_tune.rig.rig_file import RigFile
-from koop_tune.search.findings import Findings
 from koop_tune.search.run import make_esc, make_lifter
 from koop_tune.search.tuning import Tuning
 
 Parameters = dict[str, tuple[Any, str]]  # value and reason by name
 
 
-def as_table(findings: Findings, tuning: Tuning | None = None) -> str:
-    """Return the static map and what each cost shows of it."""
-    maps = findings.static_map
+def as_table(result: TuneResult) -> str:
+    """Return the static map and what each cost shows of it; empty where nothing reacts."""
+    if (found := result.found) is None:
+        return ""
     rows = [
-        [f"{theta:.4g}", f"{math.exp(log):.4g}", f"{100 * error:.2g} %" if error < 1 else "> 100 %"]
-        for theta, log, error in sorted(
-            zip(findings.scale.theta(maps.u), maps.mean, maps.error, strict=True)
-        )
+        [
+            f"{theta:.4g}",
+            f"{amplitude:.4g}",
+            f"{100 * error:.2g} %" if error < 1 else "> 100 %",
+        ]
+        for theta, amplitude, error in zip(*found.holds, strict=True)
     ]
-    valley = findings.scale.theta(np.array(maps.valley()))
     lines = [
-        f"amplitude of {findings.name}; 1 is the strongest seen, "
-        f"{findings.dwells.amplitude.floor:.2g} the least that can be told; the oscillation's "
-        f"period is {findings.period:.3g} s",
+        f"amplitude of {found.feature}; 1 is the strongest seen, {found.amplitude.floor:.2g} the "
+        f"least that can be told; the oscillation's period is {found.period:.3g} s",
         table(["theta", "amplitude", "error"], rows),
-        f"best at {findings.scale.theta_at(maps.best()):.4g}; within {maps.settings.good:g} times "
-        f"that from {valley[0]:.4g} to {valley[1]:.4g}",
+        f"best at {found.theta_best:.4g}; within {MAP.good:g} times that from "
+        f"{found.valley.low:.4g} to {found.valley.high:.4g}",
     ]
-    if maps.motion:
+    if found.motion:
         lines.append(
-            f"the optimum moved by {100.0 * maps.motion:.2g} % of the range while this was "
+            f"the optimum moved by {100.0 * found.motion:.2g} % of the range while this was "
             "recorded: thetas above are those at which the rig would now be as it was"
         )
-    if len(findings.modes) > 1:
-        shares = "; ".join(mode.describe(findings.channels) for mode in findings.modes[:6])
-        lines.append(f"share in the amplitude's square over theta: {shares}")
-    if findings.costs:
-        scores = {s.name: math.exp(s.score) for s in tuning.searched} if tuning else {}
+    if len(found.modes) > 1:
+        lines.append(f"share in the amplitude's square over theta: {'; '.join(found.modes[:6])}")
+    if result.costs:
         rows = []
-        for candidate in findings.costs:
-            name = candidate.cost.name
-            if candidate.clearest is None:
-                rows.append([name, "-", "-", "-"])
-                continue
-            clearest_map = candidate.clearest[1]
-            where = (
-                f"{findings.scale.theta_at(clearest_map.best()):.4g}"
-                if candidate.usable
-                else "none inside"
-            )
-            score = f"{scores[name]:.3g}" if name in scores else "-"
-            rows.append([name, where, f"{clearest_map.evidence:.3g}", score])
+        for cost in result.costs:
+            best = "none inside" if cost.theta_best is None else f"{cost.theta_best:.4g}"
+            score = "-" if cost.score is None else f"{cost.score:.3g}"
+            rows.append([cost.name, best, f"{cost.evidence:.3g}", score])
         lines += ["", table(["cost", "best at theta", "evidence (Δχ²)", "score"], rows)]
-        if scores:
+        if result.controller:
             lines.append(
                 "score: amplitude over the best one and time to converge, also of a moving "
                 "optimum; 1 is perfect; it ranks the costs, the prediction is below"
             )
-        lines += [f"{c.cost.name}: {c.cost.problem}" for c in findings.costs if c.cost.problem]
+        lines += [f"{cost.name}: {cost.problem}" for cost in result.costs if cost.problem]
     return "\n".join(lines)
 
 

@@ -68,6 +68,8 @@ def _summarise_map(findings: Findings) -> AmplitudeMap:
             min(scale.theta_at(valley.low), limits.low),
             max(scale.theta_at(valley.high), limits.high),
         ),
+        maps.motion,
+        findings.period,
         findings.growth,
         _list_points(scale, maps, 1.0),
         Points(*(values[::EVERY].tolist() for values in curve)),
@@ -91,7 +93,7 @@ def _summarise_cost(
         maps = candidate.clearest[1]
         if tuning is not None and name == tuning.chosen.name:
             maps = candidate.maps[tuning.best.constants.omega_h]
-        best = findings.scale.theta_at(maps.best()) if maps.interior else None
+        best = findings.scale.theta_at(maps.best()) if candidate.usable else None
         points = _list_points(findings.scale, maps, 2.0)  # r is the mean square of y_hp
     return CostResult(
         name, candidate.evidence, scores.get(name), candidate.cost.problem, best, points

@@ -84,8 +84,10 @@ class AmplitudeMap:
         Logarithm of the amplitude there, and by how much a better one may be.
     valley : Interval
         Thetas between which the map is within 1.5 times the best.
-    growth : float
-        Longest time that the oscillation was seen to grow [s].
+    motion : float
+        How far the optimum moved meanwhile, in ranges.
+    period, growth : float
+        The oscillation's period, and the longest time that it was seen to grow [s].
     holds, curve : Points
         Amplitude at the holds, and the map that fits.
     """
@@ -97,6 +99,8 @@ class AmplitudeMap:
     best: float
     error: float
     valley: Interval
+    motion: float
+    period: float
     growth: float
     holds: Points
     curve: Points

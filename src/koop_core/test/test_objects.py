@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from koop_core.json_object import from_json, to_json
+from koop_core.config.objects import parse, to_json
+from koop_core.config.parameter import ConfigError
 
 
 class Pair(NamedTuple):
@@ -37,24 +38,26 @@ WHOLE = Whole("a", (Pair(1.0), Pair(2.0, 3.0)), (0, 9), [0.1, math.inf], np.eye(
 
 def test_an_object_is_read_as_it_was_written():
     text = json.dumps(to_json(WHOLE), allow_nan=False)
-    read = from_json(Whole, json.loads(text))
+    read = parse(Whole, json.loads(text), "it")
     assert read.array.tolist() == [[1.0, 0.0], [0.0, 1.0]]
     assert read.__dict__ | {"array": 0} == WHOLE.__dict__ | {"array": 0}
     assert to_json({"pair": Pair(1)}) == {"pair": {"low": 1, "high": None}}
-    assert from_json(Pair, {"low": 1}) == Pair(1.0, math.inf)
+    assert parse(Pair, {"low": 1}, "it") == Pair(1.0, math.inf)
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "reason"),
     [
-        {"nmae": "b"},  # an unknown key
-        {"pairs": [{"high": 1.0}]},  # one that is missing
-        {"pairs": 1},
-        {"steps": [1]},
-        {"values": ["x"]},
-        {"maybe": [1.0, 2.0]},
+        ({"nmae": "b"}, "unknown key 'nmae': did you mean 'name'"),
+        ({"name": 1}, "name: expected str, got 1"),
+        ({"pairs": [{"high": 1.0}]}, r"pairs\[0\]: 'low' is missing"),
+        ({"pairs": 1}, "pairs: expected a list, got 1"),
+        ({"steps": [1]}, "steps: expected 2 values, got 1"),
+        ({"values": ["x"]}, r"values\[0\]: expected float, got 'x'"),
+        ({"array": [[1.0], [1.0, 2.0]]}, "array: expected numbers"),
+        ({"maybe": [1.0, 2.0]}, "maybe must be a mapping"),
     ],
 )
-def test_what_does_not_describe_an_object_is_refused(change):
-    with pytest.raises((KeyError, TypeError, ValueError)):
-        from_json(Whole, to_json(WHOLE) | change)
+def test_what_does_not_describe_an_object_is_refused_with_the_reason(change, reason):
+    with pytest.raises(ConfigError, match=f"it: {reason}"):
+        parse(Whole, to_json(WHOLE) | change, "it")
