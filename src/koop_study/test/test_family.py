@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError
-from koop_study.experiments.spec import parse
 from koop_study.family import oscillator
 from koop_study.family.config import MAPS, WITH_OPTIMUM, FamilyConfig
 from koop_study.family.loop import RigController, close, from_end, noise_of
@@ -392,8 +392,8 @@ def test_a_drowned_rig_shows_nothing_of_its_oscillation() -> None:
     ("settings", "message"),
     [
         ({"depth": [20.0, 2.0]}, r"depth = \[20\.0, 2\.0\]: must be two numbers"),
-        ({"frequency": [0.0, 1.0]}, "within 0.001 to 1000"),
-        ({"quiet": 2.0}, "quiet = 2: a share must be 0 to 1"),
+        ({"frequency": [0.0, 1.0]}, "frequency = 0: must be 0.001 to 1000"),
+        ({"quiet": 2.0}, "quiet = 2: must be 0 to 1"),
         ({"maps": {"round": 1.0}}, r"maps\.round = 1: known are symmetric"),
         ({"maps": {"flat": 0.0}}, "none has a weight above 0"),
         ({"deep": 1}, "unknown key 'deep': did you mean 'depth'"),

@@ -19,7 +19,7 @@ from koop_study.commissioning.excitation import (
     training_of,
 )
 from koop_study.family import oscillator
-from koop_study.family.config import family_of
+from koop_study.family.config import FamilyConfig
 from koop_study.family.loop import (
     ClosedRun,
     RigController,
@@ -75,7 +75,7 @@ def commission_plant(
     dict
         The rig, its verdict, and the runs of each controller from either end.
     """
-    rig = draw(family_of(family), seed)
+    rig = draw(FamilyConfig(**family), seed)
     file = file_of(rig, rate, excitation)
     recorded = excite(rig, file, seed + EARLIER)
     row: Row = {"stratum": stratum, **_described(rig), "damped": False,

@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from koop_core.config.parameter import ConfigError
-from koop_study.experiments.spec import Seeds, parse
+from koop_core.config.objects import parse
+from koop_core.config.parameter import ConfigError, Settings, parameter
+from koop_study.experiments.seeds import Seeds
 from koop_study.experiments.stats import cumulative, quantile
 from koop_study.family.config import FamilyConfig
 from koop_study.family.settings import FAMILY
@@ -22,7 +23,7 @@ Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class CommissionConfig:
+class CommissionConfig(Settings):
     """Rigs, and how long each may be excited and is verified.
 
     Attributes
@@ -33,32 +34,29 @@ class CommissionConfig:
         Settings of the family of each stratum.
     family : dict
         Settings of the family that all strata have, whatever they say themselves.
-    rate : float
-        Largest change of theta: ranges in the rig's own time.
-    excitation : float
-        Longest time of an excitation: slowest times of the amplitude and ten periods.
-    duration : float
-        Length of a run of verification, in the rig's own time.
-    effort : float
-        Budget of the search for constants (1: as usual).
     """
 
     rigs: Seeds
     strata: dict[str, dict[str, Any]]
     family: dict[str, Any] = field(default_factory=dict)
-    rate: float = 0.5
-    excitation: float = 400.0
-    duration: float = 80.0
-    effort: float = 1.0
+    rate: float = parameter(
+        0.5, "largest change of theta: ranges in the rig's own time", low=1e-4, high=1e4
+    )
+    excitation: float = parameter(
+        400.0, "longest excitation: slowest times of the amplitude and ten periods", low=1.0,
+        high=1e4,
+    )  # fmt: skip
+    duration: float = parameter(
+        80.0, "run of verification, in the rig's own time", low=1.0, high=1e4
+    )
+    effort: float = parameter(1.0, "search budget (1 = default)", low=1e-3, high=1e3)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.strata:
             raise ConfigError("strata: needs at least one")
         for name in self.strata:
             parse(FamilyConfig, self.settings(name), f"strata: {name}")
-        for name in ("rate", "excitation", "duration", "effort"):
-            if not 0.0 < getattr(self, name) <= 1e4:
-                raise ConfigError(f"{name} = {getattr(self, name):g}: must be above 0, at most 1e4")
 
     def settings(self, stratum: str) -> dict[str, Any]:
         """Return the settings of a stratum's family."""
