@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from surrogate_rigs import make_cost, make_findings, make_map
 
+from koop_tune.result.as_text import as_table
 from koop_tune.rig.rig_file import RigFile
 from koop_tune.search.findings import NoOptimum, decide
 from koop_tune.search.settings import TUNING
@@ -58,6 +59,14 @@ def test_where_there_is_nothing_to_seek_it_says_what_to_record(level, error, kin
     assert refused.value.kind == kind
     assert len(str(refused.value).splitlines()) == 1
     assert re.search("record", str(refused.value))
+
+
+def test_an_optimum_that_moved_to_the_limit_may_turn_round():
+    findings = make_findings(lambda u: 2.0 * u, [make_cost("raw", lambda u: 2.0 * u)])
+    moved = replace(findings, static_map=replace(findings.static_map, motion=-0.2))
+    assert "towards theta_min is not certain" in decide(moved, RIG).doubt
+    assert "moved by -20 % of the range" in as_table(moved)
+    assert "moved" not in as_table(findings)
 
 
 def test_an_optimum_in_doubt_is_taken_and_said():

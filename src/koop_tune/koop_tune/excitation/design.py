@@ -59,6 +59,7 @@ class DesignSettings(Settings):
     first: int = studied(6, "positions on the way up; one fewer between them down", low=3)
     fewest: int = studied(6, "windows of a hold", low=4)
     lag: float = studied(0.3, "share of the slope by which levels lag", low=0.0)
+    less: float = studied(0.7, "lag in holds twice as long over the one before", low=0.0, high=1.0)
     patience: float = parameter(16.0, "longest first holds, in the usual ones", low=1.0)
     brief: int = studied(4, "the same of one that only looks into a gap", low=4)
     usual: float = studied(0.75, "quantile of what holds show that the next one may need")
@@ -159,6 +160,7 @@ class Design:
         up = rig.u_start <= 0.5
         self._queue = self._missing(up)
         self._rounds, self._longest, self._patience, self._elapsed = 1, 0, 1.0, 0.0
+        self._most_lag = 1.0
         self._check_lag = len(self._queue) == 2 * settings.first - 1
         self._choose()
 
@@ -272,7 +274,8 @@ class Design:
         """Return whether the rig was still on its way at the first positions: it is slow.
 
         On the way back the levels are then those of positions further on: they differ from the
-        means of their neighbours on the way there by a share of the slope: a valley by more.
+        means of their neighbours on the way there by a share of the slope: a valley by more, or by
+        as much when theta is held for longer.
         """
         self._check_lag = False
         levels = [level.mean for level in self.levels()[-(2 * self._settings.first - 1) :]]
@@ -284,7 +287,9 @@ class Design:
         share = float(slope @ beyond) / squares
         rest = beyond - share * slope
         error = math.sqrt(float(rest @ rest) / (rest.size - 1) / squares)
-        lags = way * share - 2.0 * error > self._settings.lag and way * share < 1.0
+        share *= way
+        lags = share - 2.0 * error > self._settings.lag and share < self._most_lag
+        self._most_lag = self._settings.less * share
         return lags and self._patience < self._settings.patience
 
     def _begin_again(self, length: int, kept: Sequence[Hold] = ()) -> None:

@@ -190,10 +190,11 @@ def decide(findings: Findings, rig: RigFile, settings: TuningSettings = TUNING) 
     if static_map.flat or float(np.ptp(static_map.mean)) < settings.slight:
         raise NoOptimum("flat", _flat(findings), findings)
     if not static_map.interior:
-        if (end := static_map.best_end) is None:
-            findings = _doubted(findings, _doubt(static_map))
-        elif findings.safe is not None and findings.safe.ends(upper=end > 0.0):
+        end, safe = static_map.best_end, findings.safe
+        if end is not None and safe is not None and safe.ends(upper=end > 0.0):
             findings = _doubted(findings, _at_bound(findings, rig, end))
+        elif end is None or static_map.motion:  # what moves may turn round
+            findings = _doubted(findings, _doubt(static_map))
         else:
             raise NoOptimum("monotone", _monotone(findings, rig), findings)
     if not any(candidate.usable for candidate in findings.costs):

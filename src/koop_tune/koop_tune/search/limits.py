@@ -51,7 +51,7 @@ def limit_theta(
     the cost is so large that the filters forget it only slowly, and while they do theta moves on,
     whatever it does. So there theta stays a margin inside the last good value.
 
-    An optimum that moves has as much more room as its ``motion`` [ranges] in a loop.
+    An optimum that moves has as much more room as its ``motion`` [ranges].
 
     Away from a constraint that ends the range on the other side theta keeps all of its way: there
     it must go if the bound moves.

@@ -145,7 +145,7 @@ def tune(
     slowdown = limit_slowdown(slowest, rig.time, settings)
     times = times._replace(usual=times.usual + math.log(slowdown))
     time = slowdown * slowest + 2.0 * findings.period
-    motion = findings.speed * settings.search.length * time
+    motion = findings.speed * settings.ahead * settings.search.length * time
     limits = limit_theta(findings.static_map, rig, settings, safe, motion)
     findings = replace(findings, limits=limits)
     usable = sorted((j for j in findings.costs if j.usable), key=lambda j: -j.evidence)
