@@ -84,7 +84,7 @@ def describe_result(rig: RigFile, progress: ExcitationProgress) -> str:
     if progress.ended == TIME and progress.elapsed < rig.time:  # as many holds as there may be
         reason = (
             "the static map is not known yet, and more holds would not help: noise hides the "
-            "oscillation, or the rig changes while theta rests; measure where it is stronger, or "
+            "oscillation, or the rig changes while theta is held; measure where it is stronger, or "
             "set narrower limits of theta, and choose another --out"
         )
     return (

@@ -1,4 +1,4 @@
-"""Windows of a recording in which theta rests, or nearly so, and the oscillation's period."""
+"""Windows of a recording in which theta is held, or nearly so, and the oscillation's period."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ JUDGED = "set by judgement; the study's contrast models were learned with it"
 
 @dataclass(frozen=True)
 class WindowSettings(Settings):
-    """How a recording is cut into windows in which theta rests."""
+    """How a recording is cut into windows in which theta is held."""
 
     longest: float = parameter(10.0, "periods in a window for the contrast, at most", low=1.0)
     shortest: float = parameter(
@@ -86,7 +86,7 @@ def settled_windows(
     longest: float = math.inf,
     settings: WindowSettings = DEFAULTS,
 ) -> tuple[NDArray[np.int64], int]:
-    """Cut a recording into windows of equal length in which theta rests, or nearly so.
+    """Cut a recording into windows of equal length in which theta is held, or nearly so.
 
     A segment ends where the data or theta jump; what comes within ``skip`` after it is left out.
     The length follows from the data: at most what half of the settled samples have in one segment,
@@ -206,6 +206,6 @@ def training_windows(
             f"of {length * dt:.3g} s were found in {begins.size} states ({int(begins.sum())} "
             f"segments without a gap, the oscillation's period is about {period:.3g} s), {fewest} "
             f"of more than {max(shortest, 2 * delays.depth * dt):.3g} s are needed: record longer, "
-            "while theta moves over its range and rests for some periods at each value"
+            "while theta moves over its range and is held for some periods at each value"
         )
     return starts, length

@@ -163,7 +163,7 @@ def find_rests(
         values[-1].append(value)
     if len(values) < settings.values:
         raise InputError(
-            f"theta rested at {len(values)} values for {settings.fewest} windows of {length} "
+            f"theta was held at {len(values)} values for {settings.fewest} windows of {length} "
             f"samples: at least {settings.values} are needed: record with 'koop excite'"
         )
     centres = np.array([np.mean(group) for group in values])
@@ -196,7 +196,7 @@ def find_dwells(
     Raises
     ------
     koop_core.errors.InputError
-        If theta rested at too few values.
+        If theta was held at too few values.
     """
     u, rests = find_rests(loaded, scale, amplitude.windows.length, settings)
     u, rests = leave_out_short(u, rests, settings.part)
@@ -218,7 +218,7 @@ def find_holds(
     Raises
     ------
     koop_core.errors.InputError
-        If theta rested at too few values.
+        If theta was held at too few values.
     """
     u, rests = leave_out_short(*find_rests(loaded, scale, length, settings), settings.part)
     before = [float(u[rests[0].level]), *(float(u[rest.level]) for rest in rests)]

@@ -70,7 +70,7 @@ def spectra_by_theta(
     Raises
     ------
     koop_core.errors.InputError
-        If theta rested at too few values.
+        If theta was held at too few values.
     """
     u, rests = find_rests(loaded, scale, length, settings)
     u, rests = leave_out_short(u, rests, settings.part_of_spectra)

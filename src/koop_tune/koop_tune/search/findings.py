@@ -145,7 +145,7 @@ def analyse(
     NoOptimum
         If there is none inside the range, or no cost shows it.
     koop_core.errors.InputError
-        If theta rested at too few values.
+        If theta was held at too few values.
     """
     dt, scale = rig.dt, rig.scale
     if amplitude is None:
@@ -180,7 +180,7 @@ def analyse(
 
 TO_DO = (
     "run 'koop check' to see whether theta reaches the rig and what hides the oscillation, then "
-    "record wider limits or longer rests (increase 'time')"
+    "record wider limits or longer holds (increase 'time')"
 )
 
 
@@ -250,7 +250,7 @@ def _drowned(findings: Findings) -> str:
     evidence = max(0.0, *(candidate.evidence for candidate in findings.costs))
     return (
         f"the amplitude of {findings.name} has an optimum near {best:.4g}, but no cost shows it "
-        f"(evidence {evidence:.1f}): noise or interference drowns it; record longer rests "
+        f"(evidence {evidence:.1f}): noise or interference drowns it; record longer holds "
         "(increase 'time'), or measure where the oscillation is stronger"
     )
 
