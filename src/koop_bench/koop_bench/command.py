@@ -18,7 +18,7 @@ BENCHMARKS = {  # memory first: this process does not share pages with the nodes
     "realtime": "missed ticks, jitter and latency at 200 Hz, 500 Hz and 1 kHz, idle and busy",
     "guard": "from a sample beyond its limit to the command on the way to safety, at 200 Hz",
     "fleet": "loops of 200 Hz that this machine holds, and what each costs",
-    "record": "losses, cost and bytes of the recorder, and what a killed one lacks",
+    "record": "losses, cost and bytes of the recorder, and what a killed one loses",
     "start": "koop --help, a node from start to active, the end of a demo, a whole demo",
     "offline": "the offline loop beside C at -O2",
     "identify": "identification beside NumPy's least squares",

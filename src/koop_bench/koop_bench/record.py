@@ -1,4 +1,4 @@
-"""Losses, cost and bytes of the recorder, and what a killed one lacks."""
+"""Losses, cost and bytes of the recorder, and what a killed one loses."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def run(settings: BenchSettings) -> list[BenchFigure]:
         folder = Path(name)
         for rate in RATES:
             figures += record_loop(folder / f"{rate:g}", rate, settings)
-        lacking = np.array(kill_recorders(folder / "kills", settings.rounds or KILLS))
+        losses = np.array(kill_recorders(folder / "kills", settings.rounds or KILLS))
     settings.show(
-        f"{lacking.size} recorders killed at random times, 200 Hz x 4: missing [s] "
-        + " ".join(f"{item:.3f}" for item in np.sort(lacking))
+        f"{losses.size} recorders killed at random times, 200 Hz x 4: lost [s] "
+        + " ".join(f"{item:.3f}" for item in np.sort(losses))
     )
-    most = float(lacking.max())
-    what = "a killed recorder lacks at most"
+    most = float(losses.max())
+    what = "a killed recorder loses at most"
     return [*figures, BenchFigure(what, f"{most:.3f} s", most / LIMIT, "the limit", most <= LIMIT)]
 
 
@@ -70,20 +70,18 @@ def record_loop(folder: Path, rate: float, settings: BenchSettings) -> list[Benc
         payload = sum(len(message.data) for message in bag.messages()) / bag.message_count
     sent = 1 + max(int(each[-1]) for each in steps)
     # the loop ends with a state, which may be left without an answer
-    missing = sum(sent - each.size - (each[-1] == sent - 2) for each in steps)
+    lost = sum(sent - each.size - (each[-1] == sent - 2) for each in steps)
     reported = reported_losses((folder / "logs" / "recorder.log").read_text(errors="replace"))
     settings.show(
         f"{rate:g} Hz x {len(steps)} for {seconds:g} s: {sent * len(steps)} messages sent, "
-        f"{missing} missing, {reported} reported as lost; loop {loop:.1%}\nof a core, recorder "
+        f"{lost} lost, {reported} reported as lost; loop {loop:.1%}\nof a core, recorder "
         f"{recorder:.1%}; {stored:.1f} B a message on the disk, {payload:.1f} B before compression"
     )
     sent_in_all = sent * len(steps)
-    kept = missing == reported and (rate > RATES[0] or missing == 0)
+    kept = lost == reported and (rate > RATES[0] or lost == 0)
     share, at = f"{recorder:.1%} of a core", f"{rate:g} Hz"
     return [
-        BenchFigure(
-            f"messages missing, {at}", f"{missing}", missing / sent_in_all, "those sent", kept
-        ),
+        BenchFigure(f"messages lost, {at}", f"{lost}", lost / sent_in_all, "those sent", kept),
         BenchFigure(f"recorder, {at}", share, recorder / loop, "the loop's own"),
         BenchFigure(f"bytes of a message, {at}", f"{stored:.1f} B", stored / payload, "payload"),
     ]
@@ -104,7 +102,7 @@ def reported_losses(log: str) -> int:
 def kill_recorders(folder: Path, count: int) -> list[float]:
     """Kill recorders of a running loop at random times; return what each lacks [s]."""
     rng = random.Random(1)
-    missing = []
+    lost = []
     with fleet(folder, 1, parameters_at(200.0)) as running:
         running.wait_until_running()
         namespace = running.namespaces[0]
@@ -123,8 +121,8 @@ def kill_recorders(folder: Path, count: int) -> list[float]:
             recover(output, saved)
             with BagReader(saved) as bag:
                 last = min(read_columns(bag, t, ["log_time"])["log_time"][-1] for t in topics)
-            missing.append(killed - float(last) * 1e-9)
-    return missing
+            lost.append(killed - float(last) * 1e-9)
+    return lost
 
 
 def wait_for_messages(output: Path, topics: list[str]) -> None:

@@ -41,7 +41,7 @@ def test_what_is_kept_is_recalled_to_the_bit_where_the_rig_followed(memory, tmp_
     kept.keep(progress([0.0] * 12))  # within the same second
     values, remark = memory().recall()
     assert values == {"koopman_lifter": {}, "relay_esc": {"begin": BEGIN}}
-    assert remark == "the controller goes on where it was when the loop ended"
+    assert remark == "the controller resumes where it was when the loop ended"
     assert [path.name for path in tmp_path.iterdir() if path.name != "rig.yaml"] == [
         ".rig.yaml.controller"
     ]

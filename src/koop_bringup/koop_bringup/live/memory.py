@@ -70,7 +70,7 @@ class Memory:
             return {}, f"{error}: the controller begins at theta_initial"
         self._changed = changed
         texts = [f"{node}.{k} = {v}" for node, items in changed.items() for k, v in items.items()]
-        remark = "the controller goes on where it was when the loop ended"
+        remark = "the controller resumes where it was when the loop ended"
         remark += f", with what was set while it ran: {', '.join(texts)}" if texts else ""
         return {node: changed[node] | begin.get(node, {}) for node in CONFIGS}, remark
 

@@ -84,7 +84,7 @@ def make_static_map(c: Contents) -> Section:
             intro += (
                 " Shaded: the valley, where the amplitude is at most 1.5 times the best, which is "
                 f"{math.exp(found.best):.3g}; below {found.amplitude.floor:.2g} nothing can be "
-                "told."
+                "resolved."
             )
             if len(modes := found.modes) > 1:
                 intro += f" Shares in the amplitude's square over theta: {'; '.join(modes[:6])}."

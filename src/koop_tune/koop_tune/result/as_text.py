@@ -35,7 +35,7 @@ def as_table(result: TuneResult) -> str:
     ]
     lines = [
         f"amplitude of {found.feature}; 1 is the strongest seen, {found.amplitude.floor:.2g} the "
-        f"least that can be told; the oscillation's period is {found.period:.3g} s",
+        f"least that can be resolved; the oscillation's period is {found.period:.3g} s",
         table(["theta", "amplitude", "error"], rows),
         f"best at {found.theta_best:.4g}; within {MAP.good:g} times that from "
         f"{found.valley.low:.4g} to {found.valley.high:.4g}",
