@@ -15,6 +15,7 @@ from koop_core.whole_file import read_json, write_json
 from koop_guard.guard import Cause, Trip
 
 THETA_LEFT = "theta is left at"  # begins the last words of guard and twin
+TWIN = "koop_guard_twin/"  # begins the name that a twin holds; its guard's process ends it
 PERIOD = 1.0  # [s] between two notes while nothing trips
 
 

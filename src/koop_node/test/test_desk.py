@@ -8,7 +8,7 @@ import threading
 import pytest
 
 from koop_core.errors import LiveError
-from koop_node.client.alone import PREFIX, _claimed
+from koop_node.client.alone import PREFIX, claimed
 from koop_node.client.desk import STATUS, STOP, Desk, ask, find_loops
 
 ANSWER = {"healthy": True, "text": "all is well"}
@@ -45,7 +45,7 @@ class Loop(threading.Thread):
 
 @pytest.fixture
 def loop(name):
-    with _claimed(name) as (first, place):
+    with claimed(name) as (first, place):
         assert first
         loop = Loop(place)
         loop.start()
@@ -86,7 +86,7 @@ def test_another_user_may_look_but_not_stop(name, loop):
 
 
 def test_a_loop_that_hangs_or_ends_without_a_word_is_told(name):
-    with _claimed(name) as (_, place):
+    with claimed(name) as (_, place):
         with pytest.raises(LiveError, match="does not answer: it is starting"):
             ask(name, STATUS)
         place.listen()

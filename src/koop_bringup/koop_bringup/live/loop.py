@@ -22,10 +22,10 @@ from koop_bringup.live.turns import take_turns
 from koop_bringup.plan import Plan, return_time
 from koop_core.config import parameter_file
 from koop_core.errors import LiveError
-from koop_guard.note import THETA_LEFT
+from koop_guard.note import THETA_LEFT, TWIN
 from koop_loop.ending import Ending, ending
 from koop_loop.parameters import COMPONENTS, EXECUTABLES, LoopParameters
-from koop_node.client.alone import TOPICS, alone
+from koop_node.client.alone import TOPICS, alone, is_claimed
 from koop_node.client.desk import Desk
 
 
@@ -128,7 +128,10 @@ class LiveNodes:
         gone = rig is not None and rig.poll() is not None
         timeout = return_time(self._values) + STOP_TIMEOUT
         guard.stop(number, timeout)
-        if guard.outlived(timeout):
+        deadline = time.monotonic() + timeout
+        while (lasts := is_claimed(f"{TWIN}{guard.process.pid}")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        if lasts:
             text = f"the guard's twin has not returned theta after {timeout:.0f} s"
         elif gone:
             text = "the rig's program has ended and hears no command: theta is as it left it"

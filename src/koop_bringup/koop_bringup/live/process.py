@@ -5,7 +5,6 @@ rclpy is imported only where it is used, so that the offline commands run withou
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import subprocess
@@ -113,7 +112,6 @@ class NodeProcess:
         # a program of others would never take the signals that wait
         waiting = deferred_signals() if command is None else nullcontext()
         with open(log, "ab") as output, waiting:
-            fcntl.flock(output, fcntl.LOCK_SH)  # until the last one that may write has ended
             self.process = TiedProcess(
                 words, environment, stdout=output, stderr=subprocess.STDOUT, **OWN_GROUP
             )
@@ -165,19 +163,6 @@ class NodeProcess:
                         os.kill(pid, signal.SIGCONT)
                 os.killpg(waiting.pid, signal.SIGKILL)
                 waiting.wait()
-
-    def outlived(self, timeout: float) -> bool:
-        """Return whether something that the process started still runs after a time [s]."""
-        deadline = time.monotonic() + timeout
-        with open(self.log) as log:
-            while True:
-                try:
-                    fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    return False
-                except BlockingIOError:
-                    if time.monotonic() > deadline:
-                        return True
-                    time.sleep(0.05)
 
     def last_lines(self, count: int = 5) -> str:
         """Return the end of the node's output."""

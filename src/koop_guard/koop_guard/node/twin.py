@@ -26,7 +26,8 @@ from typing import Any
 from koop_core.config.fields import parse_source
 from koop_guard.config import SAFETY, GuardConfig
 from koop_guard.guard import Cause, Guard
-from koop_guard.note import Note, leave, read
+from koop_guard.note import TWIN, Note, leave, read
+from koop_node.client.alone import claimed
 from koop_node.process.lifeline import OWN_GROUP, VARIABLE
 
 PROGRAM = "import sys; from koop_guard.node.twin import main; sys.exit(main(int(sys.argv[1])))"
@@ -119,7 +120,7 @@ def main(descriptor: int) -> int:
     shared = SharedTheta(descriptor)
     from koop_node.client.client import Client
 
-    with Client("_koop_guard_twin", udp=False) as client:
+    with claimed(f"{TWIN}{guard_id}"), Client("_koop_guard_twin", udp=False) as client:
         if not (line := sys.stdin.buffer.readline()):
             return 0
         order = json.loads(line)
@@ -138,9 +139,9 @@ def _has_ended(guard_id: int, shared: SharedTheta) -> bool:
         return not os.read(0, 1024)
     _, alive, commanded, _ = shared.read()
     if commanded and time.monotonic() - alive > SAFETY.stopped:
-        print(f"the guard stood still for {SAFETY.stopped:g} s: its twin ends it", flush=True)
         with suppress(ProcessLookupError):
             os.kill(guard_id, signal.SIGKILL)
+        print(f"the guard stood still for {SAFETY.stopped:g} s: its twin ended it", flush=True)
     return False
 
 

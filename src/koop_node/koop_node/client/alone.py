@@ -31,7 +31,7 @@ def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[socke
     Raises LiveError if there is a loop already.
     """
     domain = current_domain()
-    with _claimed(f"{PREFIX}{domain}{namespace}") as (first, place_socket):
+    with claimed(f"{PREFIX}{domain}{namespace}") as (first, place_socket):
         if not first or _published(domain, [f"{namespace}/{topic}" for topic in topics]):
             place = f"{domain}, in the namespace {namespace}" if namespace else str(domain)
             raise LiveError(
@@ -42,7 +42,7 @@ def alone(namespace: str = "", topics: Iterable[str] = TOPICS) -> Iterator[socke
 
 
 @contextmanager
-def _claimed(name: str) -> Iterator[tuple[bool, socket.socket]]:
+def claimed(name: str) -> Iterator[tuple[bool, socket.socket]]:
     """Take a name of the machine, or say that it is taken; the end of the process frees it."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as place:
         first = False
@@ -50,6 +50,12 @@ def _claimed(name: str) -> Iterator[tuple[bool, socket.socket]]:
             place.bind(f"\0{name}")
             first = True
         yield first, place
+
+
+def is_claimed(name: str) -> bool:
+    """Return whether a process of this machine has taken a name."""
+    with claimed(name) as (free, _):
+        return not free
 
 
 def is_empty(domain: int) -> bool:
