@@ -6,6 +6,7 @@ import struct
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -40,16 +41,24 @@ def launch(own_domain, tmp_path, monkeypatch):
         process = subprocess.Popen(
             [sys.executable, "-c", RUN, str(file), *arguments],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            text=True, cwd=tmp_path,
+            text=True, cwd=tmp_path, start_new_session=True,
         )  # fmt: skip
         running.append(process)
         return process
 
     yield start
     for process in running:
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-        process.communicate(timeout=TIMEOUT)
+        press_ctrl_c(process)
+        try:
+            process.communicate(timeout=TIMEOUT)
+        finally:
+            process.kill()
+
+
+def press_ctrl_c(process):
+    """Send SIGINT to all processes of the terminal, as it does."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGINT)
 
 
 def is_running(pid):
@@ -132,26 +141,38 @@ def test_the_nodes_end_with_a_launch_that_is_killed(nodes_of, launch, tmp_path):
         assert reader.complete
 
 
-def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, launch):
+@pytest.mark.parametrize("count", range(5))
+def test_ctrl_c_while_the_nodes_start_is_an_orderly_end(nodes_of, launch, tmp_path, count):
+    process = launch("record:=true")
+    wait_for(lambda: (tmp_path / "log").is_dir() and len(nodes_of(process)) >= count, process)
+    press_ctrl_c(process)
+    printed, _ = process.communicate(timeout=TIMEOUT)
+    assert "Traceback" not in printed
+    assert process.returncode == 0, printed
+
+
+def test_a_rig_keeps_its_controller_when_the_recorder_ends(nodes_of, launch, tmp_path):
     process = launch("plant:=false", "record:=true")
     nodes = wait_for(lambda: len(actual := nodes_of(process)) == 3 and actual, process)
     os.kill(nodes["recorder"], signal.SIGKILL)
-    wait_for(lambda: len(nodes_of(process)) == 2, process)
-    process.send_signal(signal.SIGINT)
+    text = "recorder was killed by signal 9: the loop goes on without it"
+    log = tmp_path / "log" / "latest" / "launch.log"
+    wait_for(lambda: text in log.read_text(), process)
+    press_ctrl_c(process)
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 1
-    assert "recorder was killed by signal 9: the loop goes on without it" in printed
     assert printed.count("process has finished cleanly") == 2
 
 
 def test_a_recording_holds_how_theta_returned_when_the_guard_was_killed(nodes_of, launch, tmp_path):
+    # from the farthest theta that the guard allows, theta would need longer than the test waits
     values = {
         "koopman_lifter": {"cost": "raw", "dt": DT, "measured": RIG.measured},
         "relay_esc": {"theta_min": 0.4, "theta_max": 0.9, "theta_initial": 0.5, "rate_limit": 4.0},
         "koop_guard": {
             name: as_values(RIG)[name]
-            for name in ("measured", "command", "dt", "theta_max", "theta_start")
-        } | {"theta_min": 0.4, "theta_rate": 0.2, "theta_safe": RIG.theta_safe},
+            for name in ("measured", "command", "dt", "theta_start")
+        } | {"theta_min": 0.4, "theta_max": 1e3, "theta_rate": 0.2, "theta_safe": RIG.theta_safe},
     }  # fmt: skip
     parameter_file.write(values, tmp_path / "loop.yaml")
     rig = FastRig()

@@ -10,9 +10,11 @@ Another launch file may include it, also several times: the end of one loop ends
 processes only, and what ``SetParameter`` gives to a group reaches the nodes that have it.
 """
 
+import asyncio
 import signal
 import sys
-from contextlib import ExitStack
+import time
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -22,12 +24,13 @@ from launch.actions import (
     ExecuteProcess,
     GroupAction,
     LogInfo,
+    OpaqueCoroutine,
     OpaqueFunction,
     RegisterEventHandler,
-    TimerAction,
     UnsetLaunchConfiguration,
 )
 from launch.event_handlers import OnShutdown
+from launch.events.matchers import matches_action
 from launch.events.process import ProcessExited, ShutdownProcess, SignalProcess
 from launch.logging import get_logger, launch_config
 from launch.substitutions import LaunchConfiguration
@@ -36,12 +39,12 @@ from launch_ros.actions import Node
 from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments, return_time
 from koop_core.config.parameter_file import write
 from koop_guard.config import SAFETY
+from koop_guard.note import TWIN
 from koop_loop.ending import Ending, describe_end, ending
-from koop_node.client.alone import TOPICS, alone
-from koop_node.process.lifeline import TIED
+from koop_node.client.alone import TOPICS, alone, is_claimed
+from koop_node.process.lifeline import DEFERRED, TIED, take_signals
 
 STOP_TIMEOUT = 10.0  # [s] for a recorder to close its bag
-DEFERRED = "env --block-signal=INT,TERM "  # until the node handles them: see koop_node.node.start
 SET = "global_params"  # where launch_ros keeps what SetParameter and its like give to all nodes
 
 
@@ -79,15 +82,11 @@ def _start(context: LaunchContext) -> list:
     published = [topic for topic in TOPICS if topic != "state" or not by_others]
     returning = return_time(planned.parameters)
     loop = _Loop(planned.rig, alone(planned.namespace, published), returning)
-    prefix = [
-        DEFERRED if sys.platform == "linux" else "",
-        LaunchConfiguration("launch-prefix", default=""),
-    ]
     shared = {
         "additional_env": TIED,  # launch holds a pipe to their stdin
         "output": "screen",
         "sigterm_timeout": str(STOP_TIMEOUT + returning),
-        "prefix": prefix,
+        "prefix": LaunchConfiguration("launch-prefix", default=""),
     }
     files = [item for item in of_group if not isinstance(item, tuple)]
     for node in planned.processes():
@@ -113,8 +112,27 @@ def _start(context: LaunchContext) -> list:
     return [
         *(LogInfo(msg=note) for note in planned.notes),
         RegisterEventHandler(OnShutdown(on_shutdown=loop.on_shutdown)),
+        OpaqueCoroutine(coroutine=_defer_signals, args=[loop.processes], ignore_context=True),
         GroupAction([UnsetLaunchConfiguration(SET), *loop.processes]),
     ]
+
+
+async def _defer_signals(nodes: list) -> None:
+    """Let Ctrl-C wait until the processes have started.
+
+    A process inherits that, until it handles signals (koop_node.node.start). Launch would wait
+    without end for one that Ctrl-C ended at once, or whose start KeyboardInterrupt cut short.
+    """
+    signal.pthread_sigmask(signal.SIG_BLOCK, DEFERRED)
+    interrupt = signal.signal(signal.SIGINT, lambda number, frame: None)
+    try:
+        while not all("pid" in p.process_details or p.get_asyncio_future().done() for p in nodes):
+            await asyncio.sleep(0.01)
+    except asyncio.CancelledError:
+        pass  # launch would take it for its own
+    finally:
+        take_signals()
+        signal.signal(signal.SIGINT, interrupt)
 
 
 class _Loop:
@@ -168,26 +186,40 @@ class _Loop:
 
         return ended
 
-    def on_shutdown(self, event, context: LaunchContext) -> None:
-        """Give the launch its exit code, if nothing of the loop is left that could do so."""
+    def on_shutdown(self, event, context: LaunchContext) -> list:
+        """Give the launch its exit code, if nothing of the loop is left that could do so.
+
+        Launch does not forward Ctrl-C, which a process that starts meanwhile has not received.
+        """
         if self._ended == len(self.processes):
             self._raise()
+        ends = (ShutdownProcess(process_matcher=matches_action(p)) for p in self.processes)
+        return [EmitEvent(event=end) for end in ends]
 
     def _end(self, event: ProcessExited, orderly: bool) -> list:
         """Return what ends the other processes; the guard knows a failure by SIGTERM."""
         self._ending = True
 
         def end(process):
-            matcher = {"process_matcher": lambda action: action is process}
             if process is self.guard and not orderly:
-                return SignalProcess(signal_number=signal.SIGTERM, **matcher)
-            return ShutdownProcess(**matcher)
+                return SignalProcess(
+                    signal_number=signal.SIGTERM, process_matcher=matches_action(process)
+                )
+            return ShutdownProcess(process_matcher=matches_action(process))
 
         others = [process for process in self.processes if process is not event.action]
-        ends = [EmitEvent(event=end(process)) for process in others]
-        if event.action is self.guard and event.returncode < 0:  # its twin returns theta
-            return [TimerAction(period=self._returning, actions=ends)]
-        return ends
+        if event.action is not self.guard or event.returncode >= 0:
+            return [EmitEvent(event=end(process)) for process in others]
+
+        async def end_after_twin(context: LaunchContext) -> None:  # which returns theta
+            deadline = time.monotonic() + self._returning
+            with suppress(asyncio.CancelledError):
+                while is_claimed(f"{TWIN}{event.pid}") and time.monotonic() < deadline:
+                    await asyncio.sleep(0.05)
+                for process in others:
+                    await context.emit_event(end(process))
+
+        return [OpaqueCoroutine(coroutine=end_after_twin)]
 
     def _raise(self) -> None:
         """Raise what went wrong: an error is how a launch gets exit code 1."""
