@@ -150,6 +150,6 @@ def dominant_period(segments: Sequence[NDArray[np.float64]], dt: float) -> float
     return float(length * dt / np.average(bins, weights=(high - low)[around]))
 
 
-def embedded_degree(n: int, most: int = 120) -> int:
-    """Return the largest degree up to the paper's 3 that has at most ``most`` monomials; or 1."""
-    return next((degree for degree in (3, 2) if math.comb(n + degree, n) <= most), 1)
+def embedded_degree(n: int) -> int:
+    """Return the largest degree up to the paper's 3 that has few monomials; or 1."""
+    return next((degree for degree in (3, 2) if math.comb(n + degree, n) <= LEARNING.monomials), 1)

@@ -20,6 +20,7 @@ class LearningSettings(Settings):
         4, "windows of a bin, at least", low=4, origin="two to propose, two to judge"
     )
     ridge: float = judged(1e-9, "regularisation with delays, over the variance", low=0.0)
+    monomials: int = judged(120, "monomials of a state with delays, at most", low=2)
     span: float = judged(0.125, "newest to oldest delay, in periods", low=0.01, high=1.0)
 
 

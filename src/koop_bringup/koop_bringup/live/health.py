@@ -27,9 +27,8 @@ HEALTH = HealthSettings()
 
 
 def judge_health(
-    progress: Progress, nodes: Collection[str], lost: Collection[str], now: float,
-    settings: HealthSettings = HEALTH,
-) -> list[str]:  # fmt: skip
+    progress: Progress, nodes: Collection[str], lost: Collection[str], now: float
+) -> list[str]:
     """Return in words why a loop is not healthy; empty if it is.
 
     Parameters
@@ -40,12 +39,10 @@ def judge_health(
         Nodes that were started, and the ones among them that have ended.
     now : float
         Steady time [s].
-    settings : HealthSettings
-        When a node is silent.
     """
     faults = [f"{node} has ended" for node in lost]
     for node in nodes:
-        if node not in lost and now - progress.heard.get(node, -math.inf) > settings.silent:
+        if node not in lost and now - progress.heard.get(node, -math.inf) > HEALTH.silent:
             faults.append(f"{node} is silent")
     guard = progress.values.get("koop_guard", {})
     for node, text in progress.findings.items():

@@ -11,13 +11,11 @@ from koop_bag.bag.columns import LOG_TIME, list_fields, read_columns
 from koop_bag.bag.reader import BagReader
 from koop_commission.fitness.fitness import BAD, Finding, judge_samples
 from koop_commission.fitness.samples import Samples
-from koop_commission.fitness.settings import DEFAULTS, CheckSettings
+from koop_commission.fitness.settings import DEFAULTS
 from koop_tune.rig.rig_file import RigFile
 
 
-def check_recording(
-    rig: RigFile, bag: Path, settings: CheckSettings = DEFAULTS
-) -> Iterator[Finding]:
+def check_recording(rig: RigFile, bag: Path) -> Iterator[Finding]:
     """Yield the findings of a bag, or of the run folder that holds it.
 
     Whether theta acts, 'koop tune' tells from the static map.
@@ -41,10 +39,10 @@ def check_recording(
         columns["step"].astype(np.int64) if "step" in columns else np.full(n, -1),
         np.column_stack([columns[name] for name in rig.names]).astype(np.float64),
     )
-    yield from judge_samples(rig, samples, measure_pace(samples, rig, settings), settings)
+    yield from judge_samples(rig, samples, measure_pace(samples, rig))
 
 
-def measure_pace(samples: Samples, rig: RigFile, settings: CheckSettings = DEFAULTS) -> float:
+def measure_pace(samples: Samples, rig: RigFile) -> float:
     """Return the seconds of the rig's own time per second of a recording.
 
     Steps or stamps show it, and a recording may have another pace than the rig file, as one in
@@ -57,4 +55,4 @@ def measure_pace(samples: Samples, rig: RigFile, settings: CheckSettings = DEFAU
         pace = float(samples.stamp[-1] - samples.stamp[0]) / span
     else:
         return rig.pace
-    return pace if abs(pace / rig.pace - 1.0) > settings.slow else rig.pace
+    return pace if abs(pace / rig.pace - 1.0) > DEFAULTS.slow else rig.pace

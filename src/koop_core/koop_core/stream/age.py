@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import math
 
-from koop_core.stream.settings import STREAM, StreamSettings
+from koop_core.stream.settings import STREAM
 
 
 class AgeMeter:
     """Tells the age of the messages of one writer."""
 
-    def __init__(self, settings: StreamSettings = STREAM) -> None:
-        self._settings = settings
+    def __init__(self) -> None:
         self._best = self._low = self._low_before = math.inf
         self._end = -math.inf
         self._last = math.nan
@@ -30,7 +29,7 @@ class AgeMeter:
 
     def age(self, written: float, now: float) -> float:
         """Return a message's age [s]; it was written on its writer's clock, and arrives ``now``."""
-        delay, s = now - written, self._settings
+        delay, s = now - written, STREAM
         if now - self._last > s.gap:
             self._low = self._low_before = math.inf
             self._end = now + s.period

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from koop_core.stream.settings import STREAM, StreamSettings
+from koop_core.stream.settings import STREAM
 
 LEVELS = ("OK", "WARN", "ERROR", "STALE")  # in the order of diagnostic_msgs/DiagnosticStatus
 OK, WARN, ERROR, STALE = range(len(LEVELS))
@@ -43,8 +43,7 @@ class News:
     one when it has lasted: what comes and goes is one line, not two every second.
     """
 
-    def __init__(self, settings: StreamSettings = STREAM) -> None:
-        self._settings = settings
+    def __init__(self) -> None:
         self._logged = OK
         self._since = math.nan  # when the level changed that was not logged yet [s]
 
@@ -55,7 +54,7 @@ class News:
             self._since = math.nan
         elif math.isnan(self._since):
             self._since = now
-        if (change > 0 and state.at_once) or now - self._since >= self._settings.settled:
+        if (change > 0 and state.at_once) or now - self._since >= STREAM.settled:
             self._logged, self._since = state.level, math.nan
             return state
         return None

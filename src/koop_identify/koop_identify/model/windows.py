@@ -51,30 +51,30 @@ class WindowSettings(Settings):
 DEFAULTS = WindowSettings()
 
 
-def period_of(loaded: Loaded, dt: float, settings: WindowSettings = DEFAULTS) -> float:
+def period_of(loaded: Loaded, dt: float) -> float:
     """Return the period of the oscillation that comes and goes [s]; jumps of theta do not count."""
-    cut, skip, rest = loaded.begins, 0, usual_rest(loaded.theta, dt, settings)
+    cut, skip, rest = loaded.begins, 0, usual_rest(loaded.theta, dt)
     if loaded.theta is not None and np.isfinite(rest):
-        cut = cut | jumps(loaded.theta, settings)
-        skip = round(settings.skip_share * rest / dt)
+        cut = cut | jumps(loaded.theta)
+        skip = round(DEFAULTS.skip_share * rest / dt)
     return dominant_period([loaded.x[:, p.start + skip : p.stop] for p in list_segments(cut)], dt)
 
 
-def jumps(theta: NDArray[np.float64], settings: WindowSettings) -> NDArray[np.bool_]:
+def jumps(theta: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return where theta changes by more than the settings' share of its range."""
     finite = theta[np.isfinite(theta)]
     if not finite.size:
         return np.zeros(theta.size, np.bool_)
     moved = np.abs(np.diff(theta, prepend=theta[:1]))
     # NaN, where theta is not known, compares false
-    return np.asarray(moved > settings.jump * np.ptp(finite))
+    return np.asarray(moved > DEFAULTS.jump * np.ptp(finite))
 
 
-def usual_rest(theta: NDArray[np.float64] | None, dt: float, settings: WindowSettings) -> float:
+def usual_rest(theta: NDArray[np.float64] | None, dt: float) -> float:
     """Return how long theta usually rests [s]; infinite where it does not jump."""
     if theta is None:
         return np.inf
-    places = np.flatnonzero(jumps(theta, settings))
+    places = np.flatnonzero(jumps(theta))
     return float(np.median(np.diff(places))) * dt if places.size > 1 else np.inf
 
 
@@ -84,7 +84,6 @@ def settled_windows(
     dt: float,
     skip: float,
     longest: float = math.inf,
-    settings: WindowSettings = DEFAULTS,
 ) -> tuple[NDArray[np.int64], int]:
     """Cut a recording into windows of equal length in which theta is held, or nearly so.
 
@@ -104,8 +103,6 @@ def settled_windows(
         Time that the rig and the detector need after a jump [s].
     longest : float
         Longest window [s]; a window shorter than the slowest oscillation says little.
-    settings : WindowSettings
-        What counts as a jump and as rest.
 
     Returns
     -------
@@ -125,19 +122,19 @@ def settled_windows(
         span = float(np.nanmax(theta) - np.nanmin(theta))
         moved[1:] = np.nan_to_num(np.abs(np.diff(theta)))
         cut[1:] |= finite[1:] != finite[:-1]
-        cut |= moved > settings.quiet * span
+        cut |= moved > DEFAULTS.quiet * span
     bounds = np.append(np.flatnonzero(cut), size)
     usable = np.maximum(np.diff(bounds) - round(skip / dt), 0)
     if not usable.any():
         return nothing
     ordered = np.sort(usable)[::-1]
     half = ordered[np.searchsorted(np.cumsum(ordered), 0.5 * ordered.sum())]
-    limits = [longest / dt, settings.shorter * half]
+    limits = [longest / dt, DEFAULTS.shorter * half]
     speed = float(moved[~cut].mean()) if (~cut).any() else 0.0
     if speed > 0.0:
-        limits.append(settings.quiet * span / speed)
+        limits.append(DEFAULTS.quiet * span / speed)
     if span == 0.0:
-        limits.append(ordered.sum() / settings.without_theta)
+        limits.append(ordered.sum() / DEFAULTS.without_theta)
     length = int(min(limits))
     if length < 3:
         return nothing
@@ -150,7 +147,7 @@ def settled_windows(
     if span > 0.0:
         assert theta is not None
         # NaN, where theta is not known, compares false
-        rests = np.ptp(cut_windows(theta, starts, length), axis=1) <= 2.0 * settings.quiet * span
+        rests = np.ptp(cut_windows(theta, starts, length), axis=1) <= 2.0 * DEFAULTS.quiet * span
         starts = starts[rests]
     return starts, length
 
@@ -167,7 +164,6 @@ def training_windows(
     delays: Delays,
     dt: float,
     period: float,
-    settings: WindowSettings = DEFAULTS,
 ) -> tuple[NDArray[np.int64], int]:
     """Cut a recording into windows for the contrast, as long as data allow.
 
@@ -181,8 +177,6 @@ def training_windows(
         Time between two states [s].
     period : float
         Period of the oscillation [s], see :func:`period_of`.
-    settings : WindowSettings
-        Lengths and numbers.
 
     Returns
     -------
@@ -197,9 +191,9 @@ def training_windows(
         If there are too few windows; the message says why and what to do.
     """
     theta, begins = loaded.theta, loaded.begins
-    skip = min(settings.skip * period, settings.skip_share * usual_rest(theta, dt, settings))
-    starts, length = settled_windows(theta, begins, dt, skip, settings.longest * period, settings)
-    shortest, fewest = settings.shortest * period, settings.fewest
+    skip = min(DEFAULTS.skip * period, DEFAULTS.skip_share * usual_rest(theta, dt))
+    starts, length = settled_windows(theta, begins, dt, skip, DEFAULTS.longest * period)
+    shortest, fewest = DEFAULTS.shortest * period, DEFAULTS.fewest
     if starts.size < fewest or length * dt < shortest or length <= 2 * delays.depth:
         raise InputError(
             f"the contrast compares windows of strong and weak oscillation: {starts.size} windows "

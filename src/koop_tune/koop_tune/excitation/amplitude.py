@@ -167,11 +167,11 @@ class Amplitude:
         """Return log A of each whole window of samples, shape (M, n)."""
         return self.log(self.squares(self.windows.powers(x)))
 
-    def period(self, holds: Sequence[Array], settings: AmplitudeSettings = AMPLITUDE) -> float:
+    def period(self, holds: Sequence[Array]) -> float:
         """Return the period [s] below which nearly all of A^2 is, in each of some holds."""
         shares = np.array([np.cumsum((self.weight * power).sum(axis=0)) for power in holds])
         shares /= np.maximum(shares[:, -1:], 1e-300)
-        first = int((shares > settings.slow).argmax(axis=1).min())
+        first = int((shares > AMPLITUDE.slow).argmax(axis=1).min())
         return 1.0 / float(self.windows.frequency[first])
 
     @property
@@ -183,7 +183,7 @@ class Amplitude:
             rows += [(channel, int(a), int(b) - 1) for a, b in steps.reshape(-1, 2)]
         return rows
 
-    def modes(self, holds: Sequence[Array], settings: AmplitudeSettings = AMPLITUDE) -> list[Mode]:
+    def modes(self, holds: Sequence[Array]) -> list[Mode]:
         """Return what reacts, without minor parts, from mean powers of holds, shape (n, G)."""
         edges, seconds = self.windows.edges, self.windows.seconds
         rows = []
@@ -194,7 +194,7 @@ class Amplitude:
                 / max(float((self.weight * power).sum()), 1e-300)
                 for power in holds
             ]
-            if max(shares) >= settings.minor:
+            if max(shares) >= AMPLITUDE.minor:
                 low, high = edges[first] / seconds, (edges[last + 1] - 1) / seconds
                 rows.append(Mode(channel, low, high, min(shares), max(shares)))
         return sorted(rows, key=lambda mode: -mode.most)
@@ -218,7 +218,6 @@ def choose_amplitude(
     windows: Windows,
     holds: Sequence[Array],
     importance: Sequence[float] = (),
-    settings: AmplitudeSettings = AMPLITUDE,
 ) -> Amplitude | None:
     """Choose what is summed, from the powers of holds once each had settled.
 
@@ -230,8 +229,6 @@ def choose_amplitude(
         Powers of the windows of each hold, W at least 2.
     importance : sequence of float, optional
         w_c of each channel; alike unless given.
-    settings : AmplitudeSettings
-        Thresholds.
 
     Returns
     -------
@@ -245,26 +242,26 @@ def choose_amplitude(
     spread = np.maximum(spread, np.quantile(spread, 0.5, axis=0, method="lower"))
     count = np.array([max(hold.shape[0] - 1, 1) for hold in holds])[:, None, None]
     error = np.minimum(spread * np.sqrt(2.0 / count), 2.0)  # neighbouring windows are alike
-    doubt = settings.errors / math.sqrt(2.0) * error  # of two holds alike: errors of the change
+    doubt = AMPLITUDE.errors / math.sqrt(2.0) * error  # of two holds alike: errors of the change
     level = np.log(mean)
-    reacts = (level - doubt).max(axis=0) - (level + doubt).min(axis=0) > settings.change
+    reacts = (level - doubt).max(axis=0) - (level + doubt).min(axis=0) > AMPLITUDE.change
     most = (mean * (1.0 + error)).min(axis=0)  # of a background; a short hold tells little
     density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
-    reacts[:, : settings.lowest] = False  # a window has too little of a slow interference
-    reacts &= _is_part(mean, reacts, settings.skirt)
-    background = _background(windows, density, most, reacts, settings)
+    reacts[:, : AMPLITUDE.lowest] = False  # a window has too little of a slow interference
+    reacts &= _is_part(mean, reacts, AMPLITUDE.skirt)
+    background = _background(windows, density, most, reacts)
     motion = np.maximum(mean - background, 0.0)
     size = (motion * reacts).sum(axis=2).max(axis=0)
     hides = (background * reacts).sum(axis=1)
     use = (size > 0.0) & (
-        hides < max(settings.hidden, float((hides / np.maximum(size, 1e-300)).min()) * 2.0) * size
+        hides < max(AMPLITUDE.hidden, float((hides / np.maximum(size, 1e-300)).min()) * 2.0) * size
     )
     if not use.any():
         return None
     w = np.where(use, np.array(importance or [1.0] * size.size), 0.0)
     weight = reacts * np.where(use, w / np.where(use, size, 1.0), 0.0)[:, None] / w.sum()
     hidden = float((weight * background).sum())
-    return Amplitude(windows, weight, hidden, math.sqrt(settings.doubt * hidden + TINY))
+    return Amplitude(windows, weight, hidden, math.sqrt(AMPLITUDE.doubt * hidden + TINY))
 
 
 def whole_amplitude(windows: Windows, x: Array) -> Amplitude:
@@ -283,7 +280,6 @@ def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np
 
 def _background(
     windows: Windows, density: Array, most: Array, reacts: NDArray[np.bool_],
-    settings: AmplitudeSettings,
 ) -> Array:  # fmt: skip
     """Return F, shape (n, G): the density of the quietest of the quiet groups beside.
 
@@ -294,7 +290,7 @@ def _background(
     result = np.zeros(reacts.shape)
     for c, g in zip(*np.nonzero(reacts), strict=True):
         quiet = np.flatnonzero(~reacts[c])
-        sides = (quiet[quiet < g][-settings.beside :], quiet[quiet > g][: settings.beside])
+        sides = (quiet[quiet < g][-AMPLITUDE.beside :], quiet[quiet > g][: AMPLITUDE.beside])
         levels = [float(density[c, side].min()) for side in sides if side.size]
         result[c, g] = min([*levels, math.inf]) * width[g] if levels else 0.0
         near = quiet[(edges[quiet + 1] > edges[g] - LOBE) & (edges[quiet] < edges[g + 1] + LOBE)]

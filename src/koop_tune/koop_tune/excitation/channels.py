@@ -73,9 +73,7 @@ class Line(NamedTuple):
     share: float
 
 
-def describe_channel(
-    x: NDArray[np.float64], settings: ChannelSettings = CHANNELS
-) -> ChannelSummary:
+def describe_channel(x: NDArray[np.float64]) -> ChannelSummary:
     """Look at the samples of one channel, shape (M,)."""
     usable = x[np.isfinite(x)]
     bad = 1.0 - usable.size / max(x.size, 1)
@@ -84,37 +82,33 @@ def describe_channel(
     low, high = float(usable.min()), float(usable.max())
     changes = np.flatnonzero(np.diff(usable) != 0.0)
     rests = np.diff(changes, prepend=-1, append=usable.size - 1)
-    quantum = _quantum(usable, settings)
+    quantum = _quantum(usable)
     return ChannelSummary(
         low, high, float(usable.std()), bad, float(rests.max()) / usable.size, quantum,
-        _saturated(usable, low, high, quantum, settings),
+        _saturated(usable, low, high, quantum),
     )  # fmt: skip
 
 
-def _quantum(x: NDArray[np.float64], settings: ChannelSettings) -> float:
+def _quantum(x: NDArray[np.float64]) -> float:
     values, counts = np.unique(x, return_counts=True)
     # a stop repeats one value without the others being steps
-    if values.size < 2 or values.size > settings.levels * (x.size - counts.max()):
+    if values.size < 2 or values.size > CHANNELS.levels * (x.size - counts.max()):
         return 0.0
     steps = np.diff(values)
     return float(np.median(steps[steps > 1e-9 * (values[-1] - values[0])]))
 
 
-def _saturated(
-    x: NDArray[np.float64], low: float, high: float, quantum: float, settings: ChannelSettings
-) -> float:
+def _saturated(x: NDArray[np.float64], low: float, high: float, quantum: float) -> float:
     """Return the share at the stops: far more than a sine spends within a quantum of its end."""
     swing = 0.5 * (high - low)
     if swing == 0.0:
         return 0.0
     usual = math.acos(max(1.0 - max(quantum, 1e-6 * swing) / swing, -1.0)) / math.pi
     shares = [float(np.mean(x == end)) for end in (low, high)]
-    return sum(share for share in shares if share > max(settings.stop, settings.flatter * usual))
+    return sum(share for share in shares if share > max(CHANNELS.stop, CHANNELS.flatter * usual))
 
 
-def find_lines(
-    x: NDArray[np.float64], dt: float, settings: ChannelSettings = CHANNELS
-) -> list[Line]:
+def find_lines(x: NDArray[np.float64], dt: float) -> list[Line]:
     """Return the narrow peaks of a channel's spectrum, the strongest first.
 
     By Welch's method, about a straight line in each segment. At least the largest peak is named.
@@ -129,12 +123,12 @@ def find_lines(
     from scipy.signal import welch  # slow to import
 
     finite = np.isfinite(x)
-    if finite.sum() < settings.shortest or np.ptp(x[finite]) == 0.0:
+    if finite.sum() < CHANNELS.shortest or np.ptp(x[finite]) == 0.0:
         return []
     x = bridge_gaps(x[:, None])[:, 0]
-    length = max(settings.shortest, int(settings.segment * x.size))
+    length = max(CHANNELS.shortest, int(CHANNELS.segment * x.size))
     frequency, power = welch(x, 1.0 / dt, "hann", length, detrend="linear", scaling="spectrum")
-    return pick_lines(frequency, power, settings)
+    return pick_lines(frequency, power)
 
 
 def pick_lines(
@@ -183,14 +177,13 @@ def strongest_period(x: NDArray[np.float64], dt: float) -> float | None:
 
 def should_listen(
     x: NDArray[np.float64], dt: float, least: float, periods: float, most: float,
-    settings: ChannelSettings = CHANNELS,
 ) -> bool:  # fmt: skip
     """Return whether more must be heard: some periods of what is strongest, not for ever [s].
 
     What is strongest shows only when it is heard long enough, so this is asked again and again.
     """
     heard = x.shape[0] * dt
-    if heard < max(least, settings.fewest * dt):
+    if heard < max(least, CHANNELS.fewest * dt):
         return True
     period = strongest_period(x, dt)
     return period is not None and heard < min(periods * period, most)

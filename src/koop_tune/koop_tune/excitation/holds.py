@@ -29,6 +29,7 @@ class HoldSettings(Settings):
 
     errors: float = judged(2.5, "standard errors of the level", low=0.0)
     slight: float = judged(0.01, "change of a log amplitude, if more", low=0.0)
+    usual: float = judged(0.75, "quantile of the wander that most holds show", low=0.0, high=1.0)
 
 
 HOLDS = HoldSettings()
@@ -182,10 +183,10 @@ def mean_level(squares: Array, floor: float = 0.0) -> tuple[float, float]:
     return 0.5 * math.log(mean), 0.5 * float(standard_error(squares[:, None])[0]) / mean
 
 
-def usual_wander(values: Sequence[float], usual: float = 0.75) -> float:
+def usual_wander(values: Sequence[float]) -> float:
     """Return how slowly an amplitude comes and goes, as most holds show it."""
     finite = [value for value in values if math.isfinite(value)]
-    return float(np.quantile(finite, usual)) if finite else 0.0
+    return float(np.quantile(finite, HOLDS.usual)) if finite else 0.0
 
 
 def standard_error(values: Array) -> Array:

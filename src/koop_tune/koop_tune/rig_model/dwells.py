@@ -188,9 +188,7 @@ def leave_out_short(
     return u[kept], [rest._replace(level=int(i)) for i, rest in zip(level, rests, strict=True)]
 
 
-def find_dwells(
-    loaded: Loaded, scale: Scale, amplitude: Amplitude, settings: DwellSettings = DWELLS
-) -> Dwells:
+def find_dwells(loaded: Loaded, scale: Scale, amplitude: Amplitude) -> Dwells:
     """Return the rests in a recording, with the amplitude in each window.
 
     Raises
@@ -198,13 +196,13 @@ def find_dwells(
     koop_core.errors.InputError
         If theta was held at too few values.
     """
-    u, rests = find_rests(loaded, scale, amplitude.windows.length, settings)
-    u, rests = leave_out_short(u, rests, settings.part)
+    u, rests = find_rests(loaded, scale, amplitude.windows.length)
+    u, rests = leave_out_short(u, rests, DWELLS.part)
     squares = [
         amplitude.squares(amplitude.windows.powers(loaded.x[:, a:b].T)) for _, a, b, _ in rests
     ]
     rests = [
-        rest._replace(skip=min(find_level(amplitude, part).skip, part.size - settings.settled))
+        rest._replace(skip=min(find_level(amplitude, part).skip, part.size - DWELLS.settled))
         for rest, part in zip(rests, squares, strict=True)
     ]
     return Dwells(u, rests, amplitude, [amplitude.log(part) for part in squares])

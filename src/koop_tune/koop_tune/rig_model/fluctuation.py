@@ -55,21 +55,19 @@ class Fluctuation(NamedTuple):
     share: float
 
 
-def fit_fluctuation(dwells: Dwells, settings: FluctuationSettings = FLUCTUATION) -> Fluctuation:
+def fit_fluctuation(dwells: Dwells) -> Fluctuation:
     """Fit the autocovariance of the power in the windows of all rests once the rig had settled."""
-    parts = relative_power(dwells)
+    s, parts = FLUCTUATION, relative_power(dwells)
     longest = max(part.size for part in parts)
-    lags = max(int(settings.lags * longest), 3)
+    lags = max(int(s.lags * longest), 3)
     fit, count = estimate_autocovariance(parts, lags)
     k, y, w = np.arange(1, lags), fit[1:], count[1:]
-    decays = np.geomspace(
-        settings.shortest, max(settings.longest * longest, 2.0 * settings.shortest), settings.count
-    )
-    least = settings.least * float(fit[0])
+    decays = np.geomspace(s.shortest, max(s.longest * longest, 2.0 * s.shortest), s.count)
+    least = s.least * float(fit[0])
     misfits = np.array([_misfit(k, y, w, float(decay), least) for decay in decays])
     windows = 1.0
     if np.isfinite(misfits).any():
-        windows = 2.0 * float(decays[int(np.argmax(misfits <= settings.as_good * misfits.min()))])
+        windows = 2.0 * float(decays[int(np.argmax(misfits <= s.as_good * misfits.min()))])
     return Fluctuation(windows * dwells.amplitude.windows.seconds, float(fit[0]))
 
 

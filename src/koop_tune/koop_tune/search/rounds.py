@@ -123,7 +123,7 @@ def find_slowdown(rounds: Sequence[Round], settings: VerificationSettings = VERI
     return slowdown
 
 
-def find_longer(rounds: Sequence[Round], settings: VerificationSettings = VERIFICATION) -> float:
+def find_longer(rounds: Sequence[Round]) -> float:
     """Return the factor by which the loops of the next round are closed longer.
 
     Each round that ended near the best from both ends and was not damped lengthens it: what kept it
@@ -131,7 +131,7 @@ def find_longer(rounds: Sequence[Round], settings: VerificationSettings = VERIFI
     """
     good = CONVERGENCE.good
     doubtful = [r for r in rounds if r.finished and not r.damped and r.worst_excess <= good]
-    return settings.longer ** len(doubtful)
+    return VERIFICATION.longer ** len(doubtful)
 
 
 def kept_index(rounds: Sequence[Round]) -> int:
