@@ -13,7 +13,6 @@ from koop_tune.excitation.amplitude import (
     Windows,
     bridge_gaps,
     choose_amplitude,
-    mean_powers,
     whole_amplitude,
 )
 
@@ -80,7 +79,7 @@ def test_a_mode_that_reacts_counts_in_every_channel_and_a_line_that_does_not_is_
         s_squared = 0.5 * (scale * size.max()) ** 2
         assert amplitude.weight[channel, peak] == pytest.approx(0.5 / s_squared, rel=0.02)
     assert amplitude.name(["a", "b"]).startswith("a and b at ")  # both react alike
-    assert amplitude.period(mean_powers(holds)) == pytest.approx(0.5, rel=0.2)
+    assert amplitude.period([hold.mean(axis=0) for hold in holds]) == pytest.approx(0.5, rel=0.2)
 
 
 def test_nothing_that_reacts_is_no_amplitude():
@@ -156,7 +155,7 @@ def test_two_modes_that_trade_off_are_both_in_and_named_with_their_shares():
     most = (falls**2 + rises**2).max()
     expected = np.sqrt(0.5 * ((falls**2 + rises**2) / most + falls**2 / falls.max() ** 2))
     assert levels(amplitude, holds) == pytest.approx(expected, rel=0.03)
-    modes = amplitude.modes(mean_powers(holds))
+    modes = amplitude.modes([hold.mean(axis=0) for hold in holds])
     slow = next(m for m in modes if m.channel == 0 and m.low <= 0.75 <= m.high)
     fast = next(m for m in modes if m.channel == 0 and m.low <= 3.5 <= m.high)
     share = 0.5 * rises**2 / most / expected**2

@@ -65,7 +65,7 @@ def make_spectra(c: Contents) -> Section:
     try:
         windows = c.excitation.windows
         length = windows.length if windows else DWELLS.window
-        spectra = spectra_by_theta(c.loaded, c.rig.scale, c.rig.dt, length, 1)
+        spectra = spectra_by_theta(c.loaded, c.rig.scale, c.rig.dt, length)
     except InputError as error:
         return Section(name, title, f"None: {error}.")
     panels = tuple(_draw(c, spectra, i) for i in range(len(c.rig.names)))

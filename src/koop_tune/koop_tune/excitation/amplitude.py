@@ -15,7 +15,7 @@ so that 1 is the strongest motion seen. What the background hides is told as a f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -321,8 +321,3 @@ def _detrended(x: Array) -> Array:
 def window_length(period: float, periods: float, dt: float) -> int:
     """Return the samples of a window of some periods; at least 64."""
     return max(64, math.ceil(periods * period / dt))
-
-
-def mean_powers(holds: Iterable[Array]) -> list[Array]:
-    """Return the mean over the windows of each hold."""
-    return [hold.mean(axis=0) for hold in holds]

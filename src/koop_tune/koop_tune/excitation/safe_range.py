@@ -106,12 +106,10 @@ class SafeRangeSearch:
     ----------
     rig : RigFile
         The rig, with a constraint.
-    settings : SafeRangeSettings
-        Steps and thresholds.
     """
 
-    def __init__(self, rig: RigFile, settings: SafeRangeSettings = SAFE_RANGE) -> None:
-        self._scale, self._settings = rig.scale, settings
+    def __init__(self, rig: RigFile) -> None:
+        self._scale = rig.scale
         self._begin = float(rig.scale.u(np.array(rig.theta_safe)))
         self._margins: dict[float, float] = {}
         self._sides = [1, -1]
@@ -149,7 +147,7 @@ class SafeRangeSearch:
 
     def _beyond(self, side: int) -> float | None:
         """Return the next position on a side; None if there is none."""
-        s, kept = self._settings, self._kept(side)
+        s, kept = SAFE_RANGE, self._kept(side)
         if not kept:
             return None
         last, margin = kept[-1], self._margins[kept[-1]]

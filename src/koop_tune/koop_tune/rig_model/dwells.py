@@ -35,8 +35,9 @@ class DwellSettings(Settings):
     part_of_spectra: float = parameter(
         0.5, "the same for spectra", low=0.0, high=1.0, origin="rests that lost messages cut"
     )
-    parts: int = studied(4, "segments of the shortest rest whose spectra are averaged", low=1)
-    longest_segment: int = parameter(4096, "samples of such a segment at most", low=16)
+    longest_segment: int = parameter(
+        4096, "samples of a segment whose spectra are averaged, at most", low=16
+    )
     window: int = parameter(16, "samples of a window of spectra", low=4)
     change: float = studied(0.3, "change of a log power that theta makes", low=0.0)
     doubt: float = studied(2.0, "standard errors that are subtracted from a change", low=0.0)

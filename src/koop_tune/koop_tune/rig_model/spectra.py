@@ -11,7 +11,7 @@ from scipy.signal import welch
 
 from koop_identify.recording.loaded import Loaded
 from koop_tune.rig.scale import Scale
-from koop_tune.rig_model.dwells import DWELLS, DwellSettings, find_rests, leave_out_short
+from koop_tune.rig_model.dwells import DWELLS, find_rests, leave_out_short
 
 
 class Spectra(NamedTuple):
@@ -47,9 +47,8 @@ class Spectra(NamedTuple):
 
 
 def spectra_by_theta(
-    loaded: Loaded, scale: Scale, dt: float, length: int = DWELLS.window, parts: int | None = None,
-    settings: DwellSettings = DWELLS,
-) -> Spectra:  # fmt: skip
+    loaded: Loaded, scale: Scale, dt: float, length: int = DWELLS.window
+) -> Spectra:
     """Return the spectra at each value of theta.
 
     Parameters
@@ -62,20 +61,16 @@ def spectra_by_theta(
         Time between two states [s].
     length : int
         Samples of a window; a rest has some.
-    parts : int, optional
-        Pieces that even the shortest usual rest is cut into: fewer tell frequencies apart better.
-    settings : DwellSettings
-        Which rests count.
 
     Raises
     ------
     koop_core.errors.InputError
         If theta was held at too few values.
     """
-    u, rests = find_rests(loaded, scale, length, settings)
-    u, rests = leave_out_short(u, rests, settings.part_of_spectra)
+    u, rests = find_rests(loaded, scale, length)
+    u, rests = leave_out_short(u, rests, DWELLS.part_of_spectra)
     usual = min(rest.end - rest.begin for rest in rests)
-    size = min(settings.longest_segment, usual // (parts or settings.parts))
+    size = min(DWELLS.longest_segment, usual)
     spectra = np.array(
         [welch(loaded.x[:, a:b], nperseg=size, detrend="linear")[1][:, 2:] for _, a, b, _ in rests]
     )
@@ -83,7 +78,7 @@ def spectra_by_theta(
     logs = np.log(spectra + 1e-300)
     means = _means_by(level, logs, u.size)
     noise = (logs - means[level]).std(axis=0) * math.sqrt(u.size / level.size)
-    sure = means.std(axis=0) - settings.doubt * noise > settings.change
+    sure = means.std(axis=0) - DWELLS.doubt * noise > DWELLS.change
     return Spectra(size * dt, dt, u, _means_by(level, spectra, u.size), sure)
 
 
