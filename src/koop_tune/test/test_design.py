@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from koop_core.errors import InputError
-from koop_tune.excitation.design import DESIGN, FLAT, KNOWN, TIME, Design, Move, first_positions
+from koop_tune.excitation.design import (
+    DESIGN,
+    FLAT,
+    GAP,
+    KNOWN,
+    TIME,
+    Design,
+    Move,
+    first_positions,
+)
 from koop_tune.excitation.holds import Hold
 from koop_tune.excitation.static_map import MapSettings
 from koop_tune.rig.rig_file import RigFile
@@ -207,6 +216,15 @@ def test_a_narrow_valley_that_is_seen_on_the_way_back_is_no_lag():
     assert design.since == 0.0
     assert [move.u for move in moves[:COUNT]] == first_positions(DESIGN.first, True)
     assert moves[COUNT].u not in (0.0, 1.0)
+
+
+def test_a_hold_that_only_looks_into_a_gap_need_not_be_as_sure():
+    def looks(error_of_gap):
+        rig = Simulated(lambda u: 0.6 * wide(u), noise=0.2, seed=2)
+        design, _ = excite(rig, settings=replace(DESIGN, error_of_gap=error_of_gap))
+        return np.mean([hold.size for hold in design.holds if hold.why == GAP])
+
+    assert looks(DESIGN.error_of_gap) < 0.6 * looks(0.0)
 
 
 def test_hysteresis_is_visited_from_both_sides_and_told_as_doubt():

@@ -71,6 +71,7 @@ class DesignSettings(Settings):
     error: float = studied(0.03, "standard error that is good enough", low=1e-3)
     error_of_span: float = studied(0.05, "the same over the map's span, if more", low=0.0)
     error_of_worse: float = studied(0.15, "the same over what it is worse than the best, if more")
+    error_of_gap: float = studied(0.1, "the same of a hold that only looks into a gap", low=0.0)
     trend: float = studied(0.3, "change within a hold that may be, over that error", low=0.0)
     often: int = studied(3, "holds at a place after which no better value is expected", low=1)
     improvement: float = studied(0.03, "expected improvement that is none", low=1e-3)
@@ -497,7 +498,7 @@ class Design:
                 self._least = min(self._needed_windows(), self._most)
                 return False
             worse = self.rig.sense * level.mean - self._best
-            enough = max(self._target, worse * s.error_of_worse)
+            enough = max(self._target, worse * s.error_of_worse, s.error_of_gap * self._brief)
             if level.error > enough or not level.is_settled(s.trend * enough):
                 return False
         hold.confirms = self._growth
