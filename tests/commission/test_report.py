@@ -113,12 +113,12 @@ def test_the_page_draws_what_was_recorded(commissioned, width, dark, tmp_path):
     # one amplitude a window; it falls as that of the rig itself does
     amplitude = one(drawn, "run-1-0", 1, "measured")
     closed = round(60.0 / rig.params.dt) + round(40.0 / rig.params.dt)
-    assert amplitude["count"] == closed // tuned.found.amplitude.windows.length
+    assert amplitude["count"] == closed // tuned.static_map.amplitude.windows.length
     fall = amplitude["largest"] / amplitude["least"]
     assert fall == pytest.approx(rig.amplitude(file.theta_min) / rig.amplitude(best), rel=0.3)
     # every hold in the static map and in that of every cost
     bars = one(drawn, "map", 0, "hold, two standard errors")
-    assert bars["count"] == len(tuned.found.holds.theta)
+    assert bars["count"] == len(tuned.static_map.holds.theta)
     made = [cost for cost in tuned.costs if cost.r]
     for k, cost in enumerate(made):
         mean = one(drawn, "costs-figure", k, "holds")
@@ -202,7 +202,7 @@ def test_what_is_torn_or_gone_is_said(commissioned, tmp_path):
     [
         ("excite.json", "", "koop excite"),
         ("tuned/tune.json", "{", "cannot be read"),
-        ("tuned/tune.json", '{"verdict": "tuned", "found": 1}', "cannot be read"),
+        ("tuned/tune.json", '{"verdict": "tuned", "static_map": 1}', "cannot be read"),
         ("tuned/tune.json", '{"verdicts": "tuned"}', "cannot be read"),
     ],
 )

@@ -53,7 +53,7 @@ PREDICTION = Prediction(
     Band(0.5, 1.0, 2.0), Band(0.01, 0.05, 0.1), Band(1.0, 1.1, 1.4), Band(2.5, 5.0, 12.0), 4.0, 64
 )
 MAP = Points(VALUES, [0.31 + (v - BEST) ** 2 for v in VALUES], [0.01] * 9)
-FOUND = AmplitudeMap(
+FIT = AmplitudeMap(
     "data[0]",
     AMPLITUDE,
     [],
@@ -71,7 +71,7 @@ SEARCHED = Constants("adaptive", 100.0, 20.0, 0.267, 0.2, 0.2, 0.1)
 FLAT = Curves([1.0, 1.0], [1.0, 1.0], [1.0, 1.0])
 PATHS = [LoopPath(end, [0.0, 4.0], FLAT, FLAT) for end in (-1.0, 2.0)]
 CONTROLLER = ControllerResult("raw", "", SEARCHED, 0.2, PREDICTION, PATHS, [])
-TUNED = TuneResult("tuned", "the best", FOUND, [], CONTROLLER)
+TUNED = TuneResult("tuned", "the best", FIT, [], CONTROLLER)
 CONSTANTS = {
     "koopman_lifter": {
         "cost": "raw", "dt": DT, "omega_h": 100.0, "omega_l": 20.0, "measured": ONE.measured,

@@ -61,7 +61,7 @@ PATH = LoopPath(
 )  # fmt: skip
 COST = CostResult("raw", 1234.0, 1.2, "", 0.9, Points(THETA, [8.0, 0.5, 5.0], [0.1] * 3))
 BLIND = CostResult("lifted", 1234.0, None, "no model", None, None)
-FOUND = AmplitudeMap(
+FIT = AmplitudeMap(
     "x", AMPLITUDE, [], 0.9, math.log(0.95), 0.1, Interval(0.8, 1.1), 0.0, 0.5, 0.0,
     Points(THETA, [4.0, 1.0, 3.0], [0.1] * 3), Points(THETA, [4.0, 1.0, 3.0], [0.1, 0.2, 0.1]),
 )  # fmt: skip
@@ -70,7 +70,7 @@ CONTROLLER = ControllerResult(
     [PATH, PATH._replace(start=3.0)],
     [ParameterResult("dwell", 0.25, "s", "search", "relay_esc")],
 )  # fmt: skip
-TUNED = TuneResult("tuned", "as good as any", FOUND, [COST, BLIND], CONTROLLER)
+TUNED = TuneResult("tuned", "as good as any", FIT, [COST, BLIND], CONTROLLER)
 REFUSED = replace(TUNED, verdict="flat", controller=None,
                   why="the amplitude varies by 3 % with errors of 4 %")  # fmt: skip
 MEASURED = Measured(50.0, 0.02, 4.0, 1.1, 0.01, 0.01, 1.1, 3.6, 0.9, 0.8, 1.0)
@@ -190,12 +190,15 @@ def test_the_static_map_has_holds_fit_errors_and_the_best_theta_with_its_valley(
     assert bars.upper == pytest.approx(np.array([4.0, 1.0, 3.0]) * math.exp(0.2))
     (mark,) = panel.marks
     assert (mark.x, mark.low, mark.high) == (0.9, 0.8, 1.1)
-    holds_found = FOUND.holds._replace(error=[math.inf, 0.1, 0.1])  # the first was cut short
-    short = make_static_map(contents(replace(TUNED, found=replace(FOUND, holds=holds_found))))
+    assert "moved" not in section.intro
+    moved = replace(TUNED, static_map=replace(FIT, motion=0.2))
+    assert "Note: the optimum moved by 20 % of the range" in make_static_map(contents(moved)).intro
+    cut_short = FIT.holds._replace(error=[math.inf, 0.1, 0.1])  # the first was cut short
+    short = make_static_map(contents(replace(TUNED, static_map=replace(FIT, holds=cut_short))))
     bars = short.figures[0].panels[0].series[-1]
     assert (bars.y[0], bars.upper[0], bars.upper[1] > bars.y[1]) == (4.0, 4.0, True)
     assert [row[2] for row in short.tables[0].rows] == [None, 10.0, 10.0]
-    falling = replace(REFUSED, verdict="monotone", found=replace(FOUND, theta_best=2.9))
+    falling = replace(REFUSED, verdict="monotone", static_map=replace(FIT, theta_best=2.9))
     monotone = make_static_map(contents(falling))
     assert monotone.figures[0].panels[0].marks[0].x == 3.0  # the limit
     assert "Refused (monotone)" in monotone.intro

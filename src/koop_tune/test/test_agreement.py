@@ -43,14 +43,14 @@ PREDICTION = Prediction(
     400.0, 64,
 )  # fmt: skip
 HOLDS = Points([-1.0, BEST, 3.0], [4.0, 1.0, 3.0], [0.1] * 3)
-FOUND = AmplitudeMap(
+FIT = AmplitudeMap(
     "x at 2 Hz", make_amplitude(200, DT, floor=0.01), [], BEST, 0.0, 0.01, Interval(0.4, 1.0),
     0.0, 0.5, 30.0, HOLDS, HOLDS,
 )  # fmt: skip
 CONTROLLER = ControllerResult(
     "raw", "", Constants("relay", 1.0, 1.0, 1.0, 1.0, 1.0, 0.1), 20.0, PREDICTION, [], []
 )
-RESULT = TuneResult("tuned", "the best", FOUND, [], CONTROLLER)
+RESULT = TuneResult("tuned", "the best", FIT, [], CONTROLLER)
 UPSIDE = replace(RIG, objective="maximise")
 
 
@@ -97,7 +97,7 @@ def test_a_run_is_measured_as_its_truth_is(aim, good):
 
 
 def test_an_amplitude_that_is_to_be_large_is_judged_the_other_way_round():
-    aim = replace(RESULT, found=replace(FOUND, best=math.log(4.0))).make_aim(UPSIDE)
+    aim = replace(RESULT, static_map=replace(FIT, best=math.log(4.0))).make_aim(UPSIDE)
     actual = run(aim, upside=True)
     assert actual.excess == pytest.approx(1.0, abs=0.12)
     assert actual.reduction == pytest.approx(4.0, rel=0.12)
@@ -321,7 +321,7 @@ def test_the_last_round_is_kept_if_it_damped_else_the_best_one():
 
 def test_a_folder_without_a_controller_is_refused(tmp_path):
     assert tune_result.read(tmp_path) == TuneResult()
-    for result in (TuneResult(), TuneResult("flat", "nothing reacts", FOUND)):
+    for result in (TuneResult(), TuneResult("flat", "nothing reacts", FIT)):
         with pytest.raises(ConfigError, match="run 'koop tune' first"):
             result.make_aim(RIG)
 

@@ -161,10 +161,10 @@ def test_table_and_words_hold_every_cost_and_the_prediction(tuning):
 
 def test_the_result_holds_the_map_and_the_paths_and_is_read_as_it_was_written(tuning, tmp_path):
     result = summarise(tuning, RIG, None)
-    u, maps, found = tuning.findings.dwells.u, tuning.findings.static_map, result.found
-    assert found.holds.level == pytest.approx(np.exp(valley(u)))
-    assert (found.theta_best, found.best) == (maps.best(), pytest.approx(maps.least))
-    assert found.valley.low < found.theta_best < found.valley.high
+    u, maps, fit = tuning.findings.dwells.u, tuning.findings.static_map, result.static_map
+    assert fit.holds.level == pytest.approx(np.exp(valley(u)))
+    assert (fit.theta_best, fit.best) == (maps.best(), pytest.approx(maps.least))
+    assert fit.valley.low < fit.theta_best < fit.valley.high
     raw, lifted = result.costs
     assert raw.r.level == pytest.approx(np.exp(2.0 * valley(u)))
     assert (lifted.r, lifted.problem) == (None, "too few windows")

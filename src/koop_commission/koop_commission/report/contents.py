@@ -86,15 +86,15 @@ class Contents:
     def feature(self) -> str:
         """The amplitude in words; empty before anything reacts."""
         amplitude = self.excitation.amplitude
-        if self.tuned.found:
-            return self.tuned.found.feature
+        if self.tuned.static_map:
+            return self.tuned.static_map.feature
         return amplitude.name(self.rig.names) if amplitude else ""
 
     @property
     def static_map(self) -> Points | None:
         """Holds of the tuning, else of the excitation; None without one."""
-        if self.tuned.found:
-            return self.tuned.found.holds
+        if self.tuned.static_map:
+            return self.tuned.static_map.holds
         holds = sorted(self.excitation.holds)
         if not holds or self.excitation.amplitude is None:
             return None

@@ -35,10 +35,10 @@ def make_loop(c: Contents) -> Section:
     """Return the closed loop: predicted, and measured where it was."""
     figures = []
     if not c.verification.rounds:
-        found, controller = c.tuned.require_controller()
+        fit, controller = c.tuned.require_controller()
         for i, path in enumerate(controller.paths):
             caption = f"From theta = {path.start:.4g}"
-            figures.append(_draw(c, f"predicted-{i}", caption, found, path))
+            figures.append(_draw(c, f"predicted-{i}", caption, fit, path))
         intro = (
             "Predicted, from both ends of the range: median and 5 to 95 % of the runs. Not "
             f"measured yet: ./koop verify {c.rig_file} {c.folder}"
@@ -46,17 +46,17 @@ def make_loop(c: Contents) -> Section:
         table = _compare([Round(1, controller.predicted)])
         return Section("loop", TITLE, intro, [table], figures)
     for item in c.verification.rounds:
-        found, controller = c.tuned_for(item).require_controller()
+        fit, controller = c.tuned_for(item).require_controller()
         for i, run in enumerate(item.runs):
             caption, recorded = f"Round {item.number}, from theta = {run.start:.4g}", None
             try:
-                recorded = read_run(c.folder / run.bag, found.amplitude, run.steps)
+                recorded = read_run(c.folder / run.bag, fit.amplitude, run.steps)
             except (BagError, InputError) as error:
                 caption = f"{caption}: not drawn: {error}"
             paths = controller.paths
             u = c.rig.scale.u(np.array([run.start, *(path.start for path in paths)]))
             nearest = paths[int(np.argmin(np.abs(u[1:] - u[0])))]
-            figures.append(_draw(c, f"run-{item.number}-{i}", caption, found, nearest, recorded))
+            figures.append(_draw(c, f"run-{item.number}-{i}", caption, fit, nearest, recorded))
     intro = (
         "Predicted (median and 5 to 95 % of the runs from the nearer end of the range) and "
         "measured on the rig, each run from its own start."
@@ -65,12 +65,12 @@ def make_loop(c: Contents) -> Section:
 
 
 def _draw(
-    c: Contents, name: str, caption: str, found: AmplitudeMap, path: LoopPath,
+    c: Contents, name: str, caption: str, fit: AmplitudeMap, path: LoopPath,
     run: RunCurves | None = None,
 ) -> Figure:  # fmt: skip
     time = path.time
     ends = [0.0, max(time[-1], float(run.time[-1]))] if run else [time[0], time[-1]]
-    best = (min if c.rig.objective == "minimise" else max)(found.curve.level)
+    best = (min if c.rig.objective == "minimise" else max)(fit.curve.level)
 
     def make_series(
         band: Curves, what: str, level: float, measured: tuple[Any, Any] | None
@@ -87,7 +87,7 @@ def _draw(
     theta = (run.time, run.theta) if run else None
     amplitude = (run.middle, run.amplitude) if run else None
     panels = (
-        Panel("time [s]", "theta", make_series(path.theta, "theta", found.theta_best, theta),
+        Panel("time [s]", "theta", make_series(path.theta, "theta", fit.theta_best, theta),
               log_y=c.rig.scale.logarithmic),
         Panel("time [s]", "amplitude",
               make_series(path.amplitude, "amplitude", best, amplitude)),

@@ -71,8 +71,8 @@ def make_static_map(c: Contents) -> Section:
         "where they are known; 1 is the strongest motion seen. Curve and band: the map that fits, "
         "within two standard errors; where the band is wide nobody has looked."
     )
-    if found := c.tuned.found:
-        curve, best = found.curve, found.theta_best
+    if fit := c.tuned.static_map:
+        curve, best = fit.curve, fit.theta_best
         low, high = (
             [y * math.exp(side * ERRORS * e) for y, e in zip(curve.level, curve.error, strict=True)]
             for side in (-1.0, 1.0)
@@ -80,17 +80,18 @@ def make_static_map(c: Contents) -> Section:
         series.append(Series("map", curve.theta, low, "band", high, FAINT))
         series.append(Series("map", curve.theta, curve.level, color=MEASURED))
         if c.tuned.controller:
-            marks = (Mark(best, f"best {best:.4g}", *found.valley, BEST),)
+            marks = (Mark(best, f"best {best:.4g}", *fit.valley, BEST),)
             intro += (
                 " Shaded: the valley, where the amplitude is at most 1.5 times the best, which is "
-                f"{math.exp(found.best):.3g}; below {found.amplitude.floor:.2g} nothing can be "
+                f"{math.exp(fit.best):.3g}; below {fit.amplitude.floor:.2g} nothing can be "
                 "resolved."
             )
-            if len(modes := found.modes) > 1:
+            if len(modes := fit.modes) > 1:
                 intro += f" Shares in the amplitude's square over theta: {'; '.join(modes[:6])}."
         elif c.tuned.verdict == "monotone":
             limit = min((c.rig.theta_min, c.rig.theta_max), key=lambda limit: abs(limit - best))
             marks = (Mark(limit, f"limit {limit:.3g}: best here", color=INTERFERENCE),)
+        intro += f" Note: {fit.moved}." * bool(fit.moved)
         if c.tuned.is_refused:
             intro += f" Refused ({c.tuned.verdict}): {c.tuned.why}."
     series.append(_bars(static, MEASURED))

@@ -71,9 +71,9 @@ def _describe_rig(c: Contents) -> str:
     order = sorted(zip(static.level, static.theta, strict=True), key=lambda p: sense * p[0])
     (best, at), (worst, far) = order[0], order[-1]
     valley = ""
-    if c.tuned.controller and (found := c.tuned.found):  # the least hold is that by chance
-        best, at = math.exp(found.best), found.theta_best
-        valley = f"; its valley is from {found.valley.low:.4g} to {found.valley.high:.4g}"
+    if c.tuned.controller and (fit := c.tuned.static_map):  # the least hold is that by chance
+        best, at = math.exp(fit.best), fit.theta_best
+        valley = f"; its valley is from {fit.valley.low:.4g} to {fit.valley.high:.4g}"
     return (
         f"Over {span} the amplitude of {c.feature} is between {best:.3g} at {at:.4g} and "
         f"{worst:.3g} at {far:.4g}{valley}."

@@ -23,7 +23,7 @@ Parameters = dict[str, tuple[Any, str]]  # value and reason by name
 
 def as_table(result: TuneResult) -> str:
     """Return the static map and what each cost shows of it; empty where nothing reacts."""
-    if (found := result.found) is None:
+    if (fit := result.static_map) is None:
         return ""
     rows = [
         [
@@ -31,22 +31,18 @@ def as_table(result: TuneResult) -> str:
             f"{amplitude:.4g}",
             f"{100 * error:.2g} %" if error < 1 else "> 100 %",
         ]
-        for theta, amplitude, error in zip(*found.holds, strict=True)
+        for theta, amplitude, error in zip(*fit.holds, strict=True)
     ]
     lines = [
-        f"amplitude of {found.feature}; 1 is the strongest seen, {found.amplitude.floor:.2g} the "
-        f"least that can be resolved; the oscillation's period is {found.period:.3g} s",
+        f"amplitude of {fit.feature}; 1 is the strongest seen, {fit.amplitude.floor:.2g} the "
+        f"least that can be resolved; the oscillation's period is {fit.period:.3g} s",
         table(["theta", "amplitude", "error"], rows),
-        f"best at {found.theta_best:.4g}; within {MAP.good:g} times that from "
-        f"{found.valley.low:.4g} to {found.valley.high:.4g}",
+        f"best at {fit.theta_best:.4g}; within {MAP.good:g} times that from "
+        f"{fit.valley.low:.4g} to {fit.valley.high:.4g}",
     ]
-    if found.motion:
-        lines.append(
-            f"the optimum moved by {100.0 * found.motion:.2g} % of the range while this was "
-            "recorded: thetas above are those at which the rig would now be as it was"
-        )
-    if len(found.modes) > 1:
-        lines.append(f"share in the amplitude's square over theta: {'; '.join(found.modes[:6])}")
+    lines += [fit.moved] * bool(fit.moved)
+    if len(fit.modes) > 1:
+        lines.append(f"share in the amplitude's square over theta: {'; '.join(fit.modes[:6])}")
     if result.costs:
         rows = []
         for cost in result.costs:

@@ -105,6 +105,16 @@ class AmplitudeMap:
     holds: Points
     curve: Points
 
+    @property
+    def moved(self) -> str:
+        """What a motion of the optimum means for the map, in words; empty without one."""
+        if not self.motion:
+            return ""
+        return (
+            f"the optimum moved by {100.0 * self.motion:.2g} % of the range while this was "
+            "recorded: thetas are those at which the rig would now be as it was"
+        )
+
 
 @dataclass(frozen=True)
 class ControllerResult:
@@ -143,7 +153,7 @@ class TuneResult:
     ----------
     verdict, why : str
         ``tuned``, or the kind of the refusal, and the reason; empty before a tuning.
-    found : AmplitudeMap or None
+    static_map : AmplitudeMap or None
         None if nothing reacts to theta.
     costs : list of CostResult
         Every candidate.
@@ -153,7 +163,7 @@ class TuneResult:
 
     verdict: str = ""
     why: str = ""
-    found: AmplitudeMap | None = None
+    static_map: AmplitudeMap | None = None
     costs: list[CostResult] = field(default_factory=list)
     controller: ControllerResult | None = None
 
@@ -170,9 +180,9 @@ class TuneResult:
         koop_core.config.parameter.ConfigError
             If there is none.
         """
-        if self.found is None or self.controller is None:
+        if self.static_map is None or self.controller is None:
             raise ConfigError("no controller was tuned: run 'koop tune' first")
-        return self.found, self.controller
+        return self.static_map, self.controller
 
     def make_aim(self, rig: RigFile) -> Aim:
         """Return the figures that a loop of the controller is compared with.
@@ -182,13 +192,13 @@ class TuneResult:
         koop_core.config.parameter.ConfigError
             If there is no controller.
         """
-        found, controller = self.require_controller()
-        best = rig.sense * found.best
-        worst = float((rig.sense * np.log(found.holds.level)).max())
+        fit, controller = self.require_controller()
+        best = rig.sense * fit.best
+        worst = float((rig.sense * np.log(fit.holds.level)).max())
         return Aim(
-            found.amplitude, found.feature, rig.scale, rig.sense, found.theta_best, found.valley,
-            found.best, found.error, rig.sense * (best + CONVERGENCE.bound(worst - best)),
-            controller.time, found.growth, controller.predicted,
+            fit.amplitude, fit.feature, rig.scale, rig.sense, fit.theta_best, fit.valley,
+            fit.best, fit.error, rig.sense * (best + CONVERGENCE.bound(worst - best)),
+            controller.time, fit.growth, controller.predicted,
         )  # fmt: skip
 
 
