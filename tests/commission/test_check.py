@@ -30,8 +30,10 @@ def rows_of(rig, moves=True, listen=1.0):
     return {row.name: row for row in rows}, [row.name for row in rows if row.level == BAD]
 
 
-def test_a_fit_rig_reacts_and_theta_ends_at_its_safe_value(fast_rig):
+def test_a_fit_rig_reacts_and_theta_ends_at_its_safe_value(fast_rig, capfd):
     rows, bad = rows_of(RIG)
+    (said,) = capfd.readouterr().out.splitlines()
+    assert re.match(r" {6}moving theta between 1\.5 and 0\.75, at most \d+ s; Ctrl-C ends it", said)
     assert bad == [], [rows[name].text for name in bad]
     # on a busy machine a late one is taken for a lost one now and then
     assert re.search(r"lost (none|[1-5] .*), no stamps: counted by arrival", rows["arrival"].text)

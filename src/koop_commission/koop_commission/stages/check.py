@@ -201,9 +201,10 @@ def _move_theta(
         counts = [count for count, _ in stages]
         if finding is not None and sum(counts) * seconds > rig.time:
             break  # the rig file does not allow it
-        least, most = (spell_time(n * seconds, rig.pace) for n in (counts[0], sum(counts)))
+        most = spell_time(sum(counts) * seconds, rig.pace)
+        again = "nothing reacts yet, so in longer blocks: " if finding is not None else ""
         print(
-            f"      moving theta between {theta:.4g} and {other:.4g}: {least}, at most {most}; "
+            f"      {again}moving theta between {theta:.4g} and {other:.4g}, at most {most}; "
             f"Ctrl-C ends it, theta returns to {rig.theta_safe:g}",
             flush=True,
         )
