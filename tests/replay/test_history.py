@@ -191,11 +191,12 @@ def test_a_recording_that_keeps_all_is_reported_from_its_messages(tmp_path, caps
                 message = types[topic](step=k, **values)
                 writer.write(channels[topic], time, time, serialize_message(message))
     assert main(["report", str(tmp_path)]) == 0
-    panels, _ = read_page(tmp_path / "history.html")
+    panels, text = read_page(tmp_path / "history.html")
     _, curve = panels["Amplitude"]["series"]
     assert curve["y"] == pytest.approx([0.7] * len(curve["y"]), rel=0.01)
     assert len(curve["y"]) == 6
     assert "Margin of the constraint" not in panels
+    assert "No guard was recorded." in text
 
 
 def test_runs_of_several_loops_and_folders_without_a_run_are_refused(week, tmp_path, capsys):

@@ -78,7 +78,7 @@ def write_sentences(history: History) -> Iterator[str]:
         f"The guard tripped {_count(len(tripped), 'time')}, and kept theta from the controller for "
         f"{format_span(lost)}."
         if tripped
-        else "The guard did not trip."
+        else ("The guard did not trip." if history.guard else "No guard was recorded.")
     )
     bad = _length([(trouble.begin, trouble.end) for trouble in ill])
     yield f"No node complained for {_share(recorded - bad, recorded)} of the recorded time."
