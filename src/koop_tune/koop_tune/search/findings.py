@@ -193,7 +193,7 @@ def decide(findings: Findings, rig: RigFile, settings: TuningSettings = TUNING) 
         end, safe = static_map.best_end, findings.safe
         if end is not None and safe is not None and safe.ends(upper=end > 0.0):
             findings = _doubted(findings, _at_bound(findings, rig, end))
-        elif end is None or static_map.motion:  # what moves may turn round
+        elif end is None or abs(static_map.motion) > settings.near:  # what moves may turn round
             findings = _doubted(findings, _doubt(static_map))
         else:
             raise NoOptimum("monotone", _monotone(findings, rig), findings)

@@ -77,7 +77,7 @@ class TuningSettings(Settings):
     margin: float = jsbsim(0.06, "distance of theta from a cliff, in ranges", low=0.0)
     limits: float = studied(1.3, "amplitude over the best at the limits of theta", low=1.0)
     least_room: float = studied(0.005, "way beyond the best, in ranges", low=0.0)
-    ahead: float = studied(2.0, "runs in which an optimum that moves has room", low=0.0)
+    ahead: float = studied(4.0, "runs in which an optimum that moves has room", low=0.0)
     surrogates: int = studied(6, "rigs that are drawn from a recording", low=1)
     tau_spread: float = studied(0.35, "deviation of the logarithm of their times", low=0.0)
     blocks: int = studied(100, "blocks of a coarse surrogate in T", low=10)
