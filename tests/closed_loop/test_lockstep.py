@@ -51,7 +51,7 @@ LIMITED = {  # every limit and timeout away from its default; y_out_max, limits 
 
 ADAPTIVE = LIMITED | {
     "relay_esc": LIMITED["relay_esc"]
-    | {"law": "adaptive", "theta_scale": "log", "step_ratio": 0.2},
+    | {"law": "adaptive", "theta_scale": "log", "step_ratio": 0.2, "widest": [1.5, 2.5]},
 }
 
 

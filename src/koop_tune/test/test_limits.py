@@ -125,7 +125,7 @@ def test_theta_is_kept_in_the_valley(sense):
         assert float(EVEN.scale.u(np.array(limit))) == pytest.approx(expected, abs=0.01)
     assert "instead of 5" in actual.why_high
     assert f"{TUNING.limits:g} times the best or worse" in actual.why_low
-    assert limits(0.4) == (-5.0, 5.0, "", "")  # good everywhere
+    assert limits(0.4) == (-5.0, 5.0, "", "", ())  # good everywhere
     far = limits(5.0, WIDE)  # positions are those of log theta
     assert float(WIDE.scale.u(np.array(far.high))) == pytest.approx(expected, abs=0.01)
 

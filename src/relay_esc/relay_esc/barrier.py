@@ -142,7 +142,7 @@ def answer(
     else:
         u = before.u + out * min(out * (state.u - before.u), most)
         epsilon, since_flip, swing = state.epsilon, state.since_flip, state.swing
-    u = min(max(u, p.u_min), p.u_max)
+    u = min(max(u, relay.lowest(p, swing)), relay.highest(p, swing))
     state = RelayState(
         u,
         epsilon,

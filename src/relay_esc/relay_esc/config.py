@@ -53,6 +53,11 @@ class EscConfig(Settings):
     )
     theta_min: float = parameter(-5.0, "lower saturation limit of theta", low=-1e6, high=1e6)
     theta_max: float = parameter(5.0, "upper saturation limit of theta", low=-1e6, high=1e6)
+    widest: tuple[float, ...] = parameter(
+        (),
+        "adaptive: least and largest theta to which theta_min and theta_max open where the optimum "
+        "is lost; []: they do not",
+    )
     rate_limit: float = parameter(
         0.0,
         "largest change of theta per second, also after a reset or a change of its limits; 0: none",
@@ -96,6 +101,12 @@ class EscConfig(Settings):
             raise ConfigError(
                 f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"
             )
+        least, largest = self.limits if len(self.widest) in (0, 2) else (math.nan, math.nan)
+        if not (least <= self.theta_min and self.theta_max <= largest):
+            raise ConfigError(
+                f"widest = {list(self.widest)}: must be [least, largest] theta, around theta_min "
+                f"and theta_max, {self.theta_min:g} and {self.theta_max:g}"
+            )
         inside = self.theta_min <= self.theta_initial <= self.theta_max
         if not inside and self.rate_limit == 0.0:
             raise ConfigError(
@@ -104,11 +115,16 @@ class EscConfig(Settings):
                 "rate_limit be above 0 for theta to go there"
             )
         if self.theta_scale == "log":
-            for name in ("theta_min", "theta_initial"):
-                if (value := getattr(self, name)) <= 0.0:
+            for name, value in (("theta_min", least), ("theta_initial", self.theta_initial)):
+                if value <= 0.0:
                     raise ConfigError(f"{name} = {value:g}: must be above 0 with theta_scale log")
         if self.begin and (len(self.begin) != MEMORY or self.begin[1] not in (1.0, -1.0)):
             raise ConfigError(f"begin: is not what a controller goes on from, {MEMORY} numbers")
+
+    @property
+    def limits(self) -> tuple[float, ...]:
+        """Least and largest theta, the limits wide open."""
+        return self.widest or (self.theta_min, self.theta_max)
 
     def scaled(self, theta: float) -> float:
         """Return u of a theta: theta itself, or its logarithm."""
@@ -117,10 +133,13 @@ class EscConfig(Settings):
     def params(self, dt: float) -> RelayParams:
         """Return the values that ``relay_esc.relay.step`` takes at a sampling time [s]."""
         largest_change = self.rate_limit * dt if self.rate_limit > 0.0 else math.inf
+        least, largest = self.limits
         return RelayParams(
             math.exp(-dt / self.tau_f),
             min(self.step_size, largest_change),
             dwell_samples(self.dwell, dt),
+            self.scaled(least),
+            self.scaled(largest),
             self.scaled(self.theta_min),
             self.scaled(self.theta_max),
             1.0 if self.objective == "minimise" else -1.0,
@@ -130,6 +149,8 @@ class EscConfig(Settings):
             math.exp(-dt / (SWING.level_time * max(self.dwell, dt))),
             self.step_ratio,
             self.theta_scale == "log",
+            least,
+            largest,
             self.theta_min,
             self.theta_max,
         )

@@ -128,7 +128,10 @@ class EscRun(Run):
             return WARN, f"joined a run: holding theta, seeking in {wait:.1f} s", values
         if answer.holding:
             return WARN, "holding theta", values
-        finding = self._level.finding()
+        finding, swing = self._level.finding(), self._state.swing
+        if not finding and (opened := max(swing.below, swing.beyond)):
+            unit = "Np" if self._params.logarithmic else "theta"
+            finding = f"the optimum has left theta's limits: they are open by {opened:.3g} [{unit}]"
         return (WARN, finding, values) if finding else (OK, "seeking", values)
 
     def _on_cost(self, cost: Any, written: float) -> None:

@@ -30,12 +30,25 @@ from typing import NamedTuple
 from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
 from relay_esc.elementary import exp, log
-from relay_esc.swing import OPEN, SWING, Swing, confidence, follow, forget_leg, gain, turn, widen
+from relay_esc.swing import (
+    OPEN,
+    SWING,
+    Swing,
+    confidence,
+    follow,
+    forget_leg,
+    gain,
+    is_lost,
+    open_limits,
+    turn,
+    widen,
+)
 
 LARGEST = sys.float_info.max
 LASTING = {
     "factor": float, "stretch": float, "lowest_before": float, "reference": float, "noise": float,
-    "dip": float, "legs": int, "turned": float, "centre": float, "centred": int,
+    "dip": float, "legs": int, "turned": float, "centre": float, "centred": int, "below": float,
+    "beyond": float,
 }  # fmt: skip
 """Fields of the swing that outlast a leg."""
 MEMORY = 2 + len(LASTING)  # numbers of :func:`memory`
@@ -53,7 +66,9 @@ class RelayParams(NamedTuple):
     dwell_samples : int
         Samples that must lie between two flips, dwell time / dt.
     u_min, u_max : float
-        Saturation limits [u].
+        Saturation limits [u], the widest.
+    u_low, u_high : float
+        Those that theta keeps while the optimum is not lost.
     sense : float
         +1 minimises r, -1 maximises it.
     largest_change : float
@@ -68,8 +83,8 @@ class RelayParams(NamedTuple):
         Smallest step in units of ``step_size``.
     logarithmic : bool
         Whether theta = exp(u).
-    theta_min, theta_max : float
-        Saturation limits [theta].
+    theta_min, theta_max, theta_low, theta_high : float
+        The same [theta].
     """
 
     alpha: float
@@ -77,6 +92,8 @@ class RelayParams(NamedTuple):
     dwell_samples: int
     u_min: float
     u_max: float
+    u_low: float
+    u_high: float
     sense: float
     largest_change: float
     settling: int
@@ -86,6 +103,8 @@ class RelayParams(NamedTuple):
     logarithmic: bool
     theta_min: float
     theta_max: float
+    theta_low: float
+    theta_high: float
 
 
 class RelayState(NamedTuple):
@@ -231,12 +250,17 @@ def step(p: RelayParams, state: RelayState, r: float) -> RelayState:
         epsilon = -epsilon
         if p.adaptive:
             length = since_flip / max(p.dwell_samples, 1)
-            swing = turn(swing, length, state.u, p.step_ratio)
+            ends = (swing.turned, state.u)
+            inside = p.u_low <= min(ends) and max(ends) <= p.u_high
+            swing = turn(swing, length, state.u, p.step_ratio, inside)
         since_flip = 0
     elif p.adaptive and since_flip >= 2 * p.dwell_samples > 0 and since_flip % p.dwell_samples == 0:
         swing = widen(swing)
     u = state.u - p.step_size * gain(swing, state.u, epsilon) * epsilon
     u = min(max(u, p.u_min), p.u_max)
+    if p.adaptive and not p.u_low <= u <= p.u_high and is_lost(swing, since_flip, p.dwell_samples):
+        swing = open_limits(swing, p.u_low - u, u - p.u_high)
+    u = min(max(u, lowest(p, swing)), highest(p, swing))
     return RelayState(
         u,
         epsilon,
@@ -267,7 +291,19 @@ def wait(p: RelayParams, state: RelayState, r: float) -> RelayState:
 @njit()
 def outside(p: RelayParams, state: RelayState) -> bool:
     """Return whether theta has yet to reach its limits."""
-    return state.commanded < p.u_min or state.commanded > p.u_max
+    return not lowest(p, state.swing) <= state.commanded <= highest(p, state.swing)
+
+
+@njit(inline="always")
+def lowest(p: RelayParams, swing: Swing) -> float:
+    """Return the least u, as far as the limit is open."""
+    return max(p.u_low - swing.below, p.u_min)
+
+
+@njit(inline="always")
+def highest(p: RelayParams, swing: Swing) -> float:
+    """Return the largest u, as far as the limit is open."""
+    return min(p.u_high + swing.beyond, p.u_max)
 
 
 @njit()
@@ -275,7 +311,7 @@ def enter(p: RelayParams, state: RelayState, r: float) -> RelayState:
     """Feed the filter while theta is on its way to its limits."""
     after = wait(p, state, r)
     return RelayState(
-        min(max(state.u, p.u_min), p.u_max),
+        min(max(state.u, lowest(p, state.swing)), highest(p, state.swing)),
         state.epsilon,
         after.cost_rise_filtered,
         after.x_previous,
@@ -368,7 +404,7 @@ def answer(
         and usable(p, r)
         and state.since_flip >= 0
         and state.commanded == state.u
-        and p.u_min <= state.u <= p.u_max
+        and lowest(p, state.swing) <= state.u <= highest(p, state.swing)
     )
     if usual:
         state, holding = step(p, state, r), False
@@ -399,18 +435,18 @@ def command(p: RelayParams, state: RelayState, commanded: float) -> RelayState:
 @njit(inline="always")
 def at_limit(p: RelayParams, state: RelayState) -> bool:
     """Return whether the control input is at one of its limits."""
-    return state.commanded <= p.u_min or state.commanded >= p.u_max
+    return not lowest(p, state.swing) < state.commanded < highest(p, state.swing)
 
 
 @njit()
 def theta_of(p: RelayParams, u: float) -> float:
     """Return theta = exp(u); at a limit that limit itself, and never beyond one by rounding."""
-    if u == p.u_min:
-        return p.theta_min
-    if u == p.u_max:
-        return p.theta_max
+    if u == p.u_low:
+        return p.theta_low
+    if u == p.u_high:
+        return p.theta_high
     theta = exp(u)
-    if p.u_min < u < p.u_max:
+    if p.u_min <= u <= p.u_max:
         theta = min(max(theta, p.theta_min), p.theta_max)
     return theta
 

@@ -11,6 +11,9 @@ leg before (the noise s) and with the legs at home (the reference):
     lost:  m > reference + 8 s       the step doubles with every leg
     a leg of two dwell times         the same: the optimum is elsewhere
 
+From either on until a leg at home the limits open where theta passes them, up to the widest; they
+close with a leg at home within them.
+
 No unit of r and no clock stands in a rule: a swing that has become too small to see the optimum
 loses it, which the level shows.
 """
@@ -100,6 +103,8 @@ class Swing(NamedTuple):
         Last r, its inverse if r is maximised.
     rise : float
         Filtered change of ``cost``, as the relay's.
+    below, beyond : float
+        How far the lower and the upper limit are open [u].
     """
 
     factor: float
@@ -118,9 +123,13 @@ class Swing(NamedTuple):
     centred: int
     cost: float
     rise: float
+    below: float
+    beyond: float
 
 
-OPEN = Swing(1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0, 0, 0.0, 0.0)
+OPEN = Swing(
+    1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0
+)
 """Full step, nothing known; the relay of the paper never leaves it."""
 
 
@@ -153,6 +162,8 @@ def in_leg(
         swing.centred,
         cost,
         rise,
+        swing.below,
+        swing.beyond,
     )
 
 
@@ -200,14 +211,15 @@ def gain(swing: Swing, u: float, epsilon: int) -> float:
 
 
 @njit()
-def turn(swing: Swing, length: float, u: float, least: float) -> Swing:
+def turn(swing: Swing, length: float, u: float, least: float, inside: bool) -> Swing:
     """End a leg at ``u``, after ``length`` dwell times: judge it and set the step of the next one.
 
-    ``least`` is the smallest factor.
+    ``least`` is the smallest factor; ``inside``: the leg was within the limits as configured.
     """
     factor, reference, noise, short = swing.factor, swing.reference, swing.noise, swing.short
     lowest, dip = swing.lowest, swing.dip
     centre, centred = swing.centre, swing.centred
+    below, beyond = swing.below, swing.beyond
     if swing.legs == 0:
         reference, noise = lowest, SWING.noise_at_first
     else:
@@ -231,6 +243,8 @@ def turn(swing: Swing, length: float, u: float, least: float) -> Swing:
                 centred += 1
                 middle = 0.5 * (swing.turned + u)
                 centre += max(1.0 / centred, SWING.centre_rate) * (middle - centre)
+            if inside:
+                below = beyond = 0.0
         else:
             short = 0
             reference += SWING.reference_rate_away * above
@@ -259,6 +273,40 @@ def turn(swing: Swing, length: float, u: float, least: float) -> Swing:
         centred,
         swing.cost,
         swing.rise,
+        below,
+        beyond,
+    )
+
+
+@njit(inline="always")
+def is_lost(swing: Swing, since_flip: int, dwell_samples: int) -> bool:
+    """Return whether no leg was at home since the optimum was lost, or this one is long."""
+    long = since_flip >= SWING.long * max(dwell_samples, 1)
+    return (swing.centred == 0 or long) and swing.legs > SWING.learned
+
+
+@njit()
+def open_limits(swing: Swing, below: float, beyond: float) -> Swing:
+    """Open the limits so far [u], where they are not."""
+    return Swing(
+        swing.factor,
+        swing.stretch,
+        swing.level,
+        swing.begin,
+        swing.lowest,
+        swing.lowest_before,
+        swing.reference,
+        swing.noise,
+        swing.dip,
+        swing.legs,
+        swing.short,
+        swing.turned,
+        swing.centre,
+        swing.centred,
+        swing.cost,
+        swing.rise,
+        max(swing.below, below),
+        max(swing.beyond, beyond),
     )
 
 

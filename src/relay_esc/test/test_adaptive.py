@@ -278,3 +278,58 @@ def test_on_a_log_scale_the_limits_are_met_exactly():
 def test_a_log_scale_needs_limits_above_0():
     with pytest.raises(ConfigError, match=r"theta_min = -5: must be above 0 with theta_scale log"):
         EscConfig(theta_scale="log")
+
+
+# -- limits that open ----------------------------------------------------------------------------
+
+
+def leaves(t):
+    return -3.0 if t < 600.0 or t > 2000.0 else 1.0
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.2])
+def test_theta_follows_an_optimum_that_leaves_its_limits_and_comes_back(noise):
+    limits = {"theta_min": -4.0, "theta_max": -2.0, "theta_initial": -3.0}
+    esc = config(widest=(-5.0, 5.0), **limits)
+    theta, _ = seek(esc, 3400.0, leaves, noise)
+    within = slice(0, 6000)
+    assert (theta[within].min(), theta[within].max()) >= (-4.0, -4.0)
+    assert theta[within].max() <= -2.0
+    assert abs(theta[16_000:20_000].mean() - 1.0) < 0.3
+    assert np.abs(np.diff(theta)).max() <= esc.step_size * (1.0 + 1e-9)
+    assert np.ptp(theta[-6000:]) <= 2.0
+    kept, _ = seek(config(**limits), 2000.0, leaves, noise)
+    assert kept.max() <= -2.0  # the test can fail
+    narrow, _ = seek(config(widest=(-5.0, -1.0), **limits), 2000.0, leaves, noise)
+    assert narrow.max() == -1.0
+
+
+def test_open_limits_close_with_a_leg_at_home_within_them():
+    esc = config(theta_min=-4.0, theta_max=-2.0, theta_initial=-3.0, widest=(-5.0, 5.0))
+    state = arrived(esc)
+    state = state._replace(swing=state.swing._replace(below=0.5, beyond=2.0))
+    legs, rng = state.swing.legs, np.random.default_rng(4)
+    while state.swing.legs < legs + 4:
+        r = (1.0 + 4.0 * (state.output + 3.0) ** 2) * math.exp(0.05 * rng.normal())
+        state, _, _ = answer(esc, state, r)
+    assert (state.swing.below, state.swing.beyond) == (0.0, 0.0)
+
+
+def test_on_a_log_scale_limits_open_no_further_than_the_widest():
+    esc = config(
+        theta_scale="log", theta_min=0.1, theta_max=0.3, theta_initial=0.2, widest=(0.03, 0.7)
+    )
+    p, state, seen = esc.params(DT), esc.initial(), []
+    for k in range(20_000):  # first the best is inside
+        r = 1.0 + abs(math.log(state.output / 0.2)) if k < 5000 else 1.0 / state.output
+        arrival = int(Arrival.NEXT if k else Arrival.RESTART)
+        state, _, saturated = relay.answer(p, state, arrival, False, False, r, False)
+        seen.append(state.output)
+    assert (max(seen[:5000]) <= 0.3, max(seen), saturated) == (True, 0.7, True)
+    assert (state.swing.below, state.swing.beyond) == (0.0, pytest.approx(math.log(0.7 / 0.3)))
+
+
+@pytest.mark.parametrize("widest", [(0.0,), (-2.0, 3.0), (-6.0, 1.0), (5.0, -5.0)])
+def test_widest_limits_that_are_not_around_the_limits_are_refused(widest):
+    with pytest.raises(ConfigError, match=r"widest = .*: must be \[least, largest\] theta, around"):
+        config(theta_min=-5.0, theta_max=2.0, widest=widest)

@@ -1,7 +1,8 @@
 """Oscillators as rigs; shares no code with the workspace's packages.
 
 Every one is of second order with one control input theta, whose limit cycle is smallest at a theta*
-that only the rig knows. Plain Python on purpose: nothing here is the code under test.
+that only the rig knows; ``--at 80:shift=2`` moves it by 2 from its first place. Plain Python on
+purpose: nothing here is the code under test.
 """
 
 from __future__ import annotations
@@ -133,7 +134,7 @@ class Oscillator(SimulatedRig):
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._name, self._physics = args.rig, RIGS[args.rig]
-        self._x = self._physics.start
+        self._x, self._shift = self._physics.start, 0.0
         start = START if args.theta_initial is None else args.theta_initial
         self.actuation = Actuation(start, -STROKE, STROKE, DELAY, RATE)
 
@@ -146,9 +147,15 @@ class Oscillator(SimulatedRig):
 
     def advance(self, t: float, theta: float) -> None:
         """Go on by one sample."""
-        self._x = advance(self._physics, t, DT, self._x, theta)
+        self._x = advance(self._physics, t, DT, self._x, theta - self._shift)
         if not math.isfinite(self._x[0] + self._x[1]):
             raise ValueError(f"{self._name} broke at t = {t:g} s")
+
+    def set(self, name: str, value: float) -> None:
+        """Move the optimum."""
+        if name != "shift":
+            super().set(name, value)
+        self._shift = value
 
 
 def register(rigs: Any) -> None:

@@ -141,6 +141,7 @@ def _esc(tuning: Tuning, rig: RigFile) -> Parameters:
         "tau_f": f"{c.tau_f / time:.3g} times the rig's own time",
         "theta_min": findings.limits.why_low or OF_RIG,
         "theta_max": findings.limits.why_high or OF_RIG,
+        "widest": "the rig file's limits, but beside a cliff: if the optimum leaves, theta follows",
         "rate_limit": "theta_rate of the rig file"
         + (" over theta_max: the rate of log theta" if logarithmic else ""),
         "objective": OF_RIG,

@@ -22,12 +22,15 @@ class ThetaLimits(NamedTuple):
         Least and largest theta.
     why_low, why_high : str
         Reasons in words; empty where it is the rig's.
+    widest : tuple of float
+        Least and largest theta to which they may open in operation; empty where they do not.
     """
 
     low: float
     high: float
     why_low: str = ""
     why_high: str = ""
+    widest: tuple[float, ...] = ()
 
     @property
     def why(self) -> str:
@@ -51,12 +54,14 @@ def limit_theta(
     the cost is so large that the filters forget it only slowly, and while they do theta moves on,
     whatever it does. So there theta stays a margin inside the last good value.
 
-    An optimum that moves has as much more room as its ``motion`` [ranges].
+    An optimum that moves has as much more room as its ``motion`` [ranges]. Where it is lost in
+    operation the limits open again, but not towards a cliff.
 
     Away from a constraint that ends the range on the other side theta keeps all of its way: there
     it must go if the bound moves.
     """
     scale, ends, why = rig.scale, [rig.theta_min, rig.theta_max], ["", ""]
+    widest = ends.copy()
     best, valley = static_map.best(), static_map.valley(settings.limits)
     least = max(settings.least_room, 0.1 * valley.width)
     for end, side in ((0, -1), (1, 1)):
@@ -82,8 +87,11 @@ def limit_theta(
         name, limit = ("theta_max", rig.theta_max) if end else ("theta_min", rig.theta_min)
         theta = min(max(_round(scale.theta_at(u), scale), rig.theta_min), rig.theta_max)
         if theta != limit:
+            if cliff is not None:
+                widest[end] = theta
             ends[end], why[end] = theta, f"{name} {theta:.10g} instead of {limit:g}: {reason}"
-    return ThetaLimits(ends[0], ends[1], why[0], why[1])
+    open_to = tuple(widest) if widest != ends else ()
+    return ThetaLimits(ends[0], ends[1], why[0], why[1], open_to)
 
 
 def _round(theta: float, scale: Scale) -> float:

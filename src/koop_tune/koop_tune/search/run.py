@@ -68,6 +68,8 @@ class Task:
         How constants are drawn and judged.
     speed : float
         Of the optimum's motion [ranges/s].
+    widest : tuple of float
+        Least and largest theta to which the limits open where the optimum is lost; empty: none.
     """
 
     surrogates: dict[float, list[Surrogate]]
@@ -81,6 +83,7 @@ class Task:
     high: float
     settings: SearchSettings = SEARCH
     speed: float = 0.0
+    widest: tuple[float, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -135,6 +138,7 @@ def make_esc(task: Task, c: Constants, theta: float) -> EscConfig:
         tau_f=round_digits(c.tau_f),
         theta_min=task.low,
         theta_max=task.high,
+        widest=task.widest if c.law == "adaptive" else (),
         rate_limit=rate,
         objective="minimise" if task.sense > 0.0 else "maximise",
         theta_initial=theta,

@@ -48,10 +48,10 @@ def make_task(
             s._replace(y=np.concatenate(blocks), begins=ends, dt=every * rig.dt, coarse=True)
             for s in fine[omega_h]
         ]
-    low, high = findings.limits[:2]
+    limits = findings.limits
     return Task(
-        fine, coarse, rig.scale, rig.sense, time, rig.dt, rig.theta_rate, low, high,
-        settings.search, findings.speed,
+        fine, coarse, rig.scale, rig.sense, time, rig.dt, rig.theta_rate, limits.low, limits.high,
+        settings.search, findings.speed, limits.widest,
     )  # fmt: skip
 
 
