@@ -16,7 +16,7 @@ EXPERIMENTS = ROOT / "experiments"
 
 @pytest.mark.parametrize("quick", [False, True])
 def test_the_repositorys_experiments_are_valid_and_of_every_kind(quick: bool) -> None:
-    assert [e.path.stem for e in read_folder(EXPERIMENTS, quick)] == [*ORDER, "commission"]
+    assert [e.path.stem for e in read_folder(EXPERIMENTS, quick)] == [*ORDER, "commission", "knobs"]
 
 
 def test_quick_replaces_settings_and_is_no_setting_itself() -> None:

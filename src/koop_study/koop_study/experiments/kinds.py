@@ -9,7 +9,7 @@ from typing import Any
 from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError, mapping, nearest
 from koop_core.config.yaml_file import read_yaml
-from koop_study.experiments import cases, commission, modes, static_maps
+from koop_study.experiments import cases, commission, knobs, modes, static_maps
 from koop_study.simulation import work
 from koop_study.workers.units import Unit
 from koop_view.report.document import Section
@@ -19,6 +19,7 @@ KINDS: dict[str, tuple[type[Any], Any]] = {  # configuration and module
     "static_maps": (static_maps.StaticMapsConfig, static_maps),
     "cases": (cases.CasesConfig, cases),
     "commission": (commission.CommissionConfig, commission),
+    "knobs": (knobs.KnobsConfig, knobs),
 }
 ORDER = ("modes", "static_maps", "closed_loop", "robustness", "sensitivity", "ablations")
 

@@ -13,6 +13,7 @@ from koop_study.workers.units import Unit
 SIMULATION = "koop_study.simulation.work"
 WORK = {
     **{name: f"{SIMULATION}:{name}" for name in ("runs", "modes", "ramp", "settled", "trace")},
+    **{name: f"koop_study.simulation.knobs:{name}" for name in ("knobs_of_map", "knobs_of_plant")},
     "commission_plant": "koop_study.commissioning.work:commission_plant",
 }
 

@@ -1,0 +1,126 @@
+"""Experiment ``knobs``: several knobs at once, on random rigs and on the paper's plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from koop_core.config.parameter import ConfigError
+from koop_study.experiments.seeds import Seeds
+from koop_study.experiments.stats import quantile
+from koop_study.simulation.case import case_of
+from koop_study.workers.units import Unit
+from koop_view.report.document import Column, Section, Table
+
+CONVERGED = 0.6  # |e| at the end, from 5: as in the tests of the paper's loop
+MAP_COLUMNS = (
+    Column("knobs", "knobs"),
+    Column("condition", "condition", ".0f"),
+    Column("useless", "one does nothing"),
+    Column("amplitude", "amplitude over the best, median", ".2f"),
+    Column("amplitude_p90", "90 %", ".2f"),
+    Column("within", "within 1.5 [%]", ".0f"),
+    Column("arrival", "dwell times until then, median", ".0f"),
+)
+PLANT_COLUMNS = (
+    Column("knobs", "knobs"),
+    Column("iae", "IAE median", ".0f"),
+    Column("iae_p90", "IAE 90 %", ".0f"),
+    Column("distance", "distance at the end, median", ".2f"),
+    Column("distance_max", "largest", ".2f"),
+    Column("converged", f"at most {CONVERGED:g} [%]", ".0f"),
+)
+
+
+@dataclass(frozen=True)
+class KnobsConfig:
+    """What is run.
+
+    Attributes
+    ----------
+    seeds : Seeds
+        Seeds of every row.
+    knobs : tuple of int
+        Numbers of knobs of the random rigs, from 1 to 8.
+    conditions : tuple of float
+        Condition numbers of their couplings.
+    duration : float
+        Length of a run on a random rig in dwell times.
+    plant_knobs : tuple of int
+        Numbers of knobs of the paper's plant.
+    settings : dict
+        Settings of its loop.
+    """
+
+    seeds: Seeds
+    knobs: tuple[int, ...]
+    conditions: tuple[float, ...]
+    duration: float
+    plant_knobs: tuple[int, ...]
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for n in (*self.knobs, *self.plant_knobs):
+            if not 1 <= n <= 8:
+                raise ConfigError(f"{n} knobs: must be from 1 to 8")
+        if not all(1.0 <= condition <= 1e6 for condition in self.conditions):
+            raise ConfigError(f"conditions = {list(self.conditions)}: must be from 1 to 1e6")
+        if not 10.0 <= self.duration <= 1e6:
+            raise ConfigError(f"duration = {self.duration:g}: must be from 10 to 1e6 dwell times")
+        case_of(self.settings, None)
+
+    def maps(self) -> list[tuple[int, float, bool]]:
+        """Return knobs, condition and whether one does nothing, of each row."""
+        several = [
+            (n, condition, useless)
+            for n in self.knobs
+            for condition in self.conditions
+            for useless in (False, True)
+            if n > 1
+        ]
+        return [(n, 1.0, False) for n in self.knobs if n == 1] + several
+
+
+def units(config: KnobsConfig) -> list[Unit]:
+    """Return one unit a row."""
+    seeds = config.seeds.list()
+    return [
+        Unit("knobs_of_map", {"n": n, "condition": condition, "useless": useless, "seeds": seeds,
+                              "duration": config.duration})
+        for n, condition, useless in config.maps()
+    ] + [
+        Unit("knobs_of_plant", {"n": n, "settings": config.settings, "seeds": seeds})
+        for n in config.plant_knobs
+    ]  # fmt: skip
+
+
+def section(config: KnobsConfig, results: list[Any]) -> Section:
+    """Return the part of the report."""
+    count = config.seeds.count
+    maps = Table("knobs", f"Random rigs with several knobs, {count} of each", MAP_COLUMNS)
+    plant = Table(
+        "knobs_plant", f"The paper's plant with several knobs, {count} seeds", PLANT_COLUMNS
+    )
+    cases = config.maps()
+    for (n, condition, useless), rows in zip(cases, results[: len(cases)], strict=True):
+        amplitude = [row["amplitude"] for row in rows]
+        arrival = [np.inf if row["arrival"] is None else row["arrival"] for row in rows]
+        within = 100.0 * float(np.mean(np.array(amplitude) <= 1.5))
+        maps.rows.append((
+            str(n), condition, "yes" if useless else "no", quantile(amplitude, 0.5),
+            quantile(amplitude, 0.9), within, quantile(arrival, 0.5),
+        ))  # fmt: skip
+    for n, rows in zip(config.plant_knobs, results[len(cases) :], strict=True):
+        iae, distance = ([row[name] for row in rows] for name in ("iae", "distance"))
+        converged = 100.0 * float(np.mean(np.array(distance) <= CONVERGED))
+        plant.rows.append((
+            str(n), quantile(iae, 0.5), quantile(iae, 0.9), quantile(distance, 0.5), max(distance),
+            converged,
+        ))  # fmt: skip
+    text = (
+        "The controller seeks along one direction after another (relay_esc/directions.py). The "
+        "knobs are coupled, and of unequal worth by the condition number."
+    )
+    return Section("knobs", "Several knobs", text, [maps, plant], [])

@@ -1,0 +1,165 @@
+"""Loops with several knobs: random rigs, and the paper's plant with n knobs in theta's place.
+
+Both see e = M (u - u*) of the knobs u, where u* is the optimum and M = S R: a rotation R, so that
+the knobs are coupled, and a diagonal S from 1 down to ``condition``^-1/2, so that they are of
+unequal worth. The paper's plant has |e|^2 in the place of its (theta - theta*)^2.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.kernels import njit
+from koop_core.stream.arrival import Arrival
+from koop_loop.loop import controller, initial_state
+from koop_study.simulation.case import case_of
+from koop_study.simulation.learning import model_of
+from koopman_lifter import cost
+from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
+from relay_esc import directions
+from relay_esc.config import EscConfig
+from relay_esc.directions import DirectionState, Knobs, start
+from relay_esc.relay import RelayParams
+from vdp_plant import dynamics
+from vdp_plant.dynamics import PlantParams
+
+Array = NDArray[np.float64]
+DT = 1.0 / 20.0  # [periods of a random rig] between two samples
+DWELL = 20.0  # [periods] of its controller
+GAIN = 0.1  # growth of its amplitude per sample where |e| = 1
+BEST = 0.07  # |e| that its best amplitude is worth
+NOISE = 0.05  # of ln r, correlated over a period
+LAG = 3.0  # [periods] of its amplitude detector
+TAIL = 0.3  # share of a run that counts at its end
+
+
+@njit()
+def distance_of(m: Array, u: Array, u_star: Array) -> float:
+    """Return |M (u - u*)|."""
+    square = 0.0
+    for i in range(u.size):
+        e = 0.0
+        for j in range(u.size):
+            e += m[i, j] * (u[j] - u_star[j])
+        square += e * e
+    return math.sqrt(square)
+
+
+@njit()
+def seek_on_map(
+    p: RelayParams, k: Knobs, m: Array, u_star: Array, state: DirectionState,
+    rng: np.random.Generator, distance: Array,
+) -> None:  # fmt: skip
+    """Run a loop on a limit cycle of amplitude a, da = a (GAIN (|e|^2 + BEST^2) - a^2) a sample."""
+    lag, kept = math.exp(-DT / LAG), math.exp(-DT)
+    a, r, noise = 0.0, 0.0, 0.0
+    for i in range(distance.size):
+        distance[i] = distance_of(m, state.output, u_star)
+        growth = GAIN * (distance[i] ** 2 + BEST * BEST)
+        a = math.sqrt(growth) if i == 0 else a + a * (growth - a * a)
+        noise = kept * noise + math.sqrt(1.0 - kept * kept) * rng.standard_normal()
+        r = lag * r + (1.0 - lag) * a * a * math.exp(NOISE * noise)
+        arrival = Arrival.RESTART if i == 0 else Arrival.NEXT
+        state, _, _ = directions.answer(p, k, state, arrival, False, False, r, False)
+
+
+@njit()
+def seek_on_plant(
+    plant: PlantParams, source: int, lifting: Lifting, detector_params: DetectorParams,
+    p: RelayParams, k: Knobs, detector: DetectorState, work: Workspace, x: float, y: float,
+    m: Array, u_star: Array, state: DirectionState, distance: Array,
+) -> None:  # fmt: skip
+    """Run a loop on the paper's plant with |e| in the place of theta - theta*."""
+    measured = np.empty(2)
+    for i in range(distance.size):
+        arrival = Arrival.RESTART if i == 0 else Arrival.NEXT
+        measured[0], measured[1] = dynamics.measure(plant, i, x, y)
+        r, _, settling, detector = cost.answer(
+            source, lifting, detector_params, detector, arrival, i, measured, work
+        )
+        state, _, _ = directions.answer(p, k, state, arrival, False, settling, r, False)
+        distance[i] = distance_of(m, state.output, u_star)
+        x, y = dynamics.step(plant, i, x, y, plant.theta_star + distance[i])
+
+
+def rotation(n: int, rng: np.random.Generator) -> Array:
+    """Return a random rotation, shape (n, n)."""
+    q, r = np.linalg.qr(rng.standard_normal((n, n)))
+    return np.asarray(q * np.sign(np.diag(r)))
+
+
+def coupling(n: int, condition: float, rng: np.random.Generator) -> Array:
+    """Return M, shape (n, n)."""
+    return np.diag(np.geomspace(1.0, condition**-0.5, n)) @ rotation(n, rng)
+
+
+def signs(n: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Return the relay sign that each knob begins with, shape (n,)."""
+    return rng.choice(np.array([-1, 1]), n)
+
+
+def knobs_of_map(
+    n: int, condition: float, useless: bool, seeds: list[int], duration: float
+) -> list[dict[str, Any]]:
+    """Run random rigs with knobs from -1 to 1 for a ``duration`` in dwell times.
+
+    The optimum is in the inner 70 %, the start in the inner 90 %. ``useless``: one knob does
+    nothing. Each row has the mean amplitude at the end over the best one, and the dwell times until
+    a dwell time's mean is within 1.5 of the best; None: it never is.
+    """
+    samples = round(DWELL / DT)
+    esc = EscConfig(
+        law="adaptive", dwell=DWELL, tau_f=DWELL / 2.5, step_size=0.1 / samples, theta_min=-1.0,
+        theta_max=1.0, theta_initial=0.0,
+    )  # fmt: skip
+    ones, rows = np.ones(n), []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        m = coupling(n, condition, rng)
+        if useless:
+            m[:, rng.integers(n)] = 0.0
+        u_star, u = rng.uniform(-0.7, 0.7, n), rng.uniform(-0.9, 0.9, n)
+        distance = np.empty(round(duration * samples))
+        knobs = Knobs(-ones, ones, ones, np.full(n, math.inf))
+        state = start(u, signs(n, rng))
+        seek_on_map(esc.params(DT), knobs, m, u_star, state, rng, distance)
+        ratio = np.hypot(distance, BEST) / BEST
+        within = ratio[: ratio.size // samples * samples].reshape(-1, samples).mean(axis=1) < 1.5
+        rows.append({
+            "amplitude": float(ratio[-round(TAIL * ratio.size):].mean()),
+            "arrival": int(np.argmax(within)) if within.any() else None,
+        })  # fmt: skip
+    return rows
+
+
+def knobs_of_plant(n: int, settings: dict[str, Any], seeds: list[int]) -> list[dict[str, Any]]:
+    """Run the paper's plant with n rotated knobs, 5 from the optimum at first as in the paper.
+
+    Each row has the integral of |e| over the time, and its mean at the end.
+    """
+    rows = []
+    for seed in seeds:
+        case, rng = case_of(settings, seed), np.random.default_rng(seed)
+        parts = controller(case.lifter, case.esc, model_of(case))
+        m, u = rotation(n, rng), np.zeros(n)
+        way = rng.standard_normal(n)
+        u_star = np.linalg.solve(m, 5.0 * way / np.linalg.norm(way))
+        lower, upper = np.minimum(u, u_star) - 3.0, np.maximum(u, u_star) + 3.0
+        knobs = Knobs(lower, upper, np.ones(n), np.full(n, math.inf))
+        limits = {"u_min": lower[0], "u_low": lower[0], "u_max": upper[0], "u_high": upper[0]}
+        relay = parts.relay._replace(**limits)  # of one knob
+        distance = np.empty(case.steps)
+        seek_on_plant(
+            case.plant.params(), parts.source, parts.lifting, parts.detector, relay, knobs,
+            cost.initial(), cost.workspace(parts.lifting), *initial_state(case.plant), m, u_star,
+            start(u, signs(n, rng)), distance,
+        )  # fmt: skip
+        rows.append({
+            "iae": float(distance.sum() * case.plant.dt),
+            "distance": float(distance[-round(TAIL * distance.size):].mean()),
+        })  # fmt: skip
+    return rows

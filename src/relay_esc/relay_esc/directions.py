@@ -1,0 +1,289 @@
+"""Several knobs: the relay seeks along one direction after another.
+
+    u = base + s scale d,   s the control input of the relay of :mod:`relay_esc.relay`
+
+d is a unit vector in units of each knob's ``scale``. After :attr:`DirectionSettings.legs` legs u
+goes to the middle of what the relay has swept, there the next direction begins: a knob that rests
+where its last leg ended, at the edge of its swing, would add to the cost as much as the one that
+seeks. The cost's level and its noise are known to all directions, each has its swing.
+
+After a round of n directions, the way that base went in it takes the place of the direction that is
+most like it, and the others are made orthogonal to it again (Rosenbrock 1960): knobs that are
+coupled are sought along their valley. A round that went nowhere says nothing and changes nothing.
+
+With one knob this is the relay alone, bit for bit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from koop_core.config.parameter import Settings, constants, parameter
+from koop_core.kernels import njit
+from relay_esc import relay
+from relay_esc.relay import RelayParams, RelayState, initial, slew
+from relay_esc.swing import SWING, Swing
+
+judged = partial(parameter, origin="koop study knobs")
+
+
+@dataclass(frozen=True)
+class DirectionSettings(Settings):
+    """When the direction changes."""
+
+    legs: int = judged(3, "legs along a direction; an odd number alternates its sense", low=1)
+    progress: float = judged(
+        1.0, "least way of a round that becomes a direction", unit="swing", low=0.0
+    )
+
+
+DIRECTIONS = constants(DirectionSettings())
+FACTOR, DIP, SHORT, CENTRED, EPSILON = range(5)
+OWN = 5  # numbers that a direction has of its own
+
+
+class Knobs(NamedTuple):
+    """Limits of the knobs; arrays of shape (n,).
+
+    Attributes
+    ----------
+    lower, upper : ndarray
+        Saturation limits [u].
+    scale : ndarray
+        Change of each knob that counts as one [u]; its range, say.
+    largest_change : ndarray
+        Largest change of what is given out, per sample [u].
+    """
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    largest_change: NDArray[np.float64]
+
+
+class DirectionState(NamedTuple):
+    """State between samples; :func:`answer` changes its arrays in place.
+
+    Attributes
+    ----------
+    relay : RelayState
+        The relay along the direction; its u is s.
+    active, legs : int
+        Direction that is sought along, and legs that have ended along it.
+    base, begin, output : ndarray, shape (n,)
+        Where the direction begins, where the round began, and what was given out last [u].
+    directions : ndarray, shape (n, n)
+        Unit vectors, one a row.
+    own : ndarray, shape (n, OWN)
+        What each direction has of its own: its swing and the sense that comes next.
+    """
+
+    relay: RelayState
+    active: int
+    legs: int
+    base: NDArray[np.float64]
+    begin: NDArray[np.float64]
+    output: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    own: NDArray[np.float64]
+
+
+def start(u: NDArray[np.float64], epsilon: NDArray[np.int64]) -> DirectionState:
+    """Return the state before the first sample: along each knob in turn, from ``u``.
+
+    ``epsilon``, shape (n,), is the sign that each knob begins with.
+    """
+    n = u.size
+    own = np.zeros((n, OWN))
+    own[:, FACTOR], own[:, EPSILON] = 1.0, epsilon
+    base = np.zeros(1) if n == 1 else u.copy()  # one knob: s is u itself
+    first = initial(u[0] if n == 1 else 0.0, int(epsilon[0]), u[0] if n == 1 else 0.0)
+    return DirectionState(first, 0, 0, base, u.copy(), u.copy(), np.eye(n), own)
+
+
+@njit()
+def along(p: RelayParams, k: Knobs, state: DirectionState) -> RelayParams:
+    """Return the relay's parameters with the limits that s has along the direction."""
+    low, high = -math.inf, math.inf
+    for i in range(state.base.size):
+        d = state.directions[state.active, i] * k.scale[i]
+        if d != 0.0:
+            a, b = (k.lower[i] - state.base[i]) / d, (k.upper[i] - state.base[i]) / d
+            low, high = max(low, min(a, b)), min(high, max(a, b))
+    if state.base.size > 1:  # the base itself lies inside, whatever rounding says
+        low, high = min(low, 0.0), max(high, 0.0)
+    return RelayParams(
+        p.alpha, p.step_size, p.dwell_samples, low, high, low, high, p.sense, math.inf, p.settling,
+        p.adaptive, p.alpha_level, p.step_ratio, False, low, high, low, high,
+    )  # fmt: skip
+
+
+@njit(inline="always")
+def seeking(
+    state: DirectionState, relay_state: RelayState, active: int, legs: int
+) -> DirectionState:
+    """Return the state with another relay, direction and count of legs, and the same arrays."""
+    return DirectionState(
+        relay_state,
+        active,
+        legs,
+        state.base,
+        state.begin,
+        state.output,
+        state.directions,
+        state.own,
+    )
+
+
+@njit()
+def rotate(p: RelayParams, k: Knobs, state: DirectionState) -> None:
+    """End a round: the way of base becomes a direction, the others are made orthogonal to it."""
+    directions, n = state.directions, state.base.size
+    way = np.empty(n)
+    for i in range(n):
+        way[i] = (state.base[i] - state.begin[i]) / k.scale[i]
+        state.begin[i] = state.base[i]
+    if normalise(way) <= DIRECTIONS.progress * p.step_size * p.dwell_samples:
+        return
+    alike = 0
+    for j in range(n):
+        state.own[j, FACTOR], state.own[j, SHORT] = 1.0, 0.0
+        if abs(product(directions[j], way)) > abs(product(directions[alike], way)):
+            alike = j
+    directions[alike, :] = way
+    for j in range(n):
+        if j == alike:
+            continue
+        for other in range(n):
+            if other == alike or other < j:
+                share = product(directions[j], directions[other])
+                for i in range(n):
+                    directions[j, i] -= share * directions[other, i]
+        normalise(directions[j])
+
+
+@njit()
+def product(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Return the scalar product; a loop, as NumPy's takes a second to compile."""
+    total = 0.0
+    for i in range(a.size):
+        total += a[i] * b[i]
+    return total
+
+
+@njit()
+def normalise(a: NDArray[np.float64]) -> float:
+    """Make a vector one of length 1, where it has any; return the length that it had."""
+    length = math.sqrt(product(a, a))
+    if length > 0.0:
+        for i in range(a.size):
+            a[i] /= length
+    return length
+
+
+@njit()
+def travel(k: Knobs, state: DirectionState) -> int:
+    """Return the samples in which what is given out gets to base at its limited rate."""
+    samples = 0
+    for i in range(state.base.size):
+        if state.output[i] != state.base[i]:
+            ratio = abs(state.output[i] - state.base[i]) / k.largest_change[i]
+            samples = max(samples, math.ceil(ratio))
+    return samples
+
+
+@njit()
+def switch(
+    p: RelayParams, k: Knobs, state: DirectionState, line: RelayParams, turned: float, at_end: bool
+) -> DirectionState:
+    """Leave the direction for the next one; the relay stays where the cost fell up to a limit.
+
+    ``line`` has the limits of s, ``turned`` is s where the leg that has ended began.
+    """
+    relay_state, own = state.relay, state.own
+    swing, s = relay_state.swing, relay_state.u
+    rest = swing.centre if swing.centred >= SWING.centred else 0.5 * (turned + s)
+    rest = s if at_end else rest
+    rest = min(max(rest, line.u_min), line.u_max)
+    for i in range(state.base.size):
+        u = state.base[i] + rest * state.directions[state.active, i] * k.scale[i]
+        state.base[i] = min(max(u, k.lower[i]), k.upper[i])
+    ended = own[state.active]
+    ended[FACTOR], ended[DIP], ended[SHORT] = swing.factor, swing.dip, swing.short
+    ended[CENTRED], ended[EPSILON] = swing.centred, relay_state.epsilon
+    if at_end:
+        ended[EPSILON] = -relay_state.epsilon
+    active = (state.active + 1) % state.base.size
+    if active == 0:
+        rotate(p, k, state)
+    new = own[active]
+    swing = Swing(
+        new[FACTOR], 1.0, 0.0, 0.0, math.inf, swing.lowest_before, swing.reference, swing.noise,
+        new[DIP], swing.legs, int(new[SHORT]), 0.0, 0.0, int(new[CENTRED]), 0.0, 0.0,
+        0.0, 0.0,
+    )  # fmt: skip
+    relay_state = RelayState(
+        0.0, int(new[EPSILON]), 0.0, 0.0, -travel(k, state), False, 0.0, 0.0, swing
+    )
+    return seeking(state, relay_state, active, 0)
+
+
+@njit()
+def answer(
+    p: RelayParams,
+    k: Knobs,
+    state: DirectionState,
+    arrival: int,
+    switched: bool,
+    settling: bool,
+    r: float,
+    hold_asked: bool,
+) -> tuple[DirectionState, bool, bool]:
+    """Answer one cost as :func:`relay_esc.relay.answer` does, with n knobs.
+
+    Parameters
+    ----------
+    p : RelayParams
+        Parameters; with several knobs ``step_size`` is in units of their scale, and the limits are
+        those of ``k``.
+    k : Knobs
+        The knobs' limits.
+    state : DirectionState
+        State after the previous cost; its arrays are changed.
+    arrival, switched, settling, r, hold_asked
+        See there.
+
+    Returns
+    -------
+    state : DirectionState
+        State after this cost; ``output`` is the control input to apply.
+    holding, saturated : bool
+        See there; saturated: a knob is at one of its limits.
+    """
+    before = state.relay
+    line = p if state.base.size == 1 else along(p, k, state)
+    after, holding, saturated = relay.answer(
+        line, before, arrival, switched, settling, r, hold_asked
+    )
+    legs = state.legs + (after.epsilon != before.epsilon)
+    state = seeking(state, after, state.active, legs)
+    if state.base.size == 1:
+        state.output[0] = after.output
+        return state, holding, saturated
+    down, dwelt = after.epsilon > 0, after.since_flip >= p.dwell_samples
+    at_end = dwelt and after.u == (line.u_min if down else line.u_max)
+    if legs == DIRECTIONS.legs or at_end:
+        state = switch(p, k, state, line, before.swing.turned, at_end)
+    saturated = False
+    for i in range(state.base.size):
+        u = state.base[i] + state.relay.u * state.directions[state.active, i] * k.scale[i]
+        u = min(max(u, k.lower[i]), k.upper[i])
+        state.output[i] = slew(state.output[i], u, k.largest_change[i])
+        saturated = saturated or u <= k.lower[i] or u >= k.upper[i]
+    return state, holding, saturated

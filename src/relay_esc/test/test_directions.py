@@ -1,0 +1,123 @@
+"""Several knobs: one is the relay itself, limits and rates hold, coupled knobs find the optimum."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from koop_core.stream.arrival import Arrival
+from relay_esc import directions, relay
+from relay_esc.config import EscConfig
+from relay_esc.directions import DIRECTIONS, EPSILON, FACTOR, Knobs, start
+
+Array = NDArray[np.float64]
+DT = 0.05
+NEXT, RESTART, JOIN, RESUME = map(
+    int, (Arrival.NEXT, Arrival.RESTART, Arrival.JOIN, Arrival.RESUME)
+)
+
+
+def config(**values: object) -> EscConfig:
+    defaults = {"law": "adaptive", "dwell": 1.0, "tau_f": 0.4, "step_size": 0.005,
+                "theta_min": -1.0, "theta_max": 1.0, "theta_initial": 0.3}  # fmt: skip
+    return EscConfig(**{**defaults, **values})
+
+
+def knobs_of(n: int, rate: float = math.inf) -> Knobs:
+    return Knobs(-np.ones(n), np.ones(n), np.ones(n), np.full(n, rate))
+
+
+@pytest.mark.parametrize("law", ["relay", "adaptive"])
+def test_one_knob_is_the_relay_to_the_last_bit(law: str) -> None:
+    rng, p = np.random.default_rng(3), config(law=law, rate_limit=0.02).params(DT)
+    alone = relay.initial(0.3, 1, 0.3)
+    several = start(np.array([0.3]), np.array([1]))
+    knobs = knobs_of(1)
+    for k in range(3000):
+        r = math.nan if rng.random() < 0.01 else float(rng.random() + 0.1)
+        arrival = RESTART if k == 0 else int(rng.choice([NEXT, RESUME, JOIN], p=[0.98, 0.01, 0.01]))
+        hold = bool(rng.random() < 0.02)
+        alone, *expected = relay.answer(p, alone, arrival, False, False, r, hold)
+        several, *answered = directions.answer(p, knobs, several, arrival, False, False, r, hold)
+        assert (several.output[0], answered) == (alone.output, expected)
+    assert abs(alone.output - 0.3) > 0.0
+
+
+@pytest.mark.parametrize("n", [2, 5])
+def test_limits_and_rates_hold_whatever_the_cost_does(n: int) -> None:
+    rng, rate = np.random.default_rng(n), 0.02
+    p = config().params(DT)
+    knobs = Knobs(-rng.uniform(0.2, 1.0, n), rng.uniform(0.2, 1.0, n), rng.uniform(0.3, 3.0, n),
+                  rate * rng.uniform(0.5, 2.0, n))  # fmt: skip
+    u = rng.uniform(-0.2, 0.2, n)
+    state, before, swept = start(u, rng.choice([-1, 1], n)), u.copy(), 0.0
+    for k in range(5_000):
+        r = math.nan if rng.random() < 0.01 else float(np.exp(rng.normal()))
+        arrival = (
+            RESTART if k == 0 else int(rng.choice([NEXT, RESUME, JOIN], p=[0.99, 0.005, 0.005]))
+        )
+        state, _, _ = directions.answer(
+            p, knobs, state, arrival, False, False, r, bool(rng.random() < 0.02)
+        )
+        assert (state.output >= knobs.lower).all()
+        assert (state.output <= knobs.upper).all()
+        assert (np.abs(state.output - before) <= knobs.largest_change * (1.0 + 1e-9)).all()
+        swept = max(swept, float(np.abs(state.output - u).min()))
+        before = state.output.copy()
+    assert swept > 0.0  # every knob was moved
+
+
+def seek(m: Array, u_star: Array, u: Array, steps: int) -> Array:
+    """Seek on r = |M (u - u*)|^2 + 0.01; return the mean of the knobs in the last third."""
+    n = u.size
+    p, knobs = config(step_size=0.1 / 20).params(DT), knobs_of(n)
+    state, where = start(u, np.ones(n, dtype=np.int64)), []
+    for k in range(steps):
+        e = m @ (state.output - u_star)
+        arrival = NEXT if k else RESTART
+        state, _, _ = directions.answer(
+            p, knobs, state, arrival, False, False, float(e @ e) + 0.01, False
+        )
+        where.append(state.output.copy())
+    assert np.allclose(state.directions @ state.directions.T, np.eye(n), atol=1e-9)
+    return np.asarray(where[-steps // 3 :]).mean(axis=0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_coupled_knobs_of_unequal_worth_find_their_optimum(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q, _ = np.linalg.qr(rng.standard_normal((2, 2)))
+    m, u_star = np.diag([1.0, 0.2]) @ q, rng.uniform(-0.6, 0.6, 2)
+    at = seek(m, u_star, rng.uniform(-0.9, 0.9, 2), 8_000)
+    assert np.linalg.norm(m @ (at - u_star)) < 0.05  # of a floor of 0.1
+
+
+def test_a_knob_that_does_nothing_does_not_keep_the_other_from_its_optimum() -> None:
+    at = seek(np.array([[0.0, 1.0]]), np.array([0.0, 0.5]), np.array([0.2, -0.8]), 6_000)
+    assert abs(at[1] - 0.5) < 0.05
+
+
+def test_a_round_along_a_valley_makes_the_valley_a_direction_and_widens_the_swings() -> None:
+    p, knobs = config().params(DT), knobs_of(3)
+    state = start(np.zeros(3), np.ones(3, dtype=np.int64))
+    state.own[:, FACTOR] = 0.2
+    valley = np.array([0.6, 0.0, 0.8])
+    state.base[:] = 0.5 * valley
+    directions.rotate(p, knobs, state)
+    assert np.allclose(state.directions[2], valley)  # the one that was most like it
+    assert np.allclose(state.directions @ state.directions.T, np.eye(3))
+    assert (state.own[:, FACTOR] == 1.0).all()
+    kept = state.directions.copy()
+    state.base[:] += 0.4 * DIRECTIONS.progress * p.step_size * p.dwell_samples * valley
+    directions.rotate(p, knobs, state)  # a round that went nowhere
+    assert (state.directions == kept).all()
+    assert (state.begin == state.base).all()
+
+
+def test_a_knob_begins_with_its_own_sense() -> None:
+    state = start(np.zeros(2), np.array([1, -1]))
+    assert state.relay.epsilon == 1
+    assert list(state.own[:, EPSILON]) == [1.0, -1.0]
