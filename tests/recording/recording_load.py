@@ -151,7 +151,6 @@ def record_load(
     seconds: float,
     stall: float = 0.0,
     farewell: float = 10.0,
-    **parameters: object,
 ) -> LoadReport:
     """Record a load of `rate` steps a second on four topics; a stalled recorder is not scheduled.
 
@@ -165,10 +164,8 @@ def record_load(
         After a second the recorder is stopped until so much more was sent [s], or everything.
     farewell : float
         How long those who sent stay for a recorder that lacks something [s].
-    parameters
-        Of the recorder.
     """
-    recorder = _start_recorder(folder, **parameters)
+    recorder = _start_recorder(folder)
     load = _start_load(rate, seconds, farewell)
     try:
         last = _progress_to(load, rate)  # the first second is left out
@@ -208,11 +205,10 @@ def record_load(
     )
 
 
-def _start_recorder(folder: Path, **parameters: object) -> NodeProcess:
+def _start_recorder(folder: Path) -> NodeProcess:
     folder.mkdir(parents=True)
-    options = {"output": folder, **parameters}
-    words = [word for name, value in options.items() for word in ("-p", f"{name}:={value}")]
-    return NodeProcess("recorder", ["--ros-args", *words], folder / "recorder.log")
+    words = ["--ros-args", "-p", f"output:={folder}"]
+    return NodeProcess("recorder", words, folder / "recorder.log")
 
 
 def _start_load(rate: float, seconds: float, farewell: float = 10.0) -> TiedProcess:
