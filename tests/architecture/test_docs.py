@@ -18,7 +18,7 @@ REFERENCE = runpy.run_path(str(ROOT / "scripts" / "reference.py"))
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "recordings/README.md"])
 HISTORY = {"decisions", "CHANGELOG.md"}  # name what was, too
 OF_THE_SCRIPT = {"test", "run", "shell", "setup"}
-MOST = {"commands": 28, "options": 140, "parameters": 35}
+MOST = {"commands": 28, "options": 140, "parameters": 36}
 MOST_LINES = {"docs": 1600, "README.md": 120}
 WIDTH = 100
 

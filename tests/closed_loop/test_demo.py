@@ -44,7 +44,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
     file = tmp_path / "my.yaml"
     file.write_text(
         "vdp_plant: {ros__parameters: {duration: 10, seed: 1}}\n"
-        "recorder: {ros__parameters: {keep_age: 99.0, output: /nowhere}}\n"
+        "recorder: {ros__parameters: {queue: 20000, output: /nowhere}}\n"
     )
     process = demo(folder, "--params-file", str(file), "--cost", "raw", "--seed", "2")
     printed, _ = process.communicate(timeout=120)
@@ -61,7 +61,7 @@ def test_the_demo_leaves_a_folder_that_holds_the_whole_run(tmp_path, capsys):
         assert (folder / name).is_file(), name
     assert read_loop(folder / "bag").closed(folder / "bag").step.size == 2000
     text = (folder / "parameters.yaml").read_text()
-    assert "keep_age: 99.0" in text
+    assert "queue: 20000" in text
     assert "seed: 2" in text
     assert "output" not in text
     assert "listeners" not in text

@@ -92,7 +92,7 @@ def test_a_run_s_own_parameters_run_the_same_experiment_again(launch, tmp_path):
     mine.write_text(
         "vdp_plant: {ros__parameters: {pace: lockstep, duration: 2, seed: 7}}\n"
         "koopman_lifter: {ros__parameters: {cost: raw}}\n"
-        "recorder: {ros__parameters: {keep_age: 99.0}}\n"
+        "recorder: {ros__parameters: {queue: 20000}}\n"
     )
     contents = []
     for arguments, folder in (
@@ -110,7 +110,7 @@ def test_a_run_s_own_parameters_run_the_same_experiment_again(launch, tmp_path):
     assert [len(messages) for messages in contents[0]] == [400, 400]
     assert contents[0] == contents[1]
     text = (out / "parameters.yaml").read_text()
-    for line in ("seed: 7", "cost: raw", "keep_age: 99.0", "pace: lockstep"):
+    for line in ("seed: 7", "cost: raw", "queue: 20000", "pace: lockstep"):
         assert line in text
 
 

@@ -151,6 +151,7 @@ def record_load(
     seconds: float,
     stall: float = 0.0,
     farewell: float = 10.0,
+    **parameters: object,
 ) -> LoadReport:
     """Record a load of `rate` steps a second on four topics; a stalled recorder is not scheduled.
 
@@ -164,8 +165,10 @@ def record_load(
         After a second the recorder is stopped until so much more was sent [s], or everything.
     farewell : float
         How long those who sent stay for a recorder that lacks something [s].
+    parameters
+        Of the recorder.
     """
-    recorder = _start_recorder(folder)
+    recorder = _start_recorder(folder, **parameters)
     load = _start_load(rate, seconds, farewell)
     try:
         last = _progress_to(load, rate)  # the first second is left out
@@ -205,10 +208,11 @@ def record_load(
     )
 
 
-def _start_recorder(folder: Path) -> NodeProcess:
+def _start_recorder(folder: Path, **parameters: object) -> NodeProcess:
     folder.mkdir(parents=True)
-    words = ["--ros-args", "-p", f"output:={folder}"]
-    return NodeProcess("recorder", words, folder / "recorder.log")
+    options = {"output": folder, **parameters}
+    words = [word for name, value in options.items() for word in ("-p", f"{name}:={value}")]
+    return NodeProcess("recorder", ["--ros-args", *words], folder / "recorder.log")
 
 
 def _start_load(rate: float, seconds: float, farewell: float = 10.0) -> TiedProcess:

@@ -17,8 +17,8 @@ def test_at_200_hz_nothing_is_lost(own_domain, tmp_path):
 
 @pytest.mark.ros
 def test_at_ten_times_the_rate_and_stalled_every_loss_is_reported(own_domain, tmp_path):
-    # who publishes keeps 2.5 s of messages for the recorder, which does not run for 3.5 s of them
-    report = record_load(tmp_path / "run", 2000.0, 5.5, stall=3.5)
+    # the queue holds 0.1 s of messages, the recorder does not run for 0.6 s of them
+    report = record_load(tmp_path / "run", 2000.0, 2.0, stall=0.6, queue=200)
     assert report.missing > 1000, report.text()
     assert report.counted == report.missing, report.text()
 

@@ -200,6 +200,7 @@ def test_the_options_of_play_are_parameters_of_the_player():
     [
         ({"keep_size": -1.0}, "keep_size"),
         ({"topics": "state a:b"}, "'a:b' is neither a name nor name:pkg/msg/Type"),
+        ({"queue": 1}, "queue"),
     ],
 )
 def test_settings_of_the_recorder_that_cannot_be_are_refused(options, said):

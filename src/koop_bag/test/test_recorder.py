@@ -394,7 +394,7 @@ def test_a_folder_that_holds_a_recording_is_refused_with_one_line(tmp_path, writ
 
 
 def test_a_wrong_parameter_is_refused_with_one_line(tmp_path):
-    with Recorder(tmp_path / "run", "-p", "keep_age:=-1.0") as recorder:
+    with Recorder(tmp_path / "run", "-p", "queue:=1") as recorder:
         assert recorder.end() == 2
         assert recorder.output().startswith("error: ")
         assert len(recorder.output().splitlines()) == 1

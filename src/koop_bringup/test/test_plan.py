@@ -14,7 +14,7 @@ MINE = """
 /**: {ros__parameters: {robot_description: x, dt: 0.005, use_sim_time: false}}
 vdp_plant: {ros__parameters: {pace: lockstep, duration: 20, seed: 7, listeners: next recorder}}
 koopman_lifter: {ros__parameters: {cost: raw}}
-recorder: {ros__parameters: {keep_age: 77.0}}
+recorder: {ros__parameters: {queue: 77}}
 """
 
 
@@ -50,7 +50,7 @@ def test_the_file_wins_over_defaults_and_only_a_given_argument_wins_over_the_fil
     }  # fmt: skip
     assert options["koopman_lifter"] == {**shared, "dt": 0.005, "cost": "raw"}
     assert options["recorder"] == {
-        "use_sim_time": False, "keep_age": 77.0
+        "use_sim_time": False, "queue": 77
     }  # fmt: skip
 
 
@@ -190,7 +190,7 @@ def test_a_bad_argument_is_refused_before_a_node_starts(arguments, message):
     ("text", "message"),
     [
         ("vdp_plant: {ros__parameters: {mass: 1.0}}", "vdp_plant: unknown parameter 'mass'"),
-        ("recorder: {ros__parameters: {keep_age: -1.0}}", "keep_age = -1: must be"),
+        ("recorder: {ros__parameters: {queue: 1}}", "queue = 1: must be 10 to"),
         (
             "another: {ros__parameters: {gain: 1}}",
             "has no parameters for /recorder, .* it has /another",
@@ -223,7 +223,7 @@ def test_a_folder_that_holds_a_recording_is_refused(mine, tmp_path):
     ],
 )
 def test_a_section_that_would_be_ignored_beside_valid_ones_is_refused(mine, text, message):
-    valid = "/**/recorder: {ros__parameters: {keep_age: 77.0}}\n"
+    valid = "/**/recorder: {ros__parameters: {queue: 77}}\n"
     with pytest.raises(ConfigError, match=message):
         plan({**mine(valid + text), "namespace": "rig1", "record": "true", "plant": "true"})
 

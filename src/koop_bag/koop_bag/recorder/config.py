@@ -50,6 +50,13 @@ class RecorderConfig(Settings):
         low=0.0,
         read_only=True,
     )
+    queue: int = parameter(
+        10000,
+        "messages of one topic that may wait to be written",
+        low=10,
+        high=1000000,
+        read_only=True,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

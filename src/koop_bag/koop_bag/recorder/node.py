@@ -174,7 +174,9 @@ class RecorderRun(Run):
                 self._node.get_logger().warning(f"{name} is not recorded: {error}")
 
     def _add_topic(self, name: str, type_name: str) -> None:
-        self._topics[name] = RecordedTopic(self._node, name, type_name, self._announce)
+        self._topics[name] = RecordedTopic(
+            self._node, name, type_name, self._config.queue, self._announce
+        )
 
     def _announce(self, topic: RecordedTopic) -> int:
         assert self._writer is not None

@@ -25,8 +25,6 @@ from koop_bag.cdr.schema import MessageSchema, load_schema
 from koop_bag.mcap.chunk import Row
 from koop_node.node.managed import message_type
 
-QUEUE = 10_000
-"""Messages of a topic that may wait to be written: how long a stall is survived."""
 _AT_ONCE = 2000
 """Messages taken from one topic before the next one has its turn."""
 
@@ -43,6 +41,8 @@ class RecordedTopic:
         Owner of the subscription; its executor must not get to see it.
     name, type_name : str
         Full name and type of the topic.
+    queue : int
+        Messages that may wait.
     announce : callable
         Gives the topic a channel of the bag when its first message has come. Not before: only then
         it is known which QoS its publishers offer.
@@ -53,6 +53,7 @@ class RecordedTopic:
         node: Node,
         name: str,
         type_name: str,
+        queue: int,
         announce: Callable[[RecordedTopic], int],
     ) -> None:
         self.name = name
@@ -68,6 +69,7 @@ class RecordedTopic:
         self._announce = announce
         self._node = node
         self._type = message_type(self.schema.name)
+        self._queue = queue
         self._wanted = (ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
         self.subscription = self._subscribe()
 
@@ -108,7 +110,7 @@ class RecordedTopic:
             self.subscription = self._subscribe()
 
     def _subscribe(self) -> Any:
-        return subscribe(self._node, self._type, self.name, QUEUE, *self._wanted)
+        return subscribe(self._node, self._type, self.name, self._queue, *self._wanted)
 
 
 class WatchedNode:
