@@ -21,7 +21,7 @@ typedef struct {
 } detector_t;
 
 typedef struct {
-    double alpha, step_size, dwell_samples, theta_min, theta_max, sense;
+    double alpha, step_size, dwell_samples, widest_min, widest_max, theta_min, theta_max, sense;
 } relay_t;
 
 static double acceleration(const plant_t *q, double eps, double force, double x, double y,

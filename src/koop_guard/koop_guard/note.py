@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Collection
 from contextlib import suppress
@@ -83,7 +84,8 @@ def read(path: Path | str | None) -> Note | None:
     try:
         theta, trip = float(values["theta"]), values["trip"]
         if trip is not None:
-            when, *at = (float(v) for v in (trip["when"], trip["theta"], *trip["x"]))
+            numbers = (trip["when"], trip["theta"], *trip["x"])
+            when, *at = (math.inf if v is None else float(v) for v in numbers)  # as it was written
             trip = Trip(Cause(trip["cause"]), str(trip["reason"]), when, at[0], tuple(at[1:]))
         ids, rearmed = tuple(map(str, values["publishers"])), int(values["rearmed"])
         return Note(theta, str(values["command"]), ids, trip, rearmed)
