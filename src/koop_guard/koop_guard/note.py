@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable, Collection
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from koop_core.config.objects import parse
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import LiveError
 from koop_core.whole_file import read_json, write_json
-from koop_guard.guard import Cause, Trip
+from koop_guard.guard import Trip
 
 THETA_LEFT = "theta is left at"  # begins the last words of guard and twin
 TWIN = "koop_guard_twin/"  # begins the name that a twin holds; its guard's process ends it
@@ -53,9 +53,9 @@ class Note:
 
     theta: float
     command: str
-    publishers: tuple[str, ...] = ()
-    trip: Trip | None = None
-    rearmed: int = 0
+    publishers: tuple[str, ...]
+    trip: Trip | None
+    rearmed: int
 
 
 def note_of(rig_file: str | Path) -> Path:
@@ -68,7 +68,7 @@ def leave(path: Path | str | None, note: Note) -> None:
     """Write a note, whole or not at all; a missing note is not a fault."""
     if path:
         with suppress(LiveError):
-            write_json(Path(path), asdict(note))
+            write_json(Path(path), note)
 
 
 def read(path: Path | str | None) -> Note | None:
@@ -82,16 +82,10 @@ def read(path: Path | str | None) -> Note | None:
     if not path or not (values := read_json(Path(path))):
         return None
     try:
-        theta, trip = float(values["theta"]), values["trip"]
-        if trip is not None:
-            numbers = (trip["when"], trip["theta"], *trip["x"])
-            when, *at = (math.inf if v is None else float(v) for v in numbers)  # as it was written
-            trip = Trip(Cause(trip["cause"]), str(trip["reason"]), when, at[0], tuple(at[1:]))
-        ids, rearmed = tuple(map(str, values["publishers"])), int(values["rearmed"])
-        return Note(theta, str(values["command"]), ids, trip, rearmed)
-    except (KeyError, TypeError, ValueError) as error:
+        return parse(Note, values, "note")
+    except ConfigError as error:
         raise ConfigError(
-            f"{path}: is damaged ({error!r}): look at the rig, then delete it"
+            f"{path}: is damaged ({error}): look at the rig, then delete it"
         ) from None
 
 

@@ -16,7 +16,7 @@ RIG = GuardConfig(
     measured="/a:x,y", command="/b:z", theta_min=-1.0, theta_max=3.0, theta_start=2.0,
     theta_safe=0.5,
 )  # fmt: skip
-LEFT = Note(0.75, "/b:z", ("a", "b"))
+LEFT = Note(0.75, "/b:z", ("a", "b"), None, 0)
 TRIP = Trip(Cause.NOT_FINITE, "x on /a is not a finite number", 1e9, 0.7, (math.inf, 0.25))
 
 
@@ -42,7 +42,9 @@ def test_a_trip_is_noted_and_a_damaged_note_is_refused(tmp_path):
     leave(note, left)
     assert read(note) == left
     whole = note.read_text()
-    for torn in (whole[:-9], "abc", "[1]", json.dumps({**json.loads(whole), "trip": {}})):
+    values = json.loads(whole)
+    less = {name: value for name, value in values.items() if name != "trip"}
+    for torn in (whole[:-9], "abc", "[1]", *map(json.dumps, ({**values, "trip": {}}, less))):
         note.write_text(torn)
         with pytest.raises(ConfigError, match=r"note: (is damaged|cannot be read).*delete"):
             read(note)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, is_dataclass
+from enum import Enum
 from inspect import Parameter, signature
 from types import UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
@@ -36,8 +37,8 @@ def parse(kind: type[T], content: Any, where: str) -> T:
     Parameters
     ----------
     kind : type
-        A dataclass or named tuple with annotated fields: numbers, strings, mappings, lists, tuples
-        and arrays of them, or others of its sort.
+        A dataclass or named tuple with annotated fields: numbers, strings, members of an Enum,
+        mappings, lists, tuples and arrays of them, or others of its sort.
     content : object
         Content of the file.
     where : str
@@ -92,6 +93,11 @@ def convert(hint: Any, value: Any, where: str) -> Any:
         return {key: convert(args[1], item, f"{where}.{key}") for key, item in items}
     if hint is Any:
         return value
+    if issubclass(hint, Enum):
+        try:
+            return hint(value)
+        except ValueError as error:
+            raise ConfigError(f"{where}: {error}") from None
     if hint is float and (value is None or type(value) is int):
         return math.inf if value is None else float(value)
     if type(value) is not hint:

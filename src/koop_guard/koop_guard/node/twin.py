@@ -160,6 +160,7 @@ def _take_over(client: Any, order: dict[str, Any], theta: float, last: tuple[int
     alarm.start(guard.trip, "the guard's twin")
     return_to_safe(guard, config, command, guard.advance, last)
     alarm.check()
-    note = read(config.note) or Note(guard.theta, config.command)  # with the trip that it may hold
+    # with the trip that it may hold
+    note = read(config.note) or Note(guard.theta, config.command, (), None, 0)
     leave(config.note, replace(note, theta=guard.theta, publishers=tuple(order["publishers"])))
     print(f"the guard was killed; {describe_theta(guard, config)}", flush=True)
