@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Pin everything: resolve the *.in files and write the *.txt files. Needs `uv` (pip install uv).
+# Pin everything: resolve the *.in files and write the *.txt files: ./koop shell requirements/lock.sh.
 #
 # One resolution of all the files together, for the oldest supported Python, so that 3.10 to 3.13 get the very same
 # versions. `koop` installs the result with --no-deps: what isn't listed isn't installed.

@@ -165,7 +165,7 @@ install_plants() {
   mkdir -p "$WS/log"
   set +e
   (step "Installing the plants and the object store of the tests" \
-    "$VENV/bin/python" -m pip install --disable-pip-version-check --no-deps -r "$ROOT/requirements/plants.txt" -r "$ROOT/requirements/store.txt")
+    install_python -r "$ROOT/requirements/plants.txt" -r "$ROOT/requirements/store.txt")
   code=$?
   set -e
   if ((code)); then
@@ -217,7 +217,7 @@ set_up_venv() {
   rm -f "$VENV_STAMP" "$ENV_FILE"
   if ! venv_is_of_same_origin; then
     rm -f "$WS_STAMP"
-    say "the first call sets up .venv (1.2 GB) and the workspace, which takes about two minutes; the first run then compiles for some 20 s"
+    say "the first call sets up .venv (1.2 GB) and the workspace, which takes about a minute; the first run then compiles for some 20 s"
     local options=(--clear)
     [[ $UNDERLAY == wheels ]] || options+=(--system-site-packages)
     step "Creating .venv with $PYTHON (${PYTHON_HAS%% *})" "$PYTHON" -m venv "${options[@]}" "$VENV"
@@ -232,13 +232,16 @@ set_up_venv() {
   mv "$VENV_STAMP.new" "$VENV_STAMP"
 }
 
-# Install requirements. uv, where it is present, takes a tenth of pip's time; it does not read pip's configuration, so where it
-# fails pip tries. Complete lock files: --no-deps makes sure that nothing else comes in.
+# Install requirements. uv takes a third of pip's time; it does not read pip's configuration, so pip installs where that
+# names an index, and where uv fails. Complete lock files: --no-deps makes sure that nothing else comes in.
 install_python() {
-  if command -v uv && uv pip install --python "$VENV/bin/python" --compile-bytecode --no-deps "$@"; then
+  local python=$VENV/bin/python
+  local pip=("$python" -m pip install --disable-pip-version-check --no-deps)
+  if ! "$python" -m pip config list | grep index && "${pip[@]}" "$(grep '^uv==' "$ROOT/requirements/python.txt")" &&
+    "$python" -m uv pip install --python "$python" --system-certs --no-deps "$@"; then
     return
   fi
-  "$VENV/bin/python" -m pip install --disable-pip-version-check --no-deps "$@"
+  "${pip[@]}" "$@"
 }
 
 # The wheels' exported CMake files name the include folders of the machine that built them (/opt/python/cp311-...).

@@ -150,7 +150,7 @@ def test_failed_step_shows_its_last_lines_and_the_next_call_goes_on_there(
 
     broken.unlink()
     assert clone.koop("setup", FAIL_PIP=str(broken))[0] == 0
-    assert [call.split()[1] for call in clone.calls()] == ["pip", "build"]
+    assert [call.split()[1] for call in clone.calls()] == ["uv", "build"]
 
 
 def test_changed_pins_are_installed_without_a_new_environment_or_build(ready: Clone) -> None:
@@ -160,7 +160,7 @@ def test_changed_pins_are_installed_without_a_new_environment_or_build(ready: Cl
     assert code == 0
     assert "the first call" not in err
     (pip,) = ready.calls()
-    assert pip.startswith("-m pip install")
+    assert pip.startswith("-m uv pip install")
 
 
 def test_changed_pins_keep_the_python_of_the_environment_whichever_is_first_on_the_path(
@@ -171,23 +171,23 @@ def test_changed_pins_keep_the_python_of_the_environment_whichever_is_first_on_t
         file.write("# changed\n")
     assert ready.koop("setup")[0] == 0
     (pip,) = ready.calls()
-    assert pip.startswith("-m pip install")
+    assert pip.startswith("-m uv pip install")
     chosen = str(ready.tools / "python3.12")
     assert ready.koop("setup", KOOP_PYTHON=chosen)[0] == 0
-    assert [call.split()[1] for call in ready.calls()] == ["venv", "pip", "build"]
+    assert [call.split()[1] for call in ready.calls()] == ["venv", "uv", "build"]
 
 
 def test_changed_ros_wheels_make_a_new_environment_and_build(ready: Clone) -> None:
     with (ready.root / "requirements/ros.txt").open("a") as file:
         file.write("# changed\n")
     assert ready.koop("setup")[0] == 0
-    assert [call.split()[1] for call in ready.calls()] == ["venv", "pip", "build"]
+    assert [call.split()[1] for call in ready.calls()] == ["venv", "uv", "build"]
 
 
 def test_moved_clone_is_set_up_again(ready: Clone) -> None:
     ready.root = ready.root.rename(ready.root.with_name("moved"))
     assert ready.koop("setup")[0] == 0
-    assert [call.split()[1] for call in ready.calls()] == ["venv", "pip", "build"]
+    assert [call.split()[1] for call in ready.calls()] == ["venv", "uv", "build"]
 
 
 def test_edited_module_needs_no_build(ready: Clone) -> None:
@@ -226,7 +226,7 @@ def test_concurrent_calls_set_up_once(clone: Clone) -> None:
     processes = [clone.start("shell", "-c", "true", SLOW_PIP="1") for _ in range(3)]
     errors = [process.communicate(timeout=60)[1] for process in processes]
     assert [process.returncode for process in processes] == [0, 0, 0], errors
-    assert [call.split()[1] for call in clone.calls()] == ["venv", "pip", "build"]
+    assert [call.split()[1] for call in clone.calls()] == ["venv", "uv", "build"]
 
 
 def test_run_passes_arguments_and_exit_code(ready: Clone) -> None:
@@ -257,17 +257,15 @@ def test_tests_get_their_arguments_and_the_browser_that_is_there(ready: Clone) -
     assert (code, out, err) == (0, f"{ready.tools}/chromium -m pytest -k x\n", "")
 
 
-def test_uv_installs_where_it_is_present_and_pip_where_uv_fails(clone: Clone) -> None:
-    clone.add_tool("uv", 'echo "uv $*" >>"$CALLS"; exit "${FAIL_UV:-0}"')
-    assert clone.koop("setup", FAIL_UV="1")[0] == 0
-    uv, pip = (call for call in clone.calls() if "requirements/python.txt" in call)
-    assert uv.startswith(f"uv pip install --python {clone.root}/.venv/bin/python ")
-    assert "-m pip install" in pip
-    assert clone.koop("setup", "--clean")[0] == 0
-    clone.calls()
-    assert clone.koop("setup")[0] == 0
+@pytest.mark.parametrize(
+    "with_pip", [{"FAIL_UV": "1"}, {"PIP_CONFIG": "global.index-url='https://mirror.example'"}]
+)
+def test_pip_installs_where_uv_cannot_be_had_or_would_pass_an_index_by(
+    clone: Clone, with_pip: dict[str, str]
+) -> None:
+    assert clone.koop("setup", **with_pip)[0] == 0
     (call,) = (call for call in clone.calls() if "requirements/python.txt" in call)
-    assert call == uv
+    assert call.startswith("-m pip install")
 
 
 def test_tests_install_the_plants_that_they_need_once_and_fail_only_where_they_must(
@@ -426,7 +424,7 @@ def test_another_rclpy_makes_another_environment(clone: Clone, tmp_path: Path) -
     assert clone.koop("setup", **sourced(tmp_path / "jazzy"), FAKE_RCLPY="1")[0] == 0
     clone.calls()
     assert clone.koop("setup", **sourced(tmp_path / "another"), FAKE_RCLPY="1")[0] == 0
-    assert [call.split()[1] for call in clone.calls()] == ["venv", "pip", "build"]
+    assert [call.split()[1] for call in clone.calls()] == ["venv", "uv", "build"]
 
 
 @pytest.fixture
