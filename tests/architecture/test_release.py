@@ -1,5 +1,6 @@
 """Every package has what a release needs of it."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -17,4 +18,8 @@ def test_a_package_names_the_license_of_the_repository(package):
 
 def test_all_packages_have_one_version():
     """Bloom releases a repository under one version."""
-    assert len({package.version for package in PACKAGES}) == 1
+    others = [*ROOT.glob("src/*/setup.py"), ROOT / "python/pyproject.toml", ROOT / "CITATION.cff"]
+    versions = {package.version for package in PACKAGES}
+    for path in others:
+        versions.update(re.findall(r'(?m)^ *version(?: ?= ?|: )"?([^",\n]+)', path.read_text()))
+    assert len(versions) == 1
