@@ -189,6 +189,7 @@ venv_is_of_same_origin() {
 # interpreter, a compiler. A lock would not know of a `ros2 launch` or an editor, which never come past ./koop.
 users_of() {
   local file pid
+  # shellcheck disable=SC2062
   for file in $(readlink -f "$@" | sed 's#$#/#' | grep -lsFf - /proc/[0-9]*/maps); do
     pid=${file//[!0-9]/}
     printf '%8d  %s\n' "$pid" "$(tr '\0' ' ' <"/proc/$pid/cmdline" | sed 's/ $//')"
@@ -323,6 +324,7 @@ write_env_file() (
     for name in "${PATH_LISTS[@]}"; do
       added=${!name:-}
       added=${added%"${outer[$name]}"}
+      # shellcheck disable=SC2016
       [[ -z $added ]] || printf 'export %s=%q"${%s:+:$%s}"\n' "$name" "${added%:}" "$name" "$name"
     done
     for name in ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION _ROS_WHEELS_BOOTSTRAP_COMPLETE; do

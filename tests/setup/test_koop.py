@@ -126,6 +126,34 @@ def test_help_sets_nothing_up(clone: Clone) -> None:
     assert not (clone.root / ".venv").exists()
 
 
+def test_alone_it_says_where_the_checkout_stands_and_sets_nothing_up(clone: Clone) -> None:
+    (clone.root / "recordings/golden").mkdir(parents=True)
+    code, out, _ = clone.koop()
+    assert code == 0
+    assert "set up        not yet" in out
+    assert "last recorded nothing yet" in out
+    assert not (clone.root / ".venv").exists()
+    assert clone.koop("setup")[0] == 0
+    (clone.root / "recordings/20260101-demo").mkdir()
+    out = clone.koop()[1]
+    assert "set up        on the ROS 2 of .venv" in out
+    assert "last recorded recordings/20260101-demo" in out
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [("comm", ["commission"]), ("she", ["shell"]), ("demo --du", ["--duration"]), ("up x", [])],
+)
+def test_the_tab_key_completes_commands_and_their_options(typed: str, offered: list[str]) -> None:
+    script = f"""source scripts/completion.bash
+    COMP_WORDS=(./koop {typed}) COMP_CWORD={len(typed.split())}
+    _koop; printf '%s\\n' "${{COMPREPLY[@]}}" """
+    done = subprocess.run(
+        ["bash", "-c", script], cwd=REPOSITORY, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == offered
+
+
 def test_other_commands_go_to_koop_lab_with_their_arguments(ready: Clone) -> None:
     assert ready.koop("demo", "--seed", "4")[1] == "python -m koop_lab demo --seed 4\n"
 
