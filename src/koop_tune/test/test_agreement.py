@@ -148,16 +148,18 @@ def test_the_loop_and_the_best_are_each_taken_at_their_worse_end(aim, good):
     assert "may be 1.51 times" in find_faults(replace(aim, error=0.1), [near, near])[0]
 
 
-def test_a_background_that_is_too_large_by_what_is_not_known_of_it_may_hide_the_best(aim, good):
+def test_nothing_is_damped_that_the_background_may_hide(aim, good):
     far = replace(good, theta=BEST, error=0.001, amplitude=1.3)
-    hidden = replace(aim, amplitude=make_amplitude(200, DT, floor=0.8))
     assert find_faults(aim, [far, far]) == []
-    # 1.3^2 - 0.64 over 1 - 0.64, to first order
+    hidden = replace(aim, amplitude=make_amplitude(200, DT, floor=0.8))
+    # 1.3^2 exp(2 errors) - 0.64 over 1 - 0.64: as much may be background in both
+    excess = math.sqrt(((1.3 * math.exp(far.doubt + aim.error)) ** 2 - 0.64) / 0.36)
     (fault, _) = find_faults(hidden, [far, far])
-    excess = 1.3 * math.exp(0.32 * (1.0 - 1.3**-2) + far.doubt + aim.error)
     assert f"may be {excess:.3g} times" in fault
-    alike = replace(far, amplitude=1.01)  # both have the same background
-    assert find_faults(hidden, [alike, alike]) == []
+    # as good as the best, but none of it need be left of either, or 50 times as much of one
+    alike, wholly = replace(far, amplitude=1.0), make_amplitude(200, DT, floor=1.0)
+    (fault, _) = find_faults(replace(aim, amplitude=wholly), [alike, alike])
+    assert "hides what is left: of an amplitude below 1 nothing can be told" in fault
 
 
 def test_the_final_map_has_what_the_loops_found(aim, good):

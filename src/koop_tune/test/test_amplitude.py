@@ -144,6 +144,25 @@ def test_the_background_is_that_of_holds_that_are_known():
     assert 0.7 * floor < background < 1.3 * floor
 
 
+def test_a_line_beside_a_harmonic_is_background_once_the_harmonic_is_gone():
+    rng, size, line = np.random.default_rng(8), np.array([0.03, 0.06, 0.1, 0.2, 0.5, 1.0]), 0.2
+    holds = [hold(rng, [(2.0, a), (4.0, a**2), (4.1, line)], noise=0.002) for a in size]
+    amplitude = choose_amplitude(WINDOWS, holds)
+    assert weighs_at(amplitude, 0, 4.0)
+    # the line has a power of 0.02, 44 times what is left of the oscillation
+    exact = (size**2 + size**4) / 2.0
+    squares = np.array([amplitude.squares(p).mean() for p in holds])
+    assert squares == pytest.approx(exact, abs=2.0 * amplitude.floor**2, rel=0.1)  # 2 errors
+    assert squares.min() > amplitude.floor**2  # the fundamental shows it
+
+
+def test_a_valley_that_is_flat_in_all_that_reacts_is_no_background():
+    rng, size = np.random.default_rng(9), np.array([1.0, 0.5, 0.1, 0.1, 0.1, 0.1, 0.5])
+    holds = [hold(rng, [(2.0, a), (4.0, a**2), (9.0, 0.3)], noise=0.002) for a in size]
+    expected = np.sqrt((size**2 + size**4) / 2.0)
+    assert levels(choose_amplitude(WINDOWS, holds), holds) == pytest.approx(expected, rel=0.05)
+
+
 def test_two_modes_that_trade_off_are_both_in_and_named_with_their_shares():
     rng = np.random.default_rng(4)
     falls, rises = np.exp(-3.0 * U), np.exp(3.0 * (U - 1.0))

@@ -2,14 +2,18 @@
 
 A window of samples is cut into groups of frequencies. A group reacts if its power differs between
 two holds beyond what its errors explain; a line that does not react is interference. With P_cg the
-power of group g in channel c, F_cg the background there (what the quiet groups beside it have,
-which theta does not change) and s_c^2 the most that channel c was seen to move,
+power of group g in channel c, F_cg the background there and s_c^2 the most that channel c was seen
+to move,
 
     A^2 = sum_c w_c sum_{g reacts} (P_cg - F_cg) / s_c^2  /  sum_c w_c
 
 so that 1 is the strongest motion seen. What the background hides is told as a floor:
 
-    A^2 >= sum_c w_c doubt sum_g F_cg / s_c^2  /  sum_c w_c
+    A^2 >= sum_c w_c sum_g dF_cg / s_c^2  /  sum_c w_c
+
+with dF the error of F. The background is what the quiet groups beside have, which theta does not
+change; and where a group stays at its least while another still falls, what it has there: a line of
+interference, or noise.
 """
 
 from __future__ import annotations
@@ -26,7 +30,6 @@ from numpy.typing import NDArray
 from koop_core.config.parameter import Settings, parameter
 from koop_tune.origin import studied
 
-LOBE = 3  # bins to each side to which a line reaches in a Blackman window
 TINY = 1e-12  # share of a power that rounding leaves
 Array = NDArray[np.float64]
 
@@ -41,7 +44,11 @@ class AmplitudeSettings(Settings):
     single: int = parameter(16, "lowest bins that are groups of their own", low=1)
     lowest: int = parameter(2, "lowest bins that count for nothing", low=0)
     beside: int = parameter(4, "quiet groups to each side that tell a background", low=1)
-    doubt: float = studied(0.1, "share of a background that is not known", low=0.0, high=1.0)
+    doubt: float = studied(0.1, "share of that background that is not known", low=0.0, high=1.0)
+    falls: float = studied(
+        4.0, "factor of another group's power where one that stays at its least is background",
+        low=1.0,
+    )  # fmt: skip
     hidden: float = studied(0.3, "background over motion of a channel that is left out", low=0.0)
     slow: float = studied(
         0.1, "share of the power at the lowest frequencies that is left out", low=0.0
@@ -159,9 +166,14 @@ class Amplitude:
         """Return log A, not below the floor's."""
         return np.asarray(0.5 * np.log(np.maximum(squares, self.floor**2)))
 
-    def doubt(self, log: float) -> float:
-        """Return the error of a log A that the background leaves, the same way for all A."""
-        return 0.5 * math.exp(2.0 * (math.log(self.floor) - log))
+    def most(self, log: float, least: float) -> float:
+        """Return what A may be over another, of their logs: the floor may be background in both.
+
+        Infinite if nothing of the other one need be left.
+        """
+        hidden = self.floor**2
+        left = math.exp(2.0 * least) - hidden
+        return math.sqrt(max(math.exp(2.0 * log) - hidden, 0.0) / left) if left > 0.0 else math.inf
 
     def logs(self, x: Array) -> Array:
         """Return log A of each whole window of samples, shape (M, n)."""
@@ -243,13 +255,19 @@ def choose_amplitude(
     count = np.array([max(hold.shape[0] - 1, 1) for hold in holds])[:, None, None]
     error = np.minimum(spread * np.sqrt(2.0 / count), 2.0)  # neighbouring windows are alike
     doubt = AMPLITUDE.errors / math.sqrt(2.0) * error  # of two holds alike: errors of the change
-    level = np.log(mean)
-    reacts = (level - doubt).max(axis=0) - (level + doubt).min(axis=0) > AMPLITUDE.change
     most = (mean * (1.0 + error)).min(axis=0)  # of a background; a short hold tells little
+    reacts = _change(mean, doubt) > AMPLITUDE.change
     density = np.where(reacts, most, mean.mean(axis=0)) / np.diff(np.array(windows.edges))
     reacts[:, : AMPLITUDE.lowest] = False  # a window has too little of a slow interference
     reacts &= _is_part(mean, reacts, AMPLITUDE.skirt)
-    background = _background(windows, density, most, reacts)
+    background = np.minimum(_beside(windows, density, reacts), most)
+    unsure = AMPLITUDE.doubt * background
+    for c, g in zip(*np.nonzero(reacts), strict=True):
+        stays = mean[:, c, g] < mean[:, c, g].min() * math.exp(AMPLITUDE.change)
+        if _change(mean[stays], doubt[stays])[reacts].max() > math.log(AMPLITUDE.falls):
+            power = mean[stays, c, g]
+            background[c, g] = min(float(power.mean()), most[c, g])
+            unsure[c, g] = float(power.std()) / math.sqrt(power.size - 1)
     motion = np.maximum(mean - background, 0.0)
     size = (motion * reacts).sum(axis=2).max(axis=0)
     hides = (background * reacts).sum(axis=1)
@@ -260,8 +278,8 @@ def choose_amplitude(
         return None
     w = np.where(use, np.array(importance or [1.0] * size.size), 0.0)
     weight = reacts * np.where(use, w / np.where(use, size, 1.0), 0.0)[:, None] / w.sum()
-    hidden = float((weight * background).sum())
-    return Amplitude(windows, weight, hidden, math.sqrt(AMPLITUDE.doubt * hidden + TINY))
+    floor = math.sqrt(float((weight * unsure).sum()) + TINY)
+    return Amplitude(windows, weight, float((weight * background).sum()), floor)
 
 
 def whole_amplitude(windows: Windows, x: Array) -> Amplitude:
@@ -278,25 +296,24 @@ def _is_part(mean: Array, reacts: NDArray[np.bool_], skirt: float) -> NDArray[np
     return np.asarray(np.take_along_axis(part, mean.argmax(axis=0)[None], axis=0)[0])
 
 
-def _background(
-    windows: Windows, density: Array, most: Array, reacts: NDArray[np.bool_],
-) -> Array:  # fmt: skip
+def _change(mean: Array, doubt: Array) -> Array:
+    """Return by how much log powers of holds differ beyond doubt, both (H, n, G): shape (n, G)."""
+    level = np.log(mean)
+    return np.asarray((level - doubt).max(axis=0) - (level + doubt).min(axis=0))
+
+
+def _beside(windows: Windows, density: Array, reacts: NDArray[np.bool_]) -> Array:
     """Return F, shape (n, G): the density of the quietest of the quiet groups beside.
 
     Not of most of them: lines of interference are quiet groups too, and reach over several.
     """
-    edges = np.array(windows.edges)
-    width = np.diff(edges)
+    width = np.diff(np.array(windows.edges))
     result = np.zeros(reacts.shape)
     for c, g in zip(*np.nonzero(reacts), strict=True):
         quiet = np.flatnonzero(~reacts[c])
-        sides = (quiet[quiet < g][-AMPLITUDE.beside :], quiet[quiet > g][: AMPLITUDE.beside])
-        levels = [float(density[c, side].min()) for side in sides if side.size]
-        result[c, g] = min([*levels, math.inf]) * width[g] if levels else 0.0
-        near = quiet[(edges[quiet + 1] > edges[g] - LOBE) & (edges[quiet] < edges[g + 1] + LOBE)]
-        if (density[c, near] * width[g] > most[c, g]).any():
-            result[c, g] = most[c, g]  # a line leaks into it
-    return np.asarray(np.minimum(result, most))
+        beside = np.r_[quiet[quiet < g][-AMPLITUDE.beside :], quiet[quiet > g][: AMPLITUDE.beside]]
+        result[c, g] = density[c, beside].min(initial=math.inf if beside.size else 0.0) * width[g]
+    return result
 
 
 def bridge_gaps(x: Array) -> Array:

@@ -215,10 +215,15 @@ def find_faults(aim: Aim, runs: Sequence[Measured]) -> list[str]:
     slack = 0.02 * (aim.valley[1] - aim.valley[0])
     for run in runs:
         level = math.log(run.amplitude)
-        hidden = abs(aim.amplitude.doubt(level) - aim.amplitude.doubt(aim.sense * final))
-        doubt = aim.settings.sure * (run.doubt + aim.error) + hidden  # both at their worse end
-        excess = math.exp(aim.sense * level - final + doubt)
-        if excess > good:
+        worse = level + aim.sense * aim.settings.sure * (run.doubt + aim.error)
+        ends = (worse, final) if aim.sense > 0 else (-final, worse)
+        excess = aim.amplitude.most(*ends)
+        if math.isinf(excess):
+            faults.append(
+                f"near theta = {run.theta:.4g} the background hides what is left: of an amplitude "
+                f"below {aim.amplitude.floor:.2g} nothing can be told"
+            )
+        elif excess > good:
             faults.append(
                 f"near theta = {run.theta:.4g} the amplitude may be {excess:.3g} times the best of "
                 f"the final map, {good:g} is the most"
