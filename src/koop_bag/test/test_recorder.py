@@ -277,6 +277,29 @@ def test_steps_that_a_node_skips_while_it_is_inactive_are_not_lost(tmp_path, mes
     assert (topic.steps.lost, topic.steps.inactive) == (2, 480)
 
 
+def test_a_topic_that_falls_silent_though_its_publisher_is_there_is_reported(tmp_path, messages):
+    reports = []
+    with (
+        Recorder(tmp_path / "run", "-p", "topics:=state cost") as recorder,
+        Talker(node_class=LifecycleNode) as talker,
+    ):
+        talker.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+        talker.node.trigger_configure()
+        talker.node.trigger_activate()
+        publishers = talker.publishers({topic: LOOP[topic] for topic in ("/state", "/cost")})
+        publish({"/state": publishers["/state"]}, messages.loop, range(10))
+
+        def said():
+            status = reports[-1].status if reports else []
+            return [item.message for item in status if "nothing heard" in item.message]
+
+        talker.spin_until(said, "a report")
+        assert "nothing heard from /state for" in recorder.output()
+        assert "/cost" not in said()[0]  # which never sent anything
+        talker.node.trigger_deactivate()  # then nothing is expected
+        talker.spin_until(lambda: not said(), "its end")
+
+
 def publish_blobs(talker, recorder, numbers, size=10_000):
     """Publish numbered messages that no compression makes smaller, and wait for the last."""
     (publisher,) = talker.publishers({"/blob": BLOB}).values()

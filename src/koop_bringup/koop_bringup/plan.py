@@ -7,6 +7,7 @@ node's own default. Everything is checked here, before the first node starts.
 from __future__ import annotations
 
 import difflib
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ from vdp_plant.config import pace_values
 
 ALL_NODES = {**NODES, **RECORDER, **GUARD}
 FLAGS = ("true", "false", "True", "False")
+TRANSPORTS = "FASTDDS_BUILTIN_TRANSPORTS"  # Fast DDS's, in the environment
 
 
 class Argument(NamedTuple):
@@ -151,6 +153,14 @@ class Plan:
         names = [node.name for node in self.nodes if node.name in COMPONENTS]
         components = tuple(COMPONENTS[name] for name in names)
         return (*apart, PlannedNode(names[-1], *CONTAINER, components))
+
+    def environment(self, node: str) -> dict[str, str]:
+        """Return what is added to a process's environment: a rig's recorder receives by UDP.
+
+        A mailbox in shared memory may be lost for good while its reader stands still.
+        """
+        by_udp = self.rig and node == "recorder"
+        return {TRANSPORTS: os.environ.get(TRANSPORTS, "UDPv4")} if by_udp else {}
 
 
 def plan(texts: Mapping[str, str], shared: Mapping[str, Any] | None = None) -> Plan:

@@ -82,8 +82,7 @@ def _start(context: LaunchContext) -> list:
     published = [topic for topic in TOPICS if topic != "state" or not by_others]
     returning = return_time(planned.parameters)
     loop = _Loop(planned.rig, alone(planned.namespace, published), returning)
-    shared = {
-        "additional_env": TIED,  # launch holds a pipe to their stdin
+    shared = {  # launch holds a pipe to their stdin: TIED
         "output": "screen",
         "sigterm_timeout": str(STOP_TIMEOUT + returning),
         "prefix": LaunchConfiguration("launch-prefix", default=""),
@@ -100,6 +99,7 @@ def _start(context: LaunchContext) -> list:
                 namespace=planned.namespace or "/",
                 parameters=[*files, file],
                 on_exit=loop.on_exit(node.name),
+                additional_env={**TIED, **planned.environment(node.name)},
                 **shared,
             )
         )
@@ -107,7 +107,10 @@ def _start(context: LaunchContext) -> list:
             loop.guard = loop.processes[-1]
     if planned.program:
         words = [sys.executable, "-m", "koop_node.process.companion", *planned.program]
-        program = ExecuteProcess(name="rig", cmd=words, on_exit=loop.on_exit("rig"), **shared)
+        on_exit = loop.on_exit("rig")
+        program = ExecuteProcess(
+            name="rig", cmd=words, on_exit=on_exit, additional_env=TIED, **shared
+        )
         loop.processes.append(program)
     return [
         *(LogInfo(msg=note) for note in planned.notes),

@@ -5,7 +5,13 @@ import sys
 
 import pytest
 
-from koop_bringup.plan import ARGUMENTS, plan, refuse_other_arguments, return_time
+from koop_bringup.plan import (
+    ARGUMENTS,
+    TRANSPORTS,
+    plan,
+    refuse_other_arguments,
+    return_time,
+)
 from koop_core.config.parameter import ConfigError
 from koop_loop.parameters import read
 from koopman_lifter.config import shipped_model
@@ -100,6 +106,8 @@ def test_a_rig_takes_the_place_of_the_plant(mine):
     planned = plan({**mine(), "plant": "False", "record": "true"})
     assert planned.rig
     assert names(planned) == ["recorder", "relay_esc", "koopman_lifter"]
+    assert planned.environment("recorder") == {TRANSPORTS: "UDPv4"}
+    assert planned.environment("relay_esc") == plan({}).environment("recorder") == {}
 
 
 def test_the_file_says_whether_the_plant_is_simulated_unless_an_argument_does(mine):

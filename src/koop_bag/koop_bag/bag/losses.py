@@ -11,7 +11,7 @@ from koop_core.config.parameter import Settings, judged, parameter
 
 @dataclass(frozen=True)
 class LossSettings(Settings):
-    """Which gaps of the steps are losses."""
+    """Which gaps of the steps are losses, and when a topic is silent."""
 
     aside: int = judged(
         100, "messages in which a sequence that another publisher interrupted continues", low=1
@@ -20,6 +20,12 @@ class LossSettings(Settings):
         1_000_000, "steps that no recording lacks; more: another publisher or a clock", low=1,
         origin="83 minutes at 200 Hz",
     )  # fmt: skip
+    silence: float = judged(
+        5.0,
+        "time without a message of a publisher that is there and sent before",
+        unit="s",
+        low=0.0,
+    )
 
 
 LOSSES = LossSettings()
@@ -116,6 +122,11 @@ class LossCounter(StepReport):
         self.duplicates += int((ahead == 0).sum())
         self.jumps += int((~near).sum())
         self.last = int(k[-1])
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether nothing says that a message follows: none has come, or the sequence ended."""
+        return self._interrupted
 
     def interrupt(self) -> None:
         """Do not compare the next message with the last one: none was expected between them."""

@@ -18,7 +18,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from koop_bag.bag.losses import LossCounter
+from koop_bag.bag.losses import LOSSES, LossCounter
 from koop_bag.bag.metadata import OfferedQos
 from koop_bag.cdr.header import has_step, step_of
 from koop_bag.cdr.schema import MessageSchema, load_schema
@@ -70,12 +70,25 @@ class RecordedTopic:
         self._node = node
         self._type = message_type(self.schema.name)
         self._queue = queue
+        self._heard = 0.0  # steady clock, of the last message [s]
         self._wanted = (ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
         self.subscription = self._subscribe()
 
     def take(self, taken: list[Taken]) -> None:
         """Append the messages that wait."""
+        before = len(taken)
         _take(self, self._type, taken)
+        if len(taken) > before:
+            self._heard = time.monotonic()
+
+    def silence(self) -> str:
+        """Return what to say of a stream that has a publisher and is not heard any more, or ''."""
+        if self.losses is None or self.losses.interrupted:
+            return ""
+        silent = time.monotonic() - self._heard
+        if silent < LOSSES.silence or not self._node.count_publishers(self.name):
+            return ""
+        return f"nothing heard from {self.name} for {silent:.0f} s although it has a publisher"
 
     def skip(self) -> None:
         """Forget the messages that wait; the steps skipped are not lost."""

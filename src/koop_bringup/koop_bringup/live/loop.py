@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import sys
@@ -56,7 +57,7 @@ class LiveNodes:
         self.file: Path | None = None
         self._values, self._namespace = planned.parameters, planned.namespace
         self._rig, self._program = planned.rig, list(planned.program)
-        self._remaps = planned.remaps
+        self._remaps, self._environment = planned.remaps, planned.environment
         shared = planned.parameters if planned.composed else {}
         self._composed = {node: COMPONENTS[node] for node in COMPONENTS if node in shared}
         self._in_turn = False
@@ -88,7 +89,8 @@ class LiveNodes:
             stack.callback(self._stop_all)
             for node in EXECUTABLES:
                 if node in self._values and node not in self._composed:
-                    self._nodes[node] = NodeProcess(node, arguments, logs / f"{node}.log")
+                    log, environment = logs / f"{node}.log", os.environ | self._environment(node)
+                    self._nodes[node] = NodeProcess(node, arguments, log, environment=environment)
             if self._composed:
                 words = [*self._composed.values(), *arguments]
                 self._nodes["container"] = NodeProcess("container", words, logs / "container.log")
