@@ -63,7 +63,7 @@ def test_every_path_is_a_field_and_every_topic_is_shown(paths, pattern):
     assert {topic for topic, _ in actual} == set(TYPES)
     for topic, field in actual:
         assert_path_exists(topic, field)
-    assert {("state", "x[0]"), ("cost", "r"), ("theta", "theta")} <= set(actual)
+    assert {("state", "x[0]"), ("cost", "r"), ("theta", "theta[0]")} <= set(actual)
 
 
 def test_no_layout_goes_by_stamps_which_a_rig_need_not_set():

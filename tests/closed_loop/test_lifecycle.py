@@ -54,7 +54,7 @@ def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, pr
             return len(thetas) >= begin + count
 
         probe.spin_until(enough, f"theta = {theta}")
-        assert {message.theta for message in thetas[begin:]} == {theta}
+        assert {message.theta[0] for message in thetas[begin:]} == {theta}
 
     probe.spin_until(lambda: thetas, "the loop")
     from_now_on(1.0)
@@ -69,13 +69,13 @@ def test_one_controller_hands_over_to_another_and_never_do_two_publish(start, pr
         lines, silence = len(numbers), len(reports)
         begin = len(thetas)
         probe.spin_until(lambda n=silence: len(reports) > n + 3, "a second of reports")
-        assert {m.theta for m in thetas[begin:]} <= set()
+        assert {m.theta[0] for m in thetas[begin:]} <= set()
         assert len(numbers) == lines
         assert change(probe, standby, ACTIVATE)
         probe.spin_until(lambda n=begin: len(thetas) > n, f"{standby} to take over")
         from_now_on(theta)
     assert publishers == {1}
-    values = [message.theta for message in thetas]
+    values = [message.theta[0] for message in thetas]
     assert [theta for theta, _ in itertools.groupby(values)] == [1.0, 2.0, 1.0]
     texts = {status.message for array in reports for status in array.status}
     assert not [text for text in texts if "publishers" in text]

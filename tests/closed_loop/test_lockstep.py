@@ -218,7 +218,7 @@ def test_every_message_is_decoded_by_readers_that_no_one_here_wrote(lockstep):
     assert [m.step for m in decoded["/state"]] == list(range(lockstep.steps))
     np.testing.assert_array_equal([m.x for m in decoded["/state"]], run.measured)
     np.testing.assert_array_equal([m.r for m in decoded["/cost"]], run.r)
-    np.testing.assert_array_equal([m.theta for m in decoded["/theta"]], run.theta)
+    np.testing.assert_array_equal([m.theta[0] for m in decoded["/theta"]], run.theta)
     np.testing.assert_array_equal([m.x for m in decoded["/ground_truth"]], run.ground_truth)
     (file,) = (lockstep.folder / "bag").glob("*.mcap")
     others = {}
@@ -230,7 +230,7 @@ def test_every_message_is_decoded_by_readers_that_no_one_here_wrote(lockstep):
     assert {topic: len(m) for topic, m in others.items()} == {
         topic: len(m) for topic, m in decoded.items()
     }
-    assert [m.theta for m in others["/theta"]] == run.theta.tolist()
+    assert [m.theta[0] for m in others["/theta"]] == run.theta.tolist()
 
 
 @SHORT
@@ -248,7 +248,7 @@ def test_simulated_time_is_stamped_and_the_truth_says_which_theta_acted(lockstep
         stamp = message.header.stamp
         assert stamp.sec * 10**9 + stamp.nanosec == round(k * 0.005 * 1e9)
         applied = parameters.plant.theta_initial if k == 0 else run.theta[k - 1]
-        assert message.theta_applied == applied
+        assert message.theta_applied.tolist() == [applied]
         assert message.epsilon0 == pytest.approx(1.0 + math.sin(0.005 * k * 0.005), rel=1e-14)
 
 

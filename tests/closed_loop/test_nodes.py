@@ -469,15 +469,15 @@ def test_an_inactive_lifter_is_silent(fresh_lifter, probe):
 
 def test_the_controller_holds_on_a_cost_that_is_not_finite(esc):
     moved = [esc(k, r=1.0 - 0.01 * k) for k in range(5)]
-    assert moved[4].theta < moved[3].theta
+    assert moved[4].theta[0] < moved[3].theta[0]
     held = [esc(5, r=math.nan), esc(6, r=math.inf)]
     assert [h.holding for h in held] == [True, True]
-    assert {h.theta for h in held} == {moved[4].theta}
+    assert {h.theta[0] for h in held} == {moved[4].theta[0]}
     primed = esc(7, r=1e9)  # a jump while blind is not a reason to turn back
     after = esc(8, r=1e9 - 1.0)
     assert not primed.holding
     assert after.epsilon == moved[4].epsilon
-    assert after.theta < primed.theta == moved[4].theta
+    assert after.theta[0] < primed.theta[0] == moved[4].theta[0]
 
 
 def test_the_sampling_time_is_that_of_the_costs(esc):
@@ -487,7 +487,7 @@ def test_the_sampling_time_is_that_of_the_costs(esc):
     joined = [esc(k, r=float(k), dt=1.0) for k in range(2, 14)]  # tau_f is 10 of these
     assert [a.holding for a in joined] == [True] * 10 + [False] * 2
     assert joined[0].cost_rise_filtered == 0.0
-    assert {a.theta for a in joined[:10]} == {rising.theta}
+    assert {a.theta[0] for a in joined[:10]} == {rising.theta[0]}
 
 
 @pytest.mark.parametrize("dt", [0.0, -0.005, math.nan, 3.0])
@@ -495,26 +495,26 @@ def test_the_controller_holds_on_a_cost_without_a_sampling_time(esc, dt):
     esc(0, r=1.0)
     moved = esc(1, r=0.9)
     held = esc(2, r=0.8, dt=dt)
-    assert (held.holding, held.theta) == (True, moved.theta)
+    assert (held.holding, held.theta[0]) == (True, moved.theta[0])
     esc(3, r=0.7)
     after = esc(4, r=0.6)
     assert not after.holding
-    assert after.theta < moved.theta
+    assert after.theta[0] < moved.theta[0]
 
 
 def test_hold_and_reset(esc, module_probe):
     esc(0, r=1.0)
     moved = esc(1, r=0.9)
-    assert moved.theta == pytest.approx(1.99)
+    assert moved.theta[0] == pytest.approx(1.99)
     answer = module_probe.call(SetBool, "/esc/relay_esc/hold", SetBool.Request(data=True))
     assert answer.success
     held = esc(2, r=0.8)
-    assert (held.holding, held.theta) == (True, moved.theta)
+    assert (held.holding, held.theta[0]) == (True, moved.theta[0])
     module_probe.call(SetBool, "/esc/relay_esc/hold", SetBool.Request(data=False))
     esc(3, r=0.7)
-    assert esc(4, r=0.6).theta == pytest.approx(1.98)
+    assert esc(4, r=0.6).theta[0] == pytest.approx(1.98)
     assert module_probe.call(Trigger, "/esc/relay_esc/reset", Trigger.Request()).success
-    assert esc(5, r=0.5).theta == 2.0
+    assert esc(5, r=0.5).theta[0] == 2.0
 
 
 def test_another_cost_is_no_change_of_the_cost(esc):
@@ -533,7 +533,7 @@ def test_lockstep_waits_for_theta_sends_again_and_gives_up(start, probe):
     theta = probe.node.create_publisher(ControlInput, "theta", 10)
     process = start("vdp_plant", pace="lockstep", theta_timeout=0.2)
     probe.spin_until(lambda: states and theta.get_subscription_count(), "step 0")
-    theta.publish(ControlInput(step=0, theta=1.0))
+    theta.publish(ControlInput(step=0, theta=[1.0]))
     probe.spin_until(lambda: states[-1].step == 1, "step 1")
     probe.spin_until(lambda: process.poll() is not None, "the plant to give up")
     assert process.poll() == 1

@@ -50,10 +50,10 @@ def loaded_of(theta, x):
 
 ANSWER = np.dtype(  # what is wanted of a koop_msgs/ControlInput
     {
-        "names": ["encoding", "sec", "nanosec", "frame_id", "step", "data"],
-        "formats": ["<u4", "<i4", "<u4", "<u4", "<u8", "<f8"],
-        "offsets": [0, 4, 8, 12, 20, 28],
-        "itemsize": 92,
+        "names": ["encoding", "sec", "nanosec", "frame_id", "step", "count", "data"],
+        "formats": ["<u4", "<i4", "<u4", "<u4", "<u8", "<u4", "<f8"],
+        "offsets": [0, 4, 8, 12, 20, 28, 36],
+        "itemsize": 100,
     }
 )
 KNOB = np.dtype([("encoding", "<u4"), ("data", "<f8")])
@@ -81,6 +81,7 @@ def write_bag(folder, rig, theta, x, loop=False):
     knobs = np.zeros(theta.size, ANSWER if loop else KNOB)
     knobs["encoding"], knobs["data"] = 0x0100, theta
     if loop:
+        knobs["count"] = 1
         for name in ("sec", "nanosec", "frame_id", "step"):
             knobs[name] = states[name]
     topic, kind = "/knob", "std_msgs/msg/Float64"

@@ -120,7 +120,7 @@ def test_theta_goes_home_if_the_guard_itself_is_killed(fast_rig, koop, nodes_of,
 def whole(bag):
     with BagReader(bag) as reader:
         assert reader.complete
-        return read_columns(reader, "/theta", ["step", "theta"]), {t.name for t in reader.topics}
+        return read_columns(reader, "/theta", ["step", "theta[0]"]), {t.name for t in reader.topics}
 
 
 def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml, koop, tmp_path):
@@ -146,7 +146,7 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     theta, topics = whole(tmp_path / "run/part-1/bag")
     assert {"/fast", "/fast/knob", "/state", "/cost", "/theta"} <= topics
     assert (np.diff(theta["step"].astype(int)) >= 0).all()  # said again while the nodes end
-    assert theta["theta"][-1] == RIG.theta_safe  # the way home is on record
+    assert theta["theta[0]"][-1] == RIG.theta_safe  # the way home is on record
     before = json.loads(done.read_text())["progress"]["holds"]
     second = koop("excite", rig_yaml, "--out", "run")
     wait(lambda: holds() > len(before), "another hold", second)

@@ -140,11 +140,11 @@ def test_a_rig_that_fails_trips_the_guard_until_it_is_rearmed(up, fast_rig, prob
     for fault, (cause, reason) in REASONS.items():
         FAULTS[fault](fast_rig)
         home(fast_rig, process)
-        tripped = lambda: states and (states[-1].theta, states[-1].cause) == (SAFE, cause)  # noqa: B023, E731
+        tripped = lambda: states and (states[-1].theta[0], states[-1].cause) == (SAFE, cause)  # noqa: B023, E731
         probe.spin_until(tripped, f"a trip by a {cause}")
         assert states[-1].status == GuardState.TRIPPED
         assert reason in states[-1].reason
-        assert states[-1].tripped_theta < SAFE
+        assert states[-1].tripped_theta[0] < SAFE
         refused = probe.call(Trigger, "/koop_guard/rearm", Trigger.Request())
         assert (refused.success, "refused: " in refused.message) == (False, True)
         fast_rig.spike = fast_rig.silent = fast_rig.not_finite = False
@@ -216,7 +216,7 @@ def test_old_answers_trip_and_the_guard_rearms_itself_after_a_pause(start, probe
         """Be rig and controller, whose answers are to states of an age [s], until it is so."""
 
         def both():
-            state, answer = MeasuredState(step=next(step), x=[random()]), ControlInput(theta=0.8)
+            state, answer = MeasuredState(step=next(step), x=[random()]), ControlInput(theta=[0.8])
             now, answer.step = time.monotonic(), state.step
             for message, second in ((state, now), (answer, now - age)):
                 message.header.stamp.sec = int(second)
@@ -256,7 +256,10 @@ def test_the_arrival_of_theta_at_a_target_is_announced(start, probe, aim):
         def is_there():
             state.publish(MeasuredState(step=next(steps), x=[random()]))
             target.publish(Float64(data=theta))
-            return states and (states[-1].status, states[-1].theta) == (GuardState.FOLLOWING, theta)
+            return states and (states[-1].status, states[-1].theta[0]) == (
+                GuardState.FOLLOWING,
+                theta,
+            )
 
         probe.spin_until(is_there, f"theta at {theta}")
 
@@ -283,14 +286,14 @@ def test_a_step_that_the_guard_answered_is_not_answered_again_by_a_controller_be
             state.publish(MeasuredState(step=step, x=[random()]))
             target.publish(Float64(data=float("nan") if follows else 0.5))
             if follows:
-                asked.publish(ControlInput(step=step - behind, theta=0.8))
+                asked.publish(ControlInput(step=step - behind, theta=[0.8]))
             return condition()
 
         probe.spin_until(publish, what)
 
     until(lambda: said and said[-1].step > 2 * behind and knob, "the guard's own answers")
     follows.append(last := said[-1].step)
-    until(lambda: said[-1].step > last + behind and said[-1].theta == 0.8, "the controller's")
+    until(lambda: said[-1].step > last + behind and said[-1].theta[0] == 0.8, "the controller's")
     assert knob[-1].data == pytest.approx(0.8, abs=0.3)
     assert all(a.step < b.step for a, b in pairwise(said))
 
@@ -386,8 +389,8 @@ def test_a_loop_goes_on_where_its_controller_was_killed(koop, up, fast_rig, prob
     assert process.wait(LONG) == 0
     assert walked(fast_rig)
     with BagReader(tmp_path / "again" / "bag") as bag:  # the recorder was there before the answers
-        first = read_columns(bag, "/theta", ["theta", "epsilon"])
-    assert (first["theta"][0], first["epsilon"][0]) == (theta, epsilon)
+        first = read_columns(bag, "/theta", ["theta[0]", "epsilon"])
+    assert (first["theta[0]"][0], first["epsilon"][0]) == (theta, epsilon)
     assert koop("replay", "again", "--offline").wait(LONG) == 0  # equal bit for bit
 
 
@@ -442,7 +445,7 @@ def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(
     rig = subprocess.Popen([*map(str, words), "--readers", "2"], stdin=subprocess.PIPE)
     try:
         guard = {
-            "measured": "/state:x[0],x[1]", "command": "/theta:theta", "theta_min": -5.0,
+            "measured": "/state:x[0],x[1]", "command": "/theta:theta[0]", "theta_min": -5.0,
             "theta_max": 5.0, "theta_start": 2.0, "theta_safe": 2.5,
         }  # fmt: skip
         esc = {"step_size": 0.004, "theta_initial": 2.0, "rate_limit": 1.0}
@@ -452,12 +455,12 @@ def test_a_rig_that_listens_to_theta_itself_hears_the_guard_only(
         file.write_text(file.read_text().replace("/**/", "/"))
         truths = probe.collect(PlantTruth, "/ground_truth")
         process = koop("up", file, "--out", "run")
-        probe.spin_until(lambda: truths and truths[-1].theta_applied < 1.8, "theta to move")
+        probe.spin_until(lambda: truths and truths[-1].theta_applied[0] < 1.8, "theta to move")
         assert probe.node.count_publishers("/theta") == 1
         os.kill(nodes_of(process)[victim], signal.SIGKILL)
-        probe.spin_until(lambda: truths[-1].theta_applied == 2.5, "theta_safe")
+        probe.spin_until(lambda: truths[-1].theta_applied[0] == 2.5, "theta_safe")
         assert process.wait(LONG) == 2
-        applied = [truth.theta_applied for truth in truths]
+        applied = [truth.theta_applied[0] for truth in truths]
         # the rig's actuator follows by 1 per second, too: more than that it cannot show
         assert max(abs(b - a) for a, b in pairwise(applied)) <= 0.04 + 1e-9
     finally:

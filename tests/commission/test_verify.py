@@ -151,13 +151,13 @@ def test_the_loop_is_closed_and_goes_on_where_it_was_stopped(
         theta, topics = whole(tuned / run["bag"])
         assert {"/fast", "/fast/knob", "/state", "/cost", "/theta", "/theta_asked"} <= topics
         with BagReader(tuned / run["bag"]) as reader:
-            said = read_columns(reader, "/theta_asked", ["step", "theta"])
+            said = read_columns(reader, "/theta_asked", ["step", "theta[0]"])
         begin, end = run["steps"]
         both = np.intersect1d(theta["step"], said["step"])
         both = both[(both > begin) & (both < end)]
         assert both.size > 100  # of 900, of which a busy machine has no time for many
         given, asked = (
-            {int(s): float(v) for s, v in zip(rows["step"], rows["theta"], strict=True)}
+            {int(s): float(v) for s, v in zip(rows["step"], rows["theta[0]"], strict=True)}
             for rows in (theta, said)
         )
         # what it says, the rig gets; but for answers that a busy machine had no time for

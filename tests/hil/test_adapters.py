@@ -90,7 +90,7 @@ def start_reference(start, probe, states):
     [
         ("std_msgs/msg/Float64", "data"),
         ("std_msgs/msg/Float64MultiArray", "data[1]"),
-        ("koop_msgs/msg/ControlInput", "theta"),
+        ("koop_msgs/msg/ControlInput", "theta[0]"),
     ],
 )
 def test_the_controller_also_speaks_what_the_rig_takes(start, probe, kind, field):

@@ -71,7 +71,7 @@ def test_what_an_aircraft_publishes_is_its_true_state_and_it_takes_the_gain(prob
     assert len(expected) > 100
     assert np.array_equal(rates[expected], [m.x[:3] for m in truths])
     assert (rates.std(axis=0) > 1e-3).all()
-    applied = [m.theta_applied for m in truths]
+    applied = [m.theta_applied[0] for m in truths]
     assert (applied[0], applied[-1]) == (1.0, 60.0)  # within its stroke
 
 

@@ -138,7 +138,7 @@ def test_the_absorber_publishes_its_sensors_takes_theta_and_logs_what_is_true(pr
     assert process.returncode == 0
     probe.spin_until(lambda: len(heard) >= 1000 and truths[-1].step == 999, "the last sample")
     steps = [m.step for m in truths]  # the first ones may not have been heard
-    true, applied = np.array([(m.x[0], m.theta_applied) for m in truths]).T
+    true, applied = np.array([(m.x[0], m.theta_applied[0]) for m in truths]).T
     for index, (shape, wave) in enumerate(zip(absorber.SHAPE, absorber.WAVES, strict=True)):
         measured = np.array([m.position[index] for m in heard])[steps]
         t = absorber.DT * np.array(steps)

@@ -49,7 +49,7 @@ def test_the_policy_covers_all_that_the_nodes_say_hear_serve_and_ask(start, prob
     constraint = "rms(state:x[0], 1 s) < 10"
     start("koopman_lifter", use_sim_time="true", constraint=constraint)
     start("relay_esc", "-r", "theta:=theta_asked", use_sim_time="true")
-    rig = {"measured": "state:x[0]", "command": "theta:theta", "constraint": constraint}
+    rig = {"measured": "state:x[0]", "command": "theta:theta[0]", "constraint": constraint}
     start("koop_guard", dt=0.005, **rig)
     costs = probe.collect(Cost, "cost")
     probe.spin_until(lambda: costs, "the loop")

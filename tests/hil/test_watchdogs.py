@@ -51,13 +51,13 @@ def test_the_plant_holds_theta_then_applies_the_safe_one_and_follows_again(start
     theta = probe.node.create_publisher(ControlInput, "theta", 10)
     start("vdp_plant", theta_timeout=0.5, theta_safe_timeout=1.5, theta_safe=-1.0, theta_rate=100.0)
     probe.spin_until(lambda: ground_truth and theta.get_subscription_count(), "the plant")
-    theta.publish(ControlInput(step=0, theta=3.0))
-    probe.spin_until(lambda: ground_truth[-1].theta_applied == 3.0, "theta to act")
+    theta.publish(ControlInput(step=0, theta=[3.0]))
+    probe.spin_until(lambda: ground_truth[-1].theta_applied[0] == 3.0, "theta to act")
     assert [ground_truth[i].theta_step for i in (0, -1)] == [-1, 0]
     begin = ground_truth[-1].step
-    probe.spin_until(lambda: ground_truth[-1].theta_applied == -1.0, "the safe theta")
-    applied = [t.theta_applied for t in ground_truth if begin <= t.step]
-    held = [t.header.stamp for t in ground_truth if begin <= t.step and t.theta_applied == 3.0]
+    probe.spin_until(lambda: ground_truth[-1].theta_applied[0] == -1.0, "the safe theta")
+    applied = [t.theta_applied[0] for t in ground_truth if begin <= t.step]
+    held = [t.header.stamp for t in ground_truth if begin <= t.step and t.theta_applied[0] == 3.0]
     # from its arrival, a tick or more before the first of these; late ticks make the steps fewer
     assert held[-1].sec - held[0].sec + 1e-9 * (held[-1].nanosec - held[0].nanosec) > 1.3
     assert len(held) < 350  # 1.5 s are 300 steps
@@ -67,16 +67,16 @@ def test_the_plant_holds_theta_then_applies_the_safe_one_and_follows_again(start
     values = reports.wait("/vdp_plant", STALE, "nothing on 'theta'")
     assert (values["theta watchdog"], values["command"]) == ("stale", "safe")
     begin = ground_truth[-1].step
-    theta.publish(ControlInput(step=1, theta=3.0))
+    theta.publish(ControlInput(step=1, theta=[3.0]))
     reports.wait("/vdp_plant", STALE, "1 too old on 'theta'")
-    theta.publish(ControlInput(step=10**9, theta=3.0))
+    theta.publish(ControlInput(step=10**9, theta=[3.0]))
     reports.wait("/vdp_plant", ERROR, "step 1000000000: this run has published no such state")
     answered = ground_truth[-1].step
-    theta.publish(ControlInput(step=answered, theta=2.0))
-    probe.spin_until(lambda: ground_truth[-1].theta_applied == 2.0, "theta to act again")
+    theta.publish(ControlInput(step=answered, theta=[2.0]))
+    probe.spin_until(lambda: ground_truth[-1].theta_applied[0] == 2.0, "theta to act again")
     assert ground_truth[-1].theta_step == answered
     # from -1 to 2, and never towards 3
-    assert max(t.theta_applied for t in ground_truth if t.step >= begin) == 2.0
+    assert max(t.theta_applied[0] for t in ground_truth if t.step >= begin) == 2.0
 
 
 def test_the_plant_enforces_its_own_bounds_and_refuses_what_is_no_number(start, probe, reports):
@@ -85,11 +85,11 @@ def test_the_plant_enforces_its_own_bounds_and_refuses_what_is_no_number(start, 
     theta = probe.node.create_publisher(ControlInput, "theta", 10)
     start("vdp_plant", theta_min=-4.0, theta_max=4.0)
     probe.spin_until(lambda: ground_truth and theta.get_subscription_count(), "the plant")
-    theta.publish(ControlInput(step=0, theta=1e9))
-    probe.spin_until(lambda: ground_truth[-1].theta_applied == 4.0, "the upper bound")
-    theta.publish(ControlInput(step=1, theta=math.nan))
-    reports.wait("/vdp_plant", ERROR, "theta = nan")
-    assert ground_truth[-1].theta_applied == 4.0
+    theta.publish(ControlInput(step=0, theta=[1e9]))
+    probe.spin_until(lambda: ground_truth[-1].theta_applied[0] == 4.0, "the upper bound")
+    theta.publish(ControlInput(step=1, theta=[math.nan]))
+    reports.wait("/vdp_plant", ERROR, "theta = [nan]")
+    assert ground_truth[-1].theta_applied[0] == 4.0
 
 
 def test_silence_is_stale_and_a_second_publisher_is_an_error(start, probe, reports):
@@ -137,7 +137,7 @@ def test_the_controller_restarts_after_a_silence_without_turning(start, probe, r
     reports.wait("/relay_esc", STALE, "nothing on 'cost'")
     send(range(1000, 1150), lambda k: 50.0 + 1e-6 * k)  # another level, rising at first
     after = answers[-150:]
-    assert after[0].theta == before.theta
+    assert after[0].theta[0] == before.theta[0]
     assert {a.epsilon for a in after} == {before.epsilon}
     assert after[0].cost_rise_filtered == 0.0
     send(range(1150, 1300), lambda k: 50.0 + 1e-6 * k)  # still rising when the dwell time is over
@@ -170,9 +170,9 @@ def test_a_reset_ramps_theta_back_at_the_rate_limit(start, probe):
         probe.spin_until(lambda: answers and answers[-1].step == steps[-1], "the answers")
 
     send(range(51))
-    assert answers[-1].theta == pytest.approx(1.95)
+    assert answers[-1].theta[0] == pytest.approx(1.95)
     assert probe.call(Trigger, "/relay_esc/reset", Trigger.Request()).success
     send(range(51, 200))
-    changes = [b.theta - a.theta for a, b in pairwise(answers)]
+    changes = [b.theta[0] - a.theta[0] for a, b in pairwise(answers)]
     assert max(changes) == pytest.approx(0.001)
-    assert max(a.theta for a in answers[60:]) > 1.97
+    assert max(a.theta[0] for a in answers[60:]) > 1.97

@@ -39,7 +39,7 @@ def command(*options):
 def test_the_metrics_are_those_of_the_recorded_theta(capsys):
     with AnyReader([RUN / "bag"]) as reader:
         topics = [c for c in reader.connections if c.topic == "/theta"]
-        theta = np.array([reader.deserialize(raw, c.msgtype).theta
+        theta = np.array([reader.deserialize(raw, c.msgtype).theta[0]
                           for c, _, raw in reader.messages(topics)])  # fmt: skip
     assert command("metrics", RUN, "--json") == 0
     result = json.loads(capsys.readouterr().out)

@@ -44,19 +44,19 @@ def write_days(folder, begin=0, end=DAY, closed=True):
             time = (BEGIN + t) * 10**9
             writer.write(channel, time, time, serialize_message(message))
 
-        write(guard, begin, GuardState(status=1, theta=0.0))
+        write(guard, begin, GuardState(status=1, theta=[0.0]))
         for t in range(0 if begin else 10):  # a node says each second what lasts
             status = DiagnosticStatus(name="/recorder", message=f"{t} lost")
             status.level = b"\1" if t < 9 else b"\0"
             write(health, begin + t, DiagnosticArray(status=[status]))
         for t in range(begin, end, EVERY):
             if t == TRIP:
-                trip = {"cause": "told to", "reason": "told to by a test", "tripped_theta": 1.25}
-                write(guard, t, GuardState(status=2, theta=1.25, **trip))
+                trip = {"cause": "told to", "reason": "told to by a test", "tripped_theta": [1.25]}
+                write(guard, t, GuardState(status=2, theta=[1.25], **trip))
             if t == BACK:
-                write(guard, t, GuardState(status=2, theta=SAFE, **trip))
+                write(guard, t, GuardState(status=2, theta=[SAFE], **trip))
             if t == REARMED:
-                write(guard, t, GuardState(status=1, theta=SAFE, **trip))
+                write(guard, t, GuardState(status=1, theta=[SAFE], **trip))
             for name, at, lasts in (("/relay_esc", ILL, 60), ("/koop_guard", TRIP, 900)):
                 for when, level in ((at, b"\2"), (at + lasts, b"\0")):
                     if t == when - when % EVERY:
@@ -71,9 +71,9 @@ def write_days(folder, begin=0, end=DAY, closed=True):
                 x_min=[-amplitude, 2.0], x_max=[amplitude, 2.0], x_mean=[0.0, 2.0],
                 x_std=[amplitude / np.sqrt(2.0), 0.0], r_min=0.5, r_max=2.0, r_mean=1.0,
                 margin_min=-0.1, margin_max=0.3, margin_mean=0.2,
-                theta_min=t / DAY - 0.5, theta_max=t / DAY + 0.5, theta_mean=t / DAY,
+                theta_min=[t / DAY - 0.5], theta_max=[t / DAY + 0.5], theta_mean=[t / DAY],
             ))  # fmt: skip
-        ended = GuardState(status=2, theta=SAFE, cause="ended", reason="the loop ends")
+        ended = GuardState(status=2, theta=[SAFE], cause="ended", reason="the loop ends")
         write(guard, end - EVERY + 1, ended)  # theta returns, which is not a trip
     with BagWriter(folder / "bag") as bag:
         if not closed:
@@ -186,7 +186,7 @@ def test_a_recording_that_keeps_all_is_reported_from_its_messages(tmp_path, caps
             for topic, values in (
                 ("/state", {"x": [x[k]]}),
                 ("/cost", {"r": 1.0, "margin": np.nan}),
-                ("/theta", {"theta": 3.0}),
+                ("/theta", {"theta": [3.0]}),
             ):
                 message = types[topic](step=k, **values)
                 writer.write(channels[topic], time, time, serialize_message(message))

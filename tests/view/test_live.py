@@ -314,7 +314,7 @@ def stay(page, server):
 def bag(story):
     """Return the recording's columns of the loop, by topic."""
     wanted = {"/state": ["step"], "/ground_truth": ["step"], "/cost": ["step", "r"],
-              "/theta": ["step", "theta", "holding", "log_time"]}  # fmt: skip
+              "/theta": ["step", "theta[0]", "holding", "log_time"]}  # fmt: skip
     with BagReader(story.run) as reader:
         return {name: read_columns(reader, name, options) for name, options in wanted.items()}
 
@@ -391,8 +391,8 @@ def plain(value):
 
 def test_what_the_page_draws_is_what_was_recorded(story, bag):
     drawn = browser_of(story).drawn
-    for name, topic in (("r", "/cost"), ("theta", "/theta")):
-        recorded = dict(zip(bag[topic]["step"].tolist(), bag[topic][name].tolist(), strict=True))
+    for name, topic, field in (("r", "/cost", "r"), ("theta", "/theta", "theta[0]")):
+        recorded = dict(zip(bag[topic]["step"].tolist(), bag[topic][field].tolist(), strict=True))
         steps = drawn[name]["step"]
         assert steps == sorted(set(steps)), name
         assert [recorded[step] for step in steps] == drawn[name]["v"], name

@@ -51,8 +51,8 @@ class Messages:
             fields |= {"r": k * 1.5, "y_out": k * 2.0, "source": k % 2, "model_id": model_id}
             fields |= {"dt": 0.005, "margin": k / 19}
         elif topic == "/theta":
-            fields |= {"theta": -k / 7, "epsilon": 1 - 2 * (k % 2), "cost_rise_filtered": k / 3}
-            fields |= {"saturated": k % 3 == 0, "holding": k % 5 == 0}
+            fields |= {"theta": np.array([-k / 7]), "epsilon": 1 - 2 * (k % 2)}
+            fields |= {"cost_rise_filtered": k / 3, "saturated": k % 3 == 0, "holding": k % 5 == 0}
             fields |= {
                 "swing": k / 13,
                 "gradient": -k * 0.5,
@@ -61,7 +61,7 @@ class Messages:
             }
         else:
             fields |= {"x": np.array([k, k * 2.0]), "epsilon0": k / 11}
-            fields |= {"theta_applied": k / 9, "theta_step": k - 1}
+            fields |= {"theta_applied": np.array([k / 9]), "theta_step": k - 1}
         flags = [
             f.name for f in dataclasses.fields(self.store.types[LOOP[topic]]) if f.type == "bool"
         ]

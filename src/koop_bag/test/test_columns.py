@@ -226,7 +226,7 @@ def test_several_topics_are_read_in_one_pass(write_loop):
     with BagReader(write_loop(n=500, split_bytes=8_000)) as reader:
         assert len(reader.files) > 2
         tables = read_tables(reader, {"/theta": ["step", "theta"], "/cost": ["r", "sequence"]})
-    assert np.array_equal(tables["/theta"]["theta"], -np.arange(500) / 7)
+    assert np.array_equal(tables["/theta"]["theta"], -np.arange(500)[:, None] / 7)
     assert np.array_equal(tables["/cost"]["r"], np.arange(500) * 1.5)
     assert np.array_equal(tables["/cost"]["sequence"], np.arange(1, 501))
 

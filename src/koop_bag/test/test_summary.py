@@ -40,7 +40,7 @@ def publish_seconds(talker, seconds, begin=0):
         r = float("nan") if k % 7 == 0 else 1e-3 * k
         model = "first" if k < 150 else "second"
         cost.publish(cost.msg_type(step=k, r=r, margin=0.5 - 0.002 * k, model_id=model))
-        theta.publish(theta.msg_type(step=k, theta=2.0 - 0.001 * k))
+        theta.publish(theta.msg_type(step=k, theta=[2.0 - 0.001 * k]))
         time.sleep(0.01)  # the pace of a rig, on which nothing here depends
 
 
@@ -50,7 +50,7 @@ def assert_equal_to_numpy(seconds, full):
         "x": [(t, m.x) for t, m in full["/state"]],
         "r": [(t, [m.r]) for t, m in full["/cost"]],
         "margin": [(t, [m.margin]) for t, m in full["/cost"]],
-        "theta": [(t, [m.theta]) for t, m in full["/theta"]],
+        "theta": [(t, m.theta) for t, m in full["/theta"]],
     }
     for received, second in seconds:
         begin = second.header.stamp.sec * 10**9 + second.header.stamp.nanosec
@@ -80,8 +80,8 @@ def test_seconds_are_what_numpy_makes_of_the_recording_and_no_message_is_in_none
     assert set(models) == {"first", "second"}
     with open(tmp_path / "run" / "summary" / "summary_0.mcap", "rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        decoded = [m.theta_mean for *_, m in reader.iter_decoded_messages(["/summary"])]
-    assert decoded == pytest.approx([m.theta_mean for _, m in kept["/summary"]])
+        decoded = [m.theta_mean[0] for *_, m in reader.iter_decoded_messages(["/summary"])]
+    assert decoded == pytest.approx([m.theta_mean[0] for _, m in kept["/summary"]])
 
 
 def test_a_recording_that_keeps_all_has_no_long_term_record(tmp_path):

@@ -24,7 +24,7 @@ DURATION, ROUNDS = 30.0, 3  # [s]
 DT = 0.005  # [s]
 GOAL = 0.02  # [s]
 GUARD = {
-    "measured": "/rig/state:x[0]", "command": "/rig/theta:theta", "dt": DT, "theta_min": 0.0,
+    "measured": "/rig/state:x[0]", "command": "/rig/theta:theta[0]", "dt": DT, "theta_min": 0.0,
     "theta_max": 1000.0, "theta_rate": 1.0, "theta_start": 1000.0, "channel_max": [3.0],
 }  # fmt: skip
 
@@ -92,7 +92,7 @@ def measure(folder: Path, duration: float, priority: int) -> list[float]:
                     sent[step] = time.monotonic()
                 states.publish(MeasuredState(step=step, x=[4.0 if violates else math.sin(step)]))
                 if not violates:
-                    answers.publish(ControlInput(step=step, theta=1000.0))
+                    answers.publish(ControlInput(step=step, theta=[1000.0]))
         finally:
             process.stop(timeout=1.0)  # theta need not return: there is no rig
     if not sent or not heard.keys() & sent.keys():

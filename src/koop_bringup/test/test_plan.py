@@ -83,7 +83,7 @@ def test_the_nodes_wait_for_the_recorder_that_there_is(mine, arguments, listener
 
 @pytest.mark.parametrize(
     ("command", "remaps"),
-    [("/rig/theta:data", ()), ("/theta:theta", ("relay_esc:theta:=theta_asked",))],
+    [("/rig/theta:data", ()), ("/theta:theta[0]", ("relay_esc:theta:=theta_asked",))],
 )
 def test_a_guard_alone_commands_the_rig(mine, command, remaps):
     file = mine(

@@ -132,9 +132,9 @@ class Operator(Client):
     def publish(self) -> None:
         """Publish once on every such topic."""
         for topic, publisher in self._others.items():
-            name = "data" if topic == COMMAND else "theta"
             theta = LOOP["koop_guard"]["theta_safe"]
-            publisher.publish(self._types[topic](**{name: theta}))
+            value = {"data": theta} if topic == COMMAND else {"theta": [theta]}
+            publisher.publish(self._types[topic](**value))
 
 
 class ChaosRun:

@@ -88,7 +88,7 @@ class FaultInjectorRun(Run):
         self._pass_on("state", message, message.x.tolist())
 
     def _on_theta(self, message: ControlInput) -> None:
-        self._pass_on("theta", message, [message.theta])
+        self._pass_on("theta", message, message.theta.tolist())
 
     def _pass_on(self, name: str, message: Any, values: list[float]) -> None:
         self._channels[name].push(time.monotonic() * self._scale, message, values)
@@ -101,7 +101,7 @@ class FaultInjectorRun(Run):
                 if name == "state":
                     message.x = array("d", values)
                 elif values:
-                    message.theta = values[0]
+                    message.theta = array("d", values)
                 if self._outlets:
                     self._outlets[name].publish(message)
 

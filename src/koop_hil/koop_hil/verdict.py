@@ -20,7 +20,7 @@ FIELDS = {
     "state": ["step", "publish_time"],
     "cost": ["step"],
     "theta": ["step"],
-    "ground_truth": ["step", "log_time", "publish_time", "theta_applied", "theta_step"],
+    "ground_truth": ["step", "log_time", "publish_time", "theta_applied[0]", "theta_step"],
 }
 WHOLE = 0.95  # of the duration: a busy machine lets simulated time fall behind
 LIMITED = ("tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answer_age")
@@ -130,7 +130,7 @@ def _judge_theta(
     """Fill in how far from the optimum the theta was that acted on the plant."""
     stamps = ground_truth["log_time"].astype(np.int64)
     inside = (stamps >= record.begin) & (stamps <= record.end)
-    stamps, theta = stamps[inside], ground_truth["theta_applied"][inside]
+    stamps, theta = stamps[inside], ground_truth["theta_applied[0]"][inside]
     verdict.simulated = float(stamps.size * scenario.dt)
     if verdict.simulated < scenario.limits.covered * verdict.duration:
         verdict.failures.append(f"theta is known for only {verdict.simulated:.1f} s of the run")

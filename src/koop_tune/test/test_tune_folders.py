@@ -57,7 +57,7 @@ def write(folder, topics, states=True):
 def test_the_loops_own_topics_are_read_where_the_bag_has_them(tmp_path):
     other = replace(RIG, measured="/rig:data[0],data[1]")
     loop = reading_of(write(tmp_path / "loop", ["/theta", "/knob"]), other)
-    assert (str(loop.measured), str(loop.command)) == ("/state:x", "/theta:theta")
+    assert (str(loop.measured), str(loop.command)) == ("/state:x", "/theta:theta[0]")
     bare = reading_of(write(tmp_path / "bare", ["/knob"], states=False), other)
     assert (str(bare.measured), str(bare.command)) == ("/rig:data[0],data[1]", "/knob:data")
     assert bare.dt == other.dt

@@ -134,7 +134,7 @@ def test_the_parameter_file_is_what_was_tuned_with_a_reason_for_each_value(tunin
 
 def test_a_rig_whose_limits_are_far_apart_steps_the_logarithm_of_theta(tuning, tmp_path):
     far = replace(RIG, theta_min=0.5, theta_max=50.0, theta_start=1.0, theta_safe=40.0,
-                  objective="maximise", command="/theta:theta")  # fmt: skip
+                  objective="maximise", command="/theta:theta[0]")  # fmt: skip
     task = replace(tuning.task, scale=far.scale, low=0.5, high=50.0, sense=-1.0, rate=0.5)
     findings = replace(tuning.findings, scale=far.scale, limits=ThetaLimits(0.5, 50.0))
     wide = replace(tuning, findings=findings, chosen=replace(tuning.chosen, task=task))

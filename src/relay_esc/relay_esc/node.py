@@ -36,7 +36,7 @@ class EscRun(Run):
         self._node = node
         self._state = config.initial()
         self._answer = codec(ControlInput).new()
-        self._answer.theta = self._state.output
+        self._answer.theta = (self._state.output,)
         self._input = StreamMonitor("cost", timeout_of(LONGEST_DT), LONGEST_DT, may_end=True)
         self._params = config.params(LONGEST_DT)  # until a cost says which dt it has
         self._begin_level()
@@ -110,7 +110,7 @@ class EscRun(Run):
         answer = self._answer
         values = {
             "step": answer.step,
-            "theta": answer.theta,
+            "theta": answer.theta[0],
             "epsilon": answer.epsilon,
             "saturated": answer.saturated,
             "holding": answer.holding,
@@ -146,7 +146,7 @@ class EscRun(Run):
         if self._command is None:
             return
         if self._own is not None:
-            write_field(self._field, self._own, self._answer.theta)
+            write_field(self._field, self._own, self._answer.theta[0])
         self._command.publish(self._answer if self._own is None else self._own)
 
     def _take_dt(self, cost: Any) -> None:
@@ -177,7 +177,7 @@ class EscRun(Run):
         state = self._state
         answer.header = cost.header
         answer.step = cost.step
-        answer.theta = state.output
+        answer.theta = (state.output,)
         answer.epsilon = state.epsilon
         answer.cost_rise_filtered = state.cost_rise_filtered
         answer.swing = state.swing.factor

@@ -85,13 +85,13 @@ def make_message(second: LoopSecond) -> LoopSummary:
     stamp = Time(sec=second.begin // SECOND, nanosec=second.begin % SECOND)
     nan = float("nan")
     message = LoopSummary(header=Header(stamp=stamp), count=second.count, model_id=second.model_id)
-    for name in ("r", "margin", "theta"):
+    for name in ("r", "margin"):
         for kind in ("min", "max", "mean"):
             setattr(message, f"{name}_{kind}", nan)
     for name, statistics in second.statistics.items():
         for kind, values in statistics._asdict().items():
-            if name == "x":
-                setattr(message, f"x_{kind}", values.astype("f4").tolist())
+            if name == "x" or (name == "theta" and kind != "std"):
+                setattr(message, f"{name}_{kind}", values.astype("f4").tolist())
             elif kind != "std":
                 setattr(message, f"{name}_{kind}", float(values[0].astype("f4")))
     return message

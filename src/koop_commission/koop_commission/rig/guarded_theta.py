@@ -89,7 +89,7 @@ class GuardedTheta:
     def arrived(self) -> bool:
         """Whether theta is at the target of :meth:`go`."""
         state = self._state
-        return state.status == state.FOLLOWING and state.theta == self._target.data
+        return state.status == state.FOLLOWING and list(state.theta) == [self._target.data]
 
     def go(self, theta: float) -> None:
         """Move theta to a value, within limits and rate."""

@@ -80,7 +80,7 @@ class ClosedLoop:
     def _drive(self, session: Session, start: float, bag: str) -> LoopRun:
         """Close the loop at a start, and hold theta where it ended."""
         aim, dt, states = self.aim, self.rig.dt, session.listener
-        fields = (parse_field("theta"), parse_field("epsilon"))
+        fields = (parse_field("theta[0]"), parse_field("epsilon"))
         answers = Listener(session.client, THETA, THETA_TYPE, fields, reliable=True)
         margins = None if self.rig.bounded is None else session.listen_to_margins()
         rest = aim.settings.before * aim.amplitude.windows.length

@@ -233,7 +233,7 @@ class GuardRun(Run):
         """Answer a state of the loop with what is commanded, where no controller does."""
         guard, self._answered = self._guard, min(self._answered, state.step)  # a run may restart
         if self._to_target or guard.status is Status.TRIPPED:
-            answer = ControlInput(theta=guard.theta, step=state.step, holding=guard.arrived)
+            answer = ControlInput(theta=[guard.theta], step=state.step, holding=guard.arrived)
             answer.header = state.header
             self._answer.publish(answer)
             self._answered = state.step
@@ -262,7 +262,8 @@ class GuardRun(Run):
         if waits and self._latched is not None:
             self._node.get_logger().warning("the loop had tripped: it stays so until ~/rearm")
             self._guard.latch(self._latched)
-        self._guard.hear_answer(answer.theta, answer.saturated, now, old)
+        theta = answer.theta[0] if len(answer.theta) == 1 else math.nan
+        self._guard.hear_answer(theta, answer.saturated, now, old)
         if self._guard.status is Status.FOLLOWING and not old:
             self._to_target = False
             self._command.pass_on(answer, self._advance(now))
@@ -366,12 +367,12 @@ class GuardRun(Run):
         """Publish the state if it is another one."""
         now, guard, trip = time.monotonic(), self._guard, self._guard.trip
         clock = self._node.get_clock().now()
-        message = GuardState(status=int(guard.status), theta=guard.theta)
+        message = GuardState(status=int(guard.status), theta=[guard.theta])
         message.header.stamp = clock.to_msg()
         if trip is not None:
             message.cause, message.reason = trip.cause.value, trip.reason
             message.tripped_at = 1e-9 * clock.nanoseconds - (now - trip.when)
-            message.tripped_theta, message.tripped_x = trip.theta, list(trip.x)
+            message.tripped_theta, message.tripped_x = [trip.theta], list(trip.x)
         message.rearm_refused = guard.refusal(now)
         message.rearms_left = max(self._config.rearms - guard.rearmed, 0)
         said = self._news()

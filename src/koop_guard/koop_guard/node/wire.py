@@ -54,7 +54,7 @@ class Command:
 
     def pass_on(self, answer: Any, theta: float) -> None:
         """Command a theta with all else that the controller answered."""
-        answer.theta = theta
+        answer.theta = (theta,)
         if self.answers:
             self.publisher.publish(answer)
         else:

@@ -57,7 +57,7 @@ class MeasuredState(IdlStruct, typename="koop_msgs.msg.dds_.MeasuredState_"):
 class ControlInput(IdlStruct, typename="koop_msgs.msg.dds_.ControlInput_"):
     header: Header
     step: uint64
-    theta: float64
+    theta: sequence[float64]
     epsilon: int8
     cost_rise_filtered: float64
     saturated: bool
@@ -73,7 +73,7 @@ class PlantTruth(IdlStruct, typename="koop_msgs.msg.dds_.PlantTruth_"):
     header: Header
     step: uint64
     x: sequence[float64]
-    theta_applied: float64
+    theta_applied: sequence[float64]
     theta_step: int64
     epsilon0: float64
 
@@ -188,14 +188,14 @@ class Wire:
         header = Header(Time(stamp // 10**9, stamp % 10**9), "rig")
         self._states.write(self._made(header, step, x))
         if self._truths is not None:
-            self._truths.write(PlantTruth(header, step, list(truth), theta, answered, math.nan))
+            self._truths.write(PlantTruth(header, step, list(truth), [theta], answered, math.nan))
 
     def heard(self) -> list[tuple[float, int | None]]:
         """Return the commands that came, each with the step that it answers if it says that."""
         commands: list[tuple[float, int | None]] = []
         for sample in self._commands.take(N=100):
-            if isinstance(sample, ControlInput) and math.isfinite(sample.theta):
-                commands.append((sample.theta, sample.step))
+            if isinstance(sample, ControlInput) and math.isfinite(sum(sample.theta)):
+                commands.append((sample.theta[0], sample.step))
             elif isinstance(sample, Float64) and math.isfinite(sample.data):
                 commands.append((sample.data, None))
         return commands

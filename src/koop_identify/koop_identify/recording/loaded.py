@@ -18,7 +18,7 @@ from koop_identify.recording.segmentation import BagReading
 from koop_identify.recording.segments import Segmentation, Segmenter
 from koop_identify.settings import READING
 
-LOOP_COMMAND = parse_source("/theta:theta")
+LOOP_COMMAND = parse_source("/theta:theta[0]")
 ROUNDED = 1e-6  # more than an interpolated number of a sample is off by rounding
 
 

@@ -22,7 +22,7 @@ STAMP = "header.stamp"
 FIELDS = {
     "state": ["step", "x", STAMP],
     "cost": ["step", "r", "model_id"],
-    "theta": ["step", "theta", "saturated"],
+    "theta": ["step", "theta[0]", "saturated"],
     "ground_truth": ["step", "x"],
 }
 BY_ROW = (
@@ -172,7 +172,7 @@ def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
         values = messages.get(name, Messages(None)).at(rows, field, np.nan)
         return np.asarray(values, np.float64)
 
-    theta = at("theta", "theta")
+    theta = at("theta", "theta[0]")
     limited = messages.get("theta", Messages(None)).at(rows, "saturated", False).astype(np.bool_)
     if "commanded" in columns["state"]:  # the controller's limit counts where the rig was at it
         answer, theta = theta, at("state", "commanded")

@@ -31,7 +31,7 @@ from koop_lab.history.seconds import (
 
 BAG, SUMMARY = "bag", "summary"
 GUARD_STATE = "koop_msgs/msg/GuardState"
-GUARD = ("log_time", "status", "theta", "cause", "reason", "tripped_theta")
+GUARD = ("log_time", "status", "theta[0]", "cause", "reason", "tripped_theta[0]")
 HEALTH = ("log_time", "status[0].name", "status[0].level", "status[0].message")
 LABEL = re.compile(r"\d{8}T\d{6}Z-(.+)")  # of a run's folder
 LONG, SHORT, FINE = 7200.0, 10.0, 60.0  # [s]: within a span of LONG, amplitudes of SHORT, or FINE

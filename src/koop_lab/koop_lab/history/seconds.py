@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 COLUMNS = (
     "header.stamp", "count", "x_min", "x_max", "x_mean", "x_std",
     "r_min", "r_max", "r_mean", "margin_min", "margin_max", "margin_mean",
-    "theta_min", "theta_max", "theta_mean", "model_id",
+    "theta_min[0]", "theta_max[0]", "theta_mean[0]", "model_id",
 )  # fmt: skip
 """Fields of a LoopSummary that are read."""
 TABLES = ("x", "r", "margin", "theta")
@@ -60,7 +60,8 @@ def from_columns(columns: Columns) -> Rows:
     """Return the rows of LoopSummary messages: one a second."""
 
     def table(name: str) -> Floats:
-        parts = [columns[f"{name}_{kind}"] for kind in ("min", "max", "mean")]
+        knob = "[0]" if name == "theta" else ""
+        parts = [columns[f"{name}_{kind}{knob}"] for kind in ("min", "max", "mean")]
         stacked = np.stack(parts, axis=1).astype(np.float64)
         return stacked.reshape(len(stacked), 3, -1)
 

@@ -140,7 +140,7 @@ class Feeder(Client):
 
     def _on_theta(self, data: bytes) -> None:
         message = self._read_theta(data)
-        self._theta = (message.step, message.theta)
+        self._theta = (message.step, message.theta[0])
 
     def _ask(self, step: int, message: bytes) -> tuple[float, float]:
         """Send a state and return both answers to it."""

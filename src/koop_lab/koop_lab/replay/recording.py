@@ -28,7 +28,7 @@ from koopman_lifter.config import SOURCES
 NO_SOURCE = 255  # none of koop_msgs/Cost
 FIELDS = {
     "cost": ["step", "r", "margin", "source", "model_id", "publish_time"],
-    "theta": ["step", "theta", "holding", "publish_time"],
+    "theta": ["step", "theta[0]", "holding", "publish_time"],
 }
 
 
@@ -190,7 +190,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         state.step[message],
         late,
         r,
-        theta.at(key, "theta", np.nan),
+        theta.at(key, "theta[0]", np.nan),
         np.asarray(cost.at(key, "margin", np.nan), np.float64),
         cost.hold(key),
         theta.hold(key),

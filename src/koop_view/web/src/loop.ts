@@ -116,7 +116,7 @@ export class Loop {
   }
 
   private takeTheta(t: number, now: number, message: Message): void {
-    this.now.theta = message["theta"] as number;
+    this.now.theta = (message["theta"] as Float64Array)[0] ?? NaN;
     this.now.holding = message["holding"] === true;
     this.now.saturated = message["saturated"] === true;
     this.swing = message["swing"] as number;

@@ -54,7 +54,7 @@ test("the messages of a bag decode to what another reader finds in them", { skip
     if (!kept) continue;
     loop.take(item.topic, n * 0.001, 0, message);
     const v = item.values;
-    kept.push(item.topic === "/state" ? v.x : item.topic === "/cost" ? [v.r] : [v.theta]);
+    kept.push(item.topic === "/state" ? v.x : item.topic === "/cost" ? [v.r] : v.theta);
   }
   assert.ok(n > 100);
   // and what is kept for the figures are these values, in their order

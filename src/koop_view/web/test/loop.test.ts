@@ -22,7 +22,7 @@ const status = (name: string, more: Partial<Status> = {}): Status => ({
 });
 const theta = (epsilon: number, holding: boolean): Record<string, unknown> => ({
   step: 1n,
-  theta: 0.5,
+  theta: Float64Array.of(0.5),
   epsilon,
   holding,
   saturated: false,

@@ -142,7 +142,7 @@ class PlantRun(Run):
         ground_truth = self._ground_truth_message
         ground_truth.step = k
         ground_truth.x = (x, y)
-        ground_truth.theta_applied = self._theta_applied
+        ground_truth.theta_applied = (self._theta_applied,)
         ground_truth.theta_step = self._theta_step
         ground_truth.epsilon0 = self._damping(params, k * params.dt)
         outlets.ground_truth.publish(ground_truth)
@@ -175,8 +175,8 @@ class PlantRun(Run):
     def _usable(self, message: Any) -> bool:
         """Return whether a theta may be applied."""
         step, now = message.step, time.monotonic()
-        if not math.isfinite(message.theta):
-            self._input.reject(f"step {step}: theta = {message.theta}")
+        if len(message.theta) != 1 or not math.isfinite(message.theta[0]):
+            self._input.reject(f"step {step}: theta = {list(message.theta)}")
             return False
         age = self._sent.age(step, now)
         if math.isnan(age):

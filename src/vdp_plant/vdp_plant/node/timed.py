@@ -67,5 +67,5 @@ class TimedRun(PlantRun):
 
     def on_theta(self, message: Any, written: float) -> None:
         if self._usable(message):
-            self._theta, self._answered = message.theta, message.step
+            self._theta, self._answered = message.theta[0], message.step
             self._round_trips.add(self._round_trip)
