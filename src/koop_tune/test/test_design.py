@@ -145,12 +145,21 @@ def test_a_monotone_map_ends_with_its_best_at_the_limit(slope):
     assert len(moves) < 30
 
 
-def test_a_rig_that_does_not_react_ends_flat_after_all_was_visited_again():
+def test_a_rig_that_does_not_react_ends_flat_after_gaps_were_looked_into_and_all_visited_again():
     design, moves = excite(Simulated(lambda u: 0.0))
     assert design.ended == FLAT
-    assert len(moves) == DESIGN.rounds * COUNT
+    assert [move.why for move in moves].count(GAP) == COUNT - 1
+    assert len(moves) == DESIGN.rounds * COUNT + COUNT - 1
     assert [hold.why for hold in design.holds] == [move.why for move in moves[-COUNT:]]
     assert design.next() is None
+
+
+def test_a_valley_between_the_first_positions_is_found_where_none_of_them_reacts():
+    level = absorber(0.012, 5.0, 0.365)
+    assert {level(u) for u in first_positions(DESIGN.first, True)} == {0.0}
+    design, _ = excite(Simulated(level))
+    assert design.ended == KNOWN
+    assert abs(design.static_map().best() - 0.365) < 0.006
 
 
 def test_what_was_held_long_enough_for_longer_windows_is_not_held_again():
@@ -186,7 +195,7 @@ def test_a_map_that_errors_hide_is_looked_at_between_its_holds_and_loses_none():
     for hold in flat.holds:  # all alike, and each known badly
         hold._parts, hold._level, hold._known = [flat.holds[0].x], None, None
     assert flat.static_map().flat
-    assert flat._gap(flat.static_map()) is None
+    assert flat._gap(0.5) is None
     move = flat.next()
     assert move.why == "again: errors hide the map"
     assert move.u in (0.0, 1.0)

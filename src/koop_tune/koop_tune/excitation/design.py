@@ -229,13 +229,15 @@ class Design:
             return Move(self._queue[0], why="over the range")
         static_map = None if self.amplitude is None else self.static_map()
         if static_map is None:
+            if self._rounds == 1 and (gap := self._gap(self.holds[-1].u)) is not None:
+                return Move(gap, why=GAP)
             if self._rounds >= s.rounds:
                 self.ended = FLAT
                 return None
             self._rounds += 1
             self._patience *= 2.0  # noise hides less in longer holds
             return self._look_again(s.longer * self.windows.length, "nothing reacted")
-        gap = self._gap(static_map)
+        gap = self._gap(static_map.best())
         if static_map.flat:
             if gap is not None:
                 return Move(gap, why=GAP)
@@ -344,11 +346,11 @@ class Design:
                 return 0.5 * (best + float(np.clip(static_map.u[i], 0.0, 1.0)))
         return None
 
-    def _gap(self, static_map: StaticMap) -> float | None:
+    def _gap(self, near: float) -> float | None:
         """Return the middle of a gap in which a narrow valley would hide, the nearest first."""
-        best, places = static_map.best(), np.unique([hold.u for hold in self.holds])
+        places = np.unique([hold.u for hold in self.holds])
         middles = 0.5 * (places[1:] + places[:-1])[np.diff(places) > self._settings.gap]
-        return float(min(middles, key=lambda u: abs(u - best))) if middles.size else None
+        return float(min(middles, key=lambda u: abs(u - near))) if middles.size else None
 
     def _beside_rival(self, static_map: StaticMap) -> float | None:
         """Return a position beside the floor of a second valley, a ridge away from the best."""
