@@ -23,6 +23,7 @@ compile hil.txt --constraints "$all" hil.in
 # NumPy comes with python.txt or an installed ROS 2.
 compile plants.txt --constraints "$all" --no-emit-package numpy plants.in
 compile store.txt --constraints "$all" store.in
+compile docs.txt docs.in
 # An installed ROS 2 brings these three, and its binaries want the versions they were built with. On the wheels they
 # come with ros.txt.
 # colcon asks for coverage and pytest-cov, and needs them for `colcon test --pytest-with-coverage` only; where coverage is

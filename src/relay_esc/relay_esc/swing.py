@@ -3,7 +3,7 @@
 The adaptive law is the relay of :mod:`relay_esc.relay` with its step times a factor in [step_ratio,
 1]. docs/explanation/adaptive-law.md says what it does and why. A leg is the way from one flip to
 the next; its least level m, the level being log r behind a low-pass filter, is compared with the
-leg before (the noise s) and with the legs at home (the reference):
+leg before (the noise s) and with the legs at home (the reference)::
 
     home:  m <= reference + 3 s      the optimum is where it was: the reference follows m, and after
                                      four legs that ended as soon as they could the step shrinks,
