@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 def to_json(value: Any) -> Any:
-    """Return an object as JSON; an infinite number is null."""
+    """Return an object as JSON; an infinite number, which JSON has not, is a text."""
     if is_dataclass(value):
         return {item.name: to_json(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, tuple) and hasattr(value, "_asdict"):
@@ -28,7 +28,7 @@ def to_json(value: Any) -> Any:
         value = value.tolist()
     if isinstance(value, list | tuple):
         return [to_json(item) for item in value]
-    return None if isinstance(value, float) and math.isinf(value) else value
+    return str(value) if isinstance(value, float) and math.isinf(value) else value
 
 
 def parse(kind: type[T], content: Any, where: str) -> T:
@@ -55,8 +55,8 @@ def parse(kind: type[T], content: Any, where: str) -> T:
     >>> class Band(NamedTuple):
     ...     low: float
     ...     high: float = 1.0
-    >>> parse(Band, {"low": None}, "a band")
-    Band(low=inf, high=1.0)
+    >>> parse(Band, {"low": "-inf"}, "a band")
+    Band(low=-inf, high=1.0)
     """
     content = mapping(content, where)
     hints, known = get_type_hints(kind), signature(kind).parameters
@@ -98,8 +98,8 @@ def convert(hint: Any, value: Any, where: str) -> Any:
             return hint(value)
         except ValueError as error:
             raise ConfigError(f"{where}: {error}") from None
-    if hint is float and (value is None or type(value) is int):
-        return math.inf if value is None else float(value)
+    if hint is float and (type(value) is int or value in ("inf", "-inf")):
+        return float(value)
     if type(value) is not hint:
         raise ConfigError(f"{where}: expected {hint.__name__}, got {value!r}")
     return value
