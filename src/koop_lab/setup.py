@@ -39,6 +39,7 @@ setup(
         "koop.commands": [
             "bag = koop_lab.commands.bag:register",
             "demo = koop_lab.commands.demo:register",
+            "doctor = koop_lab.commands.doctor:register",
             "inspect = koop_lab.commands.train:register",
             "params = koop_lab.commands.params:register",
             "replay = koop_lab.commands.replay:register",
