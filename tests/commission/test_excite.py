@@ -131,7 +131,12 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
 
     first = koop("excite", rig_yaml, "--out", "run")
     wait(lambda: holds() >= 2, "two holds", first)
-    first.send_signal(signal.SIGINT)
+    said, _ = koop("status", "run").communicate(timeout=TIMEOUT)
+    assert "commissioning in run/part-1: " in said
+    assert f"process {first.pid} of user {os.getuid()}" in said
+    assert "theta = " in said
+    said, _ = koop("status", "run", "--stop").communicate(timeout=TIMEOUT)
+    assert f"theta_safe = {RIG.theta_safe:g}" in said
     out, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130, error
     assert (

@@ -159,16 +159,13 @@ class LiveNodes:
             If ``koop status --stop`` asks for it.
         """
         started = time.monotonic()
-        self._desk = Desk(self._place) if self._place is not None else None
         state, alone_on_it = f"{self._namespace}/state", True
         with Monitor(self._namespace) as monitor:
             while not self._done():
                 monitor.spin(0.05)
                 on_progress(monitor.progress)
                 self._report(monitor.progress)
-                describe = partial(self._describe, monitor.progress)
-                if self._desk is not None and self._desk.answer(describe):
-                    raise KeyboardInterrupt
+                self.answer(partial(self._describe, monitor.progress))
                 if self._in_turn and monitor.progress.step:
                     self._in_turn = False
                     pids = self.process_ids()
@@ -188,6 +185,13 @@ class LiveNodes:
                         f"the loop did not start in {START_TIMEOUT:g} s: see {self.folder}/logs"
                     )
         self.end()
+
+    def answer(self, describe: Callable[[], dict[str, Any]]) -> None:
+        """Answer ``koop status``; raise KeyboardInterrupt where it asks for the end."""
+        if self._desk is None and self._place is not None:
+            self._desk = Desk(self._place)
+        if self._desk is not None and self._desk.answer(describe):
+            raise KeyboardInterrupt
 
     def _report(self, progress: Progress) -> None:
         """Tell the service manager that the loop goes on, if it does."""

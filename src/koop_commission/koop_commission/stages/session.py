@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
@@ -82,6 +83,7 @@ class Session:
         self.theta = GuardedTheta(client, rig, command_type, theta)
         self.still = 0
         self.show: Callable[[], object] = lambda: None
+        self._phase = "moving theta"
         self._rig, self._nodes = rig, nodes
         self._bar = tqdm(bar_format=BAR, leave=False, disable=None, total=1.0)
         self._checked = self._looked = 0.0
@@ -159,6 +161,7 @@ class Session:
         if now < self._checked + 0.1:
             return
         self._checked = now
+        self._nodes.answer(self._describe)
         self.theta.check()
         if now < self._looked + 1.0:
             return
@@ -169,10 +172,18 @@ class Session:
 
     def draw(self, phase: str, elapsed: float, total: float, more: str = "") -> None:
         """Draw the progress of a phase, in seconds."""
+        self._phase = f"{phase}, {elapsed:.0f} of {total:.0f} s"
         self._bar.set_description_str(phase, refresh=False)
         self._bar.total, self._bar.n = total, min(elapsed, total)
         words = f"theta {self.theta.value:+.4g}" + f", {more}" * bool(more)
         self._bar.set_postfix_str(words, refresh=True)
+
+    def _describe(self) -> dict[str, Any]:
+        """Return the answer to ``koop status``."""
+        folder = self._nodes.folder
+        text = f"  commissioning in {folder}: {self._phase}; theta = {self.theta.value:+.4g}"
+        places = [str(path.resolve()) for path in (folder, *folder.parents[:2])]
+        return {"healthy": True, "text": text, "places": places}
 
     def refuse_dead(self) -> None:
         """Raise LiveError if a channel has not changed for ``still`` samples."""

@@ -121,8 +121,7 @@ def ask(name: str, question: str, patience: float | None = PATIENCE) -> dict[str
             data = loop.recv(LONGEST)
         except ConnectionRefusedError:
             raise LiveError(
-                "does not answer: it is starting, or a stage of koop commission, or of ros2 "
-                "launch: look at its own terminal"
+                "does not answer: it is starting, or of ros2 launch: look at its own terminal"
             ) from None
         except TimeoutError:
             raise LiveError(f"process {process}: hangs: no answer in {patience:g} s") from None
