@@ -95,7 +95,7 @@ def test_what_is_no_command_is_named(word, message, capsys):
 
 @pytest.mark.parametrize(
     ("code", "heavy"),
-    [("overview()", "numpy"), ("parser('bag')", "numba"), ("parser('demo')", "matplotlib")],
+    [("overview()", "numpy"), ("parser('up')", "numba"), ("parser('demo')", "matplotlib")],
 )
 def test_only_what_a_command_needs_is_loaded(code, heavy):
     program = (

@@ -9,8 +9,9 @@ import numba
 import numpy as np
 import pytest
 
+from koop_core.borrowed import borrowed
 from koop_core.config.parameter import Settings, constants, parameter
-from koop_core.kernels import borrowed, direct, njit
+from koop_core.kernels import direct, njit
 
 KERNELS = """
 from typing import NamedTuple

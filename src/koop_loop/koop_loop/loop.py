@@ -17,8 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from koop_core.borrowed import borrowed
 from koop_core.errors import InputError, KoopError
-from koop_core.kernels import borrowed, njit
+from koop_core.kernels import njit
 from koop_core.stream.arrival import NOTHING, Arrival
 from koop_loop.kernel import Controller, LoopMemory, classify, control, timeout_of
 from koopman_lifter import cost

@@ -150,12 +150,13 @@ def _add(s: Spectrum, x: NDArray[np.float64]) -> complex:
     product = 0j
     cursor[4] += cursor[2] >= SEGMENTS
     for i in range(x.shape[0] if cursor[2] >= SEGMENTS else 0):
-        c = 0j
+        c, total, squares = 0j, 0.0, 0.0
         for age in range(SEGMENTS):
+            total += moments[age, i, 0]  # NumPy's sum would import SciPy at a node's start
+            squares += moments[age, i, 1]
             for m in range(turn.shape[1]):
                 quarters = (FIRST_BIN + m) * (SEGMENTS - 1 - age) % 4  # since the oldest
                 c += BLACKMAN[m] * QUARTERS[quarters] * sums[age, i, m]
-        total, squares = moments[:, i, 0].sum(), moments[:, i, 1].sum()
         variance = squares - total * total / (SEGMENTS * cursor[1])
         s.usual[i] += (variance - s.usual[i]) / min(cursor[4], WATCH.memory)
         if cursor[2] > SEGMENTS and s.usual[i] > 0.0:

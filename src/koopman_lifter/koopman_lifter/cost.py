@@ -31,7 +31,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.kernels import borrowed, njit
+from koop_core.borrowed import borrowed
+from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
 from koopman_lifter.observables import Monomials, lift_into
 from koopman_lifter.settings import COST

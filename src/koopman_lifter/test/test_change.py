@@ -1,5 +1,8 @@
 """The watch over the frequency of an oscillation, on signals whose frequency is known."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -24,6 +27,17 @@ def test_the_kernels_do_the_same_with_and_without_compiler():
         listen.py_func(ears[1], 1 + k, x[k])
     np.testing.assert_array_equal(ears[0].rows, ears[1].rows)
     np.testing.assert_allclose(ears[0].rows[3, 0], x[12:16, 0].mean())
+
+
+START = "import sys; from koopman_lifter.change import Watch; Watch(1, 0.02); "
+
+
+def test_what_was_kept_of_the_kernels_starts_without_scipy():
+    Watch(1, DT)  # compiles and keeps them
+    program = START + "print('numba' in sys.modules, 'scipy.linalg' in sys.modules)"
+    words = [sys.executable, "-c", program]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert done.stdout == "True False\n"
 
 
 def swinging(frequency, amplitude=1.0, noise=0.0, tones=0.0, seed=0):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.kernels import borrowed, njit
+from koop_core.borrowed import borrowed
+from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
 from koopman_lifter import cost
 from koopman_lifter.cost import Lifting, Workspace

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.kernels import borrowed, njit
+from koop_core.borrowed import borrowed
+from koop_core.kernels import njit
 from koop_core.stream.arrival import NOTHING, Arrival
 from koop_lab.replay.plan import ReplayPlan
 from koop_lab.replay.recording import Recording

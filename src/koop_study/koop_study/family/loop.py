@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from koop_core.kernels import borrowed, njit
+from koop_core.borrowed import borrowed
+from koop_core.kernels import njit
 from koop_core.stream.arrival import Arrival
 from koop_study.family import oscillator
 from koop_study.family.oscillator import RigParams, RigState
