@@ -155,12 +155,18 @@ def test_ctrl_c_that_comes_again_and_again_is_still_a_clean_end(start, probe):
         process.process.send_signal(signal.SIGINT)
         time.sleep(0.001)
     assert process.poll() == 0
+    ended = time.monotonic()
+    probe.spin_until(lambda: "relay_esc" not in probe.node.get_node_names(), "its farewell")
+    assert time.monotonic() - ended < 10.0  # without one it would be missed after 20 s
 
 
 WITHOUT_A_RUN = """
 import sys
 from pkgutil import resolve_name
 
+from koop_node.node import start
+
+start.end_process = sys.exit  # the next node is still to come
 for name in (
     "vdp_plant.executable:main", "koopman_lifter.executable:main", "relay_esc.executable:main",
     "koop_bag.executable:recorder",

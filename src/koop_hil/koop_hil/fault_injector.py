@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from array import array
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from koop_node.node.graph import listeners_of
 from koop_node.node.main import run
 from koop_node.node.managed import Entities, ManagedNode, Run
 from koop_node.node.qos import RELIABLE
+from koop_node.process.ending import end_process
 
 PERIOD = 0.001  # [s] between looks for delayed messages that are due
 
@@ -116,4 +116,4 @@ class FaultInjectorNode(ManagedNode[FaultInjectorRun]):
 
 
 if __name__ == "__main__":
-    sys.exit(run(FaultInjectorNode))
+    end_process(run(FaultInjectorNode))

@@ -23,6 +23,7 @@ from koop_hil import supervisor
 from koop_hil.hosts import HostsError, call_isolated
 from koop_hil.scenario import Scenario
 from koop_hil.verdict import Verdict, judge
+from koop_node.process.ending import end_process
 from koop_node.process.lifeline import end_with_parent
 
 VERDICT, SCENARIO = "verdict.json", "scenario.pickle"
@@ -105,4 +106,4 @@ def main(folder: Path) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1])))
+    end_process(main(Path(sys.argv[1])))

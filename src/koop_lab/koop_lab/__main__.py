@@ -1,7 +1,6 @@
 """``python -m koop_lab`` is ``koop``."""
 
 import signal
-import sys
 
 if __name__ == "__main__":
     # The imports take a second. Until main() takes it over, Ctrl-C ends the process without a
@@ -9,5 +8,6 @@ if __name__ == "__main__":
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from koop_lab.cli.main import main
+    from koop_node.process.ending import end_process
 
-    sys.exit(main())
+    end_process(main())

@@ -30,7 +30,10 @@ from koop_guard.note import TWIN, Note, leave, read
 from koop_node.client.alone import claimed
 from koop_node.process.lifeline import OWN_GROUP, VARIABLE
 
-PROGRAM = "import sys; from koop_guard.node.twin import main; sys.exit(main(int(sys.argv[1])))"
+PROGRAM = (
+    "import sys; from koop_guard.node.twin import main; "
+    "from koop_node.process.ending import end_process; end_process(main(int(sys.argv[1])))"
+)
 LOOK = 0.25  # [s] between two looks for a sign of life
 _WRITTEN = struct.Struct("<ddqqd")  # theta, sign of life [s], whether commanded, step, its time [s]
 _SIZE = _WRITTEN.size + 1  # and whether the twin is ready

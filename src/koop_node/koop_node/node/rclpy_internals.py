@@ -24,6 +24,15 @@ class RefusingLifecycleNode(LifecycleNode):
     rclpy raises in the service's callback, and the node would end, whoever had asked.
     """
 
+    def destroy_node(self) -> None:
+        """Leave the domain.
+
+        rclpy leaves the services of the life cycle to the garbage collector, and with them the node
+        and its participant: 0.1 s for all that there is.
+        """
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
     def _LifecycleNodeMixin__on_change_state(  # the private name of rclpy's callback
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:

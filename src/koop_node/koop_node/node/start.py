@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
-import sys
 from pkgutil import resolve_name
 from types import FrameType
 
+from koop_node.process.ending import end_process
 from koop_node.process.lifeline import take_signals
 
 
@@ -24,9 +25,10 @@ def start(name: str) -> None:
     signal.signal(signal.SIGINT, on_signal)
     signal.signal(signal.SIGTERM, on_signal)
     take_signals()
+    gc.disable()  # while all is imported; Housekeeping collects from then on
     named = resolve_name(name)
     if not isinstance(named, type):
-        sys.exit(named())
+        end_process(named())
     from koop_node.node.main import run
 
-    sys.exit(run(named))
+    end_process(run(named))
