@@ -14,6 +14,8 @@ from koop_loop.ending import Ending, describe_end, ending
         ("koopman_lifter", 0, False, Ending.FAILED),
         ("relay_esc", 0, True, Ending.FAILED),
         ("relay_esc", -9, True, Ending.FAILED),
+        ("rig", 0, True, Ending.DONE),
+        ("rig", 3, True, Ending.FAILED),
         ("recorder", 1, False, Ending.FAILED),
         ("recorder", 1, True, Ending.GO_ON),
     ],
