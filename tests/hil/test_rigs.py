@@ -22,6 +22,7 @@ sys.path[:0] = [str(RIGS)]
 
 import absorber  # noqa: E402
 import inverter  # noqa: E402
+import oscillator  # noqa: E402
 import rig_log  # noqa: E402
 from static_map import true_amplitudes  # noqa: E402
 
@@ -66,6 +67,26 @@ def test_the_absorber_rests_where_its_linear_system_is_stable_and_nowhere_else()
     assert (true[~stable] > 0.4).all()
     # far away the damper only loads it: Van der Pol's limit cycle, 2 LIMIT, is an upper bound
     assert 1.9 * absorber.LIMIT < true[0] < 2.0 * absorber.LIMIT
+
+
+@pytest.mark.parametrize(("name", "faster"), [("mode", (1.3, 1.0)), ("disturbance", (1.0, 1.3))])
+def test_an_oscillator_s_frequencies_move_as_it_ages(name, faster):
+    rig, rng = (
+        oscillator.Oscillator(Namespace(rig="galloping", theta_initial=4.0)),
+        random.Random(1),
+    )
+    n, frequencies = 8000, []
+    for begin in (0, n):
+        rows = np.empty((n, 2))
+        for k in range(n):
+            measured, true = rig.measure((begin + k) * oscillator.DT, rng)
+            rows[k] = true[0], measured[0] - true[0]
+            rig.advance((begin + k) * oscillator.DT, 4.0)
+        bins = np.abs(np.fft.rfft(np.hanning(n)[:, None] * (rows - rows.mean(0)), 8 * n, 0))
+        bins[400:, 1] = 0.0  # of its two tones the slow one: 50 bins are 1 rad/s
+        frequencies.append(bins.argmax(0))
+        rig.set(name, 1.3)
+    assert frequencies[1] / frequencies[0] == pytest.approx(faster, rel=0.02)
 
 
 @dpsim_needed

@@ -1,8 +1,9 @@
 """Oscillators as rigs; shares no code with the workspace's packages.
 
 Every one is of second order with one control input theta, whose limit cycle is smallest at a theta*
-that only the rig knows; ``--at 80:shift=2`` moves it by 2 from its first place. Plain Python on
-purpose: nothing here is the code under test.
+that only the rig knows. It ages: ``--at 80:shift=2`` moves theta* by 2 from its first place,
+``mode=1.3`` and ``disturbance=1.3`` the frequencies of the oscillation and of what is added to the
+sensors to 1.3 times the first. Plain Python on purpose: nothing here is the code under test.
 """
 
 from __future__ import annotations
@@ -134,28 +135,33 @@ class Oscillator(SimulatedRig):
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._name, self._physics = args.rig, RIGS[args.rig]
-        self._x, self._shift = self._physics.start, 0.0
+        self._x = self._physics.start
+        self._age = {"shift": 0.0, "mode": 1.0, "disturbance": 1.0}
+        self._ahead = {"mode": 0.0, "disturbance": 0.0}  # of the time, for it went faster [s]
         start = START if args.theta_initial is None else args.theta_initial
         self.actuation = Actuation(start, -STROKE, STROKE, DELAY, RATE)
 
     def measure(self, t: float, rng: random.Random) -> tuple[list[float], State]:
         """Return what the sensors say at a time [s], and the true state."""
         physics = self._physics
-        added = physics.disturbance(t)
+        added = physics.disturbance(t + self._ahead["disturbance"])
         noisy = (value + added + rng.gauss(0.0, physics.noise) for value in self._x)
         return [round(value / physics.resolution) * physics.resolution for value in noisy], self._x
 
     def advance(self, t: float, theta: float) -> None:
         """Go on by one sample."""
-        self._x = advance(self._physics, t, DT, self._x, theta - self._shift)
+        theta, mode = theta - self._age["shift"], self._age["mode"]
+        self._x = advance(self._physics, t + self._ahead["mode"], mode * DT, self._x, theta)
+        for name in self._ahead:
+            self._ahead[name] += (self._age[name] - 1.0) * DT
         if not math.isfinite(self._x[0] + self._x[1]):
             raise ValueError(f"{self._name} broke at t = {t:g} s")
 
     def set(self, name: str, value: float) -> None:
-        """Move the optimum."""
-        if name != "shift":
+        """Age: move the optimum or a frequency."""
+        if name not in self._age:
             super().set(name, value)
-        self._shift = value
+        self._age[name] = value
 
 
 def register(rigs: Any) -> None:
