@@ -162,6 +162,14 @@ def test_a_valley_between_the_first_positions_is_found_where_none_of_them_reacts
     assert abs(design.static_map().best() - 0.365) < 0.006
 
 
+def test_the_best_of_a_deep_valley_is_known_as_well_as_a_verdict_needs():
+    design, _ = excite(Simulated(lambda u: 8.0 * abs(u - 0.4), noise=0.5, seed=3))
+    pairs = zip(design.holds, design.levels(), strict=True)
+    errors = [level.error for hold, level in pairs if hold.confirms]
+    assert design.ended == KNOWN
+    assert max(errors) <= DESIGN.error_of_best < DESIGN.error_of_span * 8.0 * 0.6
+
+
 def test_what_was_held_long_enough_for_longer_windows_is_not_held_again():
     first, _ = excite(Simulated(wide), most=COUNT)
     long = round(first.windows.length * 4 * DESIGN.fewest)

@@ -70,6 +70,7 @@ class DesignSettings(Settings):
     soon: float = parameter(0.02, "share of a hold after which it is judged again", low=0.0)
     error: float = studied(0.03, "standard error that is good enough", low=1e-3)
     error_of_span: float = studied(0.05, "the same over the map's span, if more", low=0.0)
+    error_of_best: float = studied(0.1, "the same of the best, if less, for the verdict", low=0.0)
     error_of_worse: float = studied(0.15, "the same over what it is worse than the best, if more")
     error_of_gap: float = studied(0.1, "the same of a hold that only looks into a gap", low=0.0)
     trend: float = studied(0.3, "change within a hold that may be, over that error", low=0.0)
@@ -514,7 +515,8 @@ class Design:
         """Return the standard error at which a hold is known well enough."""
         s = self._settings
         means = [level.mean for level in self.levels()]
-        return max(s.error, s.error_of_span * float(np.ptp(means)) if means else 0.0)
+        error = max(s.error, s.error_of_span * float(np.ptp(means)) if means else 0.0)
+        return min(error, s.error_of_best) if self._growth else error
 
     def _choose(self) -> None:
         """Choose what is summed, and the windows for it, from all holds so far."""
