@@ -171,6 +171,16 @@ def test_the_final_map_has_what_the_loops_found(aim, good):
     assert find_faults(aim, [better, better]) == []
 
 
+def test_an_amplitude_that_comes_and_goes_is_not_judged_by_its_worse_half(aim):
+    power = np.random.default_rng(2).exponential(size=60)  # of each window, as noise drives it
+    halves = power[30:45].mean(), power[45:].mean()
+    assert max(halves) > 1.2 * min(halves)
+    t = np.arange(60 * 200) * DT
+    x = np.sqrt(np.repeat(power, 200)) * np.sin(2 * np.pi * t / PERIOD)
+    actual = measure(aim, x[:4000, None], x[:, None], np.full(600, BEST))
+    assert actual.amplitude == pytest.approx(math.sqrt(power[30:].mean()), rel=0.03)
+
+
 def test_growth_in_the_last_quarter_is_seen(aim, good):
     grown = run(aim, late=4.0)
     assert grown.amplitude > 2.0 * good.amplitude

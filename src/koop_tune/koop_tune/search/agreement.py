@@ -152,17 +152,16 @@ def measure(aim: Aim, before: Array, x: Array, theta: Array) -> Measured:
     amplitude = aim.amplitude
     squares, first = (amplitude.squares(amplitude.windows.powers(part)) for part in (x, before))
     late, path = squares[squares.size // 2 :], theta[theta.size // 2 :]
-    # neither part of the second half may be worse than it
-    parts = [late, *np.array_split(late, 2)] if late.size >= 4 else [late]
-    level = max(
-        (mean_level(part, amplitude.floor)[0] for part in parts), key=lambda v: aim.sense * v
-    )
-    began = mean_level(first, amplitude.floor)[0]
+    level, error = mean_level(late, amplitude.floor)
+    if late.size >= 4:
+        (early, a), (last, b) = (mean_level(h, amplitude.floor) for h in np.array_split(late, 2))
+        if abs(last - early) > aim.settings.errors * math.hypot(a, b):  # it grows, or falls yet
+            level = max(early, last, key=lambda v: aim.sense * v)
+    began, error_before = mean_level(first, amplitude.floor)
     k = min(max(aim.settings.smoothed, math.ceil(squares.size / BLOCKS)), squares.size)
     smooth = np.asarray(np.convolve(squares, np.ones(k) / k, "valid"), np.float64)
     inside = np.flatnonzero(aim.sense * (amplitude.log(smooth) - aim.bound) <= 0.0)
-    errors = [mean_level(part, amplitude.floor)[1] for part in (late, first)]
-    errors = [min(error, aim.settings.unknown) for error in errors]
+    errors = [min(value, aim.settings.unknown) for value in (error, error_before)]
     u = aim.scale.u(path)
     return Measured(
         (int(inside[0]) + k) * aim.window if inside.size else None,
