@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 from collections.abc import Callable
-from typing import Any
+from contextlib import suppress
+from typing import Any, ClassVar
 
 import numba
 from numba.core.caching import FunctionCache
@@ -14,12 +17,36 @@ from koop_core.borrowed import borrowed
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]  # numba has no types
-    """The compiled code of one kernel on the disk."""
+    """The compiled code of one kernel on the disk.
+
+    Processes that need one at the same time compile it once: who does so locks the module, others
+    wait. They cannot wait for each other, for modules do not import each other.
+    """
+
+    locks: ClassVar[dict[str, list[int]]] = {}  # descriptor and depth, by module
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         rtsys.initialize(context)  # memory for arrays: all that a kept kernel needs
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(signature, context)
+        if (kept := self._load_overload(signature, context)) is not None:
+            return kept
+        module = self._py_func.__code__.co_filename
+        if module not in self.locks:
+            self.locks[module] = [os.open(module, os.O_RDONLY), 0]
+            with suppress(OSError):  # not everywhere can files be locked
+                fcntl.flock(self.locks[module][0], fcntl.LOCK_EX)
+        self.locks[module][1] += 1
+        if (kept := self._load_overload(signature, context)) is not None:
+            self._unlock(module)
+        return kept
+
+    def save_overload(self, signature: Any, data: Any) -> None:
+        super().save_overload(signature, data)
+        self._unlock(self._py_func.__code__.co_filename)
+
+    def _unlock(self, module: str) -> None:
+        self.locks[module][1] -= 1
+        if not self.locks[module][1]:
+            os.close(self.locks.pop(module)[0])
 
 
 def make_dispatcher(function: Callable[..., Any], options: dict[str, Any]) -> Any:
