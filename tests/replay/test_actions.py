@@ -27,7 +27,7 @@ from koop_loop.training import TrainingConfig, train
 from koop_node.node.main import TRANSPORTS
 from koopman_lifter.config import shipped_model
 from koopman_lifter.delays import Delays
-from vdp_plant.config import RESENDS, PlantConfig
+from vdp_plant.config import PACING, PlantConfig
 
 LISTENERS = "next recorder probe"  # on the cost
 TIMEOUT = timeout_of(0.005)  # [s] of states and costs
@@ -54,7 +54,7 @@ class Rig:
     def __call__(self, step, x):
         before = len(self.answers)
         self.send(step, x)
-        question = Resend(PATIENCE, RESENDS)
+        question = Resend(PATIENCE, PACING.resends)
         question.ask(time.monotonic())
 
         def answered():

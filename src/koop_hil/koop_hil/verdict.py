@@ -11,6 +11,7 @@ import numpy as np
 from koop_bag.bag.columns import Columns, read_tables
 from koop_bag.bag.losses import count_losses
 from koop_bag.bag.reader import BagReader
+from koop_core.config.parameter import Settings, judged
 from koop_hil.answers import age_acting
 from koop_hil.scenario import NO_LIMIT, Scenario
 from koop_hil.supervisor import RunRecord
@@ -22,8 +23,19 @@ FIELDS = {
     "theta": ["step"],
     "ground_truth": ["step", "log_time", "publish_time", "theta_applied[0]", "theta_step"],
 }
-WHOLE = 0.95  # of the duration: a busy machine lets simulated time fall behind
 LIMITED = ("tail_error", "time_out_of_tolerance", "max_error", "unrecorded", "answer_age")
+
+
+@dataclass(frozen=True)
+class VerdictSettings(Settings):
+    """What a verdict says of a run."""
+
+    whole: float = judged(
+        0.95, "share of the duration that must be known, else it is said", low=0.0, high=1.0
+    )  # a busy machine lets simulated time fall behind
+
+
+SETTINGS = VerdictSettings()
 
 
 @dataclass
@@ -87,7 +99,7 @@ class Verdict:
             f"at most {self.max_error:.2f}, out of tolerance for {out:.1f} s, "
             f"oldest acting answer {self.answer_age:.2f} s"
         )
-        if self.simulated < WHOLE * self.duration:
+        if self.simulated < SETTINGS.whole * self.duration:
             figures += f", theta known for {self.simulated:.0f} of {self.duration:.0f} s"
         return f"{self.name:<24} {state}  {figures}"
 

@@ -6,10 +6,24 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from koop_core.config.parameter import ConfigError, Settings, parameter
+from koop_core.config.parameter import ConfigError, Settings, judged, parameter
 from vdp_plant.dynamics import PlantParams
 
-RESENDS = 3  # times that lockstep sends a state again before it gives up
+
+@dataclass(frozen=True)
+class PacingSettings(Settings):
+    """What the plant bears of the others before it gives up or says so."""
+
+    resends: int = judged(3, "times that lockstep sends a state again before it gives up", low=0)
+    held: float = judged(
+        30.0, "time for which a subscriber that falls behind holds the plant", unit="s", low=0.1
+    )  # DDS gives up before
+    late: float = judged(
+        0.02, "share of all ticks that may be late without a word", low=0.0, high=1.0
+    )  # a busy machine has some
+
+
+PACING = PacingSettings()
 
 
 @dataclass(frozen=True)
@@ -142,7 +156,7 @@ class PaceConfig(Settings):
     theta_timeout: float = parameter(
         2.0,
         "age at which theta is stale; 0: never. lockstep: the state is sent again, after "
-        f"{RESENDS} times the node gives up; realtime, scaled: theta is held",
+        f"{PACING.resends} times the node gives up; realtime, scaled: theta is held",
         unit="s",
         low=0.0,
         high=1e6,

@@ -8,13 +8,12 @@ from typing import Any
 
 from koop_core.stream.resend import Due, Resend
 from koop_node.node.managed import ERROR, OK, Entities, ManagedNode
-from vdp_plant.config import RESENDS, PaceConfig
+from vdp_plant.config import PACING, PaceConfig
 from vdp_plant.node.base import PlantRun
 
 CHECK_PERIOD = 0.05  # [s] between looks whether an answer is overdue
 WINDOW = 2500  # steps that may be on their way to a subscriber: half of what a writer keeps
 SILENT = "the lifter (koopman_lifter) or the controller (relay_esc) is silent"
-HELD = 30.0  # [s] for which a subscriber that falls behind holds the plant; DDS gives up before
 
 
 class LockstepRun(PlantRun):
@@ -23,7 +22,7 @@ class LockstepRun(PlantRun):
     def __init__(self, node: ManagedNode[PlantRun]) -> None:
         super().__init__(node)
         self._state_message.lockstep = True
-        self._question = Resend(node.parameters[PaceConfig].theta_timeout, RESENDS)
+        self._question = Resend(node.parameters[PaceConfig].theta_timeout, PACING.resends)
         self._held_since: float | None = None
         self._holds = True
         """Whether the plant waits for listeners that fall behind."""
@@ -67,12 +66,13 @@ class LockstepRun(PlantRun):
     def _go_on(self, since: float) -> None:
         """Ask again once listeners that fell behind at a steady time [s] have caught up."""
         if not self._all_keep_up(0.0):
-            if time.monotonic() - since < HELD:
+            if time.monotonic() - since < PACING.held:
                 return
             self._holds = False
             self._node.get_logger().warning(
-                f"a subscriber of 'state' or 'ground_truth' has confirmed nothing for {HELD:g} s: "
-                "the plant goes on without waiting for it, and it may lose messages"
+                "a subscriber of 'state' or 'ground_truth' has confirmed nothing for "
+                f"{PACING.held:g} s: the plant goes on without waiting for it, and it may lose "
+                "messages"
             )
         self._held_since = None
         self._ask()

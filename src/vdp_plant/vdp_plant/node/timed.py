@@ -10,11 +10,9 @@ from koop_core.stream.durations import Durations
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode
 from koop_node.node.qos import NEWEST
 from koop_node.node.schedule import Timer
-from vdp_plant.config import PaceConfig
+from vdp_plant.config import PACING, PaceConfig
 from vdp_plant.node.base import PlantRun
 from vdp_plant.pacing import Ticks
-
-LATE_SHARE = 0.02  # of all ticks that may be late without a word; a busy machine has some
 
 
 class TimedRun(PlantRun):
@@ -49,7 +47,7 @@ class TimedRun(PlantRun):
         if self._command == "safe":
             safe = self._node.parameters[PaceConfig].theta_safe
             return WARN, f"theta_safe = {safe:g} acts", values
-        if late > LATE_SHARE * ticks:
+        if late > PACING.late * ticks:
             return WARN, f"{late} late ticks", values
         return OK, "running", values
 
