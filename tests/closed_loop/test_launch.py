@@ -115,11 +115,18 @@ def test_a_run_s_own_parameters_run_the_same_experiment_again(launch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("executable", "name"), [("lifter", "koopman_lifter"), ("recorder", "recorder")]
+    ("executable", "name", "composed", "count"),
+    [
+        ("lifter", "koopman_lifter", "false", 4),
+        ("recorder", "recorder", "false", 4),
+        ("container", "container", "true", 2),
+    ],
 )
-def test_the_end_of_a_node_ends_the_launch_with_its_reason(nodes_of, launch, executable, name):
-    process = launch("record:=true")
-    nodes = wait_for(lambda: len(actual := nodes_of(process)) == 4 and actual, process)
+def test_the_end_of_a_node_ends_the_launch_with_its_reason(
+    nodes_of, launch, executable, name, composed, count
+):
+    process = launch("record:=true", f"composed:={composed}")
+    nodes = wait_for(lambda: len(actual := nodes_of(process)) == count and actual, process)
     os.kill(nodes[executable], signal.SIGKILL)
     printed, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 1

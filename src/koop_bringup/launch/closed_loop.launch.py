@@ -98,7 +98,7 @@ def _start(context: LaunchContext) -> list:
                 ros_arguments=[word for rule in planned.remaps for word in ("-r", rule)],
                 namespace=planned.namespace or "/",
                 parameters=[*files, file],
-                on_exit=loop.on_exit(node.name),
+                on_exit=loop.on_exit(node.name, node.executable if node.arguments else ""),
                 additional_env={**TIED, **planned.environment(node.name)},
                 **shared,
             )
@@ -162,14 +162,14 @@ class _Loop:
         self._place = ExitStack()
         self._place.enter_context(place)
 
-    def on_exit(self, node: str):
-        """Return what to do when a node ends."""
+    def on_exit(self, node: str, container: str = ""):
+        """Return what to do when a node ends, or the container whose end counts as the node's."""
 
         def ended(event: ProcessExited, context: LaunchContext) -> list:
             self._ended += 1
             if self._ended == len(self.processes):
                 self._place.close()
-            text = describe_end(node, event.returncode)
+            text = describe_end(container or node, event.returncode)
             kind_of_end = ending(node, event.returncode, self._rig)
             actions = []
             if context.is_shutdown or self._ending:
