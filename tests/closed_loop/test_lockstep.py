@@ -13,6 +13,7 @@ import pytest
 from koop_bringup.live.loop import LiveLoop
 from koop_core.errors import LiveError
 from koop_identify.recording.loop import LoopRecord, read_loop
+from koop_lab.cli.main import main
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import make_plan
 from koop_lab.replay.recording import read_recording
@@ -55,6 +56,20 @@ ADAPTIVE = LIMITED | {
 }
 
 
+KNOBS = {  # two on a log scale, coupled, with a rate each; limits are met, directions change
+    "koopman_lifter": {"cost": "raw"},
+    "relay_esc": {
+        "law": "adaptive", "theta_scale": "log", "dwell": 0.2, "tau_f": 0.2,
+        "step_size": [0.01, 0.02], "theta_min": [0.3, 0.9], "theta_max": 2.5,
+        "theta_initial": [2.0, 1.0], "rate_limit": [1.5, 5.0],
+    },
+    "vdp_plant": {
+        "theta_star": [0.5, 1.5], "theta_initial": [2.0, 1.0], "coupling": [0.8, 0.6, -0.3, 0.4],
+        "theta_rate": [2.0, 3.0], "theta_max": [2.3, 2.4],
+    },
+}  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Lockstep:
     """A run over DDS that was recorded."""
@@ -94,6 +109,26 @@ def test_a_run_over_dds_is_the_offline_run_to_the_last_bit(lockstep):
         np.testing.assert_array_equal(getattr(run, name), getattr(result, name), name)
     assert run.lost == {"state": 0, "cost": 0, "theta": 0, "ground_truth": 0}
     assert np.ptp(run.theta) > 0.1  # the controller did act
+
+
+def test_two_knobs_over_dds_offline_and_in_replay_are_equal_to_the_last_bit(
+    module_domain, tmp_path, capfd
+):
+    lockstep = record(2000, KNOBS, tmp_path / "run", True)
+    options, run = lockstep.parameters, lockstep.run
+    offline = simulate(options.plant, options.lifter, options.esc, None, lockstep.steps)
+    for name in ("measured", "ground_truth", "r", "theta"):
+        np.testing.assert_array_equal(getattr(run, name), getattr(offline, name), name)
+    assert run.theta.shape == (2000, 2)
+    assert run.theta[:, 1].min() == 0.9  # at its limit
+    assert (np.ptp(run.theta, axis=0) > 0.3).all()  # the controller did act
+    changes = np.abs(np.diff(np.log(run.theta), axis=0))
+    assert (changes.max(axis=0) <= np.array([1.5, 5.0]) * 0.005 * (1.0 + 1e-9)).all()
+    for how in ([], ["--offline"]):
+        assert main(["replay", str(lockstep.folder), *how]) == 0
+        printed = capfd.readouterr().out
+        for name in ("r      ", "theta[0] ", "theta[1] "):
+            assert f"{name}identical bit for bit in all 2000 steps" in printed
 
 
 def test_a_recorder_that_is_not_scheduled_holds_the_plant_and_lacks_nothing(

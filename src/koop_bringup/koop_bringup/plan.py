@@ -33,6 +33,7 @@ from koop_loop.parameters import (
 from koop_loop.rig_program import RIG, RigConfig
 from koopman_lifter.config import LifterConfig, ModelConfig
 from koopman_lifter.model import load_for
+from relay_esc.config import EscConfig
 from vdp_plant.config import pace_values
 
 ALL_NODES = {**NODES, **RECORDER, **GUARD}
@@ -279,6 +280,8 @@ def _check(
     if len(set(steps.values())) > 1:
         listed = ", ".join(f"{name} {dt:g}" for name, dt in steps.items())
         raise ConfigError(f"dt differs: {listed} s")
+    if "koop_guard" in configs and configs["relay_esc"][EscConfig].count > 1:
+        raise ConfigError("relay_esc has several knobs, and koop_guard keeps one only")
     lifter = configs["koopman_lifter"]
     load_for(lifter[LifterConfig], lifter[ModelConfig])
     if "recorder" in configs:

@@ -98,8 +98,11 @@ def test_a_guard_alone_commands_the_rig(mine, command, remaps):
     assert return_time(planned.parameters) == 20.0  # from -5 to 5
     assert names(plan({**file, "plant": "true"})) == ["relay_esc", "koopman_lifter", "vdp_plant"]
     assert not any("koop_guard" in note for note in planned.notes)
+    guard = "koop_guard: {ros__parameters: {command: '/rig/theta:data'}}\n"
     with pytest.raises(ConfigError, match="dt differs"):
-        plan(mine("koop_guard: {ros__parameters: {command: '/rig/theta:data', dt: 0.1}}"))
+        plan(mine(guard.replace("'}}", "', dt: 0.1}}")))
+    with pytest.raises(ConfigError, match="has several knobs, and koop_guard keeps one only"):
+        plan(mine(guard + "relay_esc: {ros__parameters: {theta_initial: [1.0, 2.0]}}"))
 
 
 def test_a_rig_takes_the_place_of_the_plant(mine):

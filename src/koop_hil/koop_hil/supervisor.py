@@ -13,6 +13,7 @@ from pathlib import Path
 
 from koop_bringup.live.monitor import Monitor
 from koop_bringup.live.process import START_TIMEOUT
+from koop_core.config.knobs import format_knobs
 from koop_core.errors import LiveError
 from koop_core.stream.report import LEVELS
 from koop_hil.actions import ACTIONS, TICK, Loop
@@ -108,7 +109,7 @@ def _play(
             break
         if time.monotonic() - looked > 1.0:
             looked = time.monotonic()
-            progress(t, f"theta {monitor.theta:+.2f}")
+            progress(t, f"theta {format_knobs(monitor.theta, '+.2f')}")
             if not changing:
                 refuse_others(monitor, scenario.topics)
     record.end = time.time_ns()

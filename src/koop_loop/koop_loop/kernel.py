@@ -20,6 +20,7 @@ from koop_core.stream.arrival import Heard
 from koopman_lifter import cost
 from koopman_lifter.cost import DetectorParams, DetectorState, Lifting, Workspace
 from relay_esc import relay
+from relay_esc.directions import DirectionState
 from relay_esc.relay import RelayParams, RelayState
 
 classify = njit()(arrival.classify)
@@ -51,7 +52,7 @@ class LoopMemory(NamedTuple):
     """State of lifter and controller between two messages."""
 
     detector: DetectorState
-    relay: RelayState
+    relay: RelayState | DirectionState  # of several knobs
 
 
 @njit(inline="always")

@@ -26,10 +26,12 @@ from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
 from koopman_lifter.model import KoopmanModel
+from relay_esc import directions
 from relay_esc.config import EscConfig
+from relay_esc.directions import DirectionState, Knobs
 from vdp_plant import dynamics, waves
 from vdp_plant.config import PlantConfig
-from vdp_plant.dynamics import PlantParams
+from vdp_plant.dynamics import PlantKnobs, PlantParams
 from vdp_plant.waves import Waves
 
 
@@ -52,7 +54,7 @@ class LoopResult:
     r : ndarray, shape (M,)
         Cost.
     theta : ndarray, shape (M,)
-        Control input.
+        Control input; of n > 1 knobs of shape (M, n).
     """
 
     dt: float
@@ -64,7 +66,7 @@ class LoopResult:
     @property
     def step(self) -> NDArray[np.int64]:
         """Step index k, shape (M,)."""
-        return np.arange(self.theta.size)
+        return np.arange(self.r.size)
 
     @property
     def t(self) -> NDArray[np.float64]:
@@ -171,10 +173,49 @@ def run_kernel(
     return len(theta)
 
 
+@njit()
+def run_knobs(
+    plant: PlantParams,
+    plant_knobs: PlantKnobs,
+    controller: Controller,
+    knobs: Knobs,
+    state: DirectionState,
+    work: Workspace,
+    x: float,
+    y: float,
+    measured: NDArray[np.float64],
+    ground_truth: NDArray[np.float64],
+    r: NDArray[np.float64],
+    theta: NDArray[np.float64],
+) -> int:
+    """Run the loop with several knobs as :func:`run_kernel` does with one; theta is (M, n)."""
+    states = borrowed(measured)
+    source, lifting, detector_params, relay_params = controller
+    lifting, work = cost.borrow(lifting, work)
+    detector, applied = cost.initial(), state.theta.copy()
+    for k in range(r.shape[0]):
+        if not (math.isfinite(x) and math.isfinite(y)):
+            return k
+        arrival = Arrival.RESTART if k == 0 else Arrival.NEXT
+        measured[k, 0], measured[k, 1] = dynamics.measure(plant, k, x, y)
+        ground_truth[k, 0], ground_truth[k, 1] = x, y
+        r[k], _, settling, detector = cost.answer(
+            source, lifting, detector_params, detector, arrival, k, states[k], work
+        )
+        state, _, _ = directions.answer(
+            relay_params, knobs, state, arrival, False, settling, r[k], False
+        )
+        theta[k] = state.theta
+        x, y = dynamics.advance_knobs(plant, plant_knobs, k, x, y, applied, state.theta)
+    return len(r)
+
+
 def controller(lifter: LifterConfig, esc: EscConfig, model: KoopmanModel | None) -> Controller:
     """Return the kernel's parameters of lifter and controller."""
     lifting = model.lifting() if model is not None else cost.no_lifting()
-    return Controller(lifter.source, lifting, lifter.detector_params(), esc.params(lifter.dt))
+    return Controller(
+        lifter.source, lifting, lifter.detector_params(), esc.knob(0).params(lifter.dt)
+    )
 
 
 def initial_state(plant: PlantConfig) -> tuple[float, float]:
@@ -214,21 +255,19 @@ def simulate(
     check_fit(plant, lifter, esc, model, 2 if exposure is None else exposure.channels.size)
     x, y = initial_state(plant)
     measured, ground_truth = np.empty((steps, 2)), np.empty((steps, 2))
-    r, theta = np.empty(steps), np.empty(steps)
-    parameters = controller(lifter, esc, model)
-    done = run_kernel(
-        plant.params(),
-        parameters,
-        LoopMemory(cost.initial(), esc.initial()),
-        cost.workspace(parameters.lifting),
-        x,
-        y,
-        measured,
-        ground_truth,
-        r,
-        theta,
-        exposure,
-    )
+    r, theta = np.empty(steps), np.empty(steps if esc.count == 1 else (steps, esc.count))
+    parameters, signals = controller(lifter, esc, model), (measured, ground_truth, r, theta)
+    work = cost.workspace(parameters.lifting)
+    if esc.count == 1:
+        memory = LoopMemory(cost.initial(), esc.initial())
+        done = run_kernel(plant.params(), parameters, memory, work, x, y, *signals, exposure)
+    else:
+        if exposure is not None:
+            raise InputError("a run with several knobs cannot be disturbed")
+        done = run_knobs(
+            plant.params(), plant.knob_params(), parameters, esc.knob_limits(plant.dt),
+            esc.initial_directions(), work, x, y, *signals,
+        )  # fmt: skip
     if done < steps:
         raise LoopDiverged(f"the plant diverged at t = {done * plant.dt:g} s: use a smaller dt")
     return LoopResult(plant.dt, measured, ground_truth, r, theta)
@@ -247,6 +286,8 @@ def check_fit(
     """
     if plant.dt != lifter.dt:
         raise InputError(f"dt differs: plant {plant.dt}, lifter {lifter.dt} s")
+    if plant.count != esc.count:
+        raise InputError(f"the plant has {plant.count} knobs, the controller {esc.count}")
     if plant.theta_initial != esc.theta_initial:
         raise InputError(
             f"theta_initial differs: plant {plant.theta_initial}, esc {esc.theta_initial}"

@@ -59,7 +59,7 @@ def evaluate(
     t: NDArray[np.float64],
     theta: NDArray[np.float64],
     r: NDArray[np.float64],
-    theta_star: float,
+    theta_star: float | tuple[float, ...],
     r_star: float | None = None,
 ) -> Metrics:
     """Compute the metrics of a run from 100 s on; a shorter one counts from its begin.
@@ -68,9 +68,11 @@ def evaluate(
     ----------
     t : ndarray, shape (M,)
         Uniformly spaced time [s].
-    theta, r : ndarray, shape (M,)
-        Control input and cost.
-    theta_star : float
+    theta : ndarray, shape (M,) or (M, n)
+        Control input of one or of n knobs; the error is then the distance from theta_star.
+    r : ndarray, shape (M,)
+        Cost.
+    theta_star : float, or n of them
         Optimal control input.
     r_star : float, optional
         Optimal cost, as ``koop_loop.static_map.optimal_cost`` finds it.
@@ -80,11 +82,11 @@ def evaluate(
     koop_core.errors.InputError
         If the arrays differ in length or hold fewer than two samples.
     """
-    if not t.size == theta.size == r.size or t.size < 2:
+    if not t.size == len(theta) == r.size or t.size < 2:
         raise InputError("t, theta and r must have the same length of at least 2")
     start = LOGGING_START if t[-1] > LOGGING_START else float(t[0])
     logged = slice(int(np.searchsorted(t, start)), None)
-    error = np.abs(theta[logged] - theta_star)
+    error = np.linalg.norm(theta.reshape(t.size, -1)[logged] - theta_star, axis=1)
     dt = float(t[-1] - t[0]) / (t.size - 1)
     reached = np.flatnonzero(error < METRICS.tolerance)
     tail = slice(-max(1, round(METRICS.tail * error.size)), None)

@@ -34,8 +34,8 @@ class RigMetrics:
         Amplitude of each channel (``koop_loop.oscillation``): the root mean square over the
         windows; where none is whole, over the longest segments without a gap; NaN where the data
         have none of 8 samples.
-    theta_mean, theta_swing : float or None
-        Mean and range of theta at the end; None without theta.
+    theta_mean, theta_swing : tuple of float or None
+        Mean and range of each knob at the end; None without theta.
     settled_at : float or None
         When theta last came into its final swing, widened by a tenth at both ends [s]; None if it
         had not been there for a fifth of the end's length when the end began, or if it does not go
@@ -51,8 +51,8 @@ class RigMetrics:
     after_to: float
     before: tuple[float, ...]
     after: tuple[float, ...]
-    theta_mean: float | None
-    theta_swing: float | None
+    theta_mean: tuple[float, ...] | None
+    theta_swing: tuple[float, ...] | None
     settled_at: float | None
     at_limit: float | None
 
@@ -81,8 +81,8 @@ class RigMetrics:
             "theta": {
                 "settled": None if self.theta_mean is None else self.settled_at is not None,
                 "settled_at": self.settled_at,
-                "mean": self.theta_mean,
-                "swing": self.theta_swing,
+                "mean": _each(self.theta_mean),
+                "swing": _each(self.theta_swing),
                 "at_limit": self.at_limit,
             },
         }
@@ -103,8 +103,8 @@ def rig_metrics(
         Time [s], evenly spaced but for gaps.
     x : ndarray, shape (M, n)
         Measured channels; a window with a value that is not finite is left out.
-    theta : ndarray, shape (M,), or None
-        Control input; NaN where it is not known.
+    theta : ndarray, shape (M,) or (M, n), or None
+        Control input of one or of n knobs; NaN where it is not known.
     limited : ndarray of bool, shape (M,), or None
         Whether theta is at a limit.
     start : float, optional
@@ -129,18 +129,20 @@ def rig_metrics(
     length = round(max(_window(x, dt, end - begin), METRICS.shortest * dt) / dt)
     window = length * dt
     after_from = end - max(METRICS.tail * (end - begin), window)
-    has_theta = np.zeros(t.size, np.bool_) if theta is None else np.isfinite(theta)
+    theta = None if theta is None else theta.reshape(t.size, -1)
+    has_theta = np.zeros(t.size, np.bool_) if theta is None else np.isfinite(theta).all(axis=1)
     before_to = begin + window
     mean = swing = settled = None
     if theta is not None and has_theta.any():
         first = int(np.argmax(has_theta))
-        moves = np.flatnonzero(np.diff(theta[first:]) != 0.0)
+        moves = np.flatnonzero((np.diff(theta[first:], axis=0) != 0.0).any(axis=1))
         if moves.size:
             before_to = max(before_to, float(t[first + moves[0] + 1]))
         final = theta[has_theta & (t >= after_from)]
         if final.size:  # else theta was lost before the end
-            mean, swing = float(final.mean()), float(np.ptp(final))
-            settled = _settled_at(t[has_theta], theta[has_theta], after_from)
+            mean, swing = (tuple(f(final, axis=0).tolist()) for f in (np.mean, np.ptp))
+            times = [_settled_at(t[has_theta], knob, after_from) for knob in theta[has_theta].T]
+            settled = None if None in times else max(filter(None, times), default=0.0)
     before_to = min(before_to, after_from)
     return RigMetrics(
         window,
@@ -193,6 +195,11 @@ def _settled_at(
     outside = np.flatnonzero((theta < low - margin) | (theta > high + margin))
     settled = float(t[outside[-1] + 1]) if outside.size else float(t[0])
     return settled if settled <= after_from - METRICS.rest * (float(t[-1]) - after_from) else None
+
+
+def _each(values: tuple[float, ...] | None) -> float | tuple[float, ...] | None:
+    """Return the value of one knob, or those of several."""
+    return values[0] if values is not None and len(values) == 1 else values
 
 
 def _number(value: float) -> float | None:

@@ -56,17 +56,17 @@ def performance(
     t, theta, r : ndarray, shape (M,)
         Time [s], control input and cost.
     """
-    plant = parameters.plant
+    plant, esc = parameters.plant.knob(0, coupling=()), parameters.esc.knob(0, command="")
 
     def cost(held: float, duration: float) -> NDArray[np.float64]:
         held = min(max(held, plant.theta_min), plant.theta_max)  # what the actuator can reach
-        esc = replace(
-            parameters.esc,
+        still = replace(
+            esc,
             theta_initial=held, step_size=0.0, theta_min=-UNLIMITED, theta_max=UNLIMITED,
         )  # fmt: skip
         resting = replace(plant, theta_initial=held)
         steps = round(duration / plant.dt)
-        return simulate(resting, parameters.lifter, esc, model, steps).r
+        return simulate(resting, parameters.lifter, still, model, steps).r
 
     r_star = optimal_cost(plant, cost)
-    return evaluate(t, theta, r, plant.theta_star, r_star)
+    return evaluate(t, theta, r, parameters.plant.theta_star, r_star)

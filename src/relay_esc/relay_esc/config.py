@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from koop_core.config.fields import parse_source
-from koop_core.config.parameter import ConfigError, Settings, parameter
+from koop_core.config.knobs import KnobSettings
+from koop_core.config.parameter import ConfigError, parameter
 from relay_esc.barrier import BarrierParams, barrier_params
+from relay_esc.directions import DirectionState, Knobs, start
 from relay_esc.elementary import exp, log
 from relay_esc.relay import MEMORY, RelayParams, RelayState, dwell_samples, initial, recalled
 from relay_esc.swing import SWING
 
 
 @dataclass(frozen=True)
-class EscConfig(Settings):
+class EscConfig(KnobSettings):
     """Relay, filter and saturation of the controller (paper section 2.2, table 1).
 
     Raises
@@ -41,6 +45,7 @@ class EscConfig(Settings):
         "relay step k, the change of theta per sample; adaptive: the largest",
         low=0.0,
         high=10.0,
+        per_knob=True,
     )
     step_ratio: float = parameter(
         0.1, "adaptive: smallest step in units of step_size", low=1e-4, high=1.0
@@ -51,8 +56,12 @@ class EscConfig(Settings):
     tau_f: float = parameter(
         10.0, "time constant of the high-pass filter on the cost", unit="s", low=1e-3, high=1e6
     )
-    theta_min: float = parameter(-5.0, "lower saturation limit of theta", low=-1e6, high=1e6)
-    theta_max: float = parameter(5.0, "upper saturation limit of theta", low=-1e6, high=1e6)
+    theta_min: float = parameter(
+        -5.0, "lower saturation limit of theta", low=-1e6, high=1e6, per_knob=True
+    )
+    theta_max: float = parameter(
+        5.0, "upper saturation limit of theta", low=-1e6, high=1e6, per_knob=True
+    )
     widest: tuple[float, ...] = parameter(
         (),
         "adaptive: least and largest theta to which theta_min and theta_max open where the optimum "
@@ -64,6 +73,7 @@ class EscConfig(Settings):
         unit="1/s",
         low=0.0,
         high=1e6,
+        per_knob=True,
     )
     objective: str = parameter(
         "minimise", "what the controller does with the cost", choices=("minimise", "maximise")
@@ -73,6 +83,7 @@ class EscConfig(Settings):
         "theta at the start and after a reset; from beyond its limits it goes there at rate_limit",
         low=-1e6,
         high=1e6,
+        per_knob=True,
     )
     begin: tuple[float, ...] = parameter(
         (),
@@ -95,8 +106,15 @@ class EscConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.command and len(parse_source(self.command).fields) != 1:
-            raise ConfigError(f"command = {self.command!r}: theta is one field")
+        if self.command and len(parse_source(self.command).fields) != self.count:
+            raise ConfigError(f"command = {self.command!r}: must have a field for each knob")
+        if self.count > 1:
+            if self.widest or self.margin_slope or self.begin:
+                raise ConfigError("widest, margin_slope and begin are for one knob")
+            for knob in self.knobs(command=""):
+                if knob.step_size == 0.0:
+                    raise ConfigError("step_size = 0: must be above 0 with several knobs")
+            return
         if self.theta_min >= self.theta_max:
             raise ConfigError(
                 f"theta_min = {self.theta_min:g} must be below theta_max = {self.theta_max:g}"
@@ -158,6 +176,29 @@ class EscConfig(Settings):
     def barrier(self, dt: float) -> BarrierParams:
         """Return the values that ``relay_esc.barrier.answer`` takes at a sampling time [s]."""
         return barrier_params(self.margin_slope, dwell_samples(self.dwell, dt))
+
+    def knob_limits(self, dt: float) -> Knobs:
+        """Return what ``relay_esc.directions.answer`` takes besides the first knob's params."""
+        each = [knob.params(dt) for knob in self.knobs(command="")]
+        unit = each[0].step_size or 1.0
+        return Knobs(
+            np.array([p.u_low for p in each]),
+            np.array([p.u_high for p in each]),
+            np.array([p.step_size / unit for p in each]),
+            np.array([p.largest_change for p in each]),
+            np.array([p.theta_low for p in each]),
+            np.array([p.theta_high for p in each]),
+        )
+
+    def initial_directions(self) -> DirectionState:
+        """Return the state of the search along directions before the first sample."""
+        each = [knob.initial() for knob in self.knobs(command="")]
+        return start(
+            np.array([state.u for state in each]),
+            np.array([state.epsilon for state in each]),
+            np.array([state.commanded for state in each]),
+            np.array([state.output for state in each]),
+        )
 
     @property
     def beginning(self) -> float:

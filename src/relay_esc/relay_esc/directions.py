@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from koop_core.config.parameter import Settings, constants, parameter
 from koop_core.kernels import njit
 from relay_esc import relay
+from relay_esc.elementary import exp
 from relay_esc.relay import RelayParams, RelayState, initial, slew
 from relay_esc.swing import SWING, Swing
 
@@ -59,12 +60,16 @@ class Knobs(NamedTuple):
         Change of each knob that counts as one [u]; its range, say.
     largest_change : ndarray
         Largest change of what is given out, per sample [u].
+    theta_lower, theta_upper : ndarray
+        The limits again [theta].
     """
 
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
     scale: NDArray[np.float64]
     largest_change: NDArray[np.float64]
+    theta_lower: NDArray[np.float64]
+    theta_upper: NDArray[np.float64]
 
 
 class DirectionState(NamedTuple):
@@ -82,6 +87,8 @@ class DirectionState(NamedTuple):
         Unit vectors, one a row.
     own : ndarray, shape (n, OWN)
         What each direction has of its own: its swing and the sense that comes next.
+    theta : ndarray, shape (n,)
+        Control input that was given out last [theta].
     """
 
     relay: RelayState
@@ -92,19 +99,33 @@ class DirectionState(NamedTuple):
     output: NDArray[np.float64]
     directions: NDArray[np.float64]
     own: NDArray[np.float64]
+    theta: NDArray[np.float64]
 
 
-def start(u: NDArray[np.float64], epsilon: NDArray[np.int64]) -> DirectionState:
+def start(
+    u: NDArray[np.float64],
+    epsilon: NDArray[np.int64],
+    output: NDArray[np.float64],
+    theta: NDArray[np.float64],
+) -> DirectionState:
     """Return the state before the first sample: along each knob in turn, from ``u``.
 
-    ``epsilon``, shape (n,), is the sign that each knob begins with.
+    ``epsilon``, shape (n,), is the sign that each knob begins with; ``output`` and ``theta`` are
+    what is there now [u and theta].
     """
     n = u.size
     own = np.zeros((n, OWN))
     own[:, FACTOR], own[:, EPSILON] = 1.0, epsilon
     base = np.zeros(1) if n == 1 else u.copy()  # one knob: s is u itself
     first = initial(u[0] if n == 1 else 0.0, int(epsilon[0]), u[0] if n == 1 else 0.0)
-    return DirectionState(first, 0, 0, base, u.copy(), u.copy(), np.eye(n), own)
+    return DirectionState(first, 0, 0, base, u.copy(), output.copy(), np.eye(n), own, theta.copy())
+
+
+def reset(k: Knobs, state: DirectionState, begin: DirectionState) -> DirectionState:
+    """Return to the state ``begin``; what is given out gets there at its limited rate."""
+    begin.output[:], begin.theta[:] = state.output, state.theta
+    since_flip = min(state.relay.since_flip, -travel(k, begin))
+    return begin._replace(relay=begin.relay._replace(since_flip=since_flip))
 
 
 @njit()
@@ -138,6 +159,7 @@ def seeking(
         state.output,
         state.directions,
         state.own,
+        state.theta,
     )
 
 
@@ -262,7 +284,7 @@ def answer(
     Returns
     -------
     state : DirectionState
-        State after this cost; ``output`` is the control input to apply.
+        State after this cost; ``theta`` is the control input to apply.
     holding, saturated : bool
         See there; saturated: a knob is at one of its limits.
     """
@@ -274,7 +296,7 @@ def answer(
     legs = state.legs + (after.epsilon != before.epsilon)
     state = seeking(state, after, state.active, legs)
     if state.base.size == 1:
-        state.output[0] = after.output
+        state.output[0], state.theta[0] = after.commanded, after.output
         return state, holding, saturated
     down, dwelt = after.epsilon > 0, after.since_flip >= p.dwell_samples
     at_end = dwelt and after.u == (line.u_min if down else line.u_max)
@@ -286,4 +308,8 @@ def answer(
         u = min(max(u, k.lower[i]), k.upper[i])
         state.output[i] = slew(state.output[i], u, k.largest_change[i])
         saturated = saturated or u <= k.lower[i] or u >= k.upper[i]
+        theta = exp(state.output[i]) if p.logarithmic else state.output[i]
+        if k.lower[i] <= state.output[i] <= k.upper[i]:  # not beyond a limit by rounding
+            theta = min(max(theta, k.theta_lower[i]), k.theta_upper[i])
+        state.theta[i] = theta
     return state, holding, saturated

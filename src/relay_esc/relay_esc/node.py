@@ -14,6 +14,7 @@ from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool, Trigger
 
 from koop_core.config.fields import Source, check_fields, parse_source, write_field
+from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import LONGEST_DT, SHORTEST_DT, Arrival, timeout_of
@@ -23,7 +24,7 @@ from koop_node.node.graph import Listeners, listeners_of, subscribers_of
 from koop_node.node.managed import OK, WARN, Entities, ManagedNode, Run, message_type
 from koop_node.node.qos import NEWEST, RELIABLE
 from koop_node.node.wire import codec
-from relay_esc import barrier, relay
+from relay_esc import barrier, directions, relay
 from relay_esc.config import EscConfig
 from relay_esc.level import CostLevel
 
@@ -34,12 +35,12 @@ class EscRun(Run):
     def __init__(self, node: EscNode, entities: Entities) -> None:
         config = node.parameters[EscConfig]
         self._node = node
-        self._state = config.initial()
+        self._directions = config.initial_directions()
+        self._state = config.initial() if config.count == 1 else self._directions.relay
         self._answer = codec(ControlInput).new()
-        self._answer.theta = (self._state.output,)
+        self._answer.theta = self._directions.theta
         self._input = StreamMonitor("cost", timeout_of(LONGEST_DT), LONGEST_DT, may_end=True)
-        self._params = config.params(LONGEST_DT)  # until a cost says which dt it has
-        self._begin_level()
+        self._take_parameters()
         self.inputs = (self._input,)
         self._origin: tuple[int, str] | None = None
         self._hold_asked = False
@@ -48,10 +49,16 @@ class EscRun(Run):
         self._own: Any = None  # the rig's message, unless that is the answer itself
         # for the types that messages bring, and compiled before the first of them
         first_cost = (int(Arrival.RESTART), False, False, 0.0, False, math.nan)
-        self._barrier, self._bound = barrier.UNKNOWN, config.barrier(LONGEST_DT)
-        self._respond = direct(
-            barrier.answer, self._params, self._bound, self._state, self._barrier, *first_cost
-        )
+        self._barrier = barrier.UNKNOWN
+        if config.count == 1:
+            self._respond = direct(
+                barrier.answer, self._params, self._bound, self._state, self._barrier, *first_cost
+            )
+        else:
+            begin = config.initial_directions()  # whose arrays are changed
+            self._respond = direct(
+                directions.answer, self._params, self._knobs, begin, *first_cost[:-1]
+            )
         self._insight = direct(relay.insight, self._params, self._state)
         entities.service(Trigger, "~/reset", self._on_reset)
         entities.service(SetBool, "~/hold", self._on_hold)
@@ -79,7 +86,7 @@ class EscRun(Run):
         """Return the publisher of what the rig takes, a message of the type that it listens to."""
         kind = message_type(name)
         check_fields(source.fields, kind())
-        (self._field,) = source.fields
+        self._fields = source.fields
         if kind is ControlInput:
             self._own, self._command = None, entities.writer(kind, source.topic, NEWEST)
             return self._command.publisher
@@ -95,7 +102,8 @@ class EscRun(Run):
 
     def _take_parameters(self) -> None:
         config, dt = self._node.parameters[EscConfig], self._input.dt
-        self._params, self._bound = config.params(dt), config.barrier(dt)
+        self._params, self._bound = config.knob(0).params(dt), config.barrier(dt)
+        self._knobs = config.knob_limits(dt)
         self._begin_level()
 
     def _begin_level(self) -> None:
@@ -110,7 +118,7 @@ class EscRun(Run):
         answer = self._answer
         values = {
             "step": answer.step,
-            "theta": answer.theta[0],
+            "theta": format_knobs(answer.theta, ""),
             "epsilon": answer.epsilon,
             "saturated": answer.saturated,
             "holding": answer.holding,
@@ -119,9 +127,9 @@ class EscRun(Run):
             "noise": answer.noise,
             "confidence": answer.confidence,
             "model_id": self._origin[1] if self._origin else "",
-            "begin": json.dumps(relay.memory(self._state)),
+            "begin": json.dumps(relay.memory(self._state) if self._knobs.lower.size == 1 else []),
         }
-        if relay.outside(self._params, self._state):
+        if self._knobs.lower.size == 1 and relay.outside(self._params, self._state):
             return WARN, "theta is outside its limits", values
         if self._state.since_flip < 0:
             wait = -self._state.since_flip * self._input.dt
@@ -146,7 +154,8 @@ class EscRun(Run):
         if self._command is None:
             return
         if self._own is not None:
-            write_field(self._field, self._own, self._answer.theta[0])
+            for field, theta in zip(self._fields, self._answer.theta, strict=True):
+                write_field(field, self._own, theta)
         self._command.publish(self._answer if self._own is None else self._own)
 
     def _take_dt(self, cost: Any) -> None:
@@ -166,10 +175,17 @@ class EscRun(Run):
         if switched or arrival in (Arrival.RESTART, Arrival.JOIN):
             self._begin_level()
         answer = self._answer
-        self._state, self._barrier, answer.holding, answer.saturated = self._respond(
-            self._params, self._bound, self._state, self._barrier, int(arrival), switched,
-            cost.settling, cost.r, self._hold_asked, cost.margin,
-        )  # fmt: skip
+        message = int(arrival), switched, cost.settling, cost.r, self._hold_asked
+        if self._knobs.lower.size == 1:
+            self._state, self._barrier, answer.holding, answer.saturated = self._respond(
+                self._params, self._bound, self._state, self._barrier, *message, cost.margin
+            )
+            answer.theta = (self._state.output,)
+        else:
+            self._directions, answer.holding, answer.saturated = self._respond(
+                self._params, self._knobs, self._directions, *message
+            )
+            self._state, answer.theta = self._directions.relay, self._directions.theta
         if not (math.isfinite(cost.r) or cost.settling):
             self._input.reject(f"step {cost.step}: r = {cost.r}, dt = {cost.dt} s")
         if not answer.holding:
@@ -177,7 +193,6 @@ class EscRun(Run):
         state = self._state
         answer.header = cost.header
         answer.step = cost.step
-        answer.theta = (state.output,)
         answer.epsilon = state.epsilon
         answer.cost_rise_filtered = state.cost_rise_filtered
         answer.swing = state.swing.factor
@@ -185,15 +200,20 @@ class EscRun(Run):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]
-        self._state = relay.reset(self._state, replace(config, begin=()).initial())
+        if config.count == 1:
+            self._state = relay.reset(self._state, replace(config, begin=()).initial())
+        else:
+            begin = config.initial_directions()
+            self._directions = directions.reset(self._knobs, self._directions, begin)
+        beginning = format_knobs(knob.beginning for knob in config.knobs(command=""))
         response.success = True
-        response.message = f"theta is {config.beginning:g} again, filter and relay are reset"
+        response.message = f"theta is {beginning} again, filter and relay are reset"
         return response
 
     def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._hold_asked = request.data
         response.success = True
-        held = f"theta held at {self._state.output:g}"
+        held = f"theta held at {format_knobs(self._answer.theta)}"
         response.message = held if request.data else "seeking"
         return response
 

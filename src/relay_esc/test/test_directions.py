@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from koop_core.config.parameter import ConfigError
 from koop_core.stream.arrival import Arrival
 from relay_esc import directions, relay
 from relay_esc.config import EscConfig
-from relay_esc.directions import DIRECTIONS, EPSILON, FACTOR, Knobs, start
+from relay_esc.directions import DIRECTIONS, EPSILON, FACTOR, DirectionState, Knobs
 
 Array = NDArray[np.float64]
 DT = 0.05
@@ -26,8 +27,13 @@ def config(**values: object) -> EscConfig:
     return EscConfig(**{**defaults, **values})
 
 
+def start(u: Array, epsilon: NDArray[np.int64]) -> DirectionState:
+    return directions.start(u, epsilon, u, u)
+
+
 def knobs_of(n: int, rate: float = math.inf) -> Knobs:
-    return Knobs(-np.ones(n), np.ones(n), np.ones(n), np.full(n, rate))
+    ones = np.ones(n)
+    return Knobs(-ones, ones, ones, np.full(n, rate), -ones, ones)
 
 
 @pytest.mark.parametrize("law", ["relay", "adaptive"])
@@ -50,8 +56,9 @@ def test_one_knob_is_the_relay_to_the_last_bit(law: str) -> None:
 def test_limits_and_rates_hold_whatever_the_cost_does(n: int) -> None:
     rng, rate = np.random.default_rng(n), 0.02
     p = config().params(DT)
-    knobs = Knobs(-rng.uniform(0.2, 1.0, n), rng.uniform(0.2, 1.0, n), rng.uniform(0.3, 3.0, n),
-                  rate * rng.uniform(0.5, 2.0, n))  # fmt: skip
+    lower, upper = -rng.uniform(0.2, 1.0, n), rng.uniform(0.2, 1.0, n)
+    scale, change = rng.uniform(0.3, 3.0, n), rate * rng.uniform(0.5, 2.0, n)
+    knobs = Knobs(lower, upper, scale, change, lower, upper)
     u = rng.uniform(-0.2, 0.2, n)
     state, before, swept = start(u, rng.choice([-1, 1], n)), u.copy(), 0.0
     for k in range(5_000):
@@ -121,3 +128,36 @@ def test_a_knob_begins_with_its_own_sense() -> None:
     state = start(np.zeros(2), np.array([1, -1]))
     assert state.relay.epsilon == 1
     assert list(state.own[:, EPSILON]) == [1.0, -1.0]
+
+
+def test_a_configuration_of_several_knobs_has_limits_steps_and_rates_of_each() -> None:
+    several = config(
+        theta_scale="log", theta_min=[0.1, 1.0], theta_max=[1.0, 8.0], theta_initial=[0.5, 2.0],
+        step_size=[0.01, 0.02], rate_limit=[0.0, 3.0],
+    )  # fmt: skip
+    knobs = several.knob_limits(DT)
+    np.testing.assert_allclose(np.exp([knobs.lower, knobs.upper]), [[0.1, 1.0], [1.0, 8.0]])
+    assert knobs.scale.tolist() == [1.0, 2.0]
+    assert knobs.largest_change.tolist() == [math.inf, 3.0 * DT]
+    state, p = several.initial_directions(), several.knob(0).params(DT)
+    assert state.theta.tolist() == [0.5, 2.0]
+    for k in range(2000):
+        r = float((np.log(state.theta) - [-3.0, 0.5]) @ (np.log(state.theta) - [-3.0, 0.5])) + 0.1
+        state, _, _ = directions.answer(
+            p, knobs, state, NEXT if k else RESTART, False, False, r, False
+        )
+        assert (state.theta >= [0.1, 1.0]).all()
+        assert (state.theta <= [1.0, 8.0]).all()
+    assert state.theta[0] == pytest.approx(0.1, rel=0.1)  # the optimum is beyond its limit
+    assert state.theta[1] == pytest.approx(math.exp(0.5), rel=0.2)
+    before = state.output.copy()
+    state = directions.reset(knobs, state, several.initial_directions())
+    assert state.output.tolist() == before.tolist()
+    assert state.relay.since_flip == -math.ceil(abs(before[1] - math.log(2.0)) / (3.0 * DT))
+    for k in range(20):
+        state, _, _ = directions.answer(p, knobs, state, NEXT, False, False, 1.0, k < 15)
+    assert state.theta[0] == pytest.approx(0.5, rel=0.1)
+    with pytest.raises(ConfigError, match=r"theta_min = 1 must be below theta_max = 0\.5"):
+        config(theta_min=[0.1, 1.0], theta_max=0.5, theta_initial=0.3)
+    with pytest.raises(ConfigError, match="are for one knob"):
+        config(theta_initial=[0.1, 0.3], widest=[-2.0, 2.0])

@@ -6,8 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from koop_core.config.knobs import KnobSettings
 from koop_core.config.parameter import ConfigError, Settings, judged, parameter
-from vdp_plant.dynamics import PlantParams
+from vdp_plant.dynamics import PlantKnobs, PlantParams
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,7 @@ PACING = PacingSettings()
 
 
 @dataclass(frozen=True)
-class PlantConfig(Settings):
+class PlantConfig(KnobSettings):
     """Plant, forcing, interference and discretisation (paper section 3, table 1)."""
 
     epsilon0: float = parameter(1.0, "base damping coefficient", low=0.0, high=100.0)
@@ -52,7 +55,14 @@ class PlantConfig(Settings):
     )
     x_offset: float = parameter(6.0, "offset x0 of the oscillation", low=-1e3, high=1e3)
     theta_star: float = parameter(
-        -3.0, "optimal control input; unknown to the controller", low=-100.0, high=100.0
+        -3.0, "optimal control input; unknown to the controller", low=-100.0, high=100.0,
+        per_knob=True,
+    )  # fmt: skip
+    coupling: tuple[float, ...] = parameter(
+        (),
+        "several knobs: matrix M, row by row, of which |M (theta - theta*)| takes the place of "
+        "theta - theta*; []: the unit matrix",
+        read_only=True,
     )
     interference_amplitude_1: float = parameter(
         10.5, "amplitude A1 of the measurement interference", low=0.0, high=1e3
@@ -76,13 +86,19 @@ class PlantConfig(Settings):
         0.005, "integration and control step", unit="s", low=1e-6, high=1.0, read_only=True
     )
     theta_initial: float = parameter(
-        2.0, "theta before the controller's first answer", low=-100.0, high=100.0, read_only=True
+        2.0, "theta before the controller's first answer", low=-100.0, high=100.0, read_only=True,
+        per_knob=True,
+    )  # fmt: skip
+    theta_min: float = parameter(
+        -100.0, "lower bound of the actuator", low=-100.0, high=100.0, per_knob=True
     )
-    theta_min: float = parameter(-100.0, "lower bound of the actuator", low=-100.0, high=100.0)
-    theta_max: float = parameter(100.0, "upper bound of the actuator", low=-100.0, high=100.0)
+    theta_max: float = parameter(
+        100.0, "upper bound of the actuator", low=-100.0, high=100.0, per_knob=True
+    )
     theta_rate: float = parameter(
-        0.0, "largest rate of the actuator; 0: no limit", unit="1/s", low=0.0, high=1e6
-    )
+        0.0, "largest rate of the actuator; 0: no limit", unit="1/s", low=0.0, high=1e6,
+        per_knob=True,
+    )  # fmt: skip
     initial_state: tuple[float, ...] = parameter(
         (),
         "initial [x, y]; empty: uniform in [-3, 3] from the seed",
@@ -98,16 +114,36 @@ class PlantConfig(Settings):
             raise ConfigError(
                 f"initial_state has {len(self.initial_state)} values: must be [x, y] or empty"
             )
-        if not self.theta_min <= self.theta_initial <= self.theta_max:
+        if self.count > 1:
+            self.knobs(coupling=())  # each is valid
+        if len(self.coupling) not in (0, self.count**2) or (self.coupling and self.count == 1):
+            raise ConfigError(
+                f"coupling has {len(self.coupling)} values: must be empty, or with several knobs "
+                "their number's square"
+            )
+        if self.count == 1 and not self.theta_min <= self.theta_initial <= self.theta_max:
             raise ConfigError(
                 f"theta_initial = {self.theta_initial:g} must lie within "
                 f"[theta_min, theta_max] = [{self.theta_min:g}, {self.theta_max:g}]"
             )
 
     def params(self) -> PlantParams:
-        """Return the values that the kernels of ``vdp_plant.dynamics`` take."""
-        values = {name: getattr(self, name) for name in PlantParams._fields}
-        return PlantParams(**{**values, "theta_rate": self.theta_rate or math.inf})
+        """Return the values that the kernels of ``vdp_plant.dynamics`` take; of the first knob."""
+        first = self.knob(0, coupling=())
+        values = {name: getattr(first, name) for name in PlantParams._fields}
+        return PlantParams(**{**values, "theta_rate": first.theta_rate or math.inf})
+
+    def knob_params(self) -> PlantKnobs:
+        """Return what the kernels take of all knobs."""
+        n, each = self.count, [knob.params() for knob in self.knobs(coupling=())]
+        coupling = np.reshape(self.coupling, (n, n)) if self.coupling else np.eye(n)
+        return PlantKnobs(
+            np.array([p.theta_min for p in each]),
+            np.array([p.theta_max for p in each]),
+            np.array([p.theta_rate for p in each]),
+            np.array([p.theta_star for p in each]),
+            coupling,
+        )
 
 
 def pace_values(text: str) -> dict[str, Any]:
@@ -189,13 +225,14 @@ class PaceConfig(Settings):
         """Simulated per real time of the timed paces."""
         return self.time_scale if self.pace == "scaled" else 1.0
 
-    def command(self, theta: float, age: float) -> tuple[float, str]:
-        """Return the theta to apply at the paces realtime and scaled, and the watchdog's state.
+    def watch(self, age: float) -> str:
+        """Return the watchdog's state at the paces realtime and scaled.
 
-        ``theta`` was received last, ``age`` [s] ago.
+        ``age`` [s] is that of the theta that was received last; ``safe``: theta_safe is applied in
+        its place.
         """
         if 0.0 < self.theta_safe_timeout < age:
-            return self.theta_safe, "safe"
+            return "safe"
         if 0.0 < self.theta_timeout < age:
-            return theta, "holding"
-        return theta, "ok" if self.theta_timeout > 0.0 else "off"
+            return "holding"
+        return "ok" if self.theta_timeout > 0.0 else "off"

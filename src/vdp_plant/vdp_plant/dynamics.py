@@ -45,6 +45,16 @@ class PlantParams(NamedTuple):
     theta_rate: float
 
 
+class PlantKnobs(NamedTuple):
+    """Several knobs: arrays of shape (n,), and the coupling M, shape (n, n)."""
+
+    theta_min: NDArray[np.float64]
+    theta_max: NDArray[np.float64]
+    theta_rate: NDArray[np.float64]
+    theta_star: NDArray[np.float64]
+    coupling: NDArray[np.float64]
+
+
 @njit()
 def damping(p: PlantParams, t: float) -> float:
     """Return epsilon0(t) [-] at time ``t`` [s]."""
@@ -125,8 +135,13 @@ def actuate(p: PlantParams, applied: float, theta: float) -> float:
 
     The controller has limits of its own; these hold for any source of commands.
     """
-    most = p.theta_rate * p.dt
-    theta = min(max(theta, p.theta_min), p.theta_max)
+    return limit(theta, applied, p.theta_min, p.theta_max, p.theta_rate * p.dt)
+
+
+@njit()
+def limit(theta: float, applied: float, low: float, high: float, most: float) -> float:
+    """Return theta within bounds, and no further from what was applied than ``most``."""
+    theta = min(max(theta, low), high)
     return min(max(theta, applied - most), applied + most)
 
 
@@ -143,6 +158,41 @@ def advance(
     applied = actuate(p, applied, theta)
     x, y = step(p, k, x, y, applied - displaced)
     return x, y, applied
+
+
+@njit()
+def distance(
+    coupling: NDArray[np.float64], theta: NDArray[np.float64], theta_star: NDArray[np.float64]
+) -> float:
+    """Return |M (theta - theta*)|."""
+    square = 0.0
+    for i in range(theta.size):
+        e = 0.0
+        for j in range(theta.size):
+            e += coupling[i, j] * (theta[j] - theta_star[j])
+        square += e * e
+    return math.sqrt(square)
+
+
+@njit()
+def advance_knobs(
+    p: PlantParams,
+    knobs: PlantKnobs,
+    k: int,
+    x: float,
+    y: float,
+    applied: NDArray[np.float64],
+    theta: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Advance a plant with several knobs as :func:`advance` does; ``applied`` is changed.
+
+    |M (theta - theta*)| takes the place of theta - theta*.
+    """
+    for i in range(applied.size):
+        most = knobs.theta_rate[i] * p.dt
+        applied[i] = limit(theta[i], applied[i], knobs.theta_min[i], knobs.theta_max[i], most)
+    seen = p.theta_star + distance(knobs.coupling, applied, knobs.theta_star)
+    return step(p, k, x, y, seen)
 
 
 @njit()

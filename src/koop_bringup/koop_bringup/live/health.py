@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from koop_bringup.live.monitor import Progress
+from koop_core.config.knobs import format_knobs, read_knobs
 from koop_core.config.parameter import Settings, parameter
 from koop_core.stream.report import WARN
 
@@ -83,12 +84,13 @@ def describe_loop(
         rig = f"measured {guard['measured'] if guard else lifter.get('measured', 'state')}"
     if guard is not None:
         rig += f", command {guard['command']}"
-    theta = progress.values.get("koop_guard", {}).get("theta", progress.theta)
+    of_guard = progress.values.get("koop_guard", {}).get("theta")
+    theta = read_knobs(of_guard) if of_guard else progress.theta
     size = sum(file.stat().st_size for file in (folder / "bag").glob("*"))
     return "\n".join(
         [
             "  " + ("not healthy: " + "; ".join(faults) if faults else "healthy"),
-            f"  theta = {float(theta):.6g}" + f", guard {status}" * (guard is not None),
+            f"  theta = {format_knobs(theta)}" + f", guard {status}" * (guard is not None),
             f"  rig: {rig}",
             f"  run: {folder.resolve()}, "
             + (f"recording, {size / 1e6:.1f} MB" if recorded else "not recording"),

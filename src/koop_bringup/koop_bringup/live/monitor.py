@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
+from koop_core.config.knobs import read_knobs
 from koop_core.stream.report import LEVELS
 from koop_node.client.client import Client
 
@@ -33,7 +34,7 @@ class Progress:
 
     step: int = 0
     steps_per_second: float = math.nan
-    theta: float = math.nan
+    theta: list[float] = field(default_factory=list)
     r: float = math.nan
     values: dict[str, dict[str, str]] = field(default_factory=dict)
     levels: dict[str, int] = field(default_factory=dict)
@@ -65,9 +66,9 @@ class Monitor(Client):
         )
 
     @property
-    def theta(self) -> float:
+    def theta(self) -> list[float]:
         """Last theta of the controller."""
-        return float(self.progress.values.get("relay_esc", {}).get("theta", math.nan))
+        return read_knobs(self.progress.values.get("relay_esc", {}).get("theta", "nan"))
 
     def _on_change(self, event: Any) -> None:
         from rclpy.parameter import parameter_value_to_python
@@ -97,4 +98,6 @@ class Monitor(Client):
                 progress.step = int(values.get("step", progress.step))
                 progress.steps_per_second = float(values["rate_hz"])
             if node == ("vdp_plant" if plant else "relay_esc"):
-                progress.theta = float(values.get("theta", progress.theta))
+                progress.theta = (
+                    read_knobs(values["theta"]) if "theta" in values else progress.theta
+                )

@@ -36,6 +36,8 @@ def allowed(item: Field[Any]) -> str:
         kind = spec.constraint
     elif spec.constraint:
         kind = f"{kind}, {spec.constraint}"
+    if spec.per_knob:
+        kind = f"{kind}; or a list, one for each knob"
     return f"{kind}{FIXED}" if spec.read_only else kind
 
 

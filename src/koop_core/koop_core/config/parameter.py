@@ -40,6 +40,8 @@ class Spec:
     """Allowed values of a string; empty for any."""
     read_only: bool = False
     """Whether the value cannot change while the node runs."""
+    per_knob: bool = False
+    """Whether it may also be a list of numbers, one for each knob; see :mod:`.knobs`."""
     origin: str = ""
     """Source of the default: a study, a measurement, a standard; empty where nothing had to."""
 
@@ -88,7 +90,10 @@ class Settings:
                 continue
             value = getattr(self, item.name)
             try:
-                converted = _converted(value, item.default)
+                listed = spec_of(item).per_knob and not isinstance(value, Real | str)
+                converted = _converted(value, () if listed else item.default)
+                if listed and len(converted) < 2:
+                    (converted,) = converted or (math.nan,)
             except TypeError as error:
                 raise ConfigError(f"{item.name}: {error}") from None
             if converted is not value:

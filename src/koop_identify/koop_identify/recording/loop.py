@@ -16,13 +16,13 @@ from koop_bag.errors import BagError
 from koop_core.config.fields import Source
 from koop_core.errors import InputError
 from koop_identify.recording.loaded import theta_at
-from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, Messages
+from koop_identify.recording.passes import MAX_STEP, STATE_TYPE, Messages, of_knobs
 
 STAMP = "header.stamp"
 FIELDS = {
     "state": ["step", "x", STAMP],
     "cost": ["step", "r", "model_id"],
-    "theta": ["step", "theta[0]", "saturated"],
+    "theta": ["step", "theta", "saturated"],
     "ground_truth": ["step", "x"],
 }
 BY_ROW = (
@@ -44,7 +44,7 @@ class LoopRecord:
     measured, ground_truth : ndarray, shape (M, n)
         x' and, if it was recorded, x; else of shape (M, 0).
     r, theta : ndarray, shape (M,)
-        Cost and control input; NaN where there is none.
+        Cost and control input; NaN where there is none; theta of n > 1 knobs of shape (M, n).
     saturated : ndarray of bool, shape (M,)
         Whether theta was at a limit.
     answered : ndarray of bool, shape (M,)
@@ -172,7 +172,7 @@ def _align(columns: dict[str, Columns], inactive: dict[str, int]) -> LoopRecord:
         values = messages.get(name, Messages(None)).at(rows, field, np.nan)
         return np.asarray(values, np.float64)
 
-    theta = at("theta", "theta[0]")
+    theta = of_knobs(at("theta", "theta"))
     limited = messages.get("theta", Messages(None)).at(rows, "saturated", False).astype(np.bool_)
     if "commanded" in columns["state"]:  # the controller's limit counts where the rig was at it
         answer, theta = theta, at("state", "commanded")

@@ -60,6 +60,19 @@ class Messages:
         return values
 
 
+def of_knobs(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return theta of messages, shape (K, n), as arrays have it: of one knob in shape (K,)."""
+    values = np.asarray(values, np.float64)
+    return values[:, 0] if values.ndim > 1 and values.shape[1] == 1 else values
+
+
+def each_knob(name: str, values: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Return the values of each knob by a name: of one in shape (K,), else of shape (K, n)."""
+    if values.ndim == 1:
+        return {name: values}
+    return {f"{name}[{i}]": np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])}
+
+
 def keys(step: NDArray[np.int64]) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
     """Return what a StreamMonitor says about each message, and pass and step in one number.
 

@@ -38,7 +38,7 @@ class Signals:
     x, ground_truth : ndarray, shape (M, n)
         x' and, if it was recorded, x; else of shape (M, 0).
     r, theta : ndarray, shape (M,)
-        Recorded cost and control input; NaN where there is none.
+        Recorded cost and control input; NaN where there is none; theta of n > 1 knobs (M, n).
     limited : ndarray of bool, shape (M,), or None
         Whether theta was at a limit; None if the bag does not say.
     recorded : float
@@ -61,7 +61,12 @@ class Signals:
     @property
     def has_theta(self) -> bool:
         """Whether theta is known anywhere."""
-        return bool(np.isfinite(self.theta).any())
+        return bool(self.theta_known.any())
+
+    @property
+    def theta_known(self) -> NDArray[np.bool_]:
+        """Where theta of every knob is known, shape (M,)."""
+        return np.asarray(np.isfinite(self.theta.reshape(self.t.size, -1)).all(axis=1))
 
     @property
     def has_r(self) -> bool:
@@ -71,7 +76,7 @@ class Signals:
     @property
     def covered(self) -> float:
         """Time for which there are a state and, if there is any, a theta [s]."""
-        usable = np.isfinite(self.theta) if self.has_theta else np.isfinite(self.x).all(axis=1)
+        usable = self.theta_known if self.has_theta else np.isfinite(self.x).all(axis=1)
         return float(np.count_nonzero(usable)) * self.dt
 
 

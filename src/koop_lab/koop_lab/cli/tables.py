@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from koop_core.config.knobs import format_knobs
 from koop_core.text_table import table
 from koop_loop.metrics import PAPER, PAPER_DURATION, Metrics
 from koop_loop.rig_metrics import RigMetrics
@@ -82,7 +83,8 @@ def rig_table(metrics: RigMetrics, names: Sequence[str]) -> str:
     )
     limit = metrics.at_limit
     lines.append(
-        f"theta at the end: mean {metrics.theta_mean:.4g}, swing {metrics.theta_swing:.4g} "
+        f"theta at the end: mean {format_knobs(metrics.theta_mean, '.4g')}, swing "
+        f"{format_knobs(metrics.theta_swing or (), '.4g')} "
         "(largest minus least); at a limit for "
         + ("an unknown share of the time" if limit is None else f"{100.0 * limit:.1f} % of the run")
     )

@@ -15,6 +15,7 @@ from koop_bag.recorder.run_folder import default_folder
 from koop_bringup.live.loop import LiveLoop
 from koop_bringup.live.monitor import Progress
 from koop_bringup.live.served import add_serve_option, served
+from koop_core.config.knobs import format_knobs
 from koop_core.errors import InputError
 from koop_lab.cli.loop_options import add_loop_options, given_values
 from koop_lab.cli.loop_options import loop_parameters as finite
@@ -143,7 +144,7 @@ def run_with_progress(
             bar.set_description_str("damping", refresh=False)
             bar.n = round(progress.step * dt, 1)
             bar.set_postfix_str(
-                f"θ = {progress.theta:+.2f}, r = {progress.r:.3g}, "
+                f"θ = {format_knobs(progress.theta, '+.2f')}, r = {progress.r:.3g}, "
                 f"{progress.steps_per_second * dt:.1f} x real time"
             )
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from koop_core.text_table import table
+from koop_identify.recording.passes import each_knob
 from koop_lab.replay.offline import replay_offline
 from koop_lab.replay.plan import ReplayPlan, make_plan
 from koop_lab.replay.recording import Recording, read_recording
@@ -59,10 +60,13 @@ def main(args: argparse.Namespace) -> int:
         r, theta = replay_live(recording, plan)
     elapsed = time.perf_counter() - started
     results = [
-        compare(name, recording.step[present], recorded[present], replayed[present])
-        for name, recorded, replayed, present in (
+        compare(name, recording.step[present], recorded[present], now[present])
+        for signal, before, after, present in (
             ("r", recording.r, r, recording.has_r),
             ("theta", recording.theta, theta, recording.has_theta),
+        )
+        for (name, recorded), now in zip(
+            each_knob(signal, before).items(), each_knob(signal, after).values(), strict=True
         )
     ]
     differs = any(different for different, _ in results)

@@ -17,6 +17,7 @@ from koop_bringup.live.served import add_serve_option, served
 from koop_bringup.plan import ALL_NODES, ARGUMENTS, Plan, plan
 from koop_bringup.service import describe_commands, describe_unit, unit_folder, unit_name
 from koop_core.config import parameter_file
+from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ConfigError
 from koop_core.errors import KoopError
 from koop_lab.recorded.report import describe, read
@@ -165,7 +166,7 @@ class StatusLine:
         if progress.step:
             words = [f"step {progress.step}"]
             words += [f"r = {progress.r:.3g}"] * math.isfinite(progress.r)
-            words += [f"θ = {progress.theta:+.3f}"] * math.isfinite(progress.theta)
+            words += [f"θ = {format_knobs(progress.theta, '+.3f')}"] * bool(progress.theta)
             where = f"{', '.join(words)}, {progress.steps_per_second:.0f} steps/s: "
             level = level or "ok"
         elif progress.values:

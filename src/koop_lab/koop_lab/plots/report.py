@@ -26,7 +26,7 @@ def plot_report(
     run: Signals,
     costs: Named,
     model: KoopmanModel | None,
-    theta_star: float | None,
+    theta_star: float | tuple[float, ...] | None,
     title: str,
 ) -> None:
     """Draw a run.

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from koop_core.errors import InputError
+from koop_identify.recording.passes import each_knob
 from koop_loop.metrics import LOGGING_START
 from koop_loop.thinning import thin
 from koop_loop.training import STATE_NAMES
@@ -30,7 +31,7 @@ def plot_signals(
     r: NDArray[np.float64],
     theta: NDArray[np.float64],
     title: str,
-    theta_star: float,
+    theta_star: float | tuple[float, ...],
 ) -> None:
     """Draw a run of the simulated plant as in figures 5 and 6 of the paper.
 
@@ -43,10 +44,10 @@ def plot_signals(
     states : mapping of str to ndarray, shape (M,)
         By their labels.
     r, theta : ndarray, shape (M,)
-        Cost and control input.
+        Cost and control input; theta of n > 1 knobs of shape (M, n).
     title : str
         Heading.
-    theta_star : float
+    theta_star : float, or one for each knob
         Optimal control input, a dashed line.
     """
     figure, axes = plt.subplots(3, 1, sharex=True, figsize=(8, 7), layout="constrained")
@@ -86,7 +87,7 @@ def draw_signals(
     channels: Named,
     costs: Named,
     thetas: Named,
-    theta_star: float | None,
+    theta_star: float | tuple[float, ...] | None,
     after: NDArray[np.bool_],
 ) -> None:
     """Draw states, costs and control inputs into three axes; the first two fit what is ``after``.
@@ -99,15 +100,14 @@ def draw_signals(
         (theta, "control input θ", thetas),
     ):
         for name, values in curves.items():
-            envelope(axis, t, values, name)
+            for each, column in each_knob(name, values).items():
+                envelope(axis, t, column, each)
         axis.set_ylabel(label)
     fit(state, np.stack([values[after] for values in channels.values()]))
     state.legend(loc="upper right", ncols=max(4, len(channels)), fontsize="small")
-    if theta_star is not None:
-        theta.axhline(theta_star, linestyle="--", color="black", linewidth=1.0)
-        theta.annotate(
-            "θ*", (t[-1], theta_star), xytext=(3, 0), textcoords="offset points", va="center"
-        )
+    for best in [] if theta_star is None else np.atleast_1d(theta_star):
+        theta.axhline(best, linestyle="--", color="black", linewidth=1.0)
+        theta.annotate("θ*", (t[-1], best), xytext=(3, 0), textcoords="offset points", va="center")
     for i, (name, values) in enumerate(costs.items()):
         axis = cost.twinx() if i else cost
         axis.set_ylabel(name, color=f"C{3 * i}")

@@ -55,7 +55,7 @@ class RecordedRun:
     signals: Signals
     loop: LoopRecord | None
     parameters: LoopParameters | None
-    theta_star: float | None
+    theta_star: float | tuple[float, ...] | None
     model: KoopmanModel | None
 
     @property
@@ -203,7 +203,7 @@ def describe_coverage(run: RecordedRun) -> str:
         f"the figures cover {signals.covered:.6g} of {signals.recorded:.6g} s"
         + ("" if _is_whole(signals) else " only")
     ]
-    has_theta = np.isfinite(signals.theta)
+    has_theta = signals.theta_known
     if signals.has_theta and not has_theta.all():
         lines.append(
             f"theta is missing for {np.count_nonzero(~has_theta)} of {has_theta.size} states; it "

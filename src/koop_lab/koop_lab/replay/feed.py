@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +97,7 @@ class Feeder(Client):
         self.node.create_subscription(ControlInput, "theta", self._on_theta, qos, raw=True)
         self._question = Resend(TIMEOUT, RESENDS)
         self._cost: tuple[int, float] | None = None
-        self._theta: tuple[int, float] | None = None
+        self._theta: tuple[int, Sequence[float]] | None = None
 
     def run(
         self, recording: Recording, plan: ReplayPlan
@@ -118,7 +118,8 @@ class Feeder(Client):
         self, recording: Recording, plan: ReplayPlan
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         size = recording.step.size
-        r, theta = np.empty(size), np.empty(size)
+        n = plan.segments[0].parameters.esc.count
+        r, theta = np.empty(size), np.empty((size, n))
         begins = {segment.begin: segment for segment in plan.segments[1:]}
         held = False
         for k, message in enumerate(tqdm(_states(recording), total=size, disable=None)):
@@ -129,10 +130,10 @@ class Feeder(Client):
                 self._hold(held)
             if recording.late[k]:  # has no answer
                 self._publisher.publish(message)
-                r[k] = theta[k] = np.nan
+                r[k], theta[k] = np.nan, np.nan
             else:
                 r[k], theta[k] = self._ask(int(recording.step[k]), message)
-        return r, theta
+        return r, theta if n > 1 else theta[:, 0]
 
     def _on_cost(self, data: bytes) -> None:
         message = self._read_cost(data)
@@ -140,9 +141,9 @@ class Feeder(Client):
 
     def _on_theta(self, data: bytes) -> None:
         message = self._read_theta(data)
-        self._theta = (message.step, message.theta[0])
+        self._theta = (message.step, message.theta)
 
-    def _ask(self, step: int, message: bytes) -> tuple[float, float]:
+    def _ask(self, step: int, message: bytes) -> tuple[float, Sequence[float]]:
         """Send a state and return both answers to it."""
         self._cost = self._theta = None
         self._publisher.publish(message)

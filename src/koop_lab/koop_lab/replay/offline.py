@@ -16,15 +16,17 @@ from koopman_lifter import cost
 from koopman_lifter.config import LifterConfig
 from koopman_lifter.cost import Workspace
 from koopman_lifter.model import KoopmanModel
-from relay_esc import barrier
+from relay_esc import barrier, directions
 from relay_esc.barrier import BarrierParams, BarrierState
 from relay_esc.config import EscConfig
+from relay_esc.directions import Knobs
 
 
 @njit()
 def replay_kernel(
     p: Controller,
-    bound: BarrierParams,
+    bound: BarrierParams | None,
+    knobs: Knobs | None,
     memory: LoopMemory,
     held: BarrierState,
     work: Workspace,
@@ -42,10 +44,11 @@ def replay_kernel(
 
     Parameters
     ----------
-    p, bound : Controller, BarrierParams
-        Parameters.
+    p, bound, knobs : Controller, BarrierParams, Knobs
+        Parameters; ``bound`` of one knob, else None, which the compiler leaves out; ``knobs`` of
+        several, else None.
     memory, held : LoopMemory, BarrierState
-        After the previous message.
+        After the previous message; the memory of several knobs has their DirectionState.
     work : Workspace
         Buffers of this run.
     switched : bool
@@ -75,16 +78,23 @@ def replay_kernel(
     detector, relay = memory
     for k in range(r.shape[0]):
         if state_arrivals[k] == Arrival.LATE:
-            r[k] = theta[k] = np.nan
+            r[k] = np.nan
+            theta[k] = np.nan
             continue
         r[k], _, settling, detector = cost.answer(
             source, lifting, detector_params, detector, state_arrivals[k], step[k], states[k], work
         )
-        relay, held, _, _ = barrier.answer(
-            relay_params, bound, relay, held, cost_arrivals[k], switched, settling, r[k], hold[k],
-            margin[k],
-        )  # fmt: skip
-        theta[k] = relay.output
+        if bound is not None:
+            relay, held, _, _ = barrier.answer(
+                relay_params, bound, relay, held, cost_arrivals[k], switched, settling, r[k],
+                hold[k], margin[k],
+            )  # fmt: skip
+            theta[k] = relay.output
+        if knobs is not None:
+            relay, _, _ = directions.answer(
+                relay_params, knobs, relay, cost_arrivals[k], switched, settling, r[k], hold[k]
+            )
+            theta[k] = relay.theta
         switched = False
     return LoopMemory(detector, relay), held
 
@@ -99,7 +109,8 @@ class OfflineLoop:
     """
 
     def __init__(self, esc: EscConfig) -> None:
-        self._memory, self._held = LoopMemory(cost.initial(), esc.initial()), barrier.UNKNOWN
+        begin = esc.initial() if esc.count == 1 else esc.initial_directions()
+        self._memory, self._held = LoopMemory(cost.initial(), begin), barrier.UNKNOWN
         self._work: Workspace | None = None
         self._states = self._costs = NOTHING
         self._origin: tuple[int, str] | None = None
@@ -151,10 +162,13 @@ class OfflineLoop:
         self._costs = listen(step[answered], lifter.dt, self._costs, arrivals)
         costs = np.full_like(states, Arrival.LATE)
         costs[answered] = arrivals
-        r, theta = np.empty(step.size), np.empty(step.size)
+        n = esc.count
+        r, theta = np.empty(step.size), np.empty(step.size if n == 1 else (step.size, n))
+        bound = esc.barrier(lifter.dt) if n == 1 else None
+        knobs = esc.knob_limits(lifter.dt) if n > 1 else None
         self._memory, self._held = replay_kernel(
-            made, esc.barrier(lifter.dt), self._memory, self._held, self._work, switched, step,
-            states, costs, x, hold, margin, r, theta,
+            made, bound, knobs, self._memory, self._held, self._work, switched,
+            step, states, costs, x, hold, margin, r, theta,
         )  # fmt: skip
         return r, theta
 

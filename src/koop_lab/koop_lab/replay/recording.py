@@ -14,7 +14,7 @@ from koop_bag.bag.columns import read_columns, read_tables
 from koop_bag.bag.reader import BagReader
 from koop_core.errors import InputError
 from koop_core.stream.arrival import Arrival
-from koop_identify.recording.passes import STATE_TYPE, Messages
+from koop_identify.recording.passes import STATE_TYPE, Messages, of_knobs
 from koop_identify.recording.recorded_parameters import (
     CONTROLLER,
     ParameterChange,
@@ -28,7 +28,7 @@ from koopman_lifter.config import SOURCES
 NO_SOURCE = 255  # none of koop_msgs/Cost
 FIELDS = {
     "cost": ["step", "r", "margin", "source", "model_id", "publish_time"],
-    "theta": ["step", "theta[0]", "holding", "publish_time"],
+    "theta": ["step", "theta", "holding", "publish_time"],
 }
 
 
@@ -49,7 +49,7 @@ class Recording:
     late : ndarray of bool, shape (M,)
         Whether a newer state had overtaken it, so that it has no answer.
     r, theta : ndarray, shape (M,)
-        Recorded answers; NaN where there is none.
+        Recorded answers; NaN where there is none; theta of n > 1 knobs of shape (M, n).
     margin : ndarray, shape (M,)
         Recorded margin of a constraint; NaN where there is none.
     has_r, has_theta : ndarray of bool, shape (M,)
@@ -190,7 +190,7 @@ def read_recording(path: Path, namespace: str = "/") -> Recording:
         state.step[message],
         late,
         r,
-        theta.at(key, "theta[0]", np.nan),
+        of_knobs(theta.at(key, "theta", np.nan)),
         np.asarray(cost.at(key, "margin", np.nan), np.float64),
         cost.hold(key),
         theta.hold(key),

@@ -16,6 +16,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from koop_core.config.knobs import KnobSettings
 from koop_core.config.parameter import ConfigError, Spec, refuse_unknown, spec_of
 from koop_core.config.parameter_file import shared_names
 from koop_core.errors import KoopError
@@ -101,6 +102,9 @@ class Parameters:
         try:
             values = self._values(self._configs) | {p.name: p.value for p in parameters}
             pending = self._build(values)
+            for cls, config in pending.items():
+                if isinstance(config, KnobSettings) and config.count != self._configs[cls].count:
+                    raise ConfigError("the number of knobs is fixed while the node runs")
             self._check(pending, {p.name for p in parameters})
         except KoopError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -116,13 +120,15 @@ class Parameters:
 def descriptor(spec: Spec, default: Any) -> ParameterDescriptor:
     """Return the ROS descriptor of a parameter with its description, unit and range."""
     unit = f" [{spec.unit}]" if spec.unit else ""
+    ranged = math.isfinite(spec.high) and not spec.per_knob  # a range is of one number
     result = ParameterDescriptor(
         description=spec.description + unit,
-        additional_constraints="" if math.isfinite(spec.high) else spec.constraint,
+        additional_constraints="" if ranged else spec.constraint,
         read_only=spec.read_only,
-        dynamic_typing=isinstance(default, tuple),  # ROS cannot tell the type of an empty list
+        # ROS cannot tell the type of an empty list
+        dynamic_typing=isinstance(default, tuple) or spec.per_knob,
     )
-    if math.isfinite(spec.low) and math.isfinite(spec.high):
+    if ranged and math.isfinite(spec.low):
         if type(default) is float:
             result.floating_point_range = [
                 FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high))
@@ -136,7 +142,7 @@ def _in_type_of(default: Any, item: Parameter) -> Parameter:
     """Return a parameter as its default's type has it: '5' is a float where one is declared."""
     if isinstance(default, float) and item.type_ == Parameter.Type.INTEGER:
         return Parameter(item.name, Parameter.Type.DOUBLE, float(item.value))
-    if isinstance(default, tuple) and item.type_ == Parameter.Type.INTEGER_ARRAY:
+    if isinstance(default, tuple | float) and item.type_ == Parameter.Type.INTEGER_ARRAY:
         return Parameter(item.name, Parameter.Type.DOUBLE_ARRAY, [float(x) for x in item.value])
     return item
 

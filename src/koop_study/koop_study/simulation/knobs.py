@@ -25,7 +25,7 @@ from relay_esc.config import EscConfig
 from relay_esc.directions import DirectionState, Knobs, start
 from relay_esc.relay import RelayParams
 from vdp_plant import dynamics
-from vdp_plant.dynamics import PlantParams
+from vdp_plant.dynamics import PlantParams, distance
 
 Array = NDArray[np.float64]
 DT = 1.0 / 20.0  # [periods of a random rig] between two samples
@@ -38,28 +38,16 @@ TAIL = 0.3  # share of a run that counts at its end
 
 
 @njit()
-def distance_of(m: Array, u: Array, u_star: Array) -> float:
-    """Return |M (u - u*)|."""
-    square = 0.0
-    for i in range(u.size):
-        e = 0.0
-        for j in range(u.size):
-            e += m[i, j] * (u[j] - u_star[j])
-        square += e * e
-    return math.sqrt(square)
-
-
-@njit()
 def seek_on_map(
     p: RelayParams, k: Knobs, m: Array, u_star: Array, state: DirectionState,
-    rng: np.random.Generator, distance: Array,
+    rng: np.random.Generator, way: Array,
 ) -> None:  # fmt: skip
     """Run a loop on a limit cycle of amplitude a, da = a (GAIN (|e|^2 + BEST^2) - a^2) a sample."""
     lag, kept = math.exp(-DT / LAG), math.exp(-DT)
     a, r, noise = 0.0, 0.0, 0.0
-    for i in range(distance.size):
-        distance[i] = distance_of(m, state.output, u_star)
-        growth = GAIN * (distance[i] ** 2 + BEST * BEST)
+    for i in range(way.size):
+        way[i] = distance(m, state.output, u_star)
+        growth = GAIN * (way[i] ** 2 + BEST * BEST)
         a = math.sqrt(growth) if i == 0 else a + a * (growth - a * a)
         noise = kept * noise + math.sqrt(1.0 - kept * kept) * rng.standard_normal()
         r = lag * r + (1.0 - lag) * a * a * math.exp(NOISE * noise)
@@ -71,19 +59,19 @@ def seek_on_map(
 def seek_on_plant(
     plant: PlantParams, source: int, lifting: Lifting, detector_params: DetectorParams,
     p: RelayParams, k: Knobs, detector: DetectorState, work: Workspace, x: float, y: float,
-    m: Array, u_star: Array, state: DirectionState, distance: Array,
+    m: Array, u_star: Array, state: DirectionState, way: Array,
 ) -> None:  # fmt: skip
     """Run a loop on the paper's plant with |e| in the place of theta - theta*."""
     measured = np.empty(2)
-    for i in range(distance.size):
+    for i in range(way.size):
         arrival = Arrival.RESTART if i == 0 else Arrival.NEXT
         measured[0], measured[1] = dynamics.measure(plant, i, x, y)
         r, _, settling, detector = cost.answer(
             source, lifting, detector_params, detector, arrival, i, measured, work
         )
         state, _, _ = directions.answer(p, k, state, arrival, False, settling, r, False)
-        distance[i] = distance_of(m, state.output, u_star)
-        x, y = dynamics.step(plant, i, x, y, plant.theta_star + distance[i])
+        way[i] = distance(m, state.output, u_star)
+        x, y = dynamics.step(plant, i, x, y, plant.theta_star + way[i])
 
 
 def rotation(n: int, rng: np.random.Generator) -> Array:
@@ -123,11 +111,11 @@ def knobs_of_map(
         if useless:
             m[:, rng.integers(n)] = 0.0
         u_star, u = rng.uniform(-0.7, 0.7, n), rng.uniform(-0.9, 0.9, n)
-        distance = np.empty(round(duration * samples))
-        knobs = Knobs(-ones, ones, ones, np.full(n, math.inf))
-        state = start(u, signs(n, rng))
-        seek_on_map(esc.params(DT), knobs, m, u_star, state, rng, distance)
-        ratio = np.hypot(distance, BEST) / BEST
+        way = np.empty(round(duration * samples))
+        knobs = Knobs(-ones, ones, ones, np.full(n, math.inf), -ones, ones)
+        state = start(u, signs(n, rng), u, u)
+        seek_on_map(esc.params(DT), knobs, m, u_star, state, rng, way)
+        ratio = np.hypot(way, BEST) / BEST
         within = ratio[: ratio.size // samples * samples].reshape(-1, samples).mean(axis=1) < 1.5
         rows.append({
             "amplitude": float(ratio[-round(TAIL * ratio.size):].mean()),
@@ -146,20 +134,20 @@ def knobs_of_plant(n: int, settings: dict[str, Any], seeds: list[int]) -> list[d
         case, rng = case_of(settings, seed), np.random.default_rng(seed)
         parts = controller(case.lifter, case.esc, model_of(case))
         m, u = rotation(n, rng), np.zeros(n)
-        way = rng.standard_normal(n)
-        u_star = np.linalg.solve(m, 5.0 * way / np.linalg.norm(way))
+        far = rng.standard_normal(n)
+        u_star = np.linalg.solve(m, 5.0 * far / np.linalg.norm(far))
         lower, upper = np.minimum(u, u_star) - 3.0, np.maximum(u, u_star) + 3.0
-        knobs = Knobs(lower, upper, np.ones(n), np.full(n, math.inf))
+        knobs = Knobs(lower, upper, np.ones(n), np.full(n, math.inf), lower, upper)
         limits = {"u_min": lower[0], "u_low": lower[0], "u_max": upper[0], "u_high": upper[0]}
         relay = parts.relay._replace(**limits)  # of one knob
-        distance = np.empty(case.steps)
+        way = np.empty(case.steps)
         seek_on_plant(
             case.plant.params(), parts.source, parts.lifting, parts.detector, relay, knobs,
             cost.initial(), cost.workspace(parts.lifting), *initial_state(case.plant), m, u_star,
-            start(u, signs(n, rng)), distance,
+            start(u, signs(n, rng), u, u), way,
         )  # fmt: skip
         rows.append({
-            "iae": float(distance.sum() * case.plant.dt),
-            "distance": float(distance[-round(TAIL * distance.size):].mean()),
+            "iae": float(way.sum() * case.plant.dt),
+            "distance": float(way[-round(TAIL * way.size):].mean()),
         })  # fmt: skip
     return rows

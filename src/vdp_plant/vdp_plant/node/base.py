@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 import time
+from array import array
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from koop_msgs.msg import ControlInput, MeasuredState, PlantTruth
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
+from koop_core.config.knobs import format_knobs
 from koop_core.config.parameter import ListenersConfig
 from koop_core.kernels import direct
 from koop_core.stream.arrival import Arrival
@@ -52,10 +55,11 @@ class PlantRun(Run):
     def __init__(self, node: ManagedNode[PlantRun]) -> None:
         config, pace = node.parameters[PlantConfig], node.parameters[PaceConfig]
         self._node = node
-        self._params = config.params()
+        self._params, self._knobs = config.params(), config.knob_params()
         self._k = 0
         self._steps = round(pace.duration / config.dt) if pace.duration > 0.0 else math.inf
-        self._theta = self._theta_applied = config.theta_initial
+        initial = [knob.theta_initial for knob in config.knobs(coupling=())]
+        self._theta, self._theta_applied = array("d", initial), array("d", initial)
         self._theta_step = -1  # whose answer acts
         x, y = config.initial_state or dynamics.initial_state(config.seed)
         self._x, self._y = float(x), float(y)
@@ -104,7 +108,8 @@ class PlantRun(Run):
         raise NotImplementedError
 
     def parameters_changed(self, names: set[str]) -> None:
-        self._params = self._node.parameters[PlantConfig].params()
+        config = self._node.parameters[PlantConfig]
+        self._params, self._knobs = config.params(), config.knob_params()
         self._input.timeout = self._node.parameters[PaceConfig].theta_timeout
 
     def samples(self) -> int:
@@ -116,8 +121,8 @@ class PlantRun(Run):
         level, text, values = self.condition()
         return level, text, {
             "step": self._k,
-            "theta": self._theta,
-            "theta_applied": self._theta_applied,
+            "theta": format_knobs(self._theta, ""),
+            "theta_applied": format_knobs(self._theta_applied, ""),
             "round_trip_ms": f"{self._round_trip * 1e3:.2f}",
             **values,
         }  # fmt: skip
@@ -142,17 +147,24 @@ class PlantRun(Run):
         ground_truth = self._ground_truth_message
         ground_truth.step = k
         ground_truth.x = (x, y)
-        ground_truth.theta_applied = (self._theta_applied,)
+        ground_truth.theta_applied = self._theta_applied
         ground_truth.theta_step = self._theta_step
         ground_truth.epsilon0 = self._damping(params, k * params.dt)
         outlets.ground_truth.publish(ground_truth)
         if outlets.clock is not None:
             outlets.clock.publish(Clock(clock=to_stamp(round(k * params.dt * 1e9))))
 
-    def _advance(self, theta: float, theta_step: int) -> None:
-        self._x, self._y, self._theta_applied = self._step(
-            self._params, self._k, self._x, self._y, self._theta_applied, theta, 0.0
-        )
+    def _advance(self, theta: array[float], theta_step: int) -> None:
+        applied = self._theta_applied
+        if len(applied) == 1:
+            self._x, self._y, applied[0] = self._step(
+                self._params, self._k, self._x, self._y, applied[0], theta[0], 0.0
+            )
+        else:
+            self._x, self._y = self._step_knobs(
+                self._params, self._knobs, self._k, self._x, self._y,
+                np.frombuffer(applied), np.frombuffer(theta),
+            )  # fmt: skip
         self._theta_step = theta_step
         self._k += 1
         if self._k >= self._steps:
@@ -175,7 +187,8 @@ class PlantRun(Run):
     def _usable(self, message: Any) -> bool:
         """Return whether a theta may be applied."""
         step, now = message.step, time.monotonic()
-        if len(message.theta) != 1 or not math.isfinite(message.theta[0]):
+        usable = len(message.theta) == len(self._theta) and all(map(math.isfinite, message.theta))
+        if not usable:
             self._input.reject(f"step {step}: theta = {list(message.theta)}")
             return False
         age = self._sent.age(step, now)
@@ -192,7 +205,11 @@ class PlantRun(Run):
 
     def _compile(self) -> None:
         """Get the kernels before the first step."""
-        x, y, theta = self._x, self._y, self._theta
-        self._step = direct(dynamics.advance, self._params, 0, x, y, theta, theta, 0.0)
+        x, y, theta = self._x, self._y, np.array(self._theta)
+        self._step = direct(dynamics.advance, self._params, 0, x, y, theta[0], theta[0], 0.0)
+        if theta.size > 1:
+            self._step_knobs = direct(
+                dynamics.advance_knobs, self._params, self._knobs, 0, x, y, theta, theta.copy()
+            )
         self._measure = direct(dynamics.measure, self._params, 0, x, y)
         self._damping = direct(dynamics.damping, self._params, 0.0)

@@ -85,7 +85,7 @@ class LockstepRun(PlantRun):
     def on_theta(self, message: Any, written: float) -> None:
         if message.step != self._k or not self._question.open or not self._usable(message):
             return
-        (self._theta,) = message.theta
+        self._theta = message.theta
         if self._question.close():
             self._node.get_logger().info(f"theta for step {self._k} was received late")
         self._advance(self._theta, message.step)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from array import array
 from collections.abc import Mapping
 from typing import Any
 
@@ -56,14 +57,15 @@ class TimedRun(PlantRun):
         self.late += self._ticks.tick(now)
         self._behind.add(self._ticks.behind)
         self._publish()
-        theta, self._command = self._node.parameters[PaceConfig].command(
-            self._theta, self._input.age(now)
-        )
+        theta, pace = self._theta, self._node.parameters[PaceConfig]
+        self._command = pace.watch(self._input.age(now))
+        if self._command == "safe":
+            theta = array("d", [pace.theta_safe] * len(theta))
         self._advance(theta, -1 if self._command == "safe" else self._answered)
         if self._node.exit_code is not None and self._timer is not None:
             self._timer.cancel()
 
     def on_theta(self, message: Any, written: float) -> None:
         if self._usable(message):
-            self._theta, self._answered = message.theta[0], message.step
+            self._theta, self._answered = message.theta, message.step
             self._round_trips.add(self._round_trip)
