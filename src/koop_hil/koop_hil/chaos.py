@@ -156,6 +156,7 @@ class ChaosRun:
         self._environment = {**os.environ, MARK: str(folder)}
         self._events: IO[str] = (folder / "events.jsonl").open("w", buffering=1)
         self._loop: subprocess.Popen[bytes] | None = None
+        self.begun = 0.0  # steady clock at the start of the loop [s]
         self._rig = self._start_rig()
         self.operator = Operator(self.note)
 
@@ -200,7 +201,7 @@ class ChaosRun:
             if (code := self._loop.poll()) is None:
                 return
             self.note("loop ended", code=code)
-        self.loops += 1
+        self.loops, self.begun = self.loops + 1, time.monotonic()
         with (self.folder / f"loop-{self.loops}.log").open("w") as log:
             command = [sys.executable, "-m", "koop_lab", "up", str(self.parameters)]
             command += ["--out", str(self.folder / f"loop-{self.loops}")]
@@ -384,7 +385,7 @@ def run(folder: Path, seed: int, count: int) -> None:
                 continue
             _, _, kind, lasts = heapq.heappop(todo)
             if lasts > 0.0 and kind in TARGETS and not it.pids(TARGETS[kind]):
-                if not todo:  # a loop that has lost its recorder goes on without it
+                if not todo and time.monotonic() > it.begun + STARTED:  # it lacks its recorder
                     it.signal(UP, signal.SIGTERM)
                 heapq.heappush(todo, (now + 1.0, next(order), kind, lasts))  # it is not there now
                 continue
