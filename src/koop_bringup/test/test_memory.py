@@ -13,7 +13,7 @@ koopman_lifter: {ros__parameters: {cost: raw, measured: '/rig:data[0]'}}
 relay_esc: {ros__parameters: {theta_max: 3.0, dwell: 2.0}}
 koop_guard: {ros__parameters: {measured: '/rig:data[0]', command: '/rig/theta:data'}}
 """
-BEGIN = [0.1 + 0.2, -1.0, *(float(k) for k in range(12))]
+BEGIN = [0.1 + 0.2, -1.0, *(float(k) for k in range(13))]
 
 
 @pytest.fixture

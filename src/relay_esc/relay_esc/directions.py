@@ -248,7 +248,7 @@ def switch(
     swing = Swing(
         new[FACTOR], 1.0, 0.0, 0.0, math.inf, swing.lowest_before, swing.reference, swing.noise,
         new[DIP], swing.legs, int(new[SHORT]), 0.0, 0.0, int(new[CENTRED]), 0.0, 0.0,
-        0.0, 0.0,
+        0.0, 0.0, swing.calm,
     )  # fmt: skip
     relay_state = RelayState(
         0.0, int(new[EPSILON]), 0.0, 0.0, -travel(k, state), False, 0.0, 0.0, swing

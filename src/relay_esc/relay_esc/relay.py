@@ -48,7 +48,7 @@ LARGEST = sys.float_info.max
 LASTING = {
     "factor": float, "stretch": float, "lowest_before": float, "reference": float, "noise": float,
     "dip": float, "legs": int, "turned": float, "centre": float, "centred": int, "below": float,
-    "beyond": float,
+    "beyond": float, "calm": float,
 }  # fmt: skip
 """Fields of the swing that outlast a leg."""
 MEMORY = 2 + len(LASTING)  # numbers of :func:`memory`

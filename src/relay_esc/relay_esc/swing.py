@@ -10,6 +10,8 @@ leg before (the noise s) and with the legs at home (the reference)::
                                      as long as their dip is to be seen: 0.3 s at least
     lost:  m > reference + 8 s       the step doubles with every leg
     a leg of two dwell times         the same: the optimum is elsewhere
+    reference > calm + 0.36          the same: the optimum creeps away, and the reference with it;
+                                     calm is its least value since the step was full
 
 From either on until a leg at home the limits open where theta passes them, up to the widest; they
 close with a leg at home within them.
@@ -57,6 +59,10 @@ class SwingSettings(Settings):
     reference_rate: float = studied(0.5, "share of a leg in the reference", low=0.0, high=1.0)
     reference_rate_away: float = studied(0.05, "the same, off the optimum", low=0.0, high=1.0)
     level_time: float = studied(0.15, "time constant of the level", unit="dwell", low=0.0)
+    crept: float = parameter(
+        0.36, "rise of the reference from which on the optimum has crept away", low=0.0,
+        origin="amplitude 1.2 times what it was",
+    )  # fmt: skip
     long: float = studied(
         2.0, "leg that shows that the optimum is elsewhere", unit="dwell", low=1.0
     )
@@ -105,6 +111,8 @@ class Swing(NamedTuple):
         Filtered change of ``cost``, as the relay's.
     below, beyond : float
         How far the lower and the upper limit are open [u].
+    calm : float
+        Least reference since the step was full.
     """
 
     factor: float
@@ -125,10 +133,11 @@ class Swing(NamedTuple):
     rise: float
     below: float
     beyond: float
+    calm: float
 
 
 OPEN = Swing(
-    1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0
+    1.0, 1.0, 0.0, 0.0, math.inf, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0.0, 0, 0.0, 0.0, 0.0, 0.0, 0.0
 )
 """Full step, nothing known; the relay of the paper never leaves it."""
 
@@ -164,6 +173,7 @@ def in_leg(
         rise,
         swing.below,
         swing.beyond,
+        swing.calm,
     )
 
 
@@ -252,6 +262,9 @@ def turn(swing: Swing, length: float, u: float, least: float, inside: bool) -> S
                 factor = min(1.0, factor * SWING.grow)
         if risen or length > SWING.long:
             centred = 0
+    calm = reference if swing.legs == 0 or swing.factor == 1.0 else min(swing.calm, reference)
+    if reference > calm + max(SWING.crept, SWING.lost * noise):
+        factor, short, centred = min(1.0, factor * SWING.grow), 0, 0
     stretch = 1.0
     if factor >= SWING.wide:
         stretch += SWING.stretch * (swing.legs * GOLDEN % 1.0)
@@ -275,6 +288,7 @@ def turn(swing: Swing, length: float, u: float, least: float, inside: bool) -> S
         swing.rise,
         below,
         beyond,
+        calm,
     )
 
 
@@ -307,6 +321,7 @@ def open_limits(swing: Swing, below: float, beyond: float) -> Swing:
         swing.rise,
         max(swing.below, below),
         max(swing.beyond, beyond),
+        swing.calm,
     )
 
 

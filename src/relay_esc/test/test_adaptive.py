@@ -86,6 +86,24 @@ def test_it_opens_its_swing_again_when_the_optimum_has_moved(noise):
     assert narrow >= 3  # a long leg may have opened it just before
 
 
+@pytest.mark.parametrize(("rise", "widened"), [(0.0, False), (0.001, True), (0.02, True)])
+def test_a_level_that_creeps_up_by_less_than_its_noise_widens_the_swing_once_it_has_risen(
+    rise, widened
+):
+    noise, known = np.random.default_rng(1).normal(0.0, 0.02, 1000), swing.OPEN
+    for leg in range(1000):
+        level = rise * max(leg - 100, 0) + noise[leg]
+        known = known._replace(lowest=level, level=level + 0.1, begin=level + 0.1)
+        known = swing.turn(known, 1.0, 0.02 * (leg % 2), 0.1, True)
+        if leg == 100:
+            assert known.factor < 0.2
+        elif leg > 100 and known.factor == 1.0:
+            assert widened
+            assert 0.3 < level < 0.7  # log r: an amplitude of about 1.2 times the one before
+            return
+    assert not widened
+
+
 def test_a_ripple_of_the_cost_as_long_as_two_legs_does_not_stop_it():
     theta, _ = seek(config(), 1500.0, still, ripple=1.0)
     assert np.abs(theta[10_000:] + 3.0).mean() < 0.5
