@@ -123,7 +123,7 @@ def read(path: str | Path) -> RigFile:
         refuse_unknown(values, [item.name for item in fields(RigFile)], "key")
         for name, value in values.items():
             if name.startswith("theta_") and isinstance(value, list):
-                raise ConfigError(f"{name}: a rig has one knob; several are for the simulated plant")
+                raise ConfigError(f"{name}: a rig has one knob, the simulated plant several")
         lacking = set(REQUIRED) - values.keys()
         missing = [item for item in fields(RigFile) if item.name in lacking]
         if len(missing) == 1:
