@@ -6,7 +6,7 @@ _koop() {
   local root word=${COMP_WORDS[COMP_CWORD]} command=${COMP_WORDS[1]} words=
   root=$(dirname "$(readlink -f "$(command -v "${COMP_WORDS[0]}")")")
   if ((COMP_CWORD == 1)); then
-    words="$(sed -nE 's/^  ([a-z]+) .*/\1/p' "$root/src/koop_lab/koop_lab/cli/commands.txt") test run shell docs setup"
+    words=$(sed -nE 's/^[|] [*][*].koop ([a-z]+).*/\1/p' "$root/docs/reference/commands.md" | sort -u)
   elif [[ $word == -* ]]; then
     words=$(awk -v row="^[|] [*][*].koop ${command}[ \`]" '/^[|] [*][*]/ { inside = $0 ~ row } inside' \
       "$root/docs/reference/commands.md" | grep -oE '`--[a-z-]+' | tr -d '`')
