@@ -36,7 +36,8 @@ class EscRun(Run):
         config = node.parameters[EscConfig]
         self._node = node
         self._directions = config.initial_directions()
-        self._state = config.initial() if config.count == 1 else self._directions.relay
+        self._several = config.count > 1  # knobs
+        self._state = self._directions.relay if self._several else config.initial()
         self._answer = codec(ControlInput).new()
         self._answer.theta = self._directions.theta
         self._input = StreamMonitor("cost", timeout_of(LONGEST_DT), LONGEST_DT, may_end=True)
@@ -50,14 +51,14 @@ class EscRun(Run):
         # for the types that messages bring, and compiled before the first of them
         first_cost = (int(Arrival.RESTART), False, False, 0.0, False, math.nan)
         self._barrier = barrier.UNKNOWN
-        if config.count == 1:
-            self._respond = direct(
-                barrier.answer, self._params, self._bound, self._state, self._barrier, *first_cost
-            )
-        else:
+        if self._several:
             begin = config.initial_directions()  # whose arrays are changed
             self._respond = direct(
                 directions.answer, self._params, self._knobs, begin, *first_cost[:-1]
+            )
+        else:
+            self._respond = direct(
+                barrier.answer, self._params, self._bound, self._state, self._barrier, *first_cost
             )
         self._insight = direct(relay.insight, self._params, self._state)
         entities.service(Trigger, "~/reset", self._on_reset)
@@ -127,9 +128,9 @@ class EscRun(Run):
             "noise": answer.noise,
             "confidence": answer.confidence,
             "model_id": self._origin[1] if self._origin else "",
-            "begin": json.dumps(relay.memory(self._state) if self._knobs.lower.size == 1 else []),
+            "begin": json.dumps([] if self._several else relay.memory(self._state)),
         }
-        if self._knobs.lower.size == 1 and relay.outside(self._params, self._state):
+        if not self._several and relay.outside(self._params, self._state):
             return WARN, "theta is outside its limits", values
         if self._state.since_flip < 0:
             wait = -self._state.since_flip * self._input.dt
@@ -176,16 +177,16 @@ class EscRun(Run):
             self._begin_level()
         answer = self._answer
         message = int(arrival), switched, cost.settling, cost.r, self._hold_asked
-        if self._knobs.lower.size == 1:
-            self._state, self._barrier, answer.holding, answer.saturated = self._respond(
-                self._params, self._bound, self._state, self._barrier, *message, cost.margin
-            )
-            answer.theta = (self._state.output,)
-        else:
+        if self._several:
             self._directions, answer.holding, answer.saturated = self._respond(
                 self._params, self._knobs, self._directions, *message
             )
             self._state, answer.theta = self._directions.relay, self._directions.theta
+        else:
+            self._state, self._barrier, answer.holding, answer.saturated = self._respond(
+                self._params, self._bound, self._state, self._barrier, *message, cost.margin
+            )
+            answer.theta = (self._state.output,)
         if not (math.isfinite(cost.r) or cost.settling):
             self._input.reject(f"step {cost.step}: r = {cost.r}, dt = {cost.dt} s")
         if not answer.holding:
@@ -200,11 +201,11 @@ class EscRun(Run):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         config = self._node.parameters[EscConfig]
-        if config.count == 1:
-            self._state = relay.reset(self._state, replace(config, begin=()).initial())
-        else:
+        if self._several:
             begin = config.initial_directions()
             self._directions = directions.reset(self._knobs, self._directions, begin)
+        else:
+            self._state = relay.reset(self._state, replace(config, begin=()).initial())
         beginning = format_knobs(knob.beginning for knob in config.knobs(command=""))
         response.success = True
         response.message = f"theta is {beginning} again, filter and relay are reset"
