@@ -40,6 +40,7 @@ client.spin_until(lambda: False, 60.0)
 ]
 SIZE = 52400  # [bytes] of a mailbox
 UNFILLED = {"made": b"", "sized": bytes(SIZE), "begun": bytes([1]) + bytes(SIZE - 1)}
+TRIES = 5
 LONG = 60.0  # [s] for a process to start on a busy machine
 
 
@@ -83,9 +84,12 @@ def test_what_a_killed_process_left_unfilled_does_not_stop_others(content):
 
 @pytest.mark.ros
 def test_who_hangs_on_a_mailbox_ends_although_python_is_locked():
-    with left(bytes(SIZE)) as (domain, _):
-        done = join(domain, "blind")
-        assert (done.returncode, done.stdout) == (-signal.SIGALRM, b"")
+    for _ in range(TRIES):
+        with left(bytes(SIZE)) as (domain, path):
+            done = join(domain, "blind")
+            if path.exists():
+                break  # else another process has removed it, as it should
+    assert (done.returncode, done.stdout) == (-signal.SIGALRM, b"")
 
 
 @pytest.mark.ros
