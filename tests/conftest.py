@@ -17,7 +17,7 @@ from koop_node.client.question import Question
 sys.path.insert(0, str(Path(__file__).parent))  # for browser.py
 
 TIMEOUT = (
-    30.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well
+    60.0  # [s] for anything to happen on a busy machine; nothing waits this long if all is well
 )
 
 

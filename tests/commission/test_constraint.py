@@ -14,6 +14,7 @@ from test_guard import LONG, LOOP
 from koop_bag.bag.columns import read_columns
 from koop_bag.bag.reader import BagReader
 from koop_core.config import parameter_file
+from koop_lab.cli.main import main
 from koop_tune.excitation import progress
 from koop_tune.rig import rig_file
 
@@ -44,21 +45,18 @@ def test_theta_goes_towards_the_bound_step_by_step_and_not_beyond_it(fast_rig, k
     assert f"the constraint is kept from theta_min {safe.low:.4g} to" in out
 
 
-@pytest.mark.parametrize(
-    ("signal", "said"),
-    [
-        ("/fast/efort:data", "constraint: /fast/efort has no publisher: is the rig running"),
-        ("/fast/effort:x", "constraint: Float64 has no field 'x'"),
-    ],
-)
-def test_a_signal_that_is_not_there_is_named_before_theta_moves(
-    fast_rig, koop, tmp_path, signal, said
-):
-    rig = replace(RIG, constraint=f"rms({signal}, 0.5 s) < {BOUND}", theta_safe=1.5)
-    rig_file.write(rig, tmp_path / "rig.yaml")
-    for words in (("check", "rig.yaml"), ("excite", "rig.yaml", "--out", "run")):
-        out, error = koop(*words).communicate(timeout=LONG)
-        assert said in out + error
+def test_a_signal_that_is_not_there_is_named_before_theta_moves(fast_rig, tmp_path, capfd):
+    out = tmp_path / "run"
+    for source, said, words in (
+        ("efort:data", "constraint: /fast/efort has no publisher: is the rig running", ["check"]),
+        ("effort:x", "constraint: Float64 has no field 'x'", ["check"]),
+        ("effort:x", "constraint: Float64 has no field 'x'", ["excite", "--out", str(out)]),
+    ):
+        rig = replace(RIG, constraint=f"rms(/fast/{source}, 0.5 s) < {BOUND}", theta_safe=1.5)
+        path = tmp_path / f"{words[0]}-{source}.yaml"
+        rig_file.write(rig, path)
+        assert main([*words, str(path)]) != 0
+        assert said in "".join(capfd.readouterr())
     assert fast_rig.moved == []
 
 
@@ -84,13 +82,13 @@ def test_the_loop_keeps_a_bound_that_moves_and_the_guard_one_that_it_cannot(
     process = koop("up", "loop.yaml", "--out", "run")
     wait(lambda: fast_rig.theta < EDGE + 0.1, "theta near the bound", process, LONG)
     count = len(fast_rig.moved)
-    wait(lambda: len(fast_rig.moved) > count + 1500, "theta at rest", process, LONG)
-    rested = [theta for _, theta in fast_rig.moved[count + 500 :]]
+    wait(lambda: len(fast_rig.moved) > count + 900, "theta at rest", process, LONG)
+    rested = [theta for _, theta in fast_rig.moved[count + 400 :]]
     assert min(rested) > EDGE - 0.04  # on a busy machine the margin is late; the least is at 0.8
-    for worn in np.arange(0.0, 0.31, 0.01):
+    for worn in np.arange(0.0, 0.21, 0.01):
         fast_rig.worn, count = float(worn), len(fast_rig.moved)
         wait(lambda: len(fast_rig.moved) > count + 50, "a while", process)  # noqa: B023
-    wait(lambda: EDGE + 0.29 < fast_rig.theta < EDGE + 0.45, "theta at the new bound", process)
+    wait(lambda: EDGE + 0.19 < fast_rig.theta < EDGE + 0.35, "theta at the new bound", process)
     kept = len(fast_rig.moved)
     fast_rig.worn = 2.0  # beyond theta_max
     wait(lambda: len(fast_rig.moved) > kept and fast_rig.theta == 1.5, "the trip", process)

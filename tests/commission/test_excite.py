@@ -29,7 +29,7 @@ from koop_tune.excitation import progress
 from koop_tune.rig import rig_file
 
 pytestmark = pytest.mark.ros
-TIMEOUT = 40.0
+TIMEOUT = 60.0
 LATE = 0.4  # [s] that a command may come; a jump home would be twice as far as this allows
 STEP = 0.05  # [s] of the rate that two commands may be apart, however busy the machine is
 SLOW = replace(RIG, theta_rate=2.0)

@@ -1,7 +1,7 @@
 """Watchdogs and /diagnostics of the nodes as processes: silence, disorder, a second publisher."""
 
 import math
-from itertools import pairwise
+from itertools import count, pairwise
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -157,6 +157,28 @@ def test_a_controller_whose_costs_say_no_sampling_time_reports_it_and_joins_when
     probe.spin_until(lambda: len(answers) == 5, "the answers")
     assert [a.holding for a in answers] == [True] * 5
     assert process.log.read_text().count("the costs are 0.005 s apart") == 1
+
+
+def test_a_cost_that_has_risen_for_good_is_reported(start, probe, reports):
+    start("relay_esc", dwell=0.05)
+    answers = probe.collect(ControlInput, "theta")
+    cost, steps = probe.publisher(Cost, "cost"), count()
+    said = "times the least of this run: the optimum may have moved"
+
+    def send(samples, r):
+        for k in (next(steps) for _ in range(samples)):
+            cost.publish(Cost(step=k, r=r, dt=0.005))
+        probe.spin_until(lambda: answers[-1:] and answers[-1].step == k, "the answers")
+
+    def reported():
+        return any(said in s.message for array in reports.arrays for s in array.status)
+
+    for _ in range(20):  # a window is of 200 dwell times, at least 2000 samples
+        send(100, 1.0)
+    assert not reported()
+    for _ in range(20):
+        send(100, 5.0)
+    probe.spin_until(lambda: send(1, 5.0) or reported(), "the finding")
 
 
 def test_a_reset_ramps_theta_back_at_the_rate_limit(start, probe):
