@@ -121,6 +121,7 @@ def _spin(nodes: list[ManagedNode[Any]], priority: int, timers: schedule.Schedul
             house.tidy(time.monotonic(), wait)
             if not asked and all(node.active for node in nodes):
                 asked = True
+                house.settle()  # numba and the kernels have come with the nodes' configuration
                 for problem in apply_priority(priority):
                     nodes[0].get_logger().warning(problem)
             # spin() would hang in the Jazzy wheels, spin_once() costs 4 us for every callback

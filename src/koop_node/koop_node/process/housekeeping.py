@@ -27,9 +27,13 @@ class Housekeeping:
 
     def __init__(self, now: float) -> None:
         self._next = now + PERIOD
+        gc.disable()
+        self.settle()
+
+    def settle(self) -> None:
+        """Take what is there out of the collection; it takes as long as one."""
         gc.collect()
         gc.freeze()
-        gc.disable()
 
     def tidy(self, now: float, room: float) -> None:
         """Collect if it is time and there is room until the next timer [s]."""
