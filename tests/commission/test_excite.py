@@ -140,7 +140,8 @@ def test_an_excitation_that_is_interrupted_and_killed_goes_on(fast_rig, rig_yaml
     out, error = first.communicate(timeout=TIMEOUT)
     assert first.returncode == 130, error
     assert (
-        "theta goes between -1 and 2, there and back, then to where it tells most: at most" in out
+        "theta goes between -1 and 2, there and back, then to where it tells most about the best "
+        "value: at most" in out
     )
     assert out.count("(over the range)") == holds()
     assert (

@@ -57,11 +57,19 @@ def test_rests_of_a_loop_do_not_join_the_values_of_the_excitation():
 
 def test_a_rest_ends_where_states_are_missing_or_theta_is_unknown():
     theta = staircase(np.linspace(0.0, 1.0, 5), 320)
-    _, rests = find_rests(recording(theta, begins=(0, 400)), UNIT, 16)
-    assert [(rest.begin, rest.end) for rest in rests[1:3]] == [(320, 400), (400, 640)]
+    _, rests = find_rests(recording(theta, begins=(0, 560)), UNIT, 16)
+    assert [(rest.begin, rest.end) for rest in rests[1:3]] == [(320, 560), (560, 640)]
     theta[:160] = np.nan
     _, rests = find_rests(recording(theta), UNIT, 16)
     assert rests[0].begin == 160
+
+
+def test_of_a_rest_that_was_cut_the_part_in_which_the_rig_may_not_have_settled_does_not_count():
+    theta = staircase(np.linspace(0.0, 1.0, 5), 320)
+    theta[400:410] = np.nan  # not known yet
+    _, rests = find_rests(recording(theta, begins=(0, 400, 470, 550, 1020)), UNIT, 16)
+    pieces = [(0, 320), (550, 630), (640, 960), (1020, 1276), (1280, 1600)]
+    assert [(rest.begin, rest.end) for rest in rests] == pieces
 
 
 @pytest.mark.parametrize(

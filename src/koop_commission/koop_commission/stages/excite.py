@@ -240,10 +240,10 @@ class Excitation:
                 f"{round_up(2.0 * (self._elapsed + needed)):g} or more"
             )
         back = max(map(rig.guard.return_time, (rig.theta_min, rig.theta_max)))
+        first = f"between {rig.theta_min:g} and {rig.theta_max:g}, there and back, then "
         print(
-            f"theta goes between {rig.theta_min:g} and {rig.theta_max:g}, there and back, then to "
-            f"where it tells most: at most {spell_time(left, rig.pace)}, less if only what is "
-            "fast reacts; "
+            f"theta goes {first * (self._design.left > 0)}to where it tells most about the best "
+            f"value: at most {spell_time(left, rig.pace)}, often less; "
             f"Ctrl-C ends it, theta returns to {rig.theta_safe:g} within {back:.2g} s here\n"
             "[s] of the rig's time; amplitude 1 is the strongest motion seen so far",
             flush=True,
@@ -289,8 +289,8 @@ class Excitation:
         *before, level = design.levels()
         if before and abs(before[-1].mean - self._said) > DESIGN.redefined + before[-1].error:
             print(
-                f"amplitude is from here that of {amplitude.name(rig.names)}, in a new unit: the "
-                f"hold before has {math.exp(before[-1].mean):.3g}",
+                f"from here the amplitude is that of {amplitude.name(rig.names)}; by it the hold "
+                f"before has {math.exp(before[-1].mean):.3g}",
                 flush=True,
             )
         self._said = level.mean

@@ -148,15 +148,20 @@ def find_rests(
     if theta is None or not np.isfinite(theta).any():
         raise InputError("the recording holds no theta: record with 'koop excite'")
     u = scale.u(theta)  # NaN stays NaN
-    rests = []
+    pieces: list[list[tuple[float, int, int]]] = []  # of each rest, which lost messages cut
     for segment in list_segments(loaded.begins):
         part = u[segment]
         moved = ~(np.abs(np.diff(part)) <= settings.still / length)  # NaN moves
+        joins = bool(pieces)
         for a, b in pairwise(_split(part, moved, settings.same)):
-            whole = (b - a) // length
-            if whole >= settings.fewest and np.isfinite(part[a]):
-                begin = segment.start + a
-                rests.append((float(np.median(part[a:b])), begin, begin + whole * length))
+            if not np.isfinite(part[a]):
+                continue
+            value = float(np.median(part[a:b]))
+            if not joins or abs(value - pieces[-1][-1][0]) > settings.same:
+                pieces.append([])
+            joins = False
+            pieces[-1].append((value, segment.start + a, segment.start + b))
+    rests = [rest for each in pieces for rest in _settled(each, settings.fewest, length)]
     values: list[list[float]] = []
     for value in sorted(value for value, _, _ in rests):
         if not values or value - values[-1][0] > settings.same:  # rests of a loop: no chain
@@ -169,6 +174,20 @@ def find_rests(
         )
     centres = np.array([np.mean(group) for group in values])
     return centres, [Rest(int(np.argmin(np.abs(centres - v))), a, b) for v, a, b in rests]
+
+
+def _settled(
+    pieces: list[tuple[float, int, int]], fewest: int, length: int
+) -> list[tuple[float, int, int]]:
+    """Return the pieces of a rest that are long enough, in whole windows, and that count.
+
+    The rig may not have settled in the first half: of a rest that was cut, those of the second half
+    count, and one that is as long as a half; if there is none, the last one.
+    """
+    whole = [(v, a, a + (b - a) // length * length) for v, a, b in pieces]
+    whole = [(v, a, b) for v, a, b in whole if b - a >= fewest * length]
+    half, end = 0.5 * (pieces[-1][2] - pieces[0][1]), pieces[-1][2]
+    return [(v, a, b) for v, a, b in whole if end - a <= half or b - a >= half] or whole[-1:]
 
 
 def _split(u: NDArray[np.float64], moved: NDArray[np.bool_], same: float) -> list[int]:
