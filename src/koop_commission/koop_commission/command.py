@@ -112,6 +112,7 @@ class Commissioning:
             if rounds and (rounds[-1].damped or number > VERIFICATION.rounds):
                 break
             if rounds:
+                print(f"not damped: {rounds[-1].summary}; tuned again, with these recordings")
                 self._set_aside(len(rounds))
             if not self._tune(number):
                 return 1

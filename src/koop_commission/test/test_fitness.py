@@ -83,8 +83,8 @@ def test_stages_count_only_the_orders_that_could_be_drawn():
     [
         (0.5, "falls by 50 %"),
         (1.1, "rises by 10 %"),
-        (4.0, "rises 4 times"),
-        (0.2, "falls 5 times"),
+        (4.0, "rises by a factor of 4"),
+        (0.2, "falls by a factor of 5"),
     ],
 )
 def test_a_change_of_a_logarithm_is_told_as_share_or_factor(ratio, text):

@@ -99,6 +99,6 @@ def describe_change(change: float) -> str:
     'falls by 50 %'
     """
     if abs(change) > math.log(3.0):
-        return f"{'rises' if change > 0 else 'falls'} {math.exp(abs(change)):.3g} times"
+        return f"{'rises' if change > 0 else 'falls'} by a factor of {math.exp(abs(change)):.3g}"
     share = 100.0 * (math.exp(change) - 1.0)
     return f"{'rises' if share > 0 else 'falls'} by {abs(share):.2g} %"

@@ -163,7 +163,7 @@ def check_rig(
                             yield Finding(
                                 NOTE,
                                 TIME_OUT,
-                                "of the rig was not tested; in a terminal, koop check asks",
+                                "of the rig was not tested; koop check, in a terminal, offers to",
                             )
         except LiveError as error:
             yield Finding(BAD, "theta", f"{error}: theta returns to {rig.theta_safe:g}")
