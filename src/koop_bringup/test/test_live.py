@@ -49,6 +49,15 @@ def test_ctrl_c_that_comes_again_does_not_keep_a_node_from_being_stopped(tmp_pat
     assert signal.getsignal(signal.SIGINT) is handler
 
 
+def test_a_node_that_hung_as_it_left_the_domain_has_done_its_work(tmp_path):
+    hung = FOREIGN.replace("sys.exit(0)", "signal.raise_signal(signal.SIGALRM)")
+    node = NodeProcess("node", [hung], tmp_path / "node.log", [sys.executable, "-c"])
+    while node.last_lines() != "started":
+        assert node.poll() is None
+    assert node.stop() == 0
+    assert node.poll() == -signal.SIGALRM
+
+
 @pytest.mark.ros
 @pytest.mark.parametrize("delay", [0.0, 0.03, 0.06, 0.1])
 def test_a_node_that_is_stopped_before_it_has_started_ends_as_any_other(tmp_path, delay):

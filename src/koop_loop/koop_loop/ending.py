@@ -38,7 +38,7 @@ def ending(node: str, exit_code: int, rig: bool) -> Ending:
 def describe_end(node: str, exit_code: int) -> str:
     """Return how a node ended, in words."""
     if exit_code == -signal.SIGALRM:  # koop_node.process.joining
-        return f"{node} hung while it joined the ROS domain: start again"
+        return f"{node} hung while it joined or left the ROS domain: start again"
     if exit_code < 0:
         return f"{node} was killed by signal {-exit_code}"
     return f"{node} ended with exit code {exit_code}"

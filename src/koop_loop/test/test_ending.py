@@ -25,6 +25,6 @@ def test_a_rig_keeps_its_controller_when_the_recording_ends(node, exit_code, rig
 
 
 def test_a_signal_is_named():
-    assert describe_end("relay_esc", -14).startswith("relay_esc hung while it joined")
+    assert describe_end("relay_esc", -14).startswith("relay_esc hung while it joined or left")
     assert describe_end("relay_esc", -9) == "relay_esc was killed by signal 9"
     assert describe_end("relay_esc", 2) == "relay_esc ended with exit code 2"

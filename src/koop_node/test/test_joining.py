@@ -28,6 +28,16 @@ if sys.argv[2:]:  # the mailbox is left only after this process has looked
 with Client("late", int(sys.argv[1]), udp=False):
     print("joined")
 """
+LEAVE = """
+import ctypes
+from rclpy.node import Node
+from koop_node.client.client import Client
+from koop_node.process import joining
+joining.LEAVING = 0.2
+Node.destroy_node = lambda node: ctypes.PyDLL(None).sleep(60)  # with Python's lock
+with Client("stuck", udp=False):
+    print("joined", flush=True)
+"""
 LIVE = [
     sys.executable,
     "-c",
@@ -90,6 +100,12 @@ def test_who_hangs_on_a_mailbox_ends_although_python_is_locked():
             if path.exists():
                 break  # else another process has removed it, as it should
     assert (done.returncode, done.stdout) == (-signal.SIGALRM, b"")
+
+
+@pytest.mark.ros
+def test_who_hangs_as_it_leaves_ends_although_python_is_locked():
+    done = subprocess.run([sys.executable, "-c", LEAVE], stdout=subprocess.PIPE, timeout=LONG)
+    assert (done.returncode, done.stdout) == (-signal.SIGALRM, b"joined\n")
 
 
 @pytest.mark.ros

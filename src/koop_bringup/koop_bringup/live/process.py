@@ -127,14 +127,18 @@ class NodeProcess:
 
     @uninterrupted()
     def stop(self, number: int = signal.SIGINT, timeout: float = STOP_TIMEOUT) -> int:
-        """Ask the process to end, wait, kill it if it does not; return the exit code."""
+        """Ask the process to end, wait, kill it if it does not; return the exit code.
+
+        It is 0 where the process had done its work and hung as it left the ROS domain.
+        """
         self.ask_to_stop(number)
         try:
             self.process.wait(timeout)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
-        return self.process.returncode
+        code = self.process.returncode
+        return 0 if code == -signal.SIGALRM else code
 
     @contextmanager
     def stopped(self, seconds: float) -> Iterator[None]:

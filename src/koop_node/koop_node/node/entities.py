@@ -24,7 +24,7 @@ from koop_node.node import schedule
 from koop_node.node.graph import Listeners, best_effort_only, message_type_of, publishers_of
 from koop_node.node.schedule import Timer
 from koop_node.node.wire import WireError, codec
-from koop_node.process.joining import joining
+from koop_node.process.joining import joining, leaving
 
 PATIENCE = 0.5  # [s] that the last messages may take to arrive
 LOOK_PERIOD = 0.05  # [s] between looks for subscribers
@@ -37,12 +37,16 @@ class WithoutEvents(Node):
 
     With its EventsExecutor they can deadlock (rmw_fastrtps 890): the middleware calls them while it
     holds a lock. They would log that somebody offers another type or QoS; ``ros2 topic info -v``
-    shows it too. The node joins its domain as :mod:`koop_node.process.joining` says.
+    shows it too. The node joins and leaves its domain as :mod:`koop_node.process.joining` says.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:
         with joining():
             super().__init__(*args, **options)
+
+    def destroy_node(self) -> None:
+        with leaving():
+            super().destroy_node()
 
     def create_publisher(self, *args: Any, **options: Any) -> Publisher:
         options.setdefault("event_callbacks", PublisherEventCallbacks(use_default_callbacks=False))
