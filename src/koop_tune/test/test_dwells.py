@@ -65,10 +65,11 @@ def test_a_rest_ends_where_states_are_missing_or_theta_is_unknown():
 
 
 def test_of_a_rest_that_was_cut_the_part_in_which_the_rig_may_not_have_settled_does_not_count():
-    theta = staircase(np.linspace(0.0, 1.0, 5), 320)
-    theta[400:410] = np.nan  # not known yet
-    _, rests = find_rests(recording(theta, begins=(0, 400, 470, 550, 1020)), UNIT, 16)
-    pieces = [(0, 320), (550, 630), (640, 960), (1020, 1276), (1280, 1600)]
+    theta = staircase(np.linspace(0.0, 1.0, 6), 320)
+    theta[400:410] = theta[700:720] = np.nan  # not known yet, and for a moment
+    cut = (400, 470, 550, 1020, 1720, 1760, 1800, 1840, 1880)
+    _, rests = find_rests(recording(theta, begins=(0, *cut)), UNIT, 16)
+    pieces = [(0, 320), (550, 630), (720, 960), (1020, 1276), (1280, 1600)]
     assert [(rest.begin, rest.end) for rest in rests] == pieces
 
 

@@ -155,6 +155,7 @@ def find_rests(
         joins = bool(pieces)
         for a, b in pairwise(_split(part, moved, settings.same)):
             if not np.isfinite(part[a]):
+                joins = bool(pieces)
                 continue
             value = float(np.median(part[a:b]))
             if not joins or abs(value - pieces[-1][-1][0]) > settings.same:
@@ -182,12 +183,12 @@ def _settled(
     """Return the pieces of a rest that are long enough, in whole windows, and that count.
 
     The rig may not have settled in the first half: of a rest that was cut, those of the second half
-    count, and one that is as long as a half; if there is none, the last one.
+    count, and one that is as long as a half.
     """
     whole = [(v, a, a + (b - a) // length * length) for v, a, b in pieces]
     whole = [(v, a, b) for v, a, b in whole if b - a >= fewest * length]
     half, end = 0.5 * (pieces[-1][2] - pieces[0][1]), pieces[-1][2]
-    return [(v, a, b) for v, a, b in whole if end - a <= half or b - a >= half] or whole[-1:]
+    return [(v, a, b) for v, a, b in whole if end - a <= half or b - a > half - length]
 
 
 def _split(u: NDArray[np.float64], moved: NDArray[np.bool_], same: float) -> list[int]:
