@@ -24,6 +24,7 @@ from koop_bag.cdr.header import has_step, step_of
 from koop_bag.cdr.schema import MessageSchema, load_schema
 from koop_bag.mcap.chunk import Row
 from koop_node.node.managed import message_type
+from koop_node.node.rclpy_internals import publishers_as_told
 
 _AT_ONCE = 2000
 """Messages taken from one topic before the next one has its turn."""
@@ -71,6 +72,7 @@ class RecordedTopic:
         self._type = message_type(self.schema.name)
         self._queue = queue
         self._heard = 0.0  # steady clock, of the last message [s]
+        self._told: list[dict[str, Any]] = []  # of the publishers
         self._wanted = (ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
         self.subscription = self._subscribe()
 
@@ -105,6 +107,10 @@ class RecordedTopic:
 
     def match(self) -> None:
         """Follow the QoS that the publishers offer, so that none of them is incompatible."""
+        told = publishers_as_told(self._node, self.subscription.topic_name)
+        if told == self._told:
+            return
+        self._told = told
         infos = self._node.get_publishers_info_by_topic(self.name)
         if not infos:
             return
